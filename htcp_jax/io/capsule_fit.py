@@ -137,7 +137,7 @@ def clip(triangles: Triangles, cut: Cut) -> Float[np.ndarray, "G 3 3"]:
 def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: Bool[np.ndarray, "F 3"], alone: bool):
     """Return the triangles' corners, and the intersections of two edges with the plane.
 
-    Corners begin with the one that is alone on its side; the edges are those that start at it.
+    Corners begin with the only one on its side; the edges are those that start at it.
     """
     rows, first = np.arange(len(triangles))[:, None], np.argmax(inside == alone, axis=1)
     turned = (first[:, None] + [0, 1, 2]) % 3
@@ -208,7 +208,7 @@ def _around(points: Points, p: Vector, q: Vector) -> Capsule:
     return Capsule(p, q, float(np.ceil(widest / GRID_M + 1e-3) * GRID_M))
 
 
-# The search; z holds both ends of the axis and the radius.
+# The search; z consists of both ends of the axis and the radius.
 
 
 def _along(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:

@@ -32,7 +32,7 @@ class Cover(NamedTuple):
     pieces: dict[str, Piece]  # of `held`, with the fitted capsules
     drawn: Triangles  # of the meshes to which MuJoCo fitted the model's own capsules [m]
     held: Triangles  # of all other shapes [m]; the fitted capsules enclose them
-    kinds: tuple[str, ...]  # types of the held shapes: box, mesh, ...
+    kinds: tuple[str, ...]  # types of these shapes: box, mesh, ...
 
     @property
     def fitted(self) -> dict[str, Capsule]:

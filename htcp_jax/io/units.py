@@ -94,7 +94,7 @@ def _path_in(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) ->
     """Return a guess at the unit of a path that is far from its part."""
     extent = _extent(cloud)
     for unit, metres in sorted(METRES.items(), key=lambda item: -item[1]):
-        # Too small a unit puts any path to the origin; there it is too short.
+        # With too small a unit any path is at the origin, but too short.
         right_length = 0.05 * extent <= metres * _extent(path) <= 2.0 * extent
         if right_length and _distance(cloud, metres * path) <= 0.5 * extent:
             return f"the path seems to be in {unit}, metres are needed (factor {metres:g})"

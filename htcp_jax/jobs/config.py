@@ -138,7 +138,7 @@ class CellConfig(Section):
 
 
 class UserFrameConfig(Section):
-    """A frame that the controller knows by number; RECTAN positions are in it."""
+    """A frame with a number at the controller; RECTAN positions are in it."""
 
     number: int = Field(ge=1, le=63)
     on: Literal["workpiece", "world"] = "workpiece"  # the object to which it is fixed

@@ -11,7 +11,7 @@ from htcp_jax.io.files import opened
 from htcp_jax.io.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 
-# Keys that do not identify a run: it lists its methods itself, may be planned anywhere, and programs are made later.
+# Keys without influence on a run's identity: it lists its methods, may be planned anywhere, and is timed later.
 NO_IDENTITY = "method", "program", "ray"
 NO_CELL = PlanConfig().cell.model_dump(mode="json")
 

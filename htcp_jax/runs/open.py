@@ -193,7 +193,7 @@ def _ranked(folder: Path) -> RankedPlans:
 
 
 def _knots(file: Path, record: PlanRecord, joints: int) -> Knots:
-    """Return a plan's via points (knots).
+    """Return a plan's via points.
 
     Raises:
         InputError: For arrays of the wrong shape.

@@ -29,7 +29,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.files import LARGEST, opened, parquet_bytes, read_parquet
 
 TIMING, MADE = "timing", b"htcp_jax"
-HELD_OVER = 0.99  # share of the path's length from which a scenario holds its feed
+HELD_OVER = 0.99  # share of the path's length from which a scenario keeps its feed
 LIMITS = "velocity", "acceleration", "jerk"
 SCHEMA = pa.schema(
     [
@@ -84,7 +84,7 @@ class Timing(NamedTuple):
 
     @property
     def held(self) -> int:
-        """Number of scenarios that hold their feed on at least HELD_OVER of their path."""
+        """Number of scenarios that keep their feed on at least HELD_OVER of their path."""
         return int((column(self.timed, "feed_held_share") >= HELD_OVER).sum())
 
 

@@ -171,7 +171,7 @@ class Growing:
         lane, step = np.nonzero(np.arange(walked.path.x.shape[1]) < walked.steps[:, None])
         before = np.concatenate([x[:, None], walked.path.x], axis=1)
         proven = np.zeros(walked.path.clearance.shape, bool)
-        if len(lane):  # the tip is checked only at a walk's end
+        if len(lane):  # the tip is checked only at a self-motion's end
             edges = before[lane, step], before[lane, step + 1]
             proof = self._checker.edges(gather(inputs, lane), *edges, gather(tube, lane), tip=False)
             proven[lane, step] = proof.verdict == Way.PROVEN

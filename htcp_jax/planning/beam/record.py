@@ -74,7 +74,7 @@ class RoadmapRecord:
         return ways
 
     def _is_approach(self, search: int) -> bool:
-        """True if the search begins at the path's first point instead of the first target."""
+        """Return True if the search begins at the path's first point instead of the first target."""
         root = self._tree.path(self._searches.front_of(search)[0])[0]
         return bool(self._searches.columns.earlier[search] != NONE and self._tree.target[root] > 0)
 

@@ -4,11 +4,11 @@
     solve     (host)    step QPs -> steps, verdicts Clarabel
     advance   (device)  lane, step -> lane          linearised and measured at the new x_ref
 
-or, if the step QPs are solved on the device too (`qp: device`), a chunk of these steps at a time.
+If the step QPs are solved on the device too (`qp: device`), it takes a chunk of these steps at a time.
 
 A lane is one row of the batch. It tracks one target by step QPs until it is reached, then the next one; or it is stuck
 and in a recovery stage, which moves in the null space a few steps at a time or samples; or it is one of many candidates
-of a sampling stage, tracking the stuck target on behalf of a scenario that waits (`candidates`); or its target is lost
+of a sampling stage, tracking the stuck target on behalf of a scenario that waits (`candidates`); or its target failed
 and the path to it is planned backwards (`backwards`). Each lane has its own target, phase and count; finished ones
 leave, new scenarios take their place. Lanes in the same phase go through one lane function together, and do not
 influence each other: a scenario's result is the same alone, in any batch, in any order and on any thread.
@@ -173,7 +173,7 @@ class Engine:
     def _enter(self, lanes: Lanes, stage: int, reason: np.ndarray | Status) -> None:
         """Enter the given recovery stage with main lanes that have not reached their target.
 
-        Without one the target is lost, and with it the rest of the scenario, unless it can be planned backwards.
+        Without one the target fails, and with it the rest of the scenario, unless it can be planned backwards.
         """
         if not lanes.size:
             return

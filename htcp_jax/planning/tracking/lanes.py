@@ -9,7 +9,7 @@ from htcp_jax.clearance.obstacles.obstacles import ClearanceRows
 
 MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
 # Phases; for a lane in a recovery stage, the number of that stage. The last three are those of
-# lanes planned backwards: configurations are drawn at the lost target, carried back row by row, and checked.
+# lanes planned backwards: configurations are drawn at the failed target, carried back row by row, and checked.
 NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
 BACKWARDS = DRAWING, PUSHING, CHECKING
 ENTERING = -1  # `walked` of a lane before its first null-space step

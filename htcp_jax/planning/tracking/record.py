@@ -1,4 +1,4 @@
-"""Record of an engine: targets that are tracked, and those that are lost."""
+"""Record of an engine: targets that are tracked, and those that failed."""
 
 import jax
 import numpy as np
@@ -49,7 +49,7 @@ class Record:
 
 
 def with_separate_errors(problem: Problem, plans: Plans) -> Plans:
-    """Return the plans with the residual split into a distance and an angle, if the task holds angles."""
+    """Return the plans with the residual split into a distance and an angle, if the task constrains angles."""
     if not problem.task.holds_angles:
         return plans
     residual, angle, scenarios = plans.residual.copy(), plans.orientation_error.copy(), problem.scenarios
