@@ -150,7 +150,7 @@ class Plan:
 
     @cached_property
     def obstruction(self) -> Obstruction | None:
-        """The colliding body and obstacle at the failed target; None if the plan is complete."""
+        """The colliding body and obstacle at the failed target; None if there is none, see `blocked_target`."""
         if (failed := blocked_target(self.plans, 0)) is None:
             return None
         x_last = self.plans.before(0, failed)

@@ -253,7 +253,7 @@ def _preparing(problem: Problem, method: Method) -> Iterator[None]:
 
 
 def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
-    """`check_start` for every scenario, by an executable that planning needs anyway."""
+    """Apply `check_start` to every scenario whose start collides, found by an executable that planning needs anyway."""
     for s in problem.to_plan.tolist():
         one = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
         inputs = lane_inputs(problem.scenarios, np.array([s]), np.zeros(1, int))

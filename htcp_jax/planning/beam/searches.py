@@ -17,7 +17,7 @@ NONE = -1  # no status yet; no earlier search
 
 
 class Members(NamedTuple):
-    """Tree rows of searches: search by search, in an order of each search's own."""
+    """Tree rows of searches, grouped by search; the order within a group is the search's."""
 
     search: Int[np.ndarray, "n"]
     node: Int[np.ndarray, "n"]
@@ -185,7 +185,7 @@ class Searches:
         self.columns.rounds[which] = 0
 
     def _dispersed(self, members: Members, most: int | None = None, known: Members | None = None) -> Members:
-        """Return the best of them that are far apart, and far from the known ones."""
+        """Return the best members that are far apart, and far from the known ones."""
         members = gather(members, best_first(self.tree.nodes(members.node), members.search))
         most = len(members.node) if most is None else most
         where = None if known is None else (self.tree.x[known.node], known.search)

@@ -10,7 +10,10 @@ from htcp_jax.planning.tracking.lanes import TRACK, Lanes
 
 
 class LaneChecks:
-    """Checks of tables of lanes by a collision checker; `check_paths` enables those of all joint paths in any case."""
+    """Measurements and collision checks of tables of lanes.
+
+    With `check_paths` every joint path is checked, regardless of the settings.
+    """
 
     def __init__(self, problem: Problem, checker: CollisionChecker, check_paths: bool):
         self._checker, self.kernels = checker, checker.kernels

@@ -194,7 +194,7 @@ def null_space_step(
     Args:
         minimise: Minimiser on the sphere.
         scene: Arm with its tool, obstacles and task.
-        settings: Of the planner.
+        settings: Settings of the planner.
         where: Pose of the workpiece.
         stuck: The stuck scenario.
         x_ref: Configuration before the step [rad or m].
@@ -224,7 +224,7 @@ def keep_clear_ascent(
 
     Args:
         scene: Arm with its tool, obstacles and task.
-        settings: Of the planner.
+        settings: Settings of the planner.
         where: Pose of the workpiece.
         x: Configuration to start at [rad or m].
         target: The task's goal, which is kept [m].
@@ -260,7 +260,7 @@ def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target
 
     Args:
         scene: Arm with its tool, obstacles and task.
-        settings: Of the planner.
+        settings: Settings of the planner.
         where: Pose of the workpiece and the required clearance.
         x: Configuration [rad or m].
         target: The task's goal [m].

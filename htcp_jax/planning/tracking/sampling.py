@@ -98,7 +98,7 @@ def best_nspace_samples(
 
     Args:
         scene: Arm with its tool, obstacles and task.
-        settings: Of the planner.
+        settings: Settings of the planner.
         where: Pose of the workpiece and the required clearance.
         stuck: The stuck scenario.
         step_rad: Lengths of the steps.
@@ -120,7 +120,7 @@ def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spr
 
     Args:
         scene: Arm with its tool, obstacles and task.
-        settings: Of the planner.
+        settings: Settings of the planner.
         where: Pose of the workpiece and the required clearance.
         stuck: The stuck scenario.
         spread: True to push any of the clearer quarter.

@@ -96,7 +96,7 @@ def walk_null_space(
     Args:
         minimise: Minimiser on the sphere.
         index: Number of the method's stage; part of the random key.
-        settings: Of the planner.
+        settings: Settings of the planner.
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
         x_previous: Configuration at the target before [rad or m].
@@ -129,7 +129,7 @@ def propose(
     Args:
         proposed: Function that draws them.
         index: Number of the method's stage; part of the random key.
-        settings: Of the planner.
+        settings: Settings of the planner.
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
         x_previous: Configuration at the target before (N,) [rad or m].
@@ -142,7 +142,7 @@ def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previ
     """Bring x_{t-1} onto the stuck target by inverse kinematics (5b), Algorithm 1, line 9.
 
     Args:
-        settings: Of the planner.
+        settings: Settings of the planner.
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
         x_previous: x_{t-1} [rad or m].
