@@ -14,18 +14,18 @@ Kinematics, clearance and the null-space objective are pure functions of arrays,
 
     jax.grad(htcp_jax.clearance.clearance, argnums=3)(plan.robot, obstacle, plan.scenario, x)
 
-The names in `__all__` are public; each is loaded when it is first used. That also turns on the cache of compiled
-functions (see `compile_cache`), as the command does, and lets a notebook show figures.
+The names in `__all__` are public; each is loaded when it is first used. The first use also turns on the cache of
+compiled functions (see `compile_cache`), as the command does, and lets a notebook show figures.
 """
 
 import importlib
 import os
 import sys
 
-# On a CPU, XLA compiles a loop of a program to a series of small kernels, which it hands one by one to threads of its
-# own, or to a library (YNNPACK). Our loops are made of hundreds of tiny ones: as one native function each they take
-# half the time, and threads that run programs do not wait for each other. Read when JAX starts, so it comes first;
-# whoever has set it decides.
+# On a CPU, XLA compiles a loop in an executable to a series of small kernels, which it hands one by one to its own
+# threads, or to a library (YNNPACK). Our loops consist of hundreds of tiny ones: as one native function each they take
+# half the time, and threads that run executables do not wait for each other. Read when JAX starts, so it comes first;
+# a value that is set already is kept.
 os.environ.setdefault(
     "XLA_FLAGS",
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000000000000"

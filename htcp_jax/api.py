@@ -70,8 +70,11 @@ class Plan:
         return summarise_motion(self.plans, int(self.scenario.on_path))
 
     def motion(self, *, retract: bool = False) -> Motion:
-        """Return the configurations of the motion, from home or the start to the last executable target, and back if
-        `retract`."""
+        """Return the configurations of the motion, from home or the start to the last executable target.
+
+        Args:
+            retract: Append the motion back.
+        """
         return motion(self.plans, 0, int(self.scenario.on_path), retract=retract)
 
     @property
@@ -147,7 +150,7 @@ class Plan:
 
     @cached_property
     def obstruction(self) -> Obstruction | None:
-        """The colliding body and obstacle at the failed target; None if the plan is complete."""
+        """The colliding body and obstacle at the failed target; None if there is none, see `blocked_target`."""
         if (failed := blocked_target(self.plans, 0)) is None:
             return None
         x_last = self.plans.before(0, failed)
@@ -156,8 +159,7 @@ class Plan:
         return obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
 
     def failure(self) -> dict[str, str]:
-        """Return the failed target, the reason and the colliding body as labelled text; empty if the plan is
-        complete."""
+        """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
         end = self.outcome
         facts = {} if end.failed is None else {f"failed at target {end.failed}": end.status.message}
         if self.obstruction is not None:
@@ -167,8 +169,7 @@ class Plan:
         return facts
 
     def frame(self) -> "pandas.DataFrame":
-        """Return a table with one row per target; the columns are those of a sweep's `targets` table, see
-        `run_tables`."""
+        """Return a table with one row per target; the columns are those of a sweep's `targets` table."""
         return frame_of(target_table(self.job.method, np.zeros(1, int), self.plans, joint_columns(self.robot)))
 
     def figure(self) -> Figure:
@@ -180,8 +181,11 @@ class Plan:
         return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, **more)
 
     def record(self) -> dict[str, Any]:
-        """Return the contents of summary.json: the summary, a description of the failed target, versions, the complete
-        configuration, and the SHA-256 of the files that it names, whose paths are absolute."""
+        """Return the contents of summary.json.
+
+        The summary, a description of the failed target, versions, the complete configuration, and the SHA-256 of the
+        files that it names, whose paths are absolute.
+        """
         known = {"method": self.job.method, "validated": None, **summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
         known["in_the_way"] = self.obstruction and self.obstruction.record()
@@ -190,8 +194,12 @@ class Plan:
         return {**known, **provenance(), "config": config, "files": files}
 
     def write(self, folder: Path, *, retract: bool = False) -> None:
-        """Write motion.csv, trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder. retract:
-        True appends the motion back to home or the start to motion.csv."""
+        """Write motion.csv, trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder.
+
+        Args:
+            folder: The folder.
+            retract: Append the motion back to home or the start to motion.csv.
+        """
         write_motion_csv(folder / "motion.csv", self.robot, self.motion(retract=retract))
         write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans)
         write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)
@@ -199,7 +207,11 @@ class Plan:
         self.figure().savefig(folder / "plan.png")
 
     def save(self, folder: str | Path, *, retract: bool = False) -> None:
-        """Write the five files into `folder`, see `write`, all of them or none. Raises InputError if that fails."""
+        """Write the five files into `folder`, see `write`, all of them or none.
+
+        Raises:
+            InputError: If that fails.
+        """
         with written_whole(Path(folder)) as scratch:
             self.write(scratch, retract=retract)
         forget_validation(Path(folder))
@@ -229,11 +241,16 @@ def plan(
 ) -> Plan:
     """Plan one job.
 
-    config: a YAML file, or a mapping of its keys, {"workpiece": {"rotation_y_rad": 0.5}}; None is the default job.
-    overrides: changes to it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
-    "workpiece.rotation_y_rad": 0.5}. method: see `methods`. progress: called as targets are tracked. device:
-    see `device.devices`.
-    Raises InputError for bad input and for a start in collision.
+    Args:
+        config: A YAML file, or a mapping of its keys, {"workpiece": {"rotation_y_rad": 0.5}}; None: the default job.
+        overrides: Changes to it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
+            "workpiece.rotation_y_rad": 0.5}.
+        method: See `methods`.
+        progress: Called as targets are tracked.
+        device: See `device.devices`.
+
+    Raises:
+        InputError: For bad input and for a start in collision.
     """
     if method is not None:
         given = isinstance(overrides, Mapping)
@@ -250,8 +267,10 @@ def plan(
 
 
 def methods() -> "pandas.DataFrame":
-    """Return the planners with their titles and descriptions. A method of another package that cannot be imported
-    causes a UserWarning with the reason."""
+    """Return the planners with their titles and descriptions.
+
+    A method of another package that cannot be imported causes a UserWarning with the reason.
+    """
     known = registry.all_methods().items()
     rows = [{"method": name, "title": method.title, "description": method.description} for name, method in known]
     return frame_of(pa.Table.from_pylist(rows)).set_index("method")

@@ -8,7 +8,7 @@ UNPRINTABLE = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]") 
 
 
 def printable(text: str) -> str:
-    """Return the text without control characters and unpaired surrogates, which neither XML nor UTF-8 can hold."""
+    """Return the text without control characters and unpaired surrogates, which are invalid in XML and UTF-8."""
     return UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", text)
 
 

@@ -41,14 +41,17 @@ _watched: list["_Process"] = []
 
 
 def is_watched() -> bool:
-    """True in a process of the command line, which a second signal ends without its main thread."""
+    """Return True in a process of the command line, which a second signal ends without its main thread."""
     return bool(_watched)
 
 
 @contextlib.contextmanager
 def stop_message(message: Callable[[], str]) -> Iterator[None]:
-    """Call `message` if the process is ended within the block: it removes unfinished files and returns the line to
-    print. The outermost block counts."""
+    """Call `message` if the process is ended within the block; of nested blocks, the outermost one's.
+
+    Args:
+        message: Removes unfinished files and returns the line to print.
+    """
     _messages.append(message)
     try:
         yield
@@ -58,8 +61,11 @@ def stop_message(message: Callable[[], str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def signals_blocked() -> Iterator[None]:
-    """Make processes started within the block ignore SIGINT and SIGTERM from the first moment: a terminal and `timeout`
-    send them to all, and the parent handles them. Signals to this process go to another thread."""
+    """Make processes started within the block ignore SIGINT and SIGTERM from the first moment.
+
+    A terminal and `timeout` send them to all, and the parent handles them. Signals to this process go to another
+    thread.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -71,8 +77,11 @@ def signals_blocked() -> Iterator[None]:
 
 
 def run(command: Callable[[], int]) -> NoReturn:
-    """Run a command, which returns its exit code, and end the process with it. After a signal the code is 130 or 143,
-    stderr has one line, and files and folders that were being written are removed."""
+    """Run a command, which returns its exit code, and end the process with it.
+
+    After a signal the code is 130 or 143, stderr has one line, and files and folders that were being written are
+    removed.
+    """
     process = _Process()
     try:
         process.watch()
@@ -173,8 +182,10 @@ class _Process:
         self._exit(SIGNALLED)
 
     def leave(self, code: int) -> NoReturn:
-        """End the process as the interpreter would, but without its last steps: threads in compiled code that need the
-        interpreter then abort it."""
+        """End the process as the interpreter would, but without its last steps.
+
+        In these, threads in compiled code that need the interpreter abort it.
+        """
         self.leaving = True
         last = threading.Timer(GRACE_S, self._exit, [code])
         last.daemon = True
@@ -203,7 +214,10 @@ class _Process:
 
 
 def _print(line: str) -> None:
-    """Write one line to stderr, past its buffer. On a terminal it replaces a progress bar, which hides the cursor."""
+    """Write one line to stderr, past its buffer.
+
+    On a terminal it replaces a progress bar, which hides the cursor.
+    """
     begin = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""
     with contextlib.suppress(OSError):
         os.write(2, f"{begin}htcp: {line}\n".encode(errors="replace"))
@@ -217,7 +231,7 @@ def _imports(frame: FrameType | None) -> bool:
 
 
 def _kill_children() -> None:
-    """End all child processes but resource trackers, which end with this one and remove its shared resources."""
+    """End all child processes except resource trackers, which end with this one and remove its shared resources."""
     for file in Path("/proc/self/task").glob("*/children"):
         with contextlib.suppress(OSError):
             for child in file.read_text().split():

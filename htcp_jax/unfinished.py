@@ -1,7 +1,7 @@
 """Unfinished files and folders: locked by their owner, and removed once its process is gone.
 
-Their names begin with PART, or with SCRATCH in the folder for temporary files. Their owner holds a lock on each, so
-that `clear` removes those of killed processes alone.
+Their names begin with PART, or with SCRATCH in the folder for temporary files. Their owner locks each of them, so that
+`clear` removes only those of killed processes.
 """
 
 import contextlib
@@ -26,8 +26,13 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 @contextlib.contextmanager
 def temporary_folder(folder: Path | None = None) -> Iterator[Path]:
-    """Yield a new folder, in `folder` or in the one for temporary files, and remove it at the end of the block;
-    leftovers of killed processes are removed first. Raises OSError if it cannot be made."""
+    """Yield a new folder, in `folder` or in the one for temporary files, and remove it at the end of the block.
+
+    Leftovers of killed processes are removed first.
+
+    Raises:
+        OSError: If it cannot be made.
+    """
     place, prefix = (tempfile.gettempdir(), SCRATCH) if folder is None else (folder, PART)
     clear(Path(place), prefix)
     made = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
@@ -59,8 +64,10 @@ def hold(handle: int) -> None:
 
 
 def clear(folder: Path, prefix: str = PART) -> None:
-    """Remove what killed processes of this user left in a folder: files and folders whose names begin with `prefix` and
-    that no process has locked."""
+    """Remove the files and folders of this user's killed processes from a folder.
+
+    Their names begin with `prefix`, and no process has locked them.
+    """
     with contextlib.suppress(OSError):
         for left in [each for each in os.scandir(folder) if each.name.startswith(prefix)]:
             with contextlib.suppress(OSError):

@@ -1,7 +1,7 @@
 """Capsules that enclose a mesh: the smallest one about its points, or several about the pieces after cuts by planes.
 
 A capsule is convex: it encloses a triangle if it encloses its corners. A plane clips the triangles that it meets, so
-that each part lies completely on one side and in the capsule of that side, however many cuts there are. The interior of
+that each part lies completely on one side and in the capsule of that side, however many cuts are made. The interior of
 a closed mesh is enclosed, too: its part on one side of a plane lies in the convex hull of the triangles there.
 """
 
@@ -75,11 +75,15 @@ class Piece(NamedTuple):
 
 
 def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
-    """Return a capsule of nearly minimum volume about all points [m]: SLSQP over both ends and the radius, started
-    along the points' principal axes.
+    """Return a capsule of nearly minimum volume about all points.
 
-    Few points touch the capsule, so only a working set of them are constraints; points outside are added to it. The
-    final radius is measured over all points and rounded up, so the capsule encloses them whatever the search returned.
+    SLSQP over both ends and the radius, started along the points' principal axes. Few points touch the capsule, so only
+    a working set of them are constraints; points outside are added to it. The final radius is measured over all points
+    and rounded up, so the capsule encloses them whatever the search returned.
+
+    Args:
+        points: The points [m].
+        effort: Effort of the search.
     """
     x = _corners(points)
     middle, size = (x.max(axis=0) + x.min(axis=0)) / 2, max(float(np.ptp(x, axis=0).max()), TINY)
@@ -90,8 +94,14 @@ def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
 
 
 def cover(triangles: Triangles, most: int = MOST) -> list[Piece]:
-    """Split a mesh into at most `most` pieces whose capsules enclose every triangle [m]. A piece is added as long as
-    the best cut by a plane saves WORTH of the volume of the capsules' union."""
+    """Split a mesh into at most `most` pieces whose capsules enclose every triangle.
+
+    A piece is added as long as the best cut by a plane saves WORTH of the volume of the capsules' union.
+
+    Args:
+        triangles: The mesh [m].
+        most: Maximum number of pieces.
+    """
     whole = fit_capsule(triangles.reshape(-1, 3))
     pieces, filled = [Piece(triangles, whole)], partial(_filled, _grid(whole))
     while len(pieces) < most and whole.volume > SNUG * hull_volume(triangles.reshape(-1, 3)):
@@ -112,7 +122,7 @@ def hull_volume(points: Points) -> float:
 
 
 def clip(triangles: Triangles, cut: Cut) -> Float[np.ndarray, "G 3 3"]:
-    """Clip triangles to the half-space; return triangles."""
+    """Clip triangles to a half-space; return triangles."""
     normal, offset = np.array(cut.normal), cut.offset
     height = triangles @ normal - offset
     inside = height <= 0
@@ -125,8 +135,10 @@ def clip(triangles: Triangles, cut: Cut) -> Float[np.ndarray, "G 3 3"]:
 
 
 def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: Bool[np.ndarray, "F 3"], alone: bool):
-    """Return the corners, beginning with the one that is alone on its side, and the intersections of its two edges with
-    the plane."""
+    """Return the triangles' corners, and the intersections of two edges with the plane.
+
+    Corners begin with the only one on its side; the edges are those that start at it.
+    """
     rows, first = np.arange(len(triangles))[:, None], np.argmax(inside == alone, axis=1)
     turned = (first[:, None] + [0, 1, 2]) % 3
     (a, b, c), (u, v, w) = triangles[rows, turned].swapaxes(0, 1), height[rows, turned].T
@@ -134,8 +146,7 @@ def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: B
 
 
 def _halves(piece: Piece) -> Iterator[list[Piece]]:
-    """Yield splits of a piece in two, normal to the axes of the frame and its principal axes; each half with a rough
-    fit."""
+    """Yield splits of a piece in two, normal to the frame's axes and its principal axes; each half with a rough fit."""
     corners = _corners(piece.triangles.reshape(-1, 3))
     for axis in (*np.eye(3), *_principal(corners)):
         along = corners @ axis
@@ -160,7 +171,7 @@ def _filled(grid: Points, pieces: list[Piece]) -> int:
 
 
 def _corners(points: Points) -> Float[np.ndarray, "V 3"]:
-    """Vertices of the convex hull; all points if they are coplanar."""
+    """Return the vertices of the convex hull; all points if they are coplanar."""
     try:
         return points[ConvexHull(points).vertices]
     except (QhullError, ValueError):
@@ -168,7 +179,7 @@ def _corners(points: Points) -> Float[np.ndarray, "V 3"]:
 
 
 def _principal(points: Points) -> Float[np.ndarray, "3 3"]:
-    """Principal directions in rows, by increasing variance."""
+    """Return the principal directions in rows, by increasing variance."""
     apart = points - points.mean(axis=0)
     return np.linalg.eigh(apart.T @ apart)[1].T
 
@@ -178,8 +189,10 @@ def _volume(length: float, radius: float) -> float:
 
 
 def _from_segment(x: Points, p: Vector, q: Vector) -> tuple[Float[np.ndarray, "P"], Points, Float[np.ndarray, "P"]]:
-    """Return the distances of points from a segment, the directions away from it, and the closest points as shares of
-    its length."""
+    """Return the points' distances from a segment, the directions away from it, and the closest points.
+
+    Closest points are shares of the segment's length.
+    """
     ahead = q - p
     length2 = float(ahead @ ahead)
     share = np.clip((x - p) @ ahead / length2, 0, 1) if length2 > 0 else np.zeros(len(x))
@@ -195,7 +208,7 @@ def _around(points: Points, p: Vector, q: Vector) -> Capsule:
     return Capsule(p, q, float(np.ceil(widest / GRID_M + 1e-3) * GRID_M))
 
 
-# The search; z holds both ends of the axis and the radius.
+# The search; z consists of both ends of the axis and the radius.
 
 
 def _along(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:

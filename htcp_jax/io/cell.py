@@ -24,10 +24,16 @@ def load_cell(
 ) -> tuple[Fixture, ...]:
     """Read the shapes in an MJCF file.
 
-    moved: the body that is rotated with its descendants about its origin by `rpy_rad` (about world x, then y, then z)
-    and then translated by `shift_m`; None: the complete cell, about the world's origin.
-    Raises InputError for a file or a mesh that cannot be read, for an unknown body, and for a shape of another kind,
-    naming it.
+    Args:
+        path: The file.
+        moved: The body that is rotated with its descendants about its origin and then translated; None: the complete
+            cell, about the world's origin.
+        shift_m: Translation.
+        rpy_rad: Rotation about world x, then y, then z.
+
+    Raises:
+        InputError: For a file or a mesh that cannot be read, for an unknown body, for a model without geoms for
+            contact, and for a shape of another kind, naming it.
     """
     path = Path(path)
     with no_log():
@@ -49,8 +55,11 @@ def load_cell(
 
 
 def files_of_cell(path: str | Path) -> set[Path]:
-    """Return the absolute paths of an MJCF file, its included files and its collision meshes. Raises InputError as
-    `load_cell`."""
+    """Return the absolute paths of an MJCF file, its included files and its collision meshes.
+
+    Raises:
+        InputError: For a file that cannot be read, and for a mesh file that does not exist.
+    """
     path = Path(path)
     with no_log():
         shapes = Shapes(read_spec(path, meshes=True), path)
@@ -59,7 +68,7 @@ def files_of_cell(path: str | Path) -> set[Path]:
 
 
 def _moving(model: mujoco.MjModel, path: Path, moved: str | None) -> Bool[np.ndarray, "B"]:
-    """Return a mask of the bodies that are moved."""
+    """Return True for the bodies that are moved."""
     if moved is None:
         return np.ones(model.nbody, bool)
     names = [model.body(b).name for b in range(1, model.nbody)]

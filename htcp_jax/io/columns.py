@@ -1,4 +1,4 @@
-"""Columns of a table that hold the coordinates of points, and their normals."""
+"""Columns of a table with the coordinates of points, and their normals."""
 
 import re
 import warnings
@@ -24,7 +24,7 @@ class Points(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Indices, from 0, of the coordinates and normals in a table of `width` columns."""
+    """Columns of coordinates and normals in a table of `width` columns, by their indices from 0."""
 
     width: int
     xyz: tuple[int, ...]
@@ -32,7 +32,13 @@ class Columns(NamedTuple):
     named: bool  # by a header; otherwise the normals are a guess that `points` checks
 
     def points(self, xyz: np.ndarray, normals: np.ndarray | None, source: str) -> Points:
-        """Return the points from these columns' numbers, (P, 3) each. A Note reports a guess."""
+        """Return the points from these columns' numbers; a Note reports a guess.
+
+        Args:
+            xyz: Coordinates (P, 3) [m].
+            normals: Normals (P, 3), of any length; None without such columns.
+            source: The file, for the Note.
+        """
         normals = None if normals is None else _unit(normals, certain=self.named)
         if not self.named and self.width > 3:
             rest = "and the others left out" if normals is None else "the others as normals"
@@ -52,8 +58,19 @@ def without_units(header: str) -> str:
 
 
 def columns_of(names: Sequence[str] | None, width: int, source: str) -> Columns:
-    """Find the columns of a table: by its header's names if x, y and z are among them, else the first three, and in a
-    table of six columns the last three for normals. Raises InputError if the names contradict that."""
+    """Find the columns of a table.
+
+    By its header's names if x, y and z are among them, else the first three, and in a table of six columns the last
+    three for normals.
+
+    Args:
+        names: The header's names; None without a header.
+        width: Number of columns.
+        source: The file, for messages.
+
+    Raises:
+        InputError: If the header names a coordinate twice, or contradicts the table.
+    """
     names = [] if names is None else list(names)
     at = {axis: [k for k, name in enumerate(names) if name == axis] for axis in "xyz"}
     if twice := [axis for axis, places in at.items() if len(places) > 1]:

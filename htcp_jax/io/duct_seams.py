@@ -15,8 +15,11 @@ from htcp_jax.model.duct import equal_steps, surface, weld
 
 
 class Bead(NamedTuple):
-    """Begin and end of a bead. Seen from the inlet, z up, angles run clockwise from the left side: 90 degrees is the
-    crown, the line along the top, 180 the right side, 270 the invert, the line along the bottom."""
+    """Begin and end of a bead.
+
+    Seen from the inlet, z up, angles run clockwise from the left side: 90 degrees is the crown, the line along the top,
+    180 the right side, 270 the invert, the line along the bottom.
+    """
 
     x_m: tuple[float, float]
     angle_deg: tuple[float, float]

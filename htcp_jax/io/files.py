@@ -5,7 +5,7 @@ link that leads out of it, and read at most LARGEST bytes, at most GROWTH times 
 decompression, and JSON of limited depth without numbers beyond 64 bits.
 
 The writer creates a file with a random name in the same folder, follows no link, and renames the file into place. While
-it writes it holds a lock on it, see unfinished.py.
+it writes, the file is locked, see `unfinished`.
 """
 
 import contextlib
@@ -35,14 +35,18 @@ from htcp_jax.unfinished import NO_LINK, PART, READ, hold
 LARGEST_NAMED = 2 * 2**30  # of a file that a job names, and of a Parquet file [bytes]
 LARGEST = 64 * 2**20  # of any other file in a folder, and of any decompressed file [bytes]
 GROWTH = 50  # times its size, if that is more
-MOST_VALUES, DEEPEST = 5_000_000, 100  # of JSON
-MOST_ARRAYS = 100  # of an archive
+MOST_VALUES, DEEPEST = 5_000_000, 100  # values and nesting depth of JSON
+MOST_ARRAYS = 100  # in an archive
 NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK | getattr(os, "O_BINARY", 0)
 
 
 def known_ending(path: Path, endings: tuple[str, ...]) -> str:
-    """Return the file's ending in lower case. Raises InputError if it is not among `endings`."""
+    """Return the file's ending in lower case.
+
+    Raises:
+        InputError: If it is not among `endings`.
+    """
     ending = path.suffix.lower()
     if ending not in endings:
         raise InputError(f"{path}: unknown ending {ending!r}; valid are {' '.join(endings)}")
@@ -51,8 +55,17 @@ def known_ending(path: Path, endings: tuple[str, ...]) -> str:
 
 @contextlib.contextmanager
 def opened(path: Path, folder: Path | None = None, largest: int = LARGEST_NAMED) -> Iterator[BinaryIO]:
-    """Open a regular file of at most `largest` bytes for reading. Raises InputError for anything else, and for a link
-    that leads out of `folder`, if one is given; OSError for a file that is missing or cannot be read."""
+    """Open a regular file for reading.
+
+    Args:
+        path: The file.
+        folder: The folder out of which no link may lead; None: any.
+        largest: Maximum size [bytes].
+
+    Raises:
+        InputError: For anything but a regular file, one that is too large, and a link that leads out of `folder`.
+        OSError: For a file that is missing or cannot be read.
+    """
     if "\0" in str(path):
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     real = os.path.realpath(path) if folder is None else inside(path, folder)
@@ -71,7 +84,11 @@ def _check(found: os.stat_result, path: Path, largest: int) -> None:
 
 @contextlib.contextmanager
 def named(path: Path) -> Iterator[BinaryIO]:
-    """Open a file named by the user for reading. Raises InputError as `opened` does, and if it cannot be read."""
+    """Open a file named by the user for reading.
+
+    Raises:
+        InputError: As `opened` does, and if it cannot be read.
+    """
     try:
         with opened(path) as stream:
             yield stream
@@ -82,20 +99,34 @@ def named(path: Path) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the bytes of a file named by the user. Raises InputError as `named` does."""
+    """Return the bytes of a file named by the user.
+
+    Raises:
+        InputError: As `named` does.
+    """
     with named(path) as stream:
         return stream.read()
 
 
 def read_inside(file: Path, folder: Path) -> bytes:
-    """Return the bytes of a file in a folder, at most LARGEST. Raises InputError and OSError as `opened` does."""
+    """Return the bytes of a file in a folder, at most LARGEST.
+
+    Raises:
+        InputError: As `opened` does.
+        OSError: As `opened` does.
+    """
     with opened(file, folder, LARGEST) as stream:
         return stream.read()
 
 
 def read_json(file: Path, folder: Path) -> Any:
-    """Return the value in a JSON file of a folder; its numbers are finite, and integers have 64 bits. Raises as
-    `opened`, and InputError for invalid JSON, nesting deeper than DEEPEST, and more than MOST_VALUES values."""
+    """Return the value in a JSON file of a folder; its numbers are finite, and integers have 64 bits.
+
+    Raises:
+        InputError: As `opened` does, and for invalid JSON, nesting deeper than DEEPEST, and more than MOST_VALUES
+            values.
+        OSError: As `opened` does.
+    """
     data = read_inside(file, folder)
     if sum(map(data.count, (b",", b"[", b"{"))) > MOST_VALUES:
         raise InputError(f"{file}: more than {MOST_VALUES:,} values")
@@ -132,8 +163,18 @@ def _check_depth(value: Any) -> None:
 
 
 def read_arrays(file: Path, folder: Path, leave: Collection[str] = ()) -> dict[str, np.ndarray]:
-    """Return the arrays in an .npz file of a folder by name, except those in `leave`; no pickles. Raises as `opened`
-    does, and InputError for a damaged file, one that decompresses to too much, and anything but numbers."""
+    """Return the arrays in an .npz file of a folder by name; no pickles.
+
+    Args:
+        file: The file.
+        folder: The folder out of which no link may lead.
+        leave: Names of arrays to skip.
+
+    Raises:
+        InputError: As `opened` does, and for a damaged file, one that decompresses to too much, and anything but
+            numbers.
+        OSError: As `opened` does.
+    """
     data, found = read_inside(file, folder), {}
     if data.count(b"PK\x01\x02") > MOST_ARRAYS:
         raise InputError(f"{file}: more than {MOST_ARRAYS} arrays")
@@ -156,7 +197,11 @@ def read_arrays(file: Path, folder: Path, leave: Collection[str] = ()) -> dict[s
 
 
 def read_array(data: bytes, source: str) -> np.ndarray:
-    """Return the array in an .npy file's bytes. Raises InputError for damaged bytes and for anything but numbers."""
+    """Return the array in an .npy file's bytes; `source` is its name for messages.
+
+    Raises:
+        InputError: For damaged bytes and for anything but numbers.
+    """
     # numpy's reader allocates memory for the shape in the header before it reads the data. Read only the header,
     # then use the bytes that exist. Object arrays (pickles) are refused.
     try:
@@ -173,9 +218,18 @@ def read_array(data: bytes, source: str) -> np.ndarray:
 
 
 def read_parquet(stream: BinaryIO, file: Path, most_rows: int | None = None, exact: bool = False) -> pa.Table:
-    """Return the table in an open Parquet file, which has at most (or exactly) `most_rows` rows and only columns of
-    numbers, strings and lists of numbers. Raises InputError for a damaged file and for one that decompresses to too
-    much."""
+    """Return the table in an open Parquet file.
+
+    Args:
+        stream: The open file.
+        file: Its path, for messages.
+        most_rows: Maximum number of rows; None: any.
+        exact: Require exactly `most_rows` rows.
+
+    Raises:
+        InputError: For a damaged file, one that decompresses to too much, another number of rows, and columns of
+            anything but numbers, strings and lists of numbers.
+    """
     try:
         size, schema = os.fstat(stream.fileno()).st_size, pq.read_schema(stream)
         if bad := [field.name for field in schema if not _is_plain(field.type)]:
@@ -209,7 +263,7 @@ def _is_plain(kind: pa.DataType) -> bool:
 
 
 def parquet_bytes(rows: pa.Table, **how: Any) -> bytes:
-    """Return a table as the bytes of a Parquet file. how: keywords of `pyarrow.parquet.write_table`."""
+    """Return a table as the bytes of a Parquet file; `how` are keywords of `pyarrow.parquet.write_table`."""
     sink = pa.BufferOutputStream()
     pq.write_table(rows, sink, compression="zstd", **how)
     return sink.getvalue().to_pybytes()
@@ -221,8 +275,11 @@ def _check_growth(file: Path, decoded: int, size: int) -> None:
 
 
 def write(folder: Path, name: str, data: bytes) -> None:
-    """Write a file in a folder atomically: under a random name in the same place, then renamed. Raises InputError if
-    that fails, and for a link that leads out of the folder."""
+    """Write a file in a folder atomically: under a random name in the same place, then renamed.
+
+    Raises:
+        InputError: If that fails, for a place that is not a regular file, and for a link that leads out of the folder.
+    """
     file = folder / name
     try:
         place = inside(file.parent, folder)
@@ -244,8 +301,11 @@ def write(folder: Path, name: str, data: bytes) -> None:
 
 
 def make_folder(folder: Path, name: str) -> None:
-    """Create a folder inside a folder if it does not exist. Raises InputError if that fails, and for a link that leads
-    out of the folder."""
+    """Create a folder inside a folder if it does not exist.
+
+    Raises:
+        InputError: If that fails, and for a link that leads out of the folder.
+    """
     try:
         inside(folder / name, folder).mkdir(exist_ok=True)
     except OSError as error:
@@ -253,7 +313,11 @@ def make_folder(folder: Path, name: str) -> None:
 
 
 def inside(path: Path, folder: Path) -> Path:
-    """Resolve the links in a path. Raises InputError if it leads out of the folder."""
+    """Resolve the links in a path.
+
+    Raises:
+        InputError: If it leads out of the folder.
+    """
     real = Path(os.path.realpath(path))
     if not real.is_relative_to(os.path.realpath(folder)):
         raise InputError(f"{path}: a link that leads out of {folder} is not followed")

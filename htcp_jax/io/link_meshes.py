@@ -48,8 +48,10 @@ class Poses(NamedTuple):
 class LinkMeshes:
     """Pieces of the vendor's meshes, by the name of the capsule that encloses them.
 
-    held: each capsule's body index in the model, and its piece or the capsule itself. addresses: indices of the arm's
-    joints in the model's configuration.
+    Args:
+        model: The compiled model.
+        addresses: Indices of the arm's joints in the model's configuration.
+        held: Each capsule's body index in the model, and its piece or the capsule itself.
     """
 
     def __init__(
@@ -70,8 +72,7 @@ class LinkMeshes:
 
     @classmethod
     def read(cls, arm: Path) -> "LinkMeshes | None":
-        """Read the meshes to which an arm's file refers; None without such a reference, or if that model no longer
-        exists."""
+        """Read the meshes to which an arm's file refers; None without a reference, or if that model is gone."""
         with no_log():
             spec = read_spec(arm, contacts=True)
         texts = {text.name: text.data for text in spec.texts}
@@ -107,8 +108,15 @@ class LinkMeshes:
     def deepest_m(
         self, one: str, other: str, at: Poses, rows: Int[np.ndarray, "m"] = FIRST, enough_m: float = np.inf
     ) -> float:
-        """Return the depth of the deepest contact between two capsules' pieces at some configurations, by default the
-        first [m]; 0 without contact. The search ends at a contact deeper than `enough_m`."""
+        """Return the depth of the deepest contact between two capsules' pieces [m]; 0 without contact.
+
+        Args:
+            one: Name of a capsule.
+            other: Name of another one.
+            at: Poses of the bodies.
+            rows: Rows of `at` to look at; by default the first.
+            enough_m: The search ends at a deeper contact.
+        """
         deepest = 0.0
         for k in rows:
             contacts = fcl.CollisionResult()
@@ -119,8 +127,18 @@ class LinkMeshes:
         return deepest
 
     def touch(self, one: str, other: str, x: Float[np.ndarray, "n N"], at: Poses, rows: Int[np.ndarray, "m"]) -> bool:
-        """Return True if two capsules' pieces overlap by more than TOUCHING_M at some of the rows of x, or after a
-        random local search that minimises their distance from the NEAREST rows: contacts may be rarer than one in n."""
+        """Return True if two capsules' pieces overlap by more than TOUCHING_M.
+
+        At some of the rows of x, or after a random local search that minimises their distance from the NEAREST rows:
+        contacts may be rarer than one in n.
+
+        Args:
+            one: Name of a capsule.
+            other: Name of another one.
+            x: Configurations [rad or m].
+            at: Poses of the bodies at x.
+            rows: Rows of x to look at.
+        """
         if self.deepest_m(one, other, at, rows, TOUCHING_M) > TOUCHING_M:
             return True
         some = rows[:: max(1, len(rows) // LOOKED_AT)]
@@ -144,7 +162,14 @@ class LinkMeshes:
         return apart if apart > 0 else -self.deepest_m(one, other, at, np.array([k]))
 
     def outside_m(self, name: str, robot: Robot, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> float:
-        """Return the distance of a point in the world from the content of a robot's capsule at configuration x [m]."""
+        """Return the distance of a point from the content of a robot's capsule [m].
+
+        Args:
+            name: Name of the capsule.
+            robot: The arm, at its place in the world.
+            x: Configuration [rad or m].
+            point: The point, world [m].
+        """
         at = self.poses(x[None])
         T_model_joint = link_frames(self._model, np.eye(4))[0][0]
         seen = np.linalg.solve(np.asarray(robot.T_parent_joint[0]) @ np.linalg.inv(T_model_joint), [*point, 1.0])[:3]
@@ -163,14 +188,27 @@ class MeshesInFile(NamedTuple):
     file: Path
 
     def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
-        """Return the depth of the deepest contact between the meshes in two capsules at x [m]; 0 without meshes."""
+        """Return the depth of the deepest contact between two capsules' meshes [m]; 0 without meshes.
+
+        Args:
+            first: Name of a capsule.
+            second: Name of another one.
+            x: Configuration [rad or m].
+        """
         meshes = _read(self.file)
         return 0.0 if meshes is None else meshes.deepest_m(first, second, meshes.poses(x[None]))
 
     def outside_m(
         self, capsule: str, robot: Robot, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]
     ) -> float | None:
-        """Return the distance of a point in the world from the mesh in a capsule at x [m]; None without a mesh."""
+        """Return the distance of a point from the mesh in a capsule [m]; None without a mesh.
+
+        Args:
+            capsule: Name of the capsule.
+            robot: The arm, at its place in the world.
+            x: Configuration [rad or m].
+            point: The point, world [m].
+        """
         meshes = _read(self.file)
         if meshes is None or capsule not in meshes.names:
             return None

@@ -1,8 +1,8 @@
 """A script: `python parsers.py KIND FILE FOLDER MEMORY` parses FILE and writes its arrays into FOLDER.
 
-A parser that is written in C++ may crash, hang, fill the memory or print if a file is damaged, so it runs in a process
-of its own. `scan.parsed` starts the process, sets its limits and reads the result: FOLDER/arrays.npz, or the exception
-in FOLDER/error.txt. The package is not imported, so the start is fast. The process is no worker of a pool: the memory
+A parser that is written in C++ may crash, hang, fill the memory or print if a file is damaged, so it runs in its own
+process. `scan.parsed` starts the process, sets its limits and reads the result: FOLDER/arrays.npz, or the exception in
+FOLDER/error.txt. The package is not imported, so the start is fast. The process is no worker of a pool: the memory
 limit depends on the file, and a process cannot raise its own limit again.
 """
 
@@ -90,7 +90,14 @@ def step(file: Path) -> dict[str, np.ndarray]:
 
 
 def main(kind: str, file: str, folder: str, memory: str) -> None:
-    """Parse `file` with at most `memory` bytes and write its arrays or its error into `folder`."""
+    """Parse `file` with at most `memory` bytes and write its arrays or its error into `folder`.
+
+    Args:
+        kind: Name of the parser: pcd, las, e57 or step.
+        file: Path of the file.
+        folder: Path of an existing folder.
+        memory: Maximum size of the process's memory [bytes].
+    """
     with contextlib.suppress(ImportError, OSError, ValueError):  # only Linux limits the memory of a process
         import resource
 

@@ -16,7 +16,8 @@ NEARLY_UNIT = 0.01
 def read_frames(path: Path) -> PathFrames:
     """Read the columns nx,ny,nz, tx,ty,tz and qw,qx,qy,qz of a path's file, as far as its header names them.
 
-    Raises InputError for a normal or tangent that is not of length 1, and for a quaternion of length 0.
+    Raises:
+        InputError: For a normal or tangent that is not of length 1, and for a quaternion of length 0.
     """
     found = read_named(path, (NORMALS, TANGENTS, QUATERNIONS))
     vectors = {}

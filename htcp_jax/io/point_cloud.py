@@ -2,7 +2,7 @@
 
 A reader returns points or raises InputError with one line. It accepts regular files of at most 2 GB, runs no code from
 a file (no pickles), and follows no reference from one file to another (textures, materials). Parsers that are not
-written in Python run in a process of their own, see `scan`.
+written in Python run in their own process, see `scan`.
 """
 
 import io
@@ -40,9 +40,13 @@ class Geometry(NamedTuple):
 
 
 def load_geometry(path: str | Path) -> Geometry:
-    """Read the points of a cloud file (.xyz .csv .txt .npy .pcd .e57 .las .laz, a .ply or .obj without faces), or the
-    triangles of a mesh (.stl .obj .ply .step .stp) [m]. Raises InputError for a file that cannot be read, for NaN and
-    infinite points, and for fewer than 4 points of a cloud."""
+    """Read the points of a cloud file, or the triangles of a mesh [m].
+
+    Clouds: .xyz .csv .txt .npy .pcd .e57 .las .laz, a .ply or .obj without faces; meshes: .stl .obj .ply .step .stp.
+
+    Raises:
+        InputError: For a file that cannot be read, for NaN and infinite points, and for fewer than 4 points in a cloud.
+    """
     path = Path(path)
     ending = known_ending(path, CLOUDS)
     if ending in MESHES:
@@ -56,16 +60,28 @@ def load_geometry(path: str | Path) -> Geometry:
 def load_cloud(
     path: str | Path, *, spacing: float | None = None, thinnest_m: float = np.inf
 ) -> Float[np.ndarray, "P 3"]:
-    """Read the points [m] of a cloud file, or return points that cover a mesh, see `mesh_points.cover`. Raises
-    InputError as `load_geometry` does."""
+    """Read the points [m] of a cloud file, or return points that cover a mesh, see `mesh_points.cover`.
+
+    Args:
+        path: The file.
+        spacing: Widest gap between the points on a mesh [m]; None: see `mesh_points.cover`.
+        thinnest_m: Radius of the arm's thinnest body.
+
+    Raises:
+        InputError: As `load_geometry` does.
+    """
     found = load_geometry(path)
     return cover(found.triangles, str(path), spacing, thinnest_m).points if len(found.triangles) else found.points
 
 
 def read_points(path: str | Path) -> Points:
-    """Read the points [m] of a table (which may be a tool path) or a scan (.xyz .csv .txt .npy .pcd .e57 .las .laz),
-    and their normals if the file has any. Raises InputError for a file that cannot be read; `load_cloud` checks
-    more."""
+    """Read the points [m] of a table (which may be a tool path) or a scan, and their normals if the file has any.
+
+    Endings: .xyz .csv .txt .npy .pcd .e57 .las .laz.
+
+    Raises:
+        InputError: For a file that cannot be read; `load_cloud` checks more.
+    """
     path = Path(path)
     ending = known_ending(path, (*TABLES, *SCANS))
     if ending in SCANS:
@@ -114,8 +130,11 @@ def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[
 
 
 def _check_ply_is_whole(path: Path, data: bytes, vertices: int, triangles: int, raw: list) -> None:
-    """Raise InputError for a truncated text, and for a face with fewer corners than promised; trimesh accepts both.
-    raw: the faces as trimesh has read them."""
+    """Check that a PLY file is complete; trimesh accepts truncated ones. `raw` are the faces as trimesh has read them.
+
+    Raises:
+        InputError: For a truncated text, and for a face with fewer corners than promised.
+    """
     promised = dict(PLY_ELEMENT.findall(data.partition(b"end_header")[0]))
     if vertices != int(promised.get(b"vertex", vertices)) or triangles < int(promised.get(b"face", 0)):
         raise InputError(f"{path}: damaged, it holds fewer vertices or faces than its header says")

@@ -22,20 +22,23 @@ def load_robot(
 ) -> Robot:
     """Read the serial chain from the world to the TCP out of an MJCF or URDF file, through MuJoCo.
 
-    path: the file. Its capsule and sphere geoms become capsules, on any body; all others are listed in
-        `ignored_geoms`. Mesh files are never opened.
-    tcp_site: the site, or else the body, whose frame is the TCP. By default "tcp"; without one, the only site of the
-        model, or the outermost link of a URDF, which has no sites.
-    limits: "model" (the joint ranges of the file, infinite if it has none), "simulation" (+-pi on hinges, slides as in
-        the file) or "datasheet" (the <numeric> entries "datasheet_lower" and "datasheet_upper" of the file, one value
-        per joint). Joint speeds and accelerations are its <numeric> "speed" and "acceleration", in a URDF its joints'
-        <limit>; efforts are the joints' actuatorfrcrange, or `effort`.
-    base_m, base_rpy_rad: pose of the model's own frame in the world: rotated about world x, then y, then z.
-    tool: mounted on the frame `tcp_site`, which is then the flange.
+    Args:
+        path: The file. Its capsule and sphere geoms become capsules, on any body; all others are listed in
+            `ignored_geoms`. Mesh files are never opened.
+        tcp_site: The site, or else the body, whose frame is the TCP. By default "tcp"; without one, the only site of
+            the model, or the outermost link of a URDF, which has no sites.
+        limits: "model" (the joint ranges of the file, infinite if it has none), "simulation" (+-pi on hinges, slides as
+            in the file) or "datasheet" (the <numeric> entries "datasheet_lower" and "datasheet_upper" of the file, one
+            value per joint). Joint speeds and accelerations are its <numeric> "speed" and "acceleration", in a URDF its
+            joints' <limit>; efforts are the joints' actuatorfrcrange, or `effort`.
+        base_m: Position of the model's own frame in the world.
+        base_rpy_rad: Its orientation: rotated about world x, then y, then z.
+        tool: Mounted on the frame `tcp_site`, which is then the flange.
 
-    Raises InputError for a file that cannot be read, fewer than three joints, ball or free joints, joints off the
-    chain, no TCP, no capsules, a radius that is not positive, a number that is not finite, a profile that the model
-    does not have, and a body of the tool with the name of a body in the model.
+    Raises:
+        InputError: For a file that cannot be read, fewer than three joints, ball or free joints, joints off the chain,
+            no TCP, no capsules, a radius that is not positive, a number that is not finite, a profile that the model
+            does not have, and a body of the tool with the name of a body in the model.
     """
     fields = read_robot_file(Path(path), tcp_site, limits, pose(base_m, base_rpy_rad), tool)
     meshes = MeshesInFile(Path(path).resolve()) if fields.facts["listed"] else None
@@ -45,6 +48,10 @@ def load_robot(
 def gp50(limits: str = "simulation") -> Robot:
     """Load the Yaskawa Motoman GP50 with its grinding tool: N = 6, K = 8, from robots/gp50.xml.
 
-    limits: "simulation" (+-pi on every joint, as in the paper) or "datasheet". Raises InputError for another.
+    Args:
+        limits: "simulation" (+-pi on every joint, as in the paper) or "datasheet".
+
+    Raises:
+        InputError: For other limits.
     """
     return load_robot(GP50, limits=limits)

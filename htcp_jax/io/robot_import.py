@@ -1,5 +1,6 @@
-"""Import of a vendor's URDF or MJCF as an arm of capsules: the chain to the TCP moves, all other joints are frozen, and
-the shapes of each body are enclosed by capsules.
+"""Import of a vendor's URDF or MJCF as an arm of capsules.
+
+The joints of the chain to the TCP move, all others are frozen, and capsules enclose the shapes of each body.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +32,7 @@ class Cover(NamedTuple):
     pieces: dict[str, Piece]  # of `held`, with the fitted capsules
     drawn: Triangles  # of the meshes to which MuJoCo fitted the model's own capsules [m]
     held: Triangles  # of all other shapes [m]; the fitted capsules enclose them
-    kinds: tuple[str, ...]  # types of the held shapes: box, mesh, ...
+    kinds: tuple[str, ...]  # types of these shapes: box, mesh, ...
 
     @property
     def fitted(self) -> dict[str, Capsule]:
@@ -40,8 +41,10 @@ class Cover(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Sum of the fitted capsules' volumes (overlaps count twice), divided by the volume of the convex hull of
-        `held`; nan if nothing was fitted."""
+        """Sum of the fitted capsules' volumes (overlaps count twice), relative to the convex hull's of `held`.
+
+        nan if nothing was fitted.
+        """
         volume = sum(capsule.volume for capsule in self.fitted.values())
         return volume / hull_volume(self.held.reshape(-1, 3)) if self.fitted else np.nan
 
@@ -88,11 +91,18 @@ def import_robot(
 ) -> ImportedArm:
     """Read a URDF or MJCF file with its meshes.
 
-    tcp: see `robot_tcp.find_tip`. most: fitted capsules per body. visual: enclose the visual geometry; else the
-    collision geometry, or the visual geometry if the model has no other. srdf: see `disabled_pairs`. progress: called
-    with the number of bodies done and their total.
-    Raises InputError for a file or a mesh that cannot be read, for a missing or ambiguous TCP, ball and free joints on
-    the chain to it, fewer than three joints, a model without shapes, and the SRDF of another robot.
+    Args:
+        path: The file.
+        tcp: See `robot_tcp.find_tip`.
+        most: Maximum number of fitted capsules per body.
+        visual: Enclose the visual geometry; else the collision geometry, or the visual geometry if the model has no
+            other.
+        srdf: See `disabled_pairs`.
+        progress: Called with the number of bodies done and their total.
+
+    Raises:
+        InputError: For a file or a mesh that cannot be read, for a missing or ambiguous TCP, ball and free joints on
+            the chain to it, fewer than three joints, a model without shapes, and the SRDF of another robot.
     """
     spec, shapes, model = _read(path, visual)
     tip = find_tip(model, path, tcp, _bodies(model, ()))
@@ -131,8 +141,11 @@ def import_robot(
 
 
 def held_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
-    """Return the triangles to which `import_robot` fits capsules, by the name of the body, in its frame [m]. Raises
-    InputError for a file or a mesh that cannot be read."""
+    """Return the triangles to which `import_robot` fits capsules, by the name of the body, in its frame [m].
+
+    Raises:
+        InputError: For a file or a mesh that cannot be read.
+    """
     _, shapes, model = _read(path, visual)
     chosen = [geom for geom in _chosen(shapes.geoms, model, visual) if not _is_left_out(geom, model)]
     found: dict[str, list[Shape]] = {}
@@ -145,7 +158,7 @@ def _read(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjMod
     with no_log():
         spec = read_spec(path, meshes=True, visual=visual, contacts=True)
     spec.compiler.discardvisual = False
-    for each in list(spec.tuples):  # the list of an arm by htcp robot names capsules that get other names here
+    for each in list(spec.tuples):  # the list in an arm by htcp robot refers to capsules that get other names here
         spec.delete(each)
     shapes = Shapes(spec, path)
     return spec, shapes, compile_spec(spec, path)
@@ -176,8 +189,10 @@ def _body(model: mujoco.MjModel, geom: Geom) -> int:
 
 
 def _chosen(geoms: list[Geom], model: mujoco.MjModel, visual: bool) -> list[Geom]:
-    """Select the geoms that capsules represent: each body's collision geoms, or if `visual` its visual geoms, if it has
-    any. Capsules and spheres are always collision geoms, as for `load_robot`."""
+    """Select the geoms that capsules represent: a body's collision geoms, or if `visual` its visual geoms, if any.
+
+    Capsules and spheres are always collision geoms, as for `load_robot`.
+    """
     for_contact = [geom for geom in geoms if geom.touches]
     if not for_contact:
         return geoms
@@ -188,14 +203,13 @@ def _chosen(geoms: list[Geom], model: mujoco.MjModel, visual: bool) -> list[Geom
 
 
 def _shapeless(geoms: list[Geom], chosen: list[Geom], model: mujoco.MjModel) -> list[int]:
-    """Bodies without a chosen geom."""
+    """Return the bodies with geoms but without a chosen one."""
     with_shape = {_body(model, geom) for geom in chosen}
     return sorted({_body(model, geom) for geom in geoms} - with_shape)
 
 
 def _is_left_out(geom: Geom, model: mujoco.MjModel) -> bool:
-    """Return True for a floor, a height field, an SDF, and a shape fixed to the world other than a capsule or
-    sphere."""
+    """Return True for a floor, a height field, an SDF, and a shape fixed to the world that is no capsule or sphere."""
     return geom.kind in NOT_OF_AN_ARM or (_body(model, geom) == 0 and geom.kind not in ROUND)
 
 

@@ -1,6 +1,6 @@
 """Reading of a robot's model file, on the host: MuJoCo compiles it, and the chain to the TCP is extracted.
 
-Every error in a file is an InputError, one line that starts with its path. robot_file.py makes the Robot.
+Every error in a file is an InputError, one line that starts with its path. `robot_file` makes the Robot.
 """
 
 import itertools
@@ -54,7 +54,18 @@ class _Pair(NamedTuple):
 
 
 def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.ndarray, tool: Tool | None) -> RobotFields:
-    """Read the serial chain from the world to the TCP; see robot_file.load_robot. Raises InputError."""
+    """Read the serial chain from the world to the TCP.
+
+    Args:
+        path: See `robot_file.load_robot`, as for `tcp_site`, `limits` and `tool`.
+        tcp_site: Site or body of the TCP.
+        limits: Profile of the joint limits.
+        T_world_base: Pose of the model's own frame in the world (4, 4) [m].
+        tool: Mounted on the TCP's frame; None: none.
+
+    Raises:
+        InputError: See `robot_file.load_robot`.
+    """
     model, geom_types, pairs = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
     joint_names = _chain_joints(model, path, tcp_body)
@@ -126,8 +137,11 @@ def _compile_model(path: Path) -> tuple[mujoco.MjModel, str, list[_Pair] | None]
 
 
 def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """Compile a model whose shapes need no file. Raises InputError for models that MuJoCo refuses and for a descending
-    range."""
+    """Compile a model whose shapes need no file.
+
+    Raises:
+        InputError: For models that MuJoCo refuses and for a descending range.
+    """
     _check_ranges(spec, path)
     spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
     # Kinematics needs no masses; MuJoCo insists on them.
@@ -169,7 +183,11 @@ def _check_radii(spec: mujoco.MjSpec, path: Path) -> None:
 
 
 def _check_ranges(spec: mujoco.MjSpec, path: Path) -> None:
-    """Raise InputError for a descending or nan range, which MuJoCo itself treats as no limit."""
+    """Check that ranges ascend; MuJoCo itself treats a descending or nan range as no limit.
+
+    Raises:
+        InputError: For the first range that does not.
+    """
     for joint in spec.joints:
         lower, upper = joint.range
         asked = joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE and (lower, upper) != (0, 0)
@@ -187,8 +205,17 @@ def _forget_shapes(spec: mujoco.MjSpec) -> None:
 
 
 def joint_numbers(model: mujoco.MjModel, path: Path, name: str, default: float) -> np.ndarray:
-    """Return the <custom><numeric> `name`, (N,) one value per joint; `default` if the file has none. Raises InputError
-    for another number of values."""
+    """Return the <custom><numeric> `name`, (N,), one value per joint.
+
+    Args:
+        model: The compiled model.
+        path: Its file, for messages.
+        name: Name of the <numeric>.
+        default: Value of every joint if the file has no such <numeric>, in its unit.
+
+    Raises:
+        InputError: For another number of values.
+    """
     at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if at < 0:
         return np.full(model.njnt, default)
@@ -271,7 +298,11 @@ def _chain_joints(model: mujoco.MjModel, path: Path, tcp_body: int) -> tuple[str
 
 
 def check_joints(model: mujoco.MjModel, path: Path, joints: Sequence[int]) -> tuple[str, ...]:
-    """Return the names of a chain's joints. Raises InputError for ball and free joints, and for fewer than three."""
+    """Return the names of a chain's joints, given by their indices in the model.
+
+    Raises:
+        InputError: For ball and free joints, and for fewer than three.
+    """
     odd = [joint_name(model, j) for j in joints if model.jnt_type[j] not in (_HINGE, _SLIDE)]
     if odd:
         raise InputError(f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints can be used")
@@ -372,7 +403,11 @@ def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[Exclu
 
 
 def _listed(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Iterator[Exclusion]:
-    """Yield the pairs in the arm's own list. Raises InputError for an invalid pair."""
+    """Yield the pairs in the arm's own list.
+
+    Raises:
+        InputError: For an invalid pair.
+    """
     numbers = {capsule.name: k for k, capsule in enumerate(capsules)}
     for name, pair, share in pairs:
         rule = re.fullmatch(EXCLUDED.format(r"\S+", "([abc])"), name)
@@ -396,7 +431,11 @@ def _exclusion(capsules: list[_Capsule], a: int, b: int, rule: str, share: float
 def _mounted(
     tool: Tool, path: Path, tcp_body: int, link: int, T_link_flange: np.ndarray, others: list[_Capsule]
 ) -> list[_Capsule]:
-    """Return a tool's bodies as capsules on the flange. Raises InputError for the name of a capsule in the model."""
+    """Return a tool's bodies as capsules on the flange.
+
+    Raises:
+        InputError: For the name of a capsule in the model.
+    """
     R, t = T_link_flange[:3, :3], T_link_flange[:3, 3]
     for body in tool.bodies:
         if body.name in {capsule.name for capsule in others}:

@@ -48,8 +48,7 @@ class Geom(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """A shape in the frame of its body [m]: triangles, or a capsule of the model with the triangles it was fitted
-    to."""
+    """A shape in the frame of its body [m]: triangles, or a capsule with the triangles to which the model fits it."""
 
     name: str
     kind: str  # box, capsule, ...
@@ -58,8 +57,10 @@ class Shape(NamedTuple):
 
 
 class Shapes:
-    """Geoms and meshes of a model file, removed from `spec`, in which boxes replace the geoms that would open a
-    file."""
+    """Geoms and meshes of a model file.
+
+    They are removed from `spec`, in which boxes replace the geoms that would open a file.
+    """
 
     def __init__(self, spec: mujoco.MjSpec, path: Path):
         self._path, self._folders = path, [spec.compiler.meshdir, ""]
@@ -76,7 +77,11 @@ class Shapes:
         return [taken._replace(at=int(geom.id)) for geom, taken in self._taken]
 
     def shape(self, geom: Geom, model: mujoco.MjModel) -> Shape:
-        """Return a geom of the compiled model as a shape. Raises InputError for a mesh that cannot be read."""
+        """Return a geom of the compiled model as a shape.
+
+        Raises:
+            InputError: For a mesh that cannot be read, and for a fit to a mesh that fails.
+        """
         T, size = frame(model.geom_pos[geom.at], model.geom_quat[geom.at]), model.geom_size[geom.at]
         name, mesh = model.geom(geom.at).name, np.empty((0, 3, 3))
         if geom.mesh:
@@ -92,7 +97,11 @@ class Shapes:
         return Shape(name, geom.kind, _moved(T, _SOLIDS[geom.kind](size)), None)
 
     def file(self, geom: Geom) -> Path | None:
-        """Return the file of a geom's mesh; None without one. Raises InputError if it does not exist."""
+        """Return the file of a geom's mesh; None without one.
+
+        Raises:
+            InputError: If it does not exist.
+        """
         name = self._meshes[geom.mesh].file if geom.mesh else ""
         return _find(name, self._path, self._folders) if name else None
 
@@ -114,8 +123,11 @@ class Shapes:
         return (triangles - mesh.refpos) @ turn * mesh.scale
 
     def _fit(self, geom: Geom) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"]]:
-        """Return pose and size of the primitive that MuJoCo fits to a mesh, in the mesh's frame. Raises InputError if
-        the fit fails."""
+        """Return pose and size of the primitive that MuJoCo fits to a mesh, in the mesh's frame.
+
+        Raises:
+            InputError: If the fit fails.
+        """
         triangles = self._triangles(geom.mesh)
         corners, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
         spec = mujoco.MjSpec()
@@ -146,8 +158,13 @@ def _taken(geom: mujoco.MjsGeom) -> Geom:
 
 
 def _find(name: str, path: Path, folders: list[str]) -> Path:
-    """Find a mesh file of the model at `path`: next to the model, in one of its folders, or in a ROS package, searched
-    from the model's folder upwards. Raises InputError if it does not exist."""
+    """Find a mesh file of the model at `path`.
+
+    Next to the model, in one of its folders, or in a ROS package, searched from the model's folder upwards.
+
+    Raises:
+        InputError: If it does not exist.
+    """
     scheme, _, rest = name.rpartition("://")
     home = path.resolve().parent
     if scheme == "package":

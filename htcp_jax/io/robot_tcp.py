@@ -24,10 +24,18 @@ class Tip(NamedTuple):
 
 
 def find_tip(model: mujoco.MjModel, path: Path, name: str | None, bodies: Sequence[int]) -> Tip:
-    """Return the site or body `name`. Without a name: `tcp` or `tool0`, or the only site, or the only outermost body.
+    """Return the frame of the TCP.
 
-    bodies: indices of the bodies to search. Raises InputError, with the valid names, for an unknown name, and if the
-    TCP is ambiguous.
+    The site or body `name`. Without a name: `tcp` or `tool0`, or the only site, or the only outermost body.
+
+    Args:
+        model: The compiled model.
+        path: Its file, for messages.
+        name: Name of a site or body; None: see above.
+        bodies: Indices of the bodies to search.
+
+    Raises:
+        InputError: With the valid names, for an unknown name, and if the TCP is ambiguous.
     """
     tips = _tips(model, bodies)
     if name is not None:

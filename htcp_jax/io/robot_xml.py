@@ -32,10 +32,13 @@ def arm_xml(
     source: str,
     listed: Sequence[Listed] | None = None,
 ) -> str:
-    """Return the file's text.
+    """Return the text of an MJCF file for `load_robot`.
 
-    source: path of the model, relative to the file. listed: pairs of capsules that are not checked, of bodies that
-    neither the model nor an SRDF excludes; None: determined when the file is read.
+    Args:
+        arm: The imported arm.
+        source: Path of the model, relative to the file.
+        listed: Pairs of capsules that are not checked, of bodies that neither the model nor an SRDF excludes; None:
+            determined when the file is read.
     """
     model = arm.model
     frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""

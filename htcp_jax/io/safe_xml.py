@@ -63,9 +63,14 @@ class _Builder(ElementTree.TreeBuilder):
 def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False) -> mujoco.MjSpec:
     """Read an MJCF or URDF file as an MjSpec, not compiled yet.
 
-    meshes: keep the names of an MJCF file's meshes; a URDF's are always kept. visual: keep a URDF's visual geometry.
-    contacts: keep an MJCF file's contact exclusions, and the list in an arm by `htcp robot`.
-    Raises InputError for a file that cannot be read or is too large, and for an included file outside its folder.
+    Args:
+        path: The file.
+        meshes: Keep the names of an MJCF file's meshes; a URDF's are always kept.
+        visual: Keep a URDF's visual geometry.
+        contacts: Keep an MJCF file's contact exclusions, and the list in an arm by `htcp robot`.
+
+    Raises:
+        InputError: For a file that cannot be read or is too large, and for an included file outside its folder.
     """
     root = parse(path)
     _put_includes_in_place(root, path, {path.resolve()})
@@ -88,15 +93,24 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
 
 
 def files_of(path: Path) -> set[Path]:
-    """Return the absolute paths of a model file and its included files. Raises InputError as `read_spec` does."""
+    """Return the absolute paths of a model file and its included files.
+
+    Raises:
+        InputError: As `read_spec` does.
+    """
     seen = {path.resolve()}
     _put_includes_in_place(parse(path), path, seen)
     return seen
 
 
 def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, float]]:
-    """Return the joint limits of a URDF that MuJoCo does not read, by the name of the <numeric> and the joint; inf if
-    missing or 0. Raises InputError for a descending range."""
+    """Return the joint limits of a URDF that MuJoCo does not read, by the name of the <numeric> and the joint.
+
+    inf if missing or 0.
+
+    Raises:
+        InputError: For a descending range.
+    """
     limits = {"speed": {}, "acceleration": {}}
     for joint in root.findall("joint"):
         if joint.get("type") not in ("revolute", "continuous", "prismatic"):
@@ -110,7 +124,11 @@ def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, f
 
 
 def _check_range(joint: ElementTree.Element, path: Path) -> None:
-    """Raise InputError for a descending range, which MuJoCo treats as no limit."""
+    """Check that a range ascends; MuJoCo treats a descending one as no limit.
+
+    Raises:
+        InputError: If it does not.
+    """
     lower, upper = _number(joint, "lower", path), _number(joint, "upper", path)
     if not lower < upper and (lower, upper) != (0, 0):
         raise InputError(f"{path}: joint {joint.get('name')!r} has range {lower:g} to {upper:g}; it must ascend")
@@ -127,14 +145,21 @@ def _number(joint: ElementTree.Element, name: str, path: Path) -> float:
 
 
 def unreadable(path: Path, error: Exception) -> InputError:
-    """Return an error with the message by MuJoCo, or the parser, in one line."""
+    """Return an error with the message by MuJoCo in one line."""
     reason = re.sub(r",? line \d+$", "", " ".join(str(error).split()))  # of our text, not of the file
     return InputError(f"{path}: not a model that MuJoCo can read: {reason}")
 
 
 def parse(path: Path, kind: str = "a model that MuJoCo can read") -> ElementTree.Element:
-    """Return the root of an XML file. kind: named if it is damaged. Raises InputError for a file that cannot be read,
-    is too large, or defines entities."""
+    """Return the root of an XML file.
+
+    Args:
+        path: The file.
+        kind: Name of its kind, for the message about a damaged file.
+
+    Raises:
+        InputError: For a file that cannot be read, is too large, or defines entities.
+    """
     try:
         with opened(path, largest=LARGEST_FILE) as stream:
             return _tree(stream.read(), _Builder(path))

@@ -1,6 +1,6 @@
 """Reading of scans and CAD parts by other libraries: .pcd .e57 .las .laz clouds, .step .stp parts.
 
-Each library is an extra. It runs in a process of its own, see `parsers`, with limits on time and memory.
+Each library is an extra. It runs in its own process, see `parsers`, with limits on time and memory.
 """
 
 import importlib.util
@@ -41,8 +41,13 @@ MEMORY = 4 * 2**30  # and 40 times the file's size
 
 
 def read_scan(path: Path, ending: str) -> Points:
-    """Read the points [m] of a scan, and its normals if it has any. NaN points, which PCD files contain where the
-    scanner saw nothing, are dropped with a Note. Raises InputError for an invalid file."""
+    """Read the points [m] of a scan, and its normals if it has any.
+
+    NaN points, which PCD files contain where the scanner saw nothing, are excluded with a Note.
+
+    Raises:
+        InputError: For an invalid file.
+    """
     arrays = parsed(path, SCANS[ending])
     points, normals = arrays["points"], arrays.get("normals")
     if ending == ".pcd" and (empty := np.isnan(points).any(axis=1)).any():
@@ -52,12 +57,20 @@ def read_scan(path: Path, ending: str) -> Points:
 
 
 def read_part(path: Path, ending: str) -> Float[np.ndarray, "F 3 3"]:
-    """Read the triangles [m] of a STEP file's faces. Raises InputError for an invalid file."""
+    """Read the triangles [m] of a STEP file's faces.
+
+    Raises:
+        InputError: For an invalid file.
+    """
     return parsed(path, PARTS[ending])["triangles"]
 
 
 def parsed(path: Path, kind: Kind) -> dict[str, np.ndarray]:
-    """Return the arrays of a file, see `parsers`. Raises InputError if the extra is missing and for an invalid file."""
+    """Return the arrays of a file, see `parsers`.
+
+    Raises:
+        InputError: If the extra is missing and for an invalid file.
+    """
     ending = path.suffix.lower()
     if any(importlib.util.find_spec(library) is None for library in kind.libraries):
         need = f"""reading {ending} needs the extra "{kind.extra}": pip install 'htcp_jax[{kind.extra}]'"""

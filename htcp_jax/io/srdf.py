@@ -8,8 +8,17 @@ from htcp_jax.io.safe_xml import parse
 
 
 def disabled_pairs(path: Path, robot: str, bodies: Collection[str]) -> list[tuple[str, str]]:
-    """Return the pairs of the <disable_collisions>. Raises InputError for a file that cannot be read, for the SRDF of
-    another robot, for a pair with a link that the model lacks, and if there are none."""
+    """Return the pairs of the <disable_collisions>.
+
+    Args:
+        path: The SRDF file.
+        robot: Name of the robot.
+        bodies: Names of its links.
+
+    Raises:
+        InputError: For a file that cannot be read, for the SRDF of another robot, for a pair with a link that the model
+            lacks, and if there are no pairs.
+    """
     root = parse(path, "an SRDF file")
     if root.tag != "robot":
         raise InputError(f"{path}: the root is <{root.tag}>; an SRDF has <robot>")

@@ -1,4 +1,4 @@
-"""Validation of mappings as pydantic models. Unknown keys are errors that name the nearest valid key."""
+"""Validation of mappings as pydantic models; an unknown key is an error that names the nearest valid key."""
 
 import copy
 import difflib
@@ -20,7 +20,11 @@ class Section(BaseModel):
 
 
 def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
-    """Return `raw` as a `model`. Raises InputError that names the first error and the number of further ones."""
+    """Return `raw` as a `model`; `source` is its name for messages.
+
+    Raises:
+        InputError: Names the first error and the number of further ones.
+    """
     raw = copy.deepcopy(raw)  # which stays as it is
     refuse_unknown(raw, model, source)
     try:
@@ -32,7 +36,17 @@ def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
 
 
 def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> None:
-    """Raise InputError for the first key of `raw` that `model`, a pydantic model or a dataclass, lacks."""
+    """Refuse keys of `raw` that `model` lacks; remove sections without content.
+
+    Args:
+        raw: A mapping.
+        model: A pydantic model or a dataclass.
+        source: Name of the mapping, for messages.
+        prefix: Dotted key of the section, with a dot.
+
+    Raises:
+        InputError: For the first unknown key, and for true and false in place of numbers.
+    """
     keys = _keys_of(model)
     for name, value in list(raw.items()):
         key = keys.get(name)

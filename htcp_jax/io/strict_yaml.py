@@ -19,7 +19,11 @@ DEEPEST = 50
 
 
 def read_yaml(path: str | Path) -> dict:
-    """Read the mapping in a YAML file; {} for an empty one. Raises InputError."""
+    """Read the mapping in a YAML file; {} for an empty one.
+
+    Raises:
+        InputError: For a file that cannot be read, is no strict YAML, or has no mapping.
+    """
     try:
         with opened(Path(path), largest=LARGEST_FILE) as stream:
             text = stream.read().decode()
@@ -89,7 +93,11 @@ for tag in (INT, FLOAT):
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Parse the value in `text`; errors name `source`. Raises InputError."""
+    """Parse the value in `text`; errors name `source`.
+
+    Raises:
+        InputError: For a text that is no strict YAML.
+    """
     try:
         return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:

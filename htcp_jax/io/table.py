@@ -19,7 +19,10 @@ def read_table(path: Path) -> Points:
 
     Text after a # is a comment, and so is a line that begins with //. The first other line may be a header without
     numbers. A header, or the last comment before the first row, may name the columns, see `columns_of`.
-    Raises InputError naming the line: too few columns, rows of different lengths, NaN, no number, and decimal commas.
+
+    Raises:
+        InputError: Naming the line, for too few columns, rows of different lengths, NaN, text that is no number, and
+            decimal commas.
     """
     reader = _TableReader(path)
     reader.take_all()
@@ -27,8 +30,11 @@ def read_table(path: Path) -> Points:
 
 
 def read_named(path: Path, families: Sequence[tuple[str, ...]]) -> dict[tuple[str, ...], np.ndarray]:
-    """Read further columns of a text file by name: each family (P, k) whose names are all in the header. Raises
-    InputError as `read_table` does, and for values that are not finite numbers, naming the point."""
+    """Read further columns of a text file by name: each family (P, k) whose names are all in the header.
+
+    Raises:
+        InputError: As `read_table` does, and for values that are not finite numbers, naming the point.
+    """
     reader = _TableReader(path, keep=True)
     reader.take_all()
     names, found = reader.names or [], {}
@@ -137,8 +143,11 @@ class _TableReader:
 
 
 def read_npy(path: Path) -> Points:
-    """Read the points of a .npy file, an array of numbers (P, 3 or more). Raises InputError for any other; no
-    pickles."""
+    """Read the points of a .npy file, an array of numbers (P, 3 or more).
+
+    Raises:
+        InputError: For any other array; pickles are not read.
+    """
     array = read_array(read_bytes(path), str(path))
     if array.dtype.kind == "b":
         raise InputError(f"{path}: an array of bool, numbers are needed")

@@ -22,8 +22,19 @@ STAND_OFF = 0.5  # largest distance of a path from its part [m], and times the p
 
 
 def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
-    """Raise InputError for a part (any points that span it [m]) whose size is implausible for the arm. Warns
-    (UserWarning) of one more than twice as large as the arm's reach, or smaller than its thinnest body."""
+    """Check that the size of a part is plausible for the arm.
+
+    Warns (UserWarning) of a part more than twice as large as the arm's reach, or smaller than its thinnest body.
+
+    Args:
+        robot: The arm.
+        part: Any points that span the part [m].
+        path: The tool path [m], for a guess at the unit.
+        name: The part's name, for messages.
+
+    Raises:
+        InputError: For an implausible size.
+    """
     extent, longest, thinnest = _extent(part), reach(robot), 2.0 * float(np.min(robot.capsule_radius))
     fitting = [unit for unit, metres in METRES.items() if 2.0 * thinnest <= metres * extent <= LARGE * longest]
     if extent > LARGE * longest:
@@ -35,7 +46,11 @@ def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.nd
 
 
 def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
-    """Raise InputError for a tool that is longer than all the links of its arm, and for a body that is thicker."""
+    """Check that the tool and the bodies of an arm are in metres.
+
+    Raises:
+        InputError: For a tool that is longer than all the links of its arm, and for a body that is thicker.
+    """
     tip = float(np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
     links, length, thickest = reach(robot) - tip, tip + abs(extension_m), float(np.asarray(robot.capsule_radius).max())
     measured = f"the links of {robot.name} measure {links:.3g} m"
@@ -46,7 +61,16 @@ def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
 
 
 def check_path(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
-    """Raise InputError for a path whose median distance from its part's cloud is too large [m]."""
+    """Check that a path is near its part.
+
+    Args:
+        cloud: The part's points [m].
+        path: The tool path [m].
+        name: The part's name, for messages.
+
+    Raises:
+        InputError: For a median distance from the cloud that is too large.
+    """
     if (distance := _distance(cloud, path)) > _stand_off(cloud):
         raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_in(cloud, path)}")
 
@@ -70,7 +94,7 @@ def _path_in(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) ->
     """Return a guess at the unit of a path that is far from its part."""
     extent = _extent(cloud)
     for unit, metres in sorted(METRES.items(), key=lambda item: -item[1]):
-        # Too small a unit puts any path to the origin; there it is too short.
+        # With too small a unit any path is at the origin, but too short.
         right_length = 0.05 * extent <= metres * _extent(path) <= 2.0 * extent
         if right_length and _distance(cloud, metres * path) <= 0.5 * extent:
             return f"the path seems to be in {unit}, metres are needed (factor {metres:g})"

@@ -1,7 +1,7 @@
 """Workpieces from files or arrays, and the generated duct; implausible sizes are refused.
 
-A `WorkpieceSource` states where the walls come from: `GeneratedDuct`, `PointCloud`, `TriangleMesh` or `NoCloud`. Each
-has points on its walls, and the defaults of its kind.
+A `WorkpieceSource` states the source of the walls: `GeneratedDuct`, `PointCloud`, `TriangleMesh` or `NoCloud`. Each has
+points on its walls, and the defaults of its kind.
 """
 
 from pathlib import Path
@@ -45,7 +45,11 @@ class GeneratedDuct(NamedTuple):
         return {"name": "duct", "inlet": duct.INLET, "hull_tolerance_m": tolerance_m, "inlet_direction": along}
 
     def walls(self, thinnest_m: float) -> Cover:
-        """Return the points on the duct [m]. Raises InputError for a number or a seed out of range."""
+        """Return the points on the duct [m].
+
+        Raises:
+            InputError: For a number or a seed out of range.
+        """
         if self.seed < 0:
             raise InputError(f"seed is {self.seed}; it must be 0 or more")
         if not 4 <= self.points <= MOST_POINTS:
@@ -53,7 +57,11 @@ class GeneratedDuct(NamedTuple):
         return Cover(duct.duct_cloud(self.points, self.seed), 0.0)
 
     def path(self) -> Float[np.ndarray, "T 3"]:
-        """Return the points of the seam [m]. Raises InputError for an unknown one."""
+        """Return the points of the seam [m].
+
+        Raises:
+            InputError: For an unknown seam.
+        """
         if self.seam not in SEAMS:
             raise InputError(
                 f"{self.seam}: no seam of the generated duct, nor a table of x,y,z; seams are {', '.join(SEAMS)}, "
@@ -79,7 +87,7 @@ class PointCloud(NamedTuple):
 
 
 class TriangleMesh(NamedTuple):
-    """Triangles of a part's walls, and the largest distance between the points that cover them."""
+    """Triangles of a part's walls, and the widest gap between the points that cover them."""
 
     triangles: Float[np.ndarray, "F 3 3"]  # [m]
     label: str = "mesh"  # its file, for messages; the stem is the part's name
@@ -97,8 +105,11 @@ class TriangleMesh(NamedTuple):
         return {"name": Path(self.label).stem, "inlet_direction": direction, "triangles": self.triangles}
 
     def walls(self, thinnest_m: float) -> Cover:
-        """Return points that cover the mesh [m]. Raises InputError if the thinnest body fits between them, see
-        `mesh_points.cover` for others."""
+        """Return points that cover the mesh [m].
+
+        Raises:
+            InputError: If the thinnest body fits between them; see `mesh_points.cover` for others.
+        """
         surface = cover(self.triangles, self.label, self.spacing_m, thinnest_m)
         if surface.radius_m >= thinnest_m:
             raise InputError(
@@ -128,7 +139,12 @@ DUCT = GeneratedDuct()
 def read_source(file: str | Path, spacing_m: float | None = None) -> PointCloud | TriangleMesh:
     """Read the walls of a part from a file of points or triangles, see `load_geometry`.
 
-    spacing_m: of the points on a mesh [m], see `mesh_points.cover`. Raises InputError for an unreadable file.
+    Args:
+        file: The file.
+        spacing_m: Widest gap between the points on a mesh, see `mesh_points.cover`.
+
+    Raises:
+        InputError: For an unreadable file.
     """
     points, triangles = load_geometry(file)
     return TriangleMesh(triangles, str(file), spacing_m) if len(triangles) else PointCloud(points, str(file))
@@ -143,12 +159,15 @@ def load_workpiece(
 ) -> Workpiece:
     """Load a workpiece; by default the generated duct and its weld.
 
-    source: its walls; a file is read by `read_source`, and an array (P, 3) is a `PointCloud` [m].
-    path: a file, see `read_path`, or points (T, 3) [m]; None: the seam of a `GeneratedDuct`.
-    robot: the arm for which the sizes of part and path must be plausible, see `units`, and the points on a mesh close
-        enough for its thinnest body; None: no such check.
-    fields: of `Workpiece`, in place of the source's own.
-    Raises InputError for an invalid file or number, and for a cloud or a mesh without a path.
+    Args:
+        source: Its walls; a file is read by `read_source`, and an array (P, 3) is a `PointCloud` [m].
+        path: A file, see `read_path`, or points (T, 3) [m]; None: the seam of a `GeneratedDuct`.
+        robot: The arm for which the sizes of part and path must be plausible, see `units`, and the points on a mesh
+            close enough for its thinnest body; None: no such check.
+        **fields: Fields of `Workpiece`, in place of the source's own.
+
+    Raises:
+        InputError: For an invalid file or number, and for a cloud or a mesh without a path.
     """
     if path is None and not isinstance(source, GeneratedDuct):
         label = source if _is_file(source) else getattr(source, "label", "cloud")
@@ -173,10 +192,14 @@ def _is_file(given: object) -> bool:
 
 
 def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
-    """Read a tool path [m], workpiece frame: x,y,z rows of a text file (.csv .txt .xyz), or its columns with these
-    names, or an array, in tracking order; `point_cloud.read_points` also returns normals.
+    """Read a tool path [m], workpiece frame, in tracking order.
 
-    Raises InputError for an unreadable or empty file, an invalid line (naming it) and NaN.
+    Args:
+        path: A text file (.csv .txt .xyz) with rows of x,y,z, or with columns of these names, or an array (T, 3) [m].
+            `point_cloud.read_points` also returns normals.
+
+    Raises:
+        InputError: For an unreadable or empty file, an invalid line (naming it) and NaN.
     """
     if not _is_file(path):
         return arrays.points(path, "path", 1)

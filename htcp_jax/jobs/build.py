@@ -1,4 +1,4 @@
-"""Build the robot, workpiece, obstacles, task and scenario that a job describes. All functions raise InputError."""
+"""Builders of the robot, workpiece, obstacles, task and scenario that a job describes; all raise InputError."""
 
 import warnings
 from pathlib import Path
@@ -41,8 +41,11 @@ def task_of_job(job: PlanConfig, robot: Robot) -> Task:
 
 
 def robot_of(arm: RobotConfig) -> Robot:
-    """Load the robot, without the tool's extension, which belongs to the scenario. A tool longer than the arm is
-    refused."""
+    """Load the robot, without the tool's extension, which belongs to the scenario.
+
+    Raises:
+        InputError: As `load_robot` does, and for a tool that is longer than the arm.
+    """
     robot = load_robot(
         arm.file,
         tcp_site="tcp" if arm.tcp is None else arm.tcp,
@@ -56,8 +59,11 @@ def robot_of(arm: RobotConfig) -> Robot:
 
 
 def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
-    """Load the workpiece, without its pose, which belongs to the scenario. Points on a mesh are as dense as the robot's
-    thinnest body requires; a UserWarning reports a cloud between whose points that body fits."""
+    """Load the workpiece, without its pose, which belongs to the scenario.
+
+    Points on a mesh are as dense as the robot's thinnest body requires; a UserWarning reports a cloud between whose
+    points that body fits.
+    """
     direction = InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
     stated = {"inlet": part.inlet_m, "inlet_direction": direction}
     workpiece = load_workpiece(
@@ -104,9 +110,16 @@ def scenario_of(
     beyond_reach: Literal["raise", "record"] = "raise",
     follows: Float[np.ndarray, "3"] | None = None,
 ) -> Scenario:
-    """Build the scenario: start, pose, targets, margin and tool of a job. number: identifies it for the random keys;
-    beyond_reach: see `make_scenario`; follows: position at the start of the point that follows the path, world [m], if
-    known."""
+    """Build the scenario: start, pose, targets, margin and tool of a job.
+
+    Args:
+        job: The job.
+        robot: From `robot_of`.
+        workpiece: From `workpiece_of`.
+        number: Number of the scenario, for the random keys.
+        beyond_reach: See `make_scenario`.
+        follows: Position at the start of the point that follows the path, world [m], if known.
+    """
     part, task = job.workpiece, task_of_job(job, robot)
     scenario = make_scenario(
         robot,
@@ -127,8 +140,7 @@ def scenario_of(
 
 
 def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] | None:
-    """Return the position at a given start of the point that follows the path, world [m]; None: use
-    `make_scenario`'s."""
+    """Return the position at a given start of the point that follows the path, world [m]; None if unknown."""
     if not job.task or job.start is None:
         return None
     return follower(job.task, lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
@@ -189,7 +201,6 @@ def part_of(job: PlanConfig) -> WorkpieceConfig:
 
 
 def shape_of(part: WorkpieceConfig) -> WorkpieceConfig:
-    """Return the keys that determine the workpiece for the planner: without path and pose, which belong to the
-    scenario."""
+    """Return the keys that determine the workpiece for the planner: without path and pose, which the scenario has."""
     origin = (0.0, 0.0, 0.0)
     return part.model_copy(update={"path": "", "pivot_m": origin, "neutral_translation_m": origin})

@@ -34,7 +34,11 @@ AUTO = "auto"  # a start that the planner chooses
 
 
 def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
-    """Validate joint positions, or the word AUTO. Raises InputError for any other word."""
+    """Validate joint positions, or the word AUTO.
+
+    Raises:
+        InputError: For any other word.
+    """
     if isinstance(value, str) and value != AUTO:
         raise InputError(f"{value!r} is no start; valid: {AUTO}, or a list of joint positions")
     return value if value == AUTO else numbers(value)
@@ -134,7 +138,7 @@ class CellConfig(Section):
 
 
 class UserFrameConfig(Section):
-    """A frame that the controller knows by number; RECTAN positions are in it."""
+    """A frame with a number at the controller; RECTAN positions are in it."""
 
     number: int = Field(ge=1, le=63)
     on: Literal["workpiece", "world"] = "workpiece"  # the object to which it is fixed

@@ -2,8 +2,8 @@
 
     config: base.yaml        # everything in base.yaml, except the keys below
 
-Sections are merged key by key; other values are replaced, lists as a whole. File names are relative to the folder of
-the file that contains them.
+Sections are merged key by key; other values are replaced, lists as a unit. File names are relative to the folder of the
+file that contains them.
 """
 
 import os
@@ -29,14 +29,17 @@ FILES = {
 def layers(path: Path) -> list[tuple[str, dict]]:
     """Return the names and contents of a YAML file and its chain of base files, the base first.
 
-    Raises InputError for a file that cannot be read, and for a cycle of base files.
+    Raises:
+        InputError: For a file that cannot be read, and for a cycle of base files.
     """
     return _below(read_yaml(path), str(path), path.parent, [path])
 
 
 def layers_of(mapping: Mapping[str, Any], name: str) -> list[tuple[str, dict]]:
-    """Return the `layers` of a mapping in place of a file; keys may be dotted, files are relative to the working
-    folder."""
+    """Return the `layers` of a mapping in place of a file, named `name`.
+
+    Its keys may be dotted, its files are relative to the working folder.
+    """
     raw: dict = {}
     for dotted, value in mapping.items():
         put(raw, str(dotted), value)
@@ -52,8 +55,16 @@ def merged(raws: Iterable[dict]) -> dict:
 
 
 def put(raw: dict, dotted: str, value: Any) -> None:
-    """Set one key, or merge a mapping into an existing section. Rows of a list are numbered from 1. Raises InputError
-    for a row that does not exist."""
+    """Set one key, or merge a mapping into an existing section.
+
+    Args:
+        raw: The configuration, which is changed.
+        dotted: The key; rows of a list are numbered from 1.
+        value: The value.
+
+    Raises:
+        InputError: For a row that does not exist.
+    """
     *sections, key = dotted.split(".")
     for k, section in enumerate(sections):
         known, more = raw.get(section), sections[k + 1 :]
@@ -75,7 +86,11 @@ def _put_in_row(rows: list, number: str, key: str, dotted: str, value: Any) -> N
 
 
 def parse_override(override: str) -> tuple[str, Any]:
-    """Split "key=value" from a command line into key and value. Raises InputError."""
+    """Split "key=value" from a command line into key and value.
+
+    Raises:
+        InputError: Without a key or "=", and for a value that is no YAML.
+    """
     dotted, equals, text = override.partition("=")
     if not equals or not dotted:
         raise InputError(f"--set expects key=value, not {override!r}")

@@ -18,12 +18,16 @@ _DEFAULTS = PlanConfig().model_dump()
 
 
 def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
-    """Return the `DEPENDENT` keys with their defaults, given the parts that `raw` names and the keys that it states.
+    """Return the `DEPENDENT` keys with their defaults.
 
     A robot other than the GP50 has its model's own limits, weights of 1, and self-collision checks. A cloud other than
     the duct is not rotated and not translated; its pivot is its own origin at `neutral_translation_m`, its inlet
-    direction is that of its hull, and the tool's tip is collision-checked, which the paper's duct excludes. Without a
-    cloud there is no wall, and self-collision is checked for every arm.
+    direction is its hull's, and the tool's tip is collision-checked, which the paper's duct excludes. Without a cloud
+    there is no wall, and self-collision is checked for every arm.
+
+    Args:
+        raw: A plain configuration, which names the robot and the cloud.
+        stated: The dotted keys that the configuration states.
     """
     found = {key: value_at(_DEFAULTS, key) for key in DEPENDENT}
     if is_other(raw, "robot.model"):
@@ -45,8 +49,16 @@ def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
 
 
 def fill_in(raw: dict, stated: Collection[str], source: str) -> None:
-    """Fill keys that are not stated with `own_defaults`. Raises InputError for a robot other than the GP50 without a
-    start."""
+    """Fill keys that are not stated with `own_defaults`.
+
+    Args:
+        raw: A plain configuration, which is changed.
+        stated: Its dotted keys.
+        source: Its name, for messages.
+
+    Raises:
+        InputError: For a robot other than the GP50 without a start.
+    """
     if is_other(raw, "robot.model") and "start_rad" not in stated:
         raise InputError(_no_start(raw["robot"], source))
     sections = {key: raw.get(key, {}) for key in ("robot", "workpiece", "cell", "settings")}

@@ -31,8 +31,13 @@ def example_or_path(path: str | Path) -> Path:
 
 
 def read_mapping(spec: str | Path | Mapping[str, Any], name: str) -> tuple[Path, dict[str, Any]]:
-    """Return the path and the content of a YAML file or an example, or of a mapping in place of a file, whose path is
-    then `name` in the working folder. Raises InputError for a file that cannot be read."""
+    """Return the path and the content of a YAML file or an example, or of a mapping in place of a file.
+
+    The path of a mapping is `name`, in the working folder.
+
+    Raises:
+        InputError: For a file that cannot be read.
+    """
     if isinstance(spec, Mapping):
         return Path(name), dict(spec)
     path = example_or_path(spec)

@@ -12,7 +12,11 @@ _FEED = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*(\S+)\s*", re.IGNORECASE)
 
 
 def feed_of(text: str) -> float:
-    """Convert a feed rate, "20mm/s", to m/s. Raises InputError for one that is not above 0, or without a unit."""
+    """Convert a feed rate, "20mm/s", to m/s.
+
+    Raises:
+        InputError: For one that is not above 0, has no unit, or is beyond the valid range.
+    """
     found = _FEED.fullmatch(text)
     unit = UNITS.get(found[2]) if found else None
     try:

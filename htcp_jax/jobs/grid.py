@@ -1,10 +1,10 @@
 """Sweep files: a grid of scenarios around one configuration.
 
-    config: ../configs/paper.yaml            # shared by all scenarios; default: the default job
-    grid:                                    # axes multiply; the last one moves fastest
-      - start_rad.3: {offsets: [-0.1, 0, 0.1]}    # added to the configuration's value
-      - workpiece.rotation_y_rad: [0.4, 0.5]      # parameters of one axis vary jointly (zipped)
-        workpiece.rotation_z_rad: [0.1, 0.2]      # so this grid has 3 x 2 scenarios
+    config: ../configs/paper.yaml                      # shared by all scenarios; default: the default job
+    grid:                                              # axes multiply; the last one moves fastest
+      - start_rad.3: {offsets: [-0.1, 0, 0.1]}         # added to the configuration's value
+      - workpiece.rotation_y_rad: [0.4, 0.5]           # parameters of one axis vary jointly (zipped)
+        workpiece.rotation_z_rad: [0.1, 0.2]           # so this grid has 3 x 2 scenarios
 
 A parameter is any key of the configuration except `method`, `program` and `ray`: see `grid_axes`. Joints are given by
 number, from 1, or by name. Axes are applied in order, so an axis may set `start_rad` and the next ones change single
@@ -90,8 +90,14 @@ class Batch(NamedTuple):
 class Sweep:
     """A sweep file, read and checked, with the robot of its configuration.
 
-    stated: see `grid_points.points_of`. alone: True if every scenario uses the random keys of a job planned alone
-    (number 0) in place of its own number's.
+    Attributes:
+        name: Stem of the file's name.
+        config: Configuration shared by all scenarios.
+        robot: Its robot.
+        groups: The grids.
+        stated: See `grid_points.points_of`.
+        alone: True if every scenario uses the random keys of a job planned alone (number 0) in place of its own
+            number's.
     """
 
     name: str
@@ -105,7 +111,11 @@ class Sweep:
         return sum(group.size for group in self.groups)
 
     def points(self, limit: int | None = None) -> tuple[Point, ...]:
-        """Return the first `limit` scenarios, in order. Raises InputError for a value out of its range."""
+        """Return the first `limit` scenarios, in order.
+
+        Raises:
+            InputError: For a value out of its range.
+        """
         if limit is not None and not 1 <= limit <= MOST:
             raise InputError(f"limit is {limit}; valid: 1 to {MOST:,}")
         return tuple(itertools.islice(points_of(self.name, self.config, self.groups, self.stated), limit))
@@ -113,8 +123,9 @@ class Sweep:
     def batch(self, limit: int | None = None) -> Batch:
         """Build the first `limit` scenarios with their cells.
 
-        Raises InputError, naming the scenario, for a start outside the joint limits and targets beyond reach, and for
-        robots with different joints.
+        Raises:
+            InputError: Naming the scenario, for a start outside the joint limits and targets beyond reach, and for
+                robots with different joints.
         """
         points = self.points(limit)
         arms = {arm_of(self.config): self.robot}
@@ -147,11 +158,16 @@ def load_sweep(
     config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
 ) -> Sweep:
-    """Load the sweep at the path `spec`, or the example of that name, or the sweep in the mapping `spec`,
-    {"grid": [...]}, whose files are relative to the working folder. `config` replaces the sweep's own; `overrides`, see
-    `load_config`, change the configuration before the axes do.
+    """Load a sweep.
 
-    Raises InputError for an invalid file, for an unknown parameter and for an empty grid.
+    Args:
+        spec: Path of its file, or the name of an example, or a mapping, {"grid": [...]}, whose files are relative to
+            the working folder.
+        config: Configuration in place of the sweep's own.
+        overrides: Changes to the configuration before the axes are applied, see `load_config`.
+
+    Raises:
+        InputError: For an invalid file, for an unknown parameter and for an empty grid.
     """
     path, raw = read_mapping(spec, "sweep")
     file: SweepFile = validate(raw, SweepFile, str(path))
@@ -182,9 +198,11 @@ def load_sweep(
 
 
 def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder: Path) -> dict[str, Any]:
-    """Return the values that the configuration takes from the axes, so that it has a robot and a start: if they vary
-    the robot, the first value of each of its keys and of the start; else the first start, if another robot has no
-    start."""
+    """Return the values that the configuration takes from the axes, so that it has a robot and a start.
+
+    If they vary the robot, the first value of each of its keys and of the start; else the first start, if another robot
+    has no start.
+    """
     first: dict[str, Any] = {}
     for axis in itertools.chain.from_iterable(grids.values()):
         for key, value in axis.items():
@@ -203,7 +221,11 @@ def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder:
 
 
 def _like(first: Robot, robot: Robot, where: str) -> Robot:
-    """Return the robot. Raises InputError if its joint types differ from the first one's."""
+    """Return the robot.
+
+    Raises:
+        InputError: If its joint types differ from the first one's.
+    """
     if robot.slides != first.slides:
         kinds = [f"{one.name} has {len(one.slides)} joints, {sum(one.slides)} of them slides" for one in (robot, first)]
         raise InputError(f"{where}: {'; '.join(kinds)}; the robots of one sweep must have as many joints of each kind")
@@ -218,7 +240,11 @@ def _task(point: Point, robot: Robot) -> Task:
 
 
 def _check_alike(point: Point, task: Task, first: Task) -> None:
-    """Raise InputError if a goal has other numbers than the first scenario's: all are stacked in one array."""
+    """Check that a goal has as many numbers as the first scenario's: all are stacked in one array.
+
+    Raises:
+        InputError: If it has not.
+    """
     if task.numbers != first.numbers:
         raise InputError(
             f"scenario {point.number}: its task has other rows than the first one's; "

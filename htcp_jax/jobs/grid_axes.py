@@ -97,7 +97,18 @@ class Point(NamedTuple):
 
 
 def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], joints: Sequence[str]) -> Group:
-    """Read a grid from a sweep file. folder: base of file names; joints: their names. Raises InputError."""
+    """Read a grid from a sweep file.
+
+    Args:
+        where: Name of the grid, for messages.
+        folder: Folder to which file names are relative.
+        name: Name of the group; None without groups.
+        axes: The axes as in the file.
+        joints: Names of the robot's joints.
+
+    Raises:
+        InputError: For an empty grid, an invalid axis, and a repeated parameter.
+    """
     if not axes:
         raise InputError(f"{where} is empty; it needs at least one axis")
     known = parameters(joints)
@@ -122,7 +133,11 @@ def parameters(joints: Sequence[str]) -> dict[str, Parameter]:
 
 
 def put(raw: dict, column: Column, value: Any) -> None:
-    """Set one parameter in a plain configuration."""
+    """Set one parameter in a plain configuration.
+
+    Raises:
+        InputError: For an offset or an element of a value that is not given, and for an element that it lacks.
+    """
     parameter = column.parameter
     section, _, key = parameter.key.rpartition(".")
     owner = _row(raw, parameter) if section.startswith("task.") else raw[section] if section else raw
@@ -151,8 +166,10 @@ def _row(raw: dict, parameter: Parameter) -> dict:
 
 
 def record(group: Group, stated: Collection[str]) -> dict[str, Any]:
-    """Return a group as recorded in a manifest, with absolute file names; with the `stated` keys if its axes affect
-    defaults."""
+    """Return a group as recorded in a manifest, with absolute file names.
+
+    It contains the `stated` keys if the group's axes affect defaults.
+    """
 
     def values(column: Column) -> list:
         words = FILE_KEYS.get(column.parameter.key)
@@ -234,7 +251,11 @@ def _unknown(key: str, known: Collection[str]) -> str:
 
 
 def _check_value(where: str, parameter: Parameter, item: Any, relative: bool) -> None:
-    """Raise InputError unless `item` has the parameter's type; its range is checked with the configuration."""
+    """Check that `item` has the parameter's type; its range is checked with the configuration.
+
+    Raises:
+        InputError: If it has not.
+    """
     default = KEYS[parameter.key]
     if parameter.key in FILE_KEYS:
         if relative or not (item in FILE_KEYS[parameter.key] or isinstance(item, str | os.PathLike)):

@@ -12,8 +12,18 @@ from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, Point, hangs, put, varied_
 
 
 def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Collection[str]) -> Iterator[Point]:
-    """Yield the scenarios in order. stated: the keys among `config.DEPENDENT` and "start_rad" that the configuration
-    states; the others get each scenario's own defaults. Raises InputError for a value out of its range."""
+    """Yield the scenarios in order.
+
+    Args:
+        name: Name of the sweep, for messages.
+        config: Configuration shared by the scenarios.
+        groups: The grids.
+        stated: The keys among `config.DEPENDENT` and "start_rad" that the configuration states; the others get each
+            scenario's own defaults.
+
+    Raises:
+        InputError: For a value out of its range.
+    """
     base = config.model_dump()
     columns = [column for group in groups for axis in group.axes for column in axis]
     varied = varied_keys(column.parameter.name for column in columns)

@@ -22,12 +22,16 @@ from htcp_jax.planning.registry import NAME
 def load_config(
     config: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] | Mapping[str, Any] = ()
 ) -> PlanConfig:
-    """Load the default job, changed by `config`, then by `overrides`: "dotted.key=value" each, or a mapping. `config`
-    is a YAML file, the name of an example or a mapping, whose files are relative to the working folder.
+    """Load the default job, changed by `config`, then by `overrides`.
 
-    Raises InputError for a file that cannot be read, is no YAML mapping or repeats a key, for a cycle of base files,
-    for an unknown key, for a value of the wrong type or outside its range, and for a robot other than the GP50 without
-    a start.
+    Args:
+        config: A YAML file, the name of an example, or a mapping, whose files are relative to the working folder.
+        overrides: "dotted.key=value" each, or a mapping.
+
+    Raises:
+        InputError: For a file that cannot be read, is no YAML mapping or repeats a key, for a cycle of base files, for
+            an unknown key, for a value of the wrong type or outside its range, and for a robot other than the GP50
+            without a start.
     """
     raw, source = read_config(config, overrides)
     fill_in(raw, stated=keys_of(raw), source=source)
@@ -38,7 +42,10 @@ def read_config(
     config: str | Path | Mapping[str, Any] | None, overrides: Sequence[str] | Mapping[str, Any]
 ) -> tuple[dict, str]:
     """Merge the arguments of `load_config` into one mapping, without defaults; return it with its name for messages.
-    Raises InputError."""
+
+    Raises:
+        InputError: As `load_config`, except for values.
+    """
     source, found = "the default configuration", []
     if isinstance(config, Mapping):
         source = "the configuration"

@@ -60,20 +60,34 @@ def plan(
     check_starts: bool = False,
     processes: int | None = None,
 ) -> Plans:
-    """Plan every scenario with one method (its name, see `registry`).
+    """Plan every scenario with one method.
 
-    scenarios: from `make_scenario`, one or many, or stacked already. settings: a mapping, {"alpha_rad": 0.05}, changes
-    the defaults. device: see `devices.choose`. processes: number of those that share the scenarios on a CPU, by default
-    as many as pay (`processes.that_pay`); what other processes cannot import, for example a method or an obstacle
-    defined in a notebook, is planned in this one. threads: engines per process, by default one; without other
-    processes, by default one per core. Results depend on neither. check_paths: afterwards check, for every accepted
-    step that the method did not check itself, whether its straight joint path is clear (`Plans.path_clear`), verify
-    which segments are motions, and smooth these if `settings.smooth` or the method requires it. task: what the arm
-    holds at every target, by default the TCP's position within `tolerance_m`. obstacles: further ones, see
-    `obstacle.Obstacle`. check_starts: refuse a start in collision, which otherwise is a status. Raises InputError for
-    an unknown method, device or setting, for weights of the wrong length, for no scenarios, for a task with more rows
-    than joints, or other ones than the targets have, for fewer than one process, and for checked starts that are in
-    collision; Lost if a process is ended from outside.
+    Results depend neither on `threads` nor on `processes`.
+
+    Args:
+        robot: The arm with its tool.
+        workpiece: The part that the scenarios place.
+        scenarios: From `make_scenario`: one, several, or already stacked.
+        method: Its name, see `registry`.
+        settings: A mapping such as {"alpha_rad": 0.05} changes the defaults.
+        progress: Called with the totals when they change.
+        device: See `devices.choose`.
+        threads: Engines per process; None: one, or one per core if there are no other processes.
+        check_paths: Afterwards check the straight joint path (`Plans.path_clear`) of every accepted step that the
+            method did not check itself, verify the motion of every segment, and smooth the motions if `settings.smooth`
+            or the method says so.
+        task: The constraints at every target; None: the TCP's position within `tolerance_m`.
+        obstacles: In addition to the workpiece, see `obstacle.Obstacle`.
+        check_starts: Refuse a start in collision, which otherwise is a status.
+        processes: Number of processes that share the scenarios on a CPU; None: as many as pay (`processes.that_pay`).
+            Work that other processes cannot import, for example a method or an obstacle defined in a notebook, is
+            planned in this one.
+
+    Raises:
+        InputError: For an unknown method, device or setting, weights of the wrong length, no scenarios, a task with
+            more rows than joints or with other rows than the targets, fewer than one process, and, with `check_starts`,
+            a start in collision.
+        Lost: If a process is ended from outside.
     """
     chosen, settings = find(method), settings_of(settings)
     joints = len(robot.joint_names)
@@ -118,7 +132,7 @@ def plan(
         check_paths,
         _counter(scenarios, progress),
     )
-    # Imported here, as methods are: no kernels are loaded before a method is looked up.
+    # Imported here, as methods are: no lane functions are loaded before a method is looked up.
     from htcp_jax.motion.home import begin_at_home, leave_home
     from htcp_jax.motion.motion_check import check_remaining_paths, judge_motions, tighten
     from htcp_jax.planning.tracking.record import with_separate_errors
@@ -145,7 +159,7 @@ def plan(
 
 
 def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progress: Callable | None) -> Plans:
-    """`plan`, in other processes. compile_s: time until they were ready, plus the mean compilation time of each."""
+    """Plan in other processes; `compile_s` is the time until they were ready, plus their mean compilation time."""
     began = time.perf_counter()
     rows = shares(len(scenarios.number), processes)
     parts = [gather(scenarios, own) for own in rows]
@@ -179,8 +193,15 @@ def start_clearance(
     x: Float[np.ndarray, "N"] | None = None,
     obstacles: Obstacles = (),
 ) -> tuple[float, str, str]:
-    """Return D at the scenario's start, or at another x [m], the name of the body, and the obstacle nearest to it.
-    obstacles: in addition to the workpiece."""
+    """Return the clearance D [m] at the scenario's start, the name of the body, and the obstacle nearest to it.
+
+    Args:
+        robot: The arm with its tool.
+        workpiece: The part.
+        scenario: Start, pose of the workpiece, and tool extension.
+        x: Another configuration than the start [rad or m].
+        obstacles: In addition to the workpiece.
+    """
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
     scene = own_scene(Scene(robot, all_obstacles(workpiece, obstacles)), scenario.tool_extension_m)
@@ -194,8 +215,17 @@ def start_clearance(
 
 
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
-    """Raise InputError if the home or the start is in collision, naming the body, the obstacle, and the depth.
-    obstacles: in addition to the workpiece."""
+    """Check that neither the home nor the start is in collision.
+
+    Args:
+        robot: The arm with its tool.
+        workpiece: The part.
+        scenario: Home, start, pose of the workpiece, and tool extension.
+        obstacles: In addition to the workpiece.
+
+    Raises:
+        InputError: If one is in collision; names the body, the obstacle and the depth.
+    """
     for what, x in _begins_at(scenario).items():
         D, body, other = start_clearance(robot, workpiece, scenario, x, obstacles)
         if D <= 0:
@@ -203,7 +233,7 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacle
 
 
 def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
-    """Configurations that have to be clear before anything is planned, by name."""
+    """Configurations that must be clear before planning, by name."""
     if scenario.begins_anywhere:
         return {}
     start = {"start": scenario.x_start}
@@ -223,7 +253,7 @@ def _preparing(problem: Problem, method: Method) -> Iterator[None]:
 
 
 def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
-    """`check_start` for every scenario, by an executable that planning needs anyway."""
+    """Apply `check_start` to every scenario whose start collides, found by an executable that planning needs anyway."""
     for s in problem.to_plan.tolist():
         one = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
         inputs = lane_inputs(problem.scenarios, np.array([s]), np.zeros(1, int))
@@ -233,8 +263,11 @@ def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
 
 
 def _with_refused(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raises: bool) -> Scenario:
-    """Return the scenarios, those refused that begin with an overlap of capsules whose collision is not checked, see
-    `refused_overlap`; or raise InputError."""
+    """Mark the scenarios that begin with an overlap of capsules that self-collision excludes, see `refused_overlap`.
+
+    Raises:
+        InputError: If there is one and `raises` is set.
+    """
     refused = scenarios.refused.copy()
     for own in (each for each in obstacles if isinstance(each, SelfCollision)):
         known: dict[bytes, str | None] = {}
@@ -278,7 +311,11 @@ def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -
 
 
 def _of_these(plans: Any, problem: Problem, method: str) -> Plans:
-    """Return the plans unchanged. Raises InputError if a method returns others than those of the problem."""
+    """Return the plans unchanged.
+
+    Raises:
+        InputError: If their shapes are not those of the problem's scenarios and targets.
+    """
     expected = problem.scenarios.targets.shape[:2]
     shapes = {each.shape[:2] for each in (plans.status, plans.x, plans.target)} if isinstance(plans, Plans) else set()
     if shapes != {expected}:

@@ -11,7 +11,7 @@ from htcp_jax.solvers import sphere
 
 
 def _start_key(settings: Settings, key: jax.Array, cmaes: bool = False) -> jax.Array | None:
-    """Key of a random first direction; None for the best of 64."""
+    """Return the key of a random first direction; None for the best of 64."""
     random = settings.first_direction == "random" or (cmaes and settings.first_direction == "random_for_cmaes")
     return jax.random.split(key)[1] if random else None
 

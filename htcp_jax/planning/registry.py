@@ -6,7 +6,7 @@ A package provides a method by an entry point in the group `htcp_jax.methods`, w
     my-planner = "my_package:MY_PLANNER"
 
 It is then available to every command, to job files and to Ray's workers. `register` adds a method to this process only.
-Nothing is imported before a name is looked up or listed.
+Methods are imported when a name is looked up or listed, not before.
 """
 
 import re
@@ -29,8 +29,11 @@ NAME = re.compile(r"[a-z0-9-]+")  # used in names of files and folders
 
 @runtime_checkable
 class Method(Protocol):
-    """A planner. Attribute `smooth = True`: smooth its motions unless the settings say otherwise. Optional method
-    `first_calls(problem)`: the kernels that it will call, see `Kernels.preparing`."""
+    """A planner.
+
+    With the attribute `smooth = True` its motions are smoothed unless the settings say otherwise. An optional method
+    `first_calls(problem)` returns the lane functions that it will call, see `Kernels.preparing`.
+    """
 
     @property
     def name(self) -> str:
@@ -47,8 +50,11 @@ class Method(Protocol):
     def plan(self, problem: "Problem") -> "Plans":
         """Plan every scenario of the problem; begin with `problem.empty_plans()`.
 
-        A target that is not tracked ends its scenario, and its status gives the reason. Results must depend on nothing
-        but the problem, and on `problem.settings.seed` if they are random. Raises InputError for what it cannot plan.
+        A target that is not tracked ends its scenario, and its status gives the reason. Results may depend only on the
+        problem, and on `problem.settings.seed` if they are random.
+
+        Raises:
+            InputError: For a problem that the method cannot plan.
         """
 
 
@@ -57,10 +63,14 @@ _loaded: dict[str, Method] = {}  # of entry points
 
 
 def register(method: Any) -> Any:
-    """Register a `Method` in this process: for `htcp_jax.plan`, `sweep`, `methods` and all else but Ray's workers.
+    """Register a `Method` in this process, for `htcp_jax.plan`, `sweep`, `methods` and all else but Ray's workers.
 
-    Returns the method. Raises InputError for one that lacks a name, a title, a description or `plan`, for a name that
-    is not valid in file names, and for a name that is taken.
+    Returns:
+        The method.
+
+    Raises:
+        InputError: For a method that lacks a name, a title, a description or `plan`, for a name that is not valid in
+            file names, and for a name that is taken.
     """
     if fault := _fault(method):
         raise InputError(f"cannot register {method!r}: {fault}")
@@ -71,21 +81,27 @@ def register(method: Any) -> Any:
 
 
 def unregister(name: str) -> None:
-    """Remove a method registered in this process. Raises InputError for any other."""
+    """Remove a method registered in this process.
+
+    Raises:
+        InputError: For any other name.
+    """
     if name not in _own:
         raise InputError(f"{name!r} is not registered in this process")
     del _own[name]
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of all methods: built-in ones in their order, then those of packages, then those of this
-    process."""
+    """Return the names of all methods: built-in ones in order, then those of packages, then those of this process."""
     return (*_built_in(), *_entry_points(), *_own)
 
 
 def find(name: str) -> Method:
-    """Return the method with that name. Raises InputError for an unknown name, and for a method that cannot be
-    imported, naming its entry point and package."""
+    """Return the method with that name.
+
+    Raises:
+        InputError: For an unknown name, and for a method that cannot be imported; names its entry point and package.
+    """
     if name in _built_in():
         return _built_in()[name]
     if name in _own:
@@ -98,7 +114,7 @@ def find(name: str) -> Method:
 
 
 def all_methods() -> dict[str, Method]:
-    """Return every method by its name. One that cannot be imported is excluded, with a UserWarning."""
+    """Return every method by its name; one that cannot be imported is excluded, with a UserWarning."""
     found = {}
     for name in names():
         try:
@@ -109,12 +125,16 @@ def all_methods() -> dict[str, Method]:
 
 
 def is_own(name: str) -> bool:
-    """True if the method is registered in this process only, so that other processes cannot find it."""
+    """Return True if the method is registered in this process only, so that other processes cannot find it."""
     return name in _own
 
 
 def refuse_own(chosen: Iterable[str]) -> None:
-    """Raise InputError for a method that other processes cannot find."""
+    """Check that other processes can find the methods.
+
+    Raises:
+        InputError: For a method that is registered in this process only.
+    """
     for name in chosen:
         if is_own(name):
             raise InputError(
@@ -130,8 +150,7 @@ def _built_in() -> dict[str, Method]:
 
 @cache
 def _entry_points() -> dict[str, EntryPoint]:
-    """Entry points of installed packages, by name. Built-in methods take precedence, and the first of two with one
-    name."""
+    """Return the entry points of installed packages by name; built-in ones and the first of two with one name win."""
     found: dict[str, EntryPoint] = {}
     for point in sorted(entry_points(group=GROUP), key=lambda point: (point.name, _package(point))):
         first = found.get(point.name, BUILT_IN if point.name in _built_in() else point)

@@ -44,7 +44,7 @@ class Obstruction(NamedTuple):
     other: str = "the workpiece"  # the obstacle nearest to the body
     from_mesh: str = ""  # distance from the capsule to its mesh there, if the arm's file refers to meshes
     in_words: str = ""  # the body with its link, for messages
-    angle_rad: float = 0.0  # from the orientation that the task holds; 0 if it holds none
+    angle_rad: float = 0.0  # from the orientation that the task requires; 0 if it requires none
     within_bands: bool = True  # False if a cone or band of the task is violated
 
     @property
@@ -53,7 +53,7 @@ class Obstruction(NamedTuple):
         return self.reached and self.depth_m > 0
 
     def cause(self, otherwise: str) -> str:
-        """The colliding body, "out of reach", or, if no body collides, `otherwise`."""
+        """Return the colliding body, "out of reach", or, if no body collides, `otherwise`."""
         return self.body if self.collides else otherwise if self.reached else "out of reach"
 
     @property
@@ -75,7 +75,7 @@ class Obstruction(NamedTuple):
         return f"no body collides; {body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
 
     def record(self) -> dict[str, Any]:
-        """Entry of a result file, as JSON values."""
+        """Return the entry of a result file, as JSON values."""
         found = {"body": self.body, "other": self.other, "point_m": self.point.tolist(), "depth_mm": 1e3 * self.depth_m}
         return {**found, "residual_mm": 1e3 * self.residual_m, "x": self.x.tolist(), "description": self.description}
 
@@ -90,8 +90,18 @@ def obstruction(
     obstacles: Obstacles = (),
     task: Task | None = None,
 ) -> Obstruction:
-    """Return the colliding body at a target of a scenario. x_last: the last tracked configuration, else the start [rad
-    or m]; obstacles: in addition to the workpiece; task: None for the TCP's position."""
+    """Return the colliding body at a target of a scenario.
+
+    Args:
+        robot: The arm with its tool.
+        workpiece: The part.
+        scenario: Pose, targets and tool extension.
+        x_last: The last tracked configuration, else the start (N,) [rad or m].
+        target: Index of the target.
+        settings: `tolerance_m`, for the default task.
+        obstacles: In addition to the workpiece.
+        task: None: the TCP's position.
+    """
     inputs = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
     known = all_obstacles(workpiece, obstacles)
     (found,) = obstructions(robot, known, inputs, np.asarray(x_last)[None], inputs.target, settings, task)
@@ -107,8 +117,17 @@ def obstructions(
     settings: Settings,
     task: Task | None = None,
 ) -> list[Obstruction]:
-    """Return the colliding body for each of S scenarios. where: stacked, the fields of `Posed` and `tool_extension_m`;
-    goals: of the task, one per scenario; for the TCP's position the target, world [m]."""
+    """Return the colliding body for each of S scenarios.
+
+    Args:
+        robot: The arm with its tool.
+        obstacles: All obstacles, with the workpiece.
+        where: Stacked, the fields of `Posed` and `tool_extension_m`.
+        x_last: The last tracked configurations [rad or m].
+        goals: The task's goals; for the TCP's position the targets, world [m].
+        settings: `tolerance_m`, for the default task.
+        task: None: the TCP's position.
+    """
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     scene = Scene(robot, obstacles, task)
     lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
@@ -138,15 +157,21 @@ def _apart(robot: Robot, task: Task, x: jax.Array, goal: jax.Array) -> tuple[flo
 
 
 def blocked_target(plans: Plans, scenario: int) -> int | None:
-    """Return the first target that is not tracked, if a body of the arm may be colliding there. None if all are
-    tracked, nothing was attempted, or the tool's tip is what collides."""
+    """Return the first target that is not tracked, if a body of the arm may be colliding there.
+
+    None if all are tracked, nothing was attempted, or the tool's tip is what collides.
+    """
     end = plans.outcome(scenario)
     return None if end.status in (None, *NO_BODY) else end.failed
 
 
 def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
-    """Return the row of clearance, nearest points on the obstacle and on the capsule's surface, depth [m], TCP error
-    [m] and configuration of one scenario."""
+    """Bring one scenario onto its goal, and measure it there.
+
+    Returns:
+        Row of the smallest clearance, nearest points on the obstacle and on the capsule's surface, depth [m], TCP error
+            [m], and configuration.
+    """
     robot, obstacles, task = own_scene(scene, where.tool_extension_m)
     x, residual = reanchor(robot, x_last, goal, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)

@@ -63,8 +63,20 @@ class Found(NamedTuple):
 
 
 def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> State:
-    """Move x as near as the arm gets to the target with the last link in the orientation `quaternion`; then bring it
-    onto the target. Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7)."""
+    """Move x near the target, with the last link in a given orientation if it can be reached, then onto the target.
+
+    Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7).
+
+    Args:
+        settings: Not used.
+        scene: Arm, obstacles and task.
+        lane: The lane's inputs.
+        x: Configuration to start from (N,) [rad or m].
+        quaternion: Orientation of the last link (4,), w first.
+
+    Returns:
+        The configuration and its residual; the clearance is not measured.
+    """
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     place, turned = task.tcp_place(lane.target), quaternion_matrix(quaternion)
@@ -81,7 +93,7 @@ def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> St
 
 
 def measure(settings: Settings, scene: Scene, lane: LaneInputs, x):
-    """Return D at x."""
+    """Return the clearance D at x (N,) [rad or m]."""
     scene = own_scene(scene, lane.tool_extension_m)
     return clearance(scene.robot, scene.obstacles, lane, x)
 
@@ -91,8 +103,12 @@ MEASURE = Kernel("measure", measure, MANY)
 
 
 def known_postures(robot: Robot, extensions_m: np.ndarray) -> KnownPostures:
-    """Return configurations spread evenly within the joint limits (Halton), and a tree of their poses, for each
-    tool."""
+    """Return configurations spread evenly within the joint limits (Halton), with a tree of their poses per tool.
+
+    Args:
+        robot: The arm, its tool not extended.
+        extensions_m: Tool extensions of the scenarios (S,).
+    """
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     x = lower + (upper - lower) * qmc.Halton(len(lower), scramble=False).random(KNOWN)
     pose = jax.jit(jax.vmap(_pose, in_axes=(None, 0)))
@@ -101,12 +117,19 @@ def known_postures(robot: Robot, extensions_m: np.ndarray) -> KnownPostures:
 
 
 def _pose(robot: Robot, x):
-    """TCP position and the last link's rotation matrix, both scaled to metres."""
+    """Return the TCP's position and the last link's rotation matrix, both scaled to metres."""
     return jnp.concatenate([tcp_position(robot, x), TURN_M * link_poses(robot, x)[-1, :3, :3].ravel()])
 
 
 def search(checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs, resolution_rad: float) -> Found:
-    """Return clear configurations at n targets, each searched independently."""
+    """Return clear configurations at n targets, each searched independently.
+
+    Args:
+        checker: Collision checker of the scene.
+        known: From `known_postures`.
+        inputs: The lanes' inputs, one row per target.
+        resolution_rad: Radius of the cells of tool orientations.
+    """
     lanes, joints = len(inputs.row), len(checker.kernels.limits[0])
     x, best = np.zeros((lanes, PUSHED, joints)), np.full((lanes, PUSHED), -np.inf)
     if checker.task.holds_tcp:
@@ -142,7 +165,7 @@ def _push(
 
 
 def _moves(inputs: LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
-    """Random moves of one target, independent of the other targets."""
+    """Return random moves of one target, independent of the other targets."""
     own = np.random.default_rng([inputs.seed[k], inputs.number[k], inputs.row[k], round_])
     return HOP * 0.6**round_ * own.normal(size=(PUSHED, joints))
 

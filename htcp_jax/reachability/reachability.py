@@ -1,13 +1,13 @@
-"""Reachable prefix per scenario: how many consecutive targets have any clear configuration.
+"""Reachable prefix per scenario: the number of consecutive targets that have any clear configuration.
 
 A planner follows a continuous path; this checks every target independently. A few configurations of the last target,
 far apart, are carried over, re-anchored and pushed clear in the null space; if none succeeds, the target is searched at
 a stated resolution of the null space (`posture_search`). The first target at which nothing is found ends the prefix.
 
-A clear configuration that is found proves that one exists: the prefix is a lower bound on what is reachable. "Not
+A clear configuration that is found proves that one exists: the prefix is a lower bound on the reachable targets. "Not
 found" does not imply unreachable. But if at some target every configuration certainly has the tool, or the arm behind
-it, in collision, or violates a row of the task (`tool_cells.excluded`), there is none, and any path ends before it: an
-upper bound. Targets between the two bounds are undecided.
+it, in collision, or violates a row of the task (`tool_cells.excluded`), no configuration is clear there, and any path
+ends before it: an upper bound. Targets between the two bounds are undecided.
 """
 
 import threading
@@ -52,13 +52,13 @@ class Reachability(NamedTuple):
     most: np.ndarray  # (S,) targets before one that is proven to have none
     best: np.ndarray  # (S,) best clearance found at the first target without one [m]; NaN where all have one
     x: np.ndarray  # (S, T, N) the configurations found, NaN beyond the prefix
-    # (S,) of the search there; 0 if all are found, or the tool alone collides, or cannot satisfy the rows about its
-    # orientation; pi if the task does not hold the TCP's position, and only spread configurations are tried
+    # (S,) of the search there; 0 if all are found, or the tool alone collides, or it cannot satisfy the rows about its
+    # orientation; pi if the task does not constrain the TCP's position, and only spread configurations are tried
     resolution_rad: np.ndarray
 
 
 class Stopped(KeyboardInterrupt):
-    """Raised in place of KeyboardInterrupt during a search; `found` is its result so far, with looser upper bounds."""
+    """Interruption of a search, in place of KeyboardInterrupt; `found` is its result so far, with looser bounds."""
 
     def __init__(self, found: Reachability):
         super().__init__()
@@ -77,11 +77,23 @@ def reachable_prefixes(
     proof_cells: int = PROOF_CELLS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
-    """Return the reachable prefixes of the stacked scenarios. resolution_rad: of the tool's orientations, at a target
-    where carrying over fails; proof_cells: see `tool_cells.excluded`, 0 for no proofs; of the settings, alpha_rad,
-    tolerance_m and the seed are used. task: what the arm holds; None: the TCP's position; if it does not hold the TCP's
-    position, there are no proofs. obstacles: in addition to the workpiece; proofs ignore them. Threads, one per core,
-    share the scenarios. progress(target, targets) is called after each target. Raises Stopped on Ctrl-C."""
+    """Return the reachable prefixes of stacked scenarios, which one thread per core share.
+
+    Args:
+        robot: The arm, its tool not extended.
+        workpiece: The part.
+        scenarios: Stacked.
+        settings: `alpha_rad`, `tolerance_m` and the seed are used; None: the defaults.
+        task: The constraints at every target; None: the TCP's position. Without the TCP's position among them there are
+            no proofs.
+        obstacles: In addition to the workpiece; proofs ignore them.
+        resolution_rad: Resolution of the tool's orientations at a target where carrying over fails.
+        proof_cells: See `tool_cells.excluded`; 0: no proofs.
+        progress: Called with (target, targets) after each target.
+
+    Raises:
+        Stopped: On Ctrl-C.
+    """
     settings = settings or Settings()
     scenarios = jax.tree.map(np.asarray, scenarios)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
@@ -118,7 +130,7 @@ def reachable_prefixes(
 
 
 def nothing_found(scenarios: Scenario) -> Reachability:
-    """Return the initial result for S stacked scenarios, with arrays of its own."""
+    """Return the initial result for S stacked scenarios, with its own arrays."""
     count, rows = scenarios.targets.shape[:2]
     return Reachability(
         np.zeros(count, int), np.array(scenarios.count), np.full(count, np.nan),
@@ -135,8 +147,11 @@ def _prefixes(
     found: Reachability,
     progress: Callable,
 ) -> Scenario:
-    """Search, and write the result into `found`, except `most`. Returns the scenarios as they were searched, see
-    `_off_lines`."""
+    """Search, and write the result into `found`, except `most`.
+
+    Returns:
+        The scenarios as they were searched, see `_off_lines`.
+    """
     count, rows = scenarios.targets.shape[:2]
     front = [x[None] for x in scenarios.x_start]
     alive = np.arange(count)
@@ -165,8 +180,10 @@ def _prefixes(
 def _looked_at(
     checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs, front: list, resolution_rad: float
 ) -> tuple[list[np.ndarray], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return the clear configurations at n targets, carried over from each `front` or else searched for; and, at
-    targets without any, the best clearance [m] and the resolution [rad], NaN and 0 elsewhere."""
+    """Return the clear configurations at n targets, carried over from each `front` or else searched for.
+
+    Also, at targets without any, the best clearance [m] and the resolution [rad], elsewhere NaN and 0.
+    """
     clear = _carried(checker, inputs, front)
     best, coarsest = np.full(len(front), np.nan), np.zeros(len(front))
     for coarser in COARSE_FIRST if checker.task.holds_tcp else (1,):
@@ -182,8 +199,11 @@ def _looked_at(
 
 
 def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> Bool[np.ndarray, "S T"]:
-    """Return the targets at which approaches leave their lines, as a planner's may: of scenarios that have not reached
-    a target before the path, that one and the following ones up to the path's first point."""
+    """Return the targets at which approaches leave their lines, as a planner's may.
+
+    For scenarios that have not reached a target before the path these are that target and the following ones up to the
+    path's first point.
+    """
     aims, on_path = scenarios.aims, scenarios.on_path[rows]
     leave = (0 < target) & (target < on_path) & (aims[rows, target] != aims[rows, on_path]).any(axis=1)
     which = np.zeros(aims.shape[:2], bool)
@@ -192,8 +212,11 @@ def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> 
 
 
 def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
-    """Return the number of targets (S,) before one that is proven out of reach. Bisection between the last one found
-    and the end of the path: a later target is usually excluded more easily, and if it is not the bound is larger."""
+    """Return the number of targets (S,) before one that is proven out of reach.
+
+    Bisection between the last one found and the end of the path: a later target is usually excluded more easily, and if
+    it is not the bound is larger.
+    """
     short, no_cell = found.prefix < scenarios.count, found.resolution_rad == 0
     low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
     while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:

@@ -1,13 +1,13 @@
-"""Orientations that the tool can have with its tip on a target: a cover by cells, without those that certainly collide
-or violate a row of the task about the tool's orientation.
+"""Orientations that the tool can have with its tip on a target: a cover by cells.
 
-Unit quaternions, q and -q identified, are projected onto four faces of a cube in four dimensions: on each face one
-component is 1, and the others are between -1 and 1. A face is subdivided into cubes, which are halved. The projection
-does not lengthen anything, so a cube of half side h covers rotations within 2 sqrt(3) h of its centre's.
+Cells that certainly collide, or violate a row of the task about the tool's orientation, are excluded. Unit quaternions,
+q and -q identified, are projected onto four faces of a cube in four dimensions: on each face one component is 1, and
+the others are between -1 and 1. A face is subdivided into cubes, which are halved. The projection does not lengthen
+anything, so a cube of half side h covers rotations within 2 sqrt(3) h of its centre's.
 
 The joints before the wrist have a second cover, of boxes. The cover with fewer cells is halved. Both lose the cells
-that certainly collide, and those that cannot meet any cell of the other cover at the wrist (`arm_exclusion`). Proving
-that there is no configuration needs both; an arm without a wrist has the first alone.
+that certainly collide, and those that cannot meet any cell of the other cover at the wrist (`arm_exclusion`). A proof
+that no configuration exists needs both; an arm without a wrist has only the first.
 """
 
 from typing import NamedTuple
@@ -67,8 +67,17 @@ class Cells(NamedTuple):
 
 
 def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho) -> Cell:
-    """Return the `Cell` of the tool's orientations within `rho` [rad] of a quaternion; one that violates a row of the
-    task counts as colliding."""
+    """Return the `Cell` of the tool's orientations within `rho` of a quaternion.
+
+    An orientation that violates a row of the task counts as colliding.
+
+    Args:
+        settings: Not used.
+        scene: Arm, obstacles and task.
+        lane: The lane's inputs.
+        quaternion: Orientation of the last link (4,), w first.
+        rho: Radius [rad].
+    """
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     cell = tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho)
@@ -77,8 +86,18 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho) ->
 
 
 def arm(settings: Settings, scene: Scene, lane: LaneInputs, cube, half) -> Cell:
-    """Return the `Cell` of a box of the joints before the wrist, given as a cube: -1 to 1 is each joint's range. The
-    range of a hinge is one revolution at most."""
+    """Return the `Cell` of a box of the joints before the wrist.
+
+    The box is a cube in coordinates in which -1 to 1 is each joint's range; the range of a hinge is one revolution at
+    most.
+
+    Args:
+        settings: Not used.
+        scene: Arm, obstacles and task.
+        lane: The lane's inputs.
+        cube: Centre of the cube (d,), no unit.
+        half: Half of its side, no unit.
+    """
     robot = scene.robot
     lower = jnp.where(jnp.isfinite(robot.lower), robot.lower, -jnp.pi)
     upper = jnp.where(jnp.array(robot.slides), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
@@ -92,9 +111,18 @@ TOOL, ARM = Kernel("tool", tool, MANY), Kernel("arm", arm, MANY)
 
 
 def tool_cells(kernels: Kernels, inputs: LaneInputs, resolution_rad: float, most: int, before_wrist: int = 0) -> Cells:
-    """Return the cells in which the tool may be clear, for n targets: halved down to the resolution, or until a cover
-    would have more than `most` at a target; then the larger ones. before_wrist: number of joints in the second cover; 0
-    for none. A target without any cell has no configuration that keeps the margin."""
+    """Return the cells in which the tool may be clear, for n targets.
+
+    Cells are halved down to the resolution, or until a cover would have more than `most` at a target; then the larger
+    ones are returned. A target without any cell has no configuration that keeps the margin.
+
+    Args:
+        kernels: Compiled functions of the scene.
+        inputs: The lanes' inputs, one row per target.
+        resolution_rad: Radius of a cell below which it is not halved.
+        most: Maximum number of cells in either cover at a target.
+        before_wrist: Number of joints in the second cover; 0: none.
+    """
     lanes = len(inputs.row)
     covers = [_whole(lanes, FACES, 3)] + ([_whole(lanes, 1, before_wrist)] if before_wrist else [])
     going, done = np.ones(lanes, bool), []
@@ -115,8 +143,14 @@ def tool_cells(kernels: Kernels, inputs: LaneInputs, resolution_rad: float, most
 
 
 def excluded(kernels: Kernels, robot: Robot, inputs: LaneInputs, most: int) -> Bool[np.ndarray, "n"]:
-    """True for each of n targets that is proven to have no configuration that keeps the margin, with up to `most` cells
-    in either cover."""
+    """Return True for each of n targets that is proven to have no configuration that keeps the margin.
+
+    Args:
+        kernels: Compiled functions of the scene.
+        robot: The arm.
+        inputs: The lanes' inputs, one row per target.
+        most: Maximum number of cells in either cover at a target.
+    """
     left = tool_cells(kernels, inputs, 0.0, most, len(robot.slides) - WRIST if has_wrist(robot) else 0)
     return ~np.isin(np.arange(len(inputs.row)), left.lane)
 
@@ -129,15 +163,14 @@ def _whole(lanes: int, faces: int, numbers: int) -> Cells:
 
 
 def _largest(cells: Cells, column: np.ndarray, lanes: int) -> np.ndarray:
-    """Maximum of a column over each target's cells; 0 if it has none."""
+    """Return the maximum of a column over each target's cells; 0 if it has none."""
     largest = np.zeros(lanes)
     np.maximum.at(largest, cells.lane, column)
     return largest
 
 
 def _halved(kernels: Kernels, number: int, inputs: LaneInputs, cells: Cells, turn: Int[np.ndarray, "lanes"]) -> Cells:
-    """Return a cover after halving the cells of the targets with `turn` equal to `number`, without those halves that
-    collide."""
+    """Return a cover after halving the cells of the targets with `turn` equal to `number`, without colliding halves."""
     now = turn[cells.lane] == number
     fresh = gather(cells, now).halves()
     if not len(fresh.lane):
@@ -149,7 +182,7 @@ def _halved(kernels: Kernels, number: int, inputs: LaneInputs, cells: Cells, tur
 
 
 def _meets(own: Cells, other: Cells) -> Bool[np.ndarray, "n"]:
-    """True for each cell whose wrist positions can meet those of a cell in the other cover."""
+    """Return True for each cell whose wrist positions can meet those of a cell in the other cover."""
     meets = np.zeros(len(own.lane), bool)
     for k in np.unique(other.lane):
         here, there = own.lane == k, other.lane == k

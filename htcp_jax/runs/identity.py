@@ -11,13 +11,17 @@ from htcp_jax.io.files import opened
 from htcp_jax.io.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 
-# Keys that do not identify a run: it lists its methods itself, may be planned anywhere, and programs are made later.
+# Keys without influence on a run's identity: it lists its methods, may be planned anywhere, and is timed later.
 NO_IDENTITY = "method", "program", "ray"
 NO_CELL = PlanConfig().cell.model_dump(mode="json")
 
 
 def file_hash(file: str | Path) -> str:
-    """Return the SHA-256 of a file's contents. Raises InputError."""
+    """Return the SHA-256 of a file's contents.
+
+    Raises:
+        InputError: For a file that cannot be read.
+    """
     try:
         with opened(Path(file)) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -26,7 +30,15 @@ def file_hash(file: str | Path) -> str:
 
 
 def refuse_changed(files: Mapping[str, str], folder: Path) -> None:
-    """Raise InputError for a file that is missing or has changed since the results in `folder` were planned."""
+    """Check that files have not changed since the results in `folder` were planned.
+
+    Args:
+        files: Their SHA-256 then, by path.
+        folder: Folder of the results, for messages.
+
+    Raises:
+        InputError: For a file that is missing or has changed.
+    """
     for file, known in files.items():
         if file_hash(file) != known:
             raise InputError(f"{file} is not what it was when {folder} was planned")
@@ -38,7 +50,11 @@ def other_format(folder: Path, cause: str) -> InputError:
 
 
 def recorded_config(values: dict, file: Path) -> PlanConfig:
-    """Return the configuration that a run's or a plan's `file` records. Raises InputError."""
+    """Return the configuration that a run's or a plan's `file` records.
+
+    Raises:
+        InputError: For values that are no configuration of this version.
+    """
     try:
         return validate(values, PlanConfig, file.name)
     except InputError as error:
@@ -46,7 +62,14 @@ def recorded_config(values: dict, file: Path) -> PlanConfig:
 
 
 def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]) -> dict:
-    """Return the data that identify a run: files are identified by their contents, not by their paths."""
+    """Return the data that identify a run.
+
+    Args:
+        config: The configuration; file names are absolute.
+        grid: The grid as recorded in a manifest.
+        dtype: Float type of the results.
+        files: SHA-256 of the input files, which are identified by their contents, not by their paths.
+    """
     named = set()
 
     def plain(value: Any) -> Any:

@@ -21,8 +21,16 @@ def anchor_files(config: dict) -> list[tuple[str, str]]:
 
 
 def file_hashes(named: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Return the SHA-256 by file name of files in a configuration, given with their keys, and of the files to which
-    they refer: included models, and meshes of a cell's model. Raises InputError."""
+    """Return the SHA-256 by file name of files in a configuration, and of the files to which they refer.
+
+    These are included models, and meshes of a cell's model.
+
+    Args:
+        named: Dotted keys with their file names.
+
+    Raises:
+        InputError: For a file that cannot be read.
+    """
     found = {}
     for key, name in named:
         found[name] = file_hash(name)

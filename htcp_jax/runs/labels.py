@@ -79,8 +79,10 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def column_of(column: pa.ChunkedArray) -> np.ndarray:
-    """Return a column's values: numbers rounded to 9 digits, so that 0.1 + 0.2 equals 0.3 on an axis; JSON of numbers
-    or strings is decoded, lists stay text."""
+    """Return a column's values; JSON of numbers or strings is decoded, lists stay text.
+
+    Numbers are rounded to 9 digits, so that 0.1 + 0.2 equals 0.3 on an axis.
+    """
     values = np.array(_read_json(column.to_pylist()))
     return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values
 

@@ -34,8 +34,16 @@ class Planned(NamedTuple):
 def plan_here(
     batch: Batch, threads: int | None, device: str | None, shards: Iterable[Shard], report: Callable
 ) -> Iterator[Planned]:
-    """Plan the shards one by one. report(method, batch.Progress of the current shard) is called as a shard advances; an
-    exception in it ends the work. threads, device: see `batch.plan`."""
+    """Plan the shards one after the other.
+
+    Args:
+        batch: The scenarios.
+        threads: See `batch.plan`.
+        device: See `batch.plan`.
+        shards: The shards.
+        report: Called as report(method, batch.Progress of the current shard) as a shard advances; an exception in it
+            ends the work.
+    """
     by = planned_by()
     for shard in shards:
         block = scenarios_of(batch, shard.span)
@@ -57,8 +65,17 @@ def plan_cells(
     report: Callable | None = None,
     device: str | None = None,
 ) -> Plans:
-    """Plan stacked scenarios, each with the robot, workpiece and settings of its cell; one call of the planner per
-    cell. report: see `plan_here`."""
+    """Plan stacked scenarios, each with the robot, workpiece and settings of its cell; one planner call per cell.
+
+    Args:
+        cells: The cells.
+        cell: Index of each scenario's cell.
+        scenarios: Stacked.
+        method: Name of the method.
+        threads: See `batch.plan`.
+        report: See `plan_here`.
+        device: See `batch.plan`.
+    """
     parts: list[tuple[np.ndarray, Plans]] = []
     everything = len(cell), int(scenarios.count.sum())
     for number in dict.fromkeys(cell.tolist()):

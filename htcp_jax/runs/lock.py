@@ -3,7 +3,7 @@
 Only one sweep at a time may write to a folder: the system frees the lock when its process ends, for any reason. SIGINT
 and SIGTERM are recorded, and handled where the work can be stopped cleanly.
 
-The lock is not filelock's, because its file names the process that holds it, and because the folder may be untrusted: a
+The lock is not filelock's, because its file names the process that owns it, and because the folder may be untrusted: a
 symbolic link or a hard link to another file is refused before anything is written.
 """
 
@@ -30,8 +30,11 @@ LOCK = ".lock"
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock; files left by killed processes are removed first. Raises InputError if another process,
-    which is named, holds the lock, and if the folder cannot be written to."""
+    """Lock a folder during a block; files left by killed processes are removed first.
+
+    Raises:
+        InputError: If another process, which is named, has locked it, and if the folder cannot be written to.
+    """
     file = folder / LOCK
     try:
         handle = os.open(file, os.O_RDWR | os.O_CREAT | NO_LINK, 0o644)
@@ -69,7 +72,7 @@ class SignalCame(Exception):
 
 @contextlib.contextmanager
 def signals() -> Iterator[list[int]]:
-    """Yield a list to which the first SIGINT or SIGTERM is appended. A second one is not caught."""
+    """Yield a list to which the first SIGINT or SIGTERM is appended; a second one is not caught."""
     came, handlers = [], {}
 
     def remember(number: int, _) -> None:

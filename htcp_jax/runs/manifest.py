@@ -47,7 +47,10 @@ class Seconds(Section):
 
 
 class Manifest(Section):
-    """manifest.json. Config, grid, dtype and files identify the run; `writer` never mixes two."""
+    """Content of manifest.json.
+
+    Config, grid, dtype and files identify the run; `writer` never mixes two.
+    """
 
     format: Literal[1] = FORMAT
     name: str  # of the sweep
@@ -59,7 +62,7 @@ class Manifest(Section):
     seed: int
     joints: tuple[str, ...]  # columns of x in the tables
     targets: Count  # of all scenarios together
-    full: Scenarios  # scenarios of the whole grid
+    full: Scenarios  # scenarios of the complete grid
     limit: int | None  # of scenarios, as requested
     count: Scenarios  # scenarios to plan: the first of the grid
     shard_scenarios: Annotated[int, Field(gt=0)]

@@ -81,7 +81,13 @@ class MotionSummary(NamedTuple):
 
 
 def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSummary:
-    """Summarise the motion in row `scenario` of `plans`; on_path: see `motion.motion`."""
+    """Summarise the motion of one scenario.
+
+    Args:
+        plans: The plans.
+        on_path: See `motion.motion`.
+        scenario: Row of the scenario.
+    """
     alone = plans.rows([scenario])
     (found,) = zip(*figures(alone, on_path), strict=True)
     _, cost, step, bend, clearance = map(float, found)
@@ -104,6 +110,6 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
 
 
 def _at(targets: tuple[int, ...]) -> str:
-    """List targets: at target 3; at targets 3, 7 and 9."""
+    """Format targets as text: at target 3; at targets 3, 7 and 9."""
     *others, last = map(str, targets)
     return f"at targets {', '.join(others)} and {last}" if others else f"at target {last}"

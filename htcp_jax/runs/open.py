@@ -2,9 +2,9 @@
 
     found = open_plans("out/workpiece")
     found.plans("hybrid").outcomes.complete     # row s is scenario s
-    found.jobs[12]                              # scenario 12 as a job of its own
+    found.jobs[12]                              # scenario 12 as a separate job
 
-Viewer, report and validation read the same record.
+Viewer, report and validation read the same files.
 """
 
 from functools import cached_property
@@ -41,17 +41,29 @@ class RunPlans:
         self.files = run.result_files()  # SHA-256 of the files with results, by name in the folder
 
     def plans(self, method: str) -> Plans:
-        """Read the plans of one method from disk; row s is scenario s. Raises InputError for damaged files."""
+        """Read the plans of one method from disk; row s is scenario s.
+
+        Raises:
+            InputError: For damaged files.
+        """
         return self.run.plans(method)
 
     @cached_property
     def jobs(self) -> list[PlanConfig]:
-        """The scenarios' complete configurations, by number. Raises InputError for a grid that cannot be read."""
+        """The scenarios' complete configurations, by number.
+
+        Raises:
+            InputError: For a grid that cannot be read.
+        """
         return [point.config for point in self.run.points()]
 
     @cached_property
     def parameters(self) -> dict[int, Parameters]:
-        """Parameters of the scenarios with results, by number. Raises InputError for damaged files."""
+        """Parameters of the scenarios with results, by number.
+
+        Raises:
+            InputError: For damaged files.
+        """
         joints = self.run.manifest.joints
         return {
             row["scenario"]: parameters.of_row(row, joints) for row in self.run.scenarios(*self.methods).to_pylist()
@@ -59,12 +71,19 @@ class RunPlans:
 
     @cached_property
     def labels(self) -> dict[int, str]:
-        """Labels of the scenarios, by number. Raises InputError for damaged files."""
+        """Labels of the scenarios, by number.
+
+        Raises:
+            InputError: For damaged files.
+        """
         return self.run.labels()
 
 
 class RankedPlans(RunPlans):
-    """Plans of the placements ranked by a search: k scenarios each, one per seam, the best placement first."""
+    """Plans of the placements ranked by a search.
+
+    k scenarios per placement, one per seam, the best placement first.
+    """
 
     def __init__(self, run: Run, seams: int):
         super().__init__(run)
@@ -72,7 +91,11 @@ class RankedPlans(RunPlans):
 
     @cached_property
     def labels(self) -> dict[int, str]:
-        """Labels of the scenarios, preceded by the rank of their placement. Raises InputError for damaged files."""
+        """Labels of the scenarios, preceded by the rank of their placement.
+
+        Raises:
+            InputError: For damaged files.
+        """
         told = self.run.labels()
         return {
             number: f"rank {number // self._seams + 1}" + (f", {text}" if text else "") for number, text in told.items()
@@ -82,7 +105,8 @@ class RankedPlans(RunPlans):
 class FolderPlan:
     """The plan in one folder, as scenario 0; same interface as `RunPlans`.
 
-    Raises InputError for a configuration that cannot be read and for arrays that do not form one plan.
+    Raises:
+        InputError: For a configuration that cannot be read and for arrays that do not form one plan.
     """
 
     def __init__(self, folder: Path, record: PlanRecord):
@@ -108,8 +132,9 @@ PlanSet = RunPlans | FolderPlan
 def open_plans(folder: str | Path) -> PlanSet:
     """Open the plans in a folder of `htcp sweep` or `htcp plan`, or the ranked plans of `htcp place`.
 
-    Raises InputError for any other folder, for a run without results, a search without a placement, for damaged files,
-    and for a cloud, path or model that has changed since they were planned.
+    Raises:
+        InputError: For any other folder, for a run without results, a search without a placement, for damaged files,
+            and for a cloud, path or model that has changed since they were planned.
     """
     folder = Path(folder)
     if (folder / MANIFEST).exists():
@@ -124,8 +149,11 @@ def open_plans(folder: str | Path) -> PlanSet:
 
 
 def run_folder(folder: Path) -> Path:
-    """Return the folder of the plans: the folder itself, or the run of the best placements in a search's folder. Raises
-    InputError for a search without ranked placements."""
+    """Return the folder of the plans: the folder itself, or the run of the best placements in a search's folder.
+
+    Raises:
+        InputError: For a search without ranked placements.
+    """
     if (folder / MANIFEST).exists() or not (folder / SEARCH).exists():
         return folder
     if not (folder / MOTIONS / MANIFEST).exists():
@@ -134,7 +162,11 @@ def run_folder(folder: Path) -> Path:
 
 
 def plans_of_run(run: Run) -> RunPlans:
-    """Return the plans of an open run. Raises InputError as `open_plans` does."""
+    """Return the plans of an open run.
+
+    Raises:
+        InputError: As `open_plans` does.
+    """
     _refuse_unfit(run)
     return RunPlans(run)
 
@@ -146,7 +178,11 @@ def _refuse_unfit(run: Run) -> None:
 
 
 def _ranked(folder: Path) -> RankedPlans:
-    """Open the plans of a search. Raises InputError without ranked placements, and for a damaged file."""
+    """Open the plans of a search.
+
+    Raises:
+        InputError: Without ranked placements, and for a damaged file.
+    """
     run = open_run(run_folder(folder))
     try:
         seams = read_json(folder / SEARCH, folder)["seams"]
@@ -157,7 +193,11 @@ def _ranked(folder: Path) -> RankedPlans:
 
 
 def _knots(file: Path, record: PlanRecord, joints: int) -> Knots:
-    """Return a plan's via points (knots). Raises InputError for arrays of the wrong shape."""
+    """Return a plan's via points.
+
+    Raises:
+        InputError: For arrays of the wrong shape.
+    """
     target, x = record.knots
     if x.shape != (len(target), joints) or target.dtype.kind not in "iu" or x.dtype.kind != "f":
         raise InputError(f"{file}: the knots have the shape {x.shape}; damaged")
@@ -165,7 +205,11 @@ def _knots(file: Path, record: PlanRecord, joints: int) -> Knots:
 
 
 def _check_shapes(file: Path, arrays: dict[str, np.ndarray], joints: int) -> None:
-    """Raise InputError for arrays that do not form one plan."""
+    """Check that arrays form one plan.
+
+    Raises:
+        InputError: If they do not.
+    """
     count = arrays["status"].size
     shapes = {"start": (joints,), "x": (count, joints), "tcp": (count, 3), "target": (count, 3)}
     for name, array in arrays.items():

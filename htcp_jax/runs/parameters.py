@@ -37,8 +37,12 @@ def of_job(job: PlanConfig) -> Parameters:
 
 
 def of_row(row: Mapping[str, Any], joints: Sequence[str]) -> Parameters:
-    """Return the parameters in a row of a scenario table. joints: names of the columns of x, see
-    `tables.joint_columns`."""
+    """Return the parameters in a row of a scenario table.
+
+    Args:
+        row: Values by column.
+        joints: Names of the columns of x, see `tables.joint_columns`.
+    """
     start, shift = ([row[name] for name in names] for names in (start_columns(joints), SHIFTS))
     return Parameters(np.array(start, float), *(row[name] for name in ROTATIONS), np.array(shift, float), row[TOOL])
 
@@ -46,7 +50,13 @@ def of_row(row: Mapping[str, Any], joints: Sequence[str]) -> Parameters:
 def columns(
     parameters: Sequence[Parameters], start: Float[np.ndarray, "S N"], joints: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Return the columns of S scenarios, in order. start: first configurations of the plans [rad or m]."""
+    """Return the columns of S scenarios, in order.
+
+    Args:
+        parameters: Parameters of each scenario.
+        start: First configurations of the plans [rad or m].
+        joints: Names of the columns of x, see `tables.joint_columns`.
+    """
     found = {name: start[:, k] for k, name in enumerate(start_columns(joints))}
     found |= {name: [getattr(one, name) for one in parameters] for name in ROTATIONS}
     found |= {name: [one.shift_m[k] for one in parameters] for k, name in enumerate(SHIFTS)}

@@ -1,4 +1,4 @@
-"""Files of one plan. Each is written to a temporary file and moved into place."""
+"""Files of one plan, each written to a temporary file and moved into place."""
 
 import contextlib
 import csv
@@ -39,7 +39,11 @@ class PlanRecord(NamedTuple):
 
 
 def read_plan(folder: Path) -> PlanRecord:
-    """Return the plan in `folder`. Raises InputError for files that are missing, damaged or of another format."""
+    """Return the plan in `folder`.
+
+    Raises:
+        InputError: For files that are missing, damaged or of another format.
+    """
     try:
         summary = files.read_json(folder / SUMMARY, folder)
         method, config = str(summary["method"]), dict(summary["config"])
@@ -59,10 +63,10 @@ def read_plan(folder: Path) -> PlanRecord:
 
 @contextlib.contextmanager
 def made_folder(folder: Path) -> Iterator[bool]:
-    """Create `folder` with its parents; new folders that are empty at the end are removed. Yields True if the folder is
-    new.
+    """Create `folder` with its parents, and yield True if it is new; new folders that are empty at the end are removed.
 
-    Raises InputError if it cannot be made.
+    Raises:
+        InputError: If it cannot be made.
     """
     try:
         missing = [each for each in (folder, *folder.parents) if not each.exists()]  # a name may be too long
@@ -84,7 +88,8 @@ def made_folder(folder: Path) -> Iterator[bool]:
 def written_whole(folder: Path) -> Iterator[Path]:
     """Yield a scratch folder whose files are moved into `folder` at the end of the block, or deleted if it raises.
 
-    Raises InputError at once if `folder` cannot be made or written, and later if the files cannot be moved.
+    Raises:
+        InputError: At once if `folder` cannot be made or written, and later if the files cannot be moved.
     """
     with made_folder(folder):
         try:
@@ -101,8 +106,19 @@ def _unwritable(folder: Path, error: OSError) -> InputError:
 
 
 def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
-    """Write one line per target; NaN in `plans`, for unknown values, becomes an empty cell. Numbers round-trip
-    exactly."""
+    """Write one line per target; NaN in `plans`, for unknown values, becomes an empty cell.
+
+    Numbers round-trip exactly.
+
+    Args:
+        file: The file.
+        robot: The arm, for the names and units of its joints.
+        plans: The plans.
+        row: Row of the scenario.
+
+    Raises:
+        InputError: As `write_text` does.
+    """
     statuses = [Status(status).name for status in plans.status[row].tolist()]
     columns = {"target": range(len(statuses)), "status": statuses, **_joints(robot, plans.x[row])}
     for name, points in (("tcp", plans.tcp), ("target", plans.target)):
@@ -122,8 +138,18 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 
 def write_motion_csv(file: Path, robot: Robot, motion: Motion) -> None:
-    """Write one line per configuration of the motion: its target and `status.Kind`, see `motion.motion`, and the
-    joints; no lines if no target is executable. Numbers round-trip exactly."""
+    """Write one line per configuration of a motion: its target, `status.Kind` and joints.
+
+    No lines if no target is executable. Numbers round-trip exactly.
+
+    Args:
+        file: The file.
+        robot: The arm, for the names and units of its joints.
+        motion: See `motion.motion`.
+
+    Raises:
+        InputError: As `write_text` does.
+    """
     kinds = [Kind(kind).name for kind in motion.kind.tolist()]
     _write_csv(file, {"target": motion.target, "kind": kinds, **_joints(robot, motion.x)})
 
@@ -146,8 +172,19 @@ def _write_csv(file: Path, columns: Mapping[str, Iterable]) -> None:
 
 
 def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
-    """Write the arrays of `plans` for one scenario under the names of its fields, including `start` (N,), with
-    `joint_names` and the via points' `knot_target` (n,) and `knot_x` (n, N); no pickles."""
+    """Write the arrays of `plans` for one scenario under the names of its fields; no pickles.
+
+    `start` is (N,). Further arrays: `joint_names` and the via points' `knot_target` (n,) and `knot_x` (n, N).
+
+    Args:
+        file: The file.
+        robot: The arm, for the names of its joints.
+        plans: The plans.
+        row: Row of the scenario.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
     arrays = {name: array[row] for name, array in plans.arrays().items()}
     knots = plans.knots.rows(np.array([row]))
     names = np.array(robot.joint_names)
@@ -157,7 +194,11 @@ def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 
 def write_json(file: Path, record: dict) -> None:
-    """Write `record` as JSON, NaN and infinities as null. Raises InputError as `write_text` does."""
+    """Write `record` as JSON, NaN and infinities as null.
+
+    Raises:
+        InputError: As `write_text` does.
+    """
     write_text(file, json_text(record) + "\n")
 
 
@@ -170,7 +211,8 @@ def json_text(record: Any) -> str:
 def writable_file(file: Path) -> Iterator[None]:
     """Create the folder of a file that is written at the end of the block; it is removed again if it is empty then.
 
-    Raises InputError at once, without side effects, if the file cannot be written.
+    Raises:
+        InputError: At once, without side effects, if the file cannot be written.
     """
     with made_folder(file.parent):
         try:
@@ -186,8 +228,11 @@ def writable_file(file: Path) -> Iterator[None]:
 
 
 def append_text(file: Path, text: str) -> None:
-    """Append to a file in UTF-8, after an empty line if it is not empty. Raises InputError if it cannot be written; the
-    file is then unchanged."""
+    """Append to a file in UTF-8, after an empty line if it is not empty.
+
+    Raises:
+        InputError: If it cannot be written; the file is then unchanged.
+    """
     before = 0
     try:
         before = file.stat().st_size if file.exists() else None
@@ -200,8 +245,11 @@ def append_text(file: Path, text: str) -> None:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a file in UTF-8 atomically. Raises InputError if it cannot be written; an existing file is then
-    unchanged."""
+    """Write a file in UTF-8 atomically.
+
+    Raises:
+        InputError: If it cannot be written; an existing file is then unchanged.
+    """
     files.write(file.parent, file.name, text.encode())
 
 

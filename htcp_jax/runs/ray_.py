@@ -37,11 +37,16 @@ GPU_SHARE = 0.75  # of a GPU's memory that JAX allocates by default
 
 @contextlib.contextmanager
 def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
-    """Connect to the cluster at `address`, or without one to the cluster that Ray finds or a new one on this machine,
-    and yield plan(shards, report), see `local.plan_here`.
+    """Connect to a Ray cluster and yield plan(shards, report), see `local.plan_here`.
 
-    Raises InputError if Ray is not installed, cannot be reached, or this machine lacks the GPUs of a shard; plan raises
-    Lost if a shard's workers died more often than `config.ray.retries` allows, or the cluster died.
+    Args:
+        batch: The scenarios.
+        config: Configuration with the resources of a shard.
+        address: Address of the cluster; empty: the cluster that Ray finds, or a new one on this machine.
+
+    Raises:
+        InputError: If Ray is not installed, cannot be reached, or this machine lacks the GPUs of a shard.
+        Lost: By plan, if a shard's workers died more often than `config.ray.retries` allows, or the cluster died.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
@@ -71,8 +76,11 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
 
 
 def _is_there(address: str) -> bool:
-    """Return True for a cluster that answers, False if a new one is to be started. Raises OSError for one that does not
-    answer: Ray itself would retry for a minute, and print messages."""
+    """Return True for a cluster that answers, False if a new one is to be started.
+
+    Raises:
+        OSError: For one that does not answer: Ray itself would retry for a minute, and print messages.
+    """
     from ray._private.services import canonicalize_bootstrap_address
 
     if address.startswith("ray://"):  # Ray's client
@@ -88,8 +96,10 @@ def _is_there(address: str) -> bool:
 
 
 def _own_cluster() -> dict[str, bool]:
-    """Return constants with which a new cluster listens only on 127.0.0.1, and require the user's token. Ray replaces
-    127.0.0.1 by another address unless its clusters are confined to one machine, as on Windows."""
+    """Return constants with which a new cluster listens only on 127.0.0.1, and require the user's token.
+
+    Ray replaces 127.0.0.1 by another address unless its clusters are confined to one machine, as on Windows.
+    """
     from ray._private.authentication.authentication_token_setup import enable_token_auth_by_default
 
     enable_token_auth_by_default()  # RAY_AUTH_MODE, if it is set, decides
@@ -114,9 +124,11 @@ def _on_host(cell: Cell) -> Cell:
 
 
 def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable) -> Iterator[Planned]:
-    """Plan the shards. More tasks are queued than the cluster can run, so that it never idles and may scale up. The
-    slowest methods, the last in `registry.names`, are started first, so that the workers finish at about the same
-    time."""
+    """Plan the shards.
+
+    More tasks are queued than the cluster can run, so that it never idles and may scale up. The slowest methods, the
+    last in `registry.names`, are started first, so that the workers finish at about the same time.
+    """
     task = ray.remote(_plan_shard).options(
         num_cpus=config.ray.num_cpus,
         num_gpus=config.ray.num_gpus,
@@ -159,16 +171,24 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report
 
 
 def _refuse_missing_gpus(ray, share: RayConfig) -> None:
-    """Raise InputError for GPUs that this machine lacks, if this process has started Ray, which then has no other
-    nodes. Another cluster may scale up."""
+    """Check that this machine has the required GPUs if this process has started Ray, which then has no other nodes.
+
+    Another cluster may scale up.
+
+    Raises:
+        InputError: If it has fewer.
+    """
     node = ray._private.worker.global_worker.node
     if node is not None and node.is_head() and (has := ray.cluster_resources().get("GPU", 0)) < share.num_gpus:
         raise InputError(f"ray.num_gpus is {share.num_gpus:g}; this machine has {has:g} GPUs")
 
 
 def _own_node_answers(ray) -> bool:
-    """Return True if this process's own node is alive. Ray notices its death only after some seconds, and then ends the
-    process without an exception when it next accesses the node's memory."""
+    """Return True if this process's own node is alive.
+
+    Ray notices its death only after some seconds, and then ends the process without an exception when it next accesses
+    the node's memory.
+    """
     node = getattr(ray._private.worker.global_worker, "node", None)
     if node is None:  # connected by Ray's client, to a process elsewhere
         return True
@@ -190,8 +210,10 @@ def _plan_shard(
 
 
 def _environment(share: RayConfig) -> dict[str, str]:
-    """Return the workers' environment: no GPU for tasks that request none, a part of its memory for tasks that share
-    it."""
+    """Return the workers' environment.
+
+    No GPU for tasks that request none, a part of its memory for tasks that share it.
+    """
     if not share.num_gpus:
         return {"JAX_PLATFORMS": "cpu"}
     return {"XLA_PYTHON_CLIENT_MEM_FRACTION": f"{GPU_SHARE * min(1.0, share.num_gpus):.3f}"}

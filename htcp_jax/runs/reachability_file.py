@@ -23,8 +23,11 @@ class Reachable(NamedTuple):
 
 
 def read_reachability(run: Run) -> Reachable | None:
-    """Read the reachability bounds of a run; None without a search, or after an interrupted one. Raises InputError for
-    a damaged file, and for another number of scenarios."""
+    """Read the reachability bounds of a run; None without a search, or after an interrupted one.
+
+    Raises:
+        InputError: For a damaged file, and for another number of scenarios.
+    """
     file = Path(run.folder) / REACHABILITY
     try:
         record = read_json(file, Path(run.folder))

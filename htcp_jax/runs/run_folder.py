@@ -1,12 +1,13 @@
-"""The folder of a sweep's results. Each file is written to a temporary file and moved into place.
+"""The folder of a sweep's results.
 
     manifest.json                                     request, provenance and list of finished shards
     targets/<method>-<first>-<last>.parquet           rows of the scenarios <first> to <last>: a shard
     scenarios/<method>-<first>-<last>.parquet         see `tables` for the columns
     timing/<method>.parquet                           times of a method's scenarios, if requested: see `timing_file`
 
-A shard's file is valid only if the manifest lists it with its size and SHA-256. The manifest is written after the files
-of a shard, so a shard is completely in the run or not at all, whenever the process dies.
+Each file is written to a temporary file and moved into place. A shard's file is valid only if the manifest lists it
+with its size and SHA-256. The manifest is written after the files of a shard, so a shard is completely in the run or
+not at all, whenever the process dies.
 """
 
 import hashlib
@@ -76,9 +77,14 @@ class Run:
         )
 
     def frame(self, table: str = "scenarios", *methods: str) -> "pandas.DataFrame":
-        """Return one of the two tables, scenarios or targets, of all methods or of those named, as a pandas frame.
+        """Return one of the two tables as a pandas frame.
 
-        Raises InputError as `targets` does, for another table, and without pandas.
+        Args:
+            table: scenarios or targets.
+            *methods: Names of methods; none: all.
+
+        Raises:
+            InputError: As `targets` does, for another table, and without pandas.
         """
         if table not in TABLES:
             raise InputError(f"a run has no table {table!r}; valid: scenarios, targets")
@@ -106,13 +112,18 @@ class Run:
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Keys of the configuration in which scenarios may differ (robots, workpieces, settings), except the parameters
-        that have columns in every run."""
+        """Keys of the configuration in which scenarios may differ (robots, workpieces, settings).
+
+        Except the parameters that have columns in every run.
+        """
         return varied_keys(name for group in self.manifest.grid for axis in group["axes"] for name in axis)
 
     def points(self) -> tuple[Point, ...]:
-        """Return the scenarios with their complete configurations. Raises InputError for a manifest whose grid cannot
-        be read."""
+        """Return the scenarios with their complete configurations.
+
+        Raises:
+            InputError: For a manifest whose grid cannot be read.
+        """
         config, grid = self.config, self.manifest.grid
         joints = [column.rpartition("_")[0] for column in self.manifest.joints]
         try:
@@ -127,23 +138,35 @@ class Run:
     def targets(self, *methods: str) -> pa.Table:
         """Return one row per method, scenario and target, of all methods or of those named.
 
-        Raises InputError for a method that the run lacks, and naming a file that is missing or damaged.
+        Raises:
+            InputError: For a method that the run lacks, and naming a file that is missing or damaged.
         """
         return self._read("targets", methods)
 
     def scenarios(self, *methods: str) -> pa.Table:
-        """Return one row per method and scenario, with its times, if any, see `timing_file`. Raises InputError as
-        `targets` does, and for a damaged file of times."""
+        """Return one row per method and scenario, with its times, if any, see `timing_file`.
+
+        Raises:
+            InputError: As `targets` does, and for a damaged file of times.
+        """
         return with_timing(self.folder, self.manifest.shards, self._read("scenarios", methods))
 
     def timing(self, method: str) -> Timing | None:
-        """Return the times of a method; None without any. Raises InputError for a damaged file."""
+        """Return the times of a method; None without any.
+
+        Raises:
+            InputError: For a damaged file.
+        """
         return read_timing(self.folder, self.manifest.shards, method)
 
     def plans(self, method: str) -> Plans:
-        """Return the plans of one method as arrays; S = `manifest.count`, row s is scenario s. The status is NO_TARGET
-        for scenarios not planned yet, and behind the last target of shorter ones. Raises InputError as `targets`
-        does."""
+        """Return the plans of one method as arrays; S = `manifest.count`, row s is scenario s.
+
+        The status is NO_TARGET for scenarios not planned yet, and behind the last target of shorter ones.
+
+        Raises:
+            InputError: As `targets` does.
+        """
         rows, seconds = (
             (self.targets(method), self._read("scenarios", (method,))),
             self.manifest.seconds.get(method, Seconds()),
@@ -154,8 +177,11 @@ class Run:
             raise InputError(f"{self.folder}: the rows of {method} are not of this run: {error}") from None
 
     def labels(self) -> dict[int, str]:
-        """Return the labels of scenarios planned by at least one method, by number. Raises InputError as `targets`
-        does."""
+        """Return the labels of scenarios planned by at least one method, by number.
+
+        Raises:
+            InputError: As `targets` does.
+        """
         return labels_of(self._read("scenarios", tuple(dict.fromkeys(shard.method for shard in self.manifest.shards))))
 
     def result_files(self) -> dict[str, str]:
@@ -198,7 +224,11 @@ class Run:
 
 
 def open_run(folder: str | Path) -> Run:
-    """Open the run in `folder`, also while it is being planned. Raises InputError for a folder without a run."""
+    """Open the run in `folder`, also while it is being planned.
+
+    Raises:
+        InputError: For a folder without a run, and for a damaged manifest or one of another version.
+    """
     folder = Path(folder)
     try:
         raw = read_json(folder / MANIFEST, folder)

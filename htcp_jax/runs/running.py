@@ -30,15 +30,21 @@ class RunningSummary:
 
     def plans(self, run: Run, method: str) -> Plans:
         """Return all plans of one method, without configurations if all are in memory; else read from the run's folder.
-        Raises InputError for damaged files."""
+
+        Raises:
+            InputError: For damaged files.
+        """
         if (known := self._known(run, method)) is None:
             return run.plans(method)
         seconds = run.manifest.seconds.get(method, Seconds())
         return Plans.concatenate([shard.plans for shard in known])._replace(**seconds.model_dump())
 
     def margins_m(self, run: Run, *methods: str) -> np.ndarray:
-        """Return the distinct required clearances of the methods' scenarios, sorted [m]. Raises InputError as
-        `plans`."""
+        """Return the distinct required clearances of the methods' scenarios, sorted [m].
+
+        Raises:
+            InputError: As `plans` does.
+        """
         known = [self._known(run, method) for method in methods]
         if None in known:
             return np.unique(run.scenarios(*methods)["margin_m"].to_numpy())

@@ -36,7 +36,7 @@ class Summary(NamedTuple):
     run_s: float
     tcp_distance_mean_mm: float
     tcp_distance_max_mm: float
-    orientation_error_mean_deg: float | None  # None, as the next, if the task holds no orientation
+    orientation_error_mean_deg: float | None  # None, as the next, if the task constrains no orientation
     orientation_error_max_deg: float | None
     clearance_min_mm: float
     clearance_mean_mm: float

@@ -69,17 +69,29 @@ def sweep(
     on: str = "here",
     device: str | None = None,
 ) -> Run:
-    """Plan the grid of a sweep file, or of a mapping in place of one, and return the run.
+    """Plan the grid of a sweep, and return the run.
 
-    methods: "all", comma-separated names, or a list of names. out: the run folder; without one, a temporary folder that
-    is deleted with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
-    limit: plan only the first scenarios of the grid. shard_scenarios: scenarios per shard; a run folder keeps its first
-    choice. finished: called with every written shard. on: "here" plans on this machine, in several processes if that is
-    faster, or with `threads` engines in this one, see `batch.plan`; "ray" or "ray:<address>" sends the shards to Ray's
-    workers, see `ray_`. device: of this process, see `device_of`.
+    Args:
+        spec: A sweep file, the name of an example, or a mapping in place of a file, see `load_sweep`; or a loaded
+            sweep.
+        methods: "all", comma-separated names, or a list of names.
+        out: The run folder; None: a temporary folder that is deleted with the run.
+        config: See `load_sweep`.
+        overrides: See `load_sweep`.
+        limit: Plan only so many scenarios, the first of the grid.
+        seed: `settings.seed`.
+        progress: Called with the totals of a method when they change.
+        finished: Called with every written shard.
+        threads: Engines in this process, see `batch.plan`.
+        shard_scenarios: Scenarios per shard; an existing run folder keeps its own.
+        on: "here" plans on this machine, in several processes if that is faster, or with `threads` engines in this one,
+            see `batch.plan`; "ray" or "ray:<address>" sends the shards to Ray's workers, see `ray_`.
+        device: Device of this process, see `device_of`.
 
-    Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
-    Interrupted on SIGINT and SIGTERM, and Lost if workers are lost. Finished shards are then kept in the folder.
+    Raises:
+        InputError: For bad input, and for a folder that contains another sweep, is in use or cannot be written.
+        Interrupted: On SIGINT and SIGTERM; finished shards are kept in the folder.
+        Lost: If workers are lost; finished shards are kept in the folder.
     """
     device_of(on, device)
     choose(device)  # before anything is computed
@@ -130,7 +142,10 @@ def sweep(
 
 def device_of(on: str, device: str | None) -> str | None:
     """Return the device of this process, see `device.devices`: with Ray the CPU, to leave GPU memory to the workers.
-    Raises InputError for an invalid `on`, and for another device with Ray."""
+
+    Raises:
+        InputError: For an invalid `on`, and for another device with Ray.
+    """
     if on == "here":
         return device
     if on.partition(":")[0] != "ray":
@@ -143,8 +158,17 @@ def device_of(on: str, device: str | None) -> str | None:
 
 
 def keep_plans(spec: Sweep, method: str, plans: Plans, out: str | Path) -> Run:
-    """Write existing plans, one row per scenario of the grid, as a run; the content of `out` is replaced. Raises
-    InputError if it cannot be written."""
+    """Write existing plans as a run; the content of `out` is replaced.
+
+    Args:
+        spec: The sweep.
+        method: Name of the plans' method.
+        plans: One row per scenario of the grid.
+        out: The run folder.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
     batch, folder = spec.batch(), Path(out)
     shutil.rmtree(folder, ignore_errors=True)
     with made_folder(folder):
@@ -165,8 +189,11 @@ def seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Se
 
 
 def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the methods named by "all", "a,b" or a list. Raises InputError for an empty list, and for a method that is
-    unknown, cannot be imported, or is repeated."""
+    """Return the methods named by "all", "a,b" or a list.
+
+    Raises:
+        InputError: For an empty list, and for a method that is unknown, cannot be imported, or is repeated.
+    """
     if methods == "all":
         return tuple(registry.all_methods())
     names = [name.strip() for name in methods.split(",")] if isinstance(methods, str) else list(methods)
@@ -264,8 +291,10 @@ class _Scratch:
 
 @contextlib.contextmanager
 def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any, Callable[[], None]]]:
-    """Yield the run folder, an object that keeps it alive, and a function that removes it. A new folder without results
-    is removed at the end."""
+    """Yield the run folder, an object that keeps it alive, and a function that removes it.
+
+    A new folder without results is removed at the end.
+    """
     if out is None:
         scratch = _Scratch()
         yield scratch.folder, scratch, lambda: None

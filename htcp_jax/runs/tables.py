@@ -19,8 +19,8 @@
     way_clearance_m double  guaranteed D along that segment; null if it is not proven
     knots          list of double   via points of that segment, configurations one after the other; null for a straight
                             joint path
-    escape         int8     0 none, k: stage k of the method's recovery strategies (escapes); one beyond its last:
-                            planned backwards from a configuration sampled at a later target, see
+    escape         int8     0 none, k: stage k of the method's recovery strategies; one beyond its last: planned
+                            backwards from a configuration sampled at a later target, see
                             `planning.tracking.backwards`
     <joint>_rad    double   configuration x, one column per joint (<joint>_m for a slide)
     tcp_x_m ...    double   tool centre point, world; three columns
@@ -37,7 +37,7 @@
     failed_target  int32    the first that is not tracked; null if complete, as are the next two columns
     failure        string   its status
     reason         string   message of that status
-    after_escape   int32    targets tracked after a recovery (escape)
+    after_escape   int32    targets tracked after a recovery
     blocked_paths  int32    tracked targets whose joint path from the row before collides
     dwells         int32    targets at which the arm changes its configuration; this and the next four for the
                             executable part, null if no target, or none on the path, is executable
@@ -86,7 +86,14 @@ def joint_columns(robot: Robot) -> tuple[str, ...]:
 
 
 def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequence[str]) -> pa.Table:
-    """Return the rows of existing targets; numbers: of the scenarios (S,)."""
+    """Return the rows of existing targets.
+
+    Args:
+        method: Name of the method.
+        numbers: Numbers of the scenarios (S,).
+        plans: Their plans.
+        joints: Names of the columns of x, see `joint_columns`.
+    """
     s, t = np.nonzero(plans.exists)
     status, path_clear = plans.status[s, t], plans.path_clear[s, t]
     columns = {
@@ -115,8 +122,15 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
 def scenario_table(
     method: str, points: Sequence[Point], plans: Plans, joints: Sequence[str], varied: Sequence[str] = ()
 ) -> pa.Table:
-    """Return the rows of scenarios, in the order of `points`; varied: keys that vary and have no column of their
-    own."""
+    """Return the rows of scenarios, in the order of `points`.
+
+    Args:
+        method: Name of the method.
+        points: The scenarios.
+        plans: Their plans.
+        joints: Names of the columns of x, see `joint_columns`.
+        varied: Keys that vary and are no column of every run.
+    """
     tracked, ends = plans.tracked, plans.outcomes
     columns = {
         "method": pa.array([method] * len(points), pa.string()),
@@ -138,7 +152,7 @@ def scenario_table(
 
 
 def _ends(ends: Outcomes) -> dict[str, pa.Array]:
-    """Return the columns on completion: whether each scenario is complete, its failed target and the reason."""
+    """Return the columns on completion: complete, the failed target, its status and the reason."""
     status = [Status(code) if code != NO_TARGET else None for code in ends.status.tolist()]
     return {
         "complete": pa.array(ends.failed < 0),
@@ -167,9 +181,23 @@ def empty_tables(joints: Sequence[str], varied: Sequence[str] = ()) -> dict[str,
 def plans_of(
     targets: pa.Table, scenarios: pa.Table, count: int, joints: Sequence[str], compile_s: float, run_s: float
 ) -> Plans:
-    """Return the plans of scenarios 0 to `count` - 1 from one method's rows in both tables. Missing rows are as in
-    `Plans.empty`, without targets. Raises IndexError, KeyError or ValueError for rows of other scenarios and for
-    unknown statuses."""
+    """Return the plans of scenarios 0 to `count` - 1 from one method's rows in both tables.
+
+    Missing rows are as in `Plans.empty`, without targets.
+
+    Args:
+        targets: Rows of the method's targets.
+        scenarios: Rows of its scenarios.
+        count: Number of scenarios.
+        joints: Names of the columns of x, see `joint_columns`.
+        compile_s: For `Plans.compile_s`.
+        run_s: For `Plans.run_s`.
+
+    Raises:
+        IndexError: For rows of other scenarios, and for too few rows for their numbers.
+        KeyError: For unknown statuses, and for missing columns.
+        ValueError: For values of other shapes.
+    """
     s, t = targets["scenario"].to_numpy(), targets["target"].to_numpy()
     if min(s.min(initial=0), t.min(initial=0)) < 0 or t.max(initial=0) >= len(targets):
         raise IndexError("a row of no scenario or no target")
@@ -226,7 +254,8 @@ def _axes(name: str) -> tuple[str, ...]:
 def frame_of(table: pa.Table) -> "pandas.DataFrame":
     """Return the table as a pandas frame; integers and booleans keep their type with nulls.
 
-    Raises InputError without pandas, which comes with the extra `notebooks`.
+    Raises:
+        InputError: Without pandas, which comes with the extra `notebooks`.
     """
     try:
         import pandas

@@ -13,7 +13,7 @@
     torque_share, torque_joint   as above for the effort limits, on the complete motion; null if the arm's model has no
                                  inertias or no effort limits
 
-The file's metadata hold its settings and the hashes of the timed results: rows for outdated results are ignored.
+The file's metadata contain its settings and the hashes of the timed results: rows for outdated results are ignored.
 """
 
 import json
@@ -29,7 +29,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.files import LARGEST, opened, parquet_bytes, read_parquet
 
 TIMING, MADE = "timing", b"htcp_jax"
-HELD_OVER = 0.99  # share of the path's length from which a scenario holds its feed
+HELD_OVER = 0.99  # share of the path's length from which a scenario keeps its feed
 LIMITS = "velocity", "acceleration", "jerk"
 SCHEMA = pa.schema(
     [
@@ -66,8 +66,10 @@ class Timing(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Settings as text: "20 mm/s; limits: velocity by the model, full speed in 0.2 s, full acceleration in 0.1
-        s"."""
+        """Settings as text.
+
+        "20 mm/s; limits: velocity by the model, full speed in 0.2 s, full acceleration in 0.1 s".
+        """
         own = [name for name in LIMITS if self.limits.get(name) is not None]
         given = f"{', '.join(own)} by the job" if own else ""
         model = "" if "velocity" in own else "velocity by the model"
@@ -82,7 +84,7 @@ class Timing(NamedTuple):
 
     @property
     def held(self) -> int:
-        """Number of scenarios that hold their feed on at least HELD_OVER of their path."""
+        """Number of scenarios that keep their feed on at least HELD_OVER of their path."""
         return int((column(self.timed, "feed_held_share") >= HELD_OVER).sum())
 
 
@@ -97,7 +99,16 @@ def timing_file(folder: Path, method: str) -> Path:
 
 
 def read_timing(folder: Path, shards: Iterable[Shard], method: str) -> Timing | None:
-    """Read the times of a method's current results; None without any. Raises InputError for a damaged file."""
+    """Read the times of a method's current results; None without any.
+
+    Args:
+        folder: The run folder.
+        shards: Its shards.
+        method: Name of the method.
+
+    Raises:
+        InputError: For a damaged file.
+    """
     file = timing_file(folder, method)
     if not file.exists():
         return None
@@ -124,8 +135,16 @@ def timing_bytes(timing: Timing, shards: Iterable[Shard], method: str) -> bytes:
 
 
 def with_timing(folder: Path, shards: Iterable[Shard], scenarios: pa.Table) -> pa.Table:
-    """Add columns of times to rows of the table of scenarios, if any of the methods has been timed. Raises InputError
-    as `read_timing` does."""
+    """Add columns of times to rows of the table of scenarios, if any of the methods has been timed.
+
+    Args:
+        folder: The run folder.
+        shards: Its shards.
+        scenarios: Rows of the table.
+
+    Raises:
+        InputError: As `read_timing` does.
+    """
     methods = dict.fromkeys(scenarios["method"].to_pylist())
     found = {method: known for method in methods if (known := read_timing(folder, shards, method)) is not None}
     if not found:

@@ -1,4 +1,4 @@
-"""Writing of a run folder: begin or continue it, then add shard by shard. The caller holds the folder's lock."""
+"""Writing of a run folder, which the caller has locked: begin or continue it, then add shard by shard."""
 
 import hashlib
 import warnings
@@ -18,11 +18,18 @@ from htcp_jax.runs.run_folder import Run, fault, open_run
 
 
 def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
-    """Create or continue the run `asked` in `folder`, and return it with its finished shards. Shards with a damaged
-    file become unfinished, with one warning per method.
+    """Create or continue the run `asked` in `folder`, and return it with its finished shards.
 
-    Raises InputError if the folder holds another run, more scenarios of this one, or results without a manifest, and if
-    it cannot be written.
+    Shards with a damaged file become unfinished, with one warning per method.
+
+    Args:
+        folder: The run folder.
+        asked: Manifest of the requested run, without shards.
+        keep: An object that the run keeps alive.
+
+    Raises:
+        InputError: If the folder contains another run, more scenarios of this one, or results without a manifest, and
+            if it cannot be written.
     """
     _lay_out(folder)
     if not (folder / MANIFEST).exists():
@@ -43,8 +50,19 @@ def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
 
 
 def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: Plans, by: dict) -> Run:
-    """Write one more shard and return the run with it; by: `planned_by` of the process that planned it. Raises
-    InputError if it cannot be written; the run on disk is then unchanged."""
+    """Write one more shard and return the run with it.
+
+    Args:
+        run: The run.
+        method: The shard's method.
+        span: Its scenarios.
+        tables: Its rows in both tables.
+        plans: Its plans.
+        by: `planned_by` of the process that planned it.
+
+    Raises:
+        InputError: If it cannot be written; the run on disk is then unchanged.
+    """
     name, manifest = shard_name(method, span), run.manifest
     files = {table: _write_parquet(run.folder, table, name, rows) for table, rows in tables.items()}
     planned_by = manifest.planned_by if by in manifest.planned_by else (*manifest.planned_by, by)

@@ -10,7 +10,7 @@ from htcp_jax.trajectory.timed import Timed
 
 
 class UserFrame(NamedTuple):
-    """Poses of the TCP in a numbered frame of the controller."""
+    """A numbered frame of the controller, with poses of the TCP in it."""
 
     number: int
     T_frame_tcp: Float[np.ndarray, "n 4 4"]  # [m]
@@ -41,7 +41,7 @@ class Beside(NamedTuple):
 
 
 def header(timed: Timed, *more: str) -> list[str]:
-    """Return the header of every file, one sentence per line. more: further sentences of the format."""
+    """Return the header of every file, one sentence per line; `more` are further sentences of the format."""
     duration_s = timed.time_s[-1] - timed.time_s[0]
     return [
         f"{len(timed.x)} postures of {len(timed.joint_names)} joints, {duration_s:.3f} s.",

@@ -6,7 +6,7 @@ d_k of a corner, where with Delta = t_k - t_{k-1} and w = (u - u_k) / d_k
     q = x_k + t_{k-1} (u - u_k) + d_k Delta F(w),    F'' = 15/16 (1 - w^2)^2,    F(-1) = F'(-1) = 0,
 
 so that F(1) = F'(1) = 1. It is at most F(0) d_k Delta = 5/32 d_k Delta from the polyline, at the corner, always along
-Delta, and within the triangle that the corner spans: joint limits that hold for the via points hold for it.
+Delta, and within the triangle that the corner spans: joint limits that the via points keep are kept by the curve.
 """
 
 from typing import NamedTuple
@@ -35,12 +35,12 @@ class Curve(NamedTuple):
 
     @property
     def slopes(self) -> Float[np.ndarray, "k1 N"]:
-        """dx / du on the polyline's legs."""
+        """Derivatives dx / du on the polyline's legs."""
         return np.diff(self.x, axis=0) / np.diff(self.u)[:, None]
 
     @property
     def turns(self) -> Float[np.ndarray, "k N"]:
-        """Delta at the via points; 0 at both ends."""
+        """Changes of slope Delta at the via points; 0 at both ends."""
         return np.pad(np.diff(self.slopes, axis=0), ((1, 1), (0, 0)))
 
     def leg(self, u: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
@@ -69,8 +69,12 @@ class Curve(NamedTuple):
         return Derivatives(x, first, second, third)
 
     def grid(self, on_corner: int, on_leg: int) -> Float[np.ndarray, "m"]:
-        """Return positions along the curve: `on_corner` on each corner, and between two corners `on_leg` halvings from
-        the middle towards each one; ends included."""
+        """Return positions along the curve, both ends included.
+
+        Args:
+            on_corner: Number of positions on each corner.
+            on_leg: Number of halvings, from the middle between two corners towards each one.
+        """
         near = 0.5 ** np.arange(1, on_leg + 1)
         shares = np.concatenate([[0.0], near[::-1], 1 - near[1:], [1.0]])
         before, after = self.u[:-1] + self.reach[:-1], self.u[1:] - self.reach[1:]
@@ -81,7 +85,7 @@ class Curve(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """A curve from stop to stop, with the row of the motion to which each leg leads."""
+    """A section of the motion: a curve from stop to stop, with the row of the motion to which each leg leads."""
 
     curve: Curve  # over the TCP's path length [m] if it feeds; else over the time at full speed [s]
     row: Int[np.ndarray, "m"]

@@ -43,8 +43,10 @@ class Figures(NamedTuple):
 
 
 def figures(made: Program, limits: Limits) -> Figures:
-    """Compute the figures of a program. Without a motion along a path, shares of it and the feed are NaN, and
-    `path_shares` is empty."""
+    """Compute the figures of a program.
+
+    Without a motion along a path, shares of it and the feed are NaN, and `path_shares` is empty.
+    """
     feeding = [law for stretch, law in zip(made.stretches, made.laws, strict=True) if stretch.feeds]
     path, dips = float(sum(law.path.place[-1] for law in feeding)), made.dips()
     off = sum(dip.end_m - dip.begin_m for dip in dips)
@@ -74,7 +76,7 @@ def _seconds(made: Program) -> dict[str, float]:
 
 
 def _reached(feeding: list[Law], dips: list[Dip]) -> dict[str, float | str | None]:
-    """Return the minimum feed and its cause. The arm stops between two stretches."""
+    """Return the minimum feed and its cause; the arm stops between two sections."""
     if not feeding:
         return {"reached_m_s": np.nan, "reason": None}
     if feeding[1:]:
@@ -87,8 +89,11 @@ def _reached(feeding: list[Law], dips: list[Dip]) -> dict[str, float | str | Non
 
 
 def _between_ends(law: Law) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return positions and speeds between run-up and run-down: from the first to the last position at which the time
-    scaling, before its moving mean, reaches a speed limit. Only the fastest position if there are none."""
+    """Return positions and speeds between run-up and run-down.
+
+    That is from the first to the last position at which the time scaling, before its moving mean, reaches a speed
+    limit; only the fastest position if there are none.
+    """
     own, when = law.speed, instants(law.speed)
     place, speed = own.at(when)[:2]
     capped = np.flatnonzero(own.speed[1:-1] >= (1 - ROUNDING) * law.cap[1:-1]) + 1
@@ -102,7 +107,7 @@ def _between_ends(law: Law) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "
 
 
 def _looked_at(made: Program, limits: Limits) -> list[tuple[np.ndarray, list[np.ndarray]]]:
-    """Return for each stretch times, and the joints' used shares of velocity, acceleration and jerk."""
+    """Return for each section times, and the joints' used shares of velocity, acceleration and jerk."""
     found = []
     for law, end in zip(made.laws, made.ends_s.tolist(), strict=True):
         when = instants(law.speed)

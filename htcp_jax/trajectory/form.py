@@ -19,10 +19,15 @@ SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints with frame origins on the L, U and B 
 
 
 def form_of(arm: RobotConfig, robot: Robot, x: Float[np.ndarray, "n N"]) -> Int[np.ndarray, "n 6"]:
-    """Return the flags at configurations [rad]: 1 for no flip, lower arm, rear, and r, t and s of 180 degrees or more,
-    else 0.
+    """Return the flags at configurations: 1 for no flip, lower arm, rear, and r, t and s of 180 degrees or more, or 0.
 
-    Raises InputError for another arm, and if the arm is not in front of its S axis.
+    Args:
+        arm: The job's arm.
+        robot: The arm, loaded.
+        x: Configurations [rad].
+
+    Raises:
+        InputError: For another arm than the GP50, and if the arm is not in front of its S axis.
     """
     if not arm.is_gp50:
         raise InputError(f"jbi: which form (RCONF) {robot.name} is in is not known; jbi-pulses needs none")
@@ -37,8 +42,11 @@ def _beyond(angle: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
 
 
 def _elbow_is_up(robot: Robot, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
-    """Return True if the U axis lies above the line from the L axis to the wrist. Raises InputError if the wrist or the
-    TCP is behind the S axis."""
+    """Return True if the U axis lies above the line from the L axis to the wrist.
+
+    Raises:
+        InputError: If the wrist or the TCP is behind the S axis.
+    """
     at = np.asarray(jax.vmap(link_poses, (None, 0))(robot, x))[:, :, :3, 3][:, [SHOULDER, ELBOW, WRIST]]
     tcp = np.asarray(jax.vmap(tcp_position, (None, 0))(robot, x))
     base = np.asarray(robot.T_parent_joint)[0]

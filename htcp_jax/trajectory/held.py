@@ -13,10 +13,16 @@ from htcp_jax.trajectory.stretches import Spare
 
 
 def with_rows(left: Spare, job: PlanConfig, robot: Robot, motion: Motion, aims: Float[np.ndarray, "T G"]) -> Spare:
-    """Add the slack of the job's task next to each leg, unlimited off the path. If the task does not constrain the
-    TCP's position, the TCP has no tube.
+    """Add the slack of the job's task next to each leg, unlimited off the path.
 
-    robot: with the job's tool; aims: goals of the task at each target, see `Scenario`.
+    If the task does not constrain the TCP's position, the TCP has no tube.
+
+    Args:
+        left: Slack of the other constraints.
+        job: The job.
+        robot: With the job's tool.
+        motion: The motion.
+        aims: Goals of the task at each target, see `Scenario` [m, rad].
     """
     task = task_of_job(job, robot)
     target, kind = motion.target[1:], motion.kind[1:]

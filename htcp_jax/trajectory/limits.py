@@ -25,19 +25,33 @@ class Limits(NamedTuple):
         acceleration: Float[np.ndarray, "n N"],
         jerk: Float[np.ndarray, "n N"],
     ) -> Float[np.ndarray, "n M"]:
-        """Return the factor by which time must be stretched at n instants to keep each of M = 3 N limits, joint by
-        joint; at most 1 if it is kept."""
+        """Return the factors by which time must be lengthened to keep each of M = 3 N limits, joint by joint.
+
+        At most 1 if a limit is kept.
+
+        Args:
+            velocity: At n instants [rad/s or m/s].
+            acceleration: At n instants [rad/s2 or m/s2].
+            jerk: At n instants [rad/s3 or m/s3].
+        """
         v, a, j = np.abs(velocity), np.abs(acceleration), np.abs(jerk)
         found = [v / self.velocity, np.sqrt(a / self.acceleration), np.cbrt(j / self.jerk)]
         return np.stack(found, axis=2).reshape(len(v), -1)
 
 
 def joint_limits(robot: Robot, job: ProgramConfig | None = None) -> Limits:
-    """Return the limits of an arm: the job's; else the model's, if stated; else full speed in `job.full_speed_s`, and
-    full acceleration in `job.full_acceleration_s`. job: None means the defaults.
+    """Return the limits of an arm.
 
-    Raises InputError for a joint without a velocity limit, and for a list in the job whose length is not the number of
-    joints.
+    The job's; else the model's, if stated; else full speed in `job.full_speed_s`, and full acceleration in
+    `job.full_acceleration_s`.
+
+    Args:
+        robot: The arm.
+        job: Section `program` of the job; None: the defaults.
+
+    Raises:
+        InputError: For a joint without a velocity limit, and for a list in the job whose length is not the number of
+            joints.
     """
     job = ProgramConfig() if job is None else job
     given = {kind: own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in KINDS}
@@ -52,8 +66,16 @@ def joint_limits(robot: Robot, job: ProgramConfig | None = None) -> Limits:
 
 
 def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:
-    """Return a job's list with one number per joint, in the units of its key [rad or m, or by s]. Raises InputError if
-    its length is not the number of joints."""
+    """Return a job's list with one number per joint, in the units of its key; None without one.
+
+    Args:
+        robot: The arm.
+        key: The dotted key, for messages.
+        values: The list [rad or m, or per s].
+
+    Raises:
+        InputError: If its length is not the number of joints.
+    """
     if values is None:
         return None
     if len(values) != len(robot.joint_names):

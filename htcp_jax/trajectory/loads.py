@@ -39,7 +39,11 @@ class Load(NamedTuple):
 
 
 def model_of(arm: RobotConfig) -> mujoco.MjModel | None:
-    """Load the arm of a job with its inertias; None if a link has none. Raises InputError for an unreadable file."""
+    """Load the arm of a job with its inertias; None if a link has none.
+
+    Raises:
+        InputError: For an unreadable file.
+    """
     path = arm.file
     with no_log():
         spec = read_spec(path)
@@ -80,7 +84,13 @@ def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
 
 
 def load(timed: Timed, torque: Float[np.ndarray, "n N"], effort: Float[np.ndarray, "N"]) -> Load:
-    """Return the load of one motion. effort: the joints' limits, inf without one [N m or N]."""
+    """Return the load of one motion.
+
+    Args:
+        timed: Samples of the motion.
+        torque: Joint torques at the samples [N m or N].
+        effort: The joints' limits, inf without one [N m or N].
+    """
     size = np.abs(torque)
     share = size / effort
     row, joint = np.unravel_index((share if share.any() else size).argmax(), size.shape)
@@ -90,7 +100,13 @@ def load(timed: Timed, torque: Float[np.ndarray, "n N"], effort: Float[np.ndarra
 def loads_of(
     torque: Callable[..., Float[np.ndarray, "n N"]], motions: Sequence[Timed], effort: Float[np.ndarray, "N"]
 ) -> list[Load]:
-    """Return the loads of many motions of one arm, AT_ONCE configurations at a time. torque: see `torques`."""
+    """Return the loads of many motions of one arm, AT_ONCE configurations at a time.
+
+    Args:
+        torque: From `torques`.
+        motions: Samples of each motion.
+        effort: The joints' limits, inf without one [N m or N].
+    """
     rows = [np.concatenate([getattr(each, name) for each in motions]) for name in ("x", "velocity", "acceleration")]
     ends = np.cumsum([len(each.x) for each in motions])
     return [load(each, own, effort) for each, own in zip(motions, np.split(torque(*rows), ends[:-1]), strict=True)]

@@ -1,8 +1,8 @@
 """Displacement bounds of the arm's points when its joints are displaced from the proven joint path.
 
 Joints near x, each within w_j of it, are moved by n_j. With the levers r_j of a point at x, and M_j as in
-`motion_bound` for joints within w + n, the column of joint j is no longer than l_j = r_j + M_{j+1}, and its
-derivative by joint i no larger than l_max(i, j), 0 for two slides. So the point moves by no more than either of
+`motion_bound` for joints within w + n, the column of joint j is no longer than l_j = r_j + M_{j+1}, and its derivative
+by joint i no larger than l_max(i, j), 0 for two slides. So the point moves by no more than either of
 
     sum_j l_j n_j    and    |J(x) n| + sum_ij l_max(i, j) (w_i + n_i / 2) n_j.
 
@@ -32,8 +32,10 @@ ROWS = 256  # configurations are padded to this times a power of two, so that fe
 
 
 class Arm(NamedTuple):
-    """An arm at k configurations: both ends of its K bodies, the TCP and F features of a task, which may be directions;
-    P = 2 K + 1 + F points."""
+    """An arm at k configurations, by P = 2 K + 1 + F points.
+
+    These are both ends of its K bodies, the TCP and F features of a task, which may be directions.
+    """
 
     levers: Float[np.ndarray, "k P N"]  # to each joint's axis; 0 for joints that do not move the point [m]
     jacobian: Float[np.ndarray, "k P 3 N"]
@@ -60,7 +62,13 @@ class Moved(NamedTuple):
 
 
 def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[Feature, ...] = ()) -> Arm:
-    """Evaluate the arm at configurations [rad or m]."""
+    """Evaluate the arm at configurations.
+
+    Args:
+        robot: The arm.
+        x: Configurations [rad or m].
+        features: Features of a task.
+    """
     levers, slopes, tcp = padded(_points, robot, x)
     if features:
         more = padded(partial(_features, features), robot, x)[0]
@@ -70,15 +78,20 @@ def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[Feature, .
 
 
 def tcp_at(robot: Robot, x: Float[np.ndarray, "k N"]) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 N"]]:
-    """Return the TCP at configurations, world [m], and its Jacobian."""
+    """Return the TCP at configurations [rad or m], world [m], and its Jacobian."""
     return padded(_tcp, robot, x)
 
 
 def nudge_bound(
     arm: Arm, within: Float[np.ndarray, "*S k N"], nudge: Float[np.ndarray, "*S k N"]
 ) -> Float[np.ndarray, "*S k P"]:
-    """Return an upper bound on each point's displacement [m] when joints within `within` of the arm's configurations
-    are moved by `nudge` [rad or m]."""
+    """Return an upper bound on each point's displacement [m].
+
+    Args:
+        arm: The arm at k configurations.
+        within: Distances of the joints from these configurations [rad or m].
+        nudge: Displacements of the joints [rad or m].
+    """
     size = np.abs(nudge)
     lever = _levers(arm, within + size)
     along = np.linalg.norm(np.einsum("kpcn,...kn->...kpc", arm.jacobian, nudge), axis=-1)
@@ -86,8 +99,13 @@ def nudge_bound(
 
 
 def bend_bound(arm: Arm, within: Float[np.ndarray, "k N"], rates: Float[np.ndarray, "k N"]) -> Float[np.ndarray, "k P"]:
-    """Return an upper bound on each point's second derivative on straight joint paths with these rates, for joints
-    within `within` of the arm's configurations."""
+    """Return an upper bound on each point's second derivative on straight joint paths.
+
+    Args:
+        arm: The arm at k configurations.
+        within: Distances of the joints from these configurations [rad or m].
+        rates: Derivatives of the joints on the paths [rad or m].
+    """
     return _second(arm, _levers(arm, within), np.abs(rates), np.abs(rates))
 
 

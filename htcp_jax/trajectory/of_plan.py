@@ -1,7 +1,8 @@
 """Robot program of a saved plan, with the feed, the limits and the controller data of its job.
 
-made = program_of(open_plans("out/plan"), feed_of("20mm/s"))
-made.text("jbi-pulses", "WELD")
+Example:
+    made = program_of(open_plans("out/plan"), feed_of("20mm/s"))
+    made.text("jbi-pulses", "WELD")
 """
 
 from collections.abc import Sequence
@@ -47,14 +48,26 @@ class OfPlan(NamedTuple):
     method: str
 
     def text(self, format: str, name: str, step_s: float | None = None) -> str:
-        """Return the program's file. name: of the program; step_s: between samples, see `writers.Format` [s]. Raises
-        InputError as `program_text` does, for a step that the format does not support, and for tables of another
-        arm."""
+        """Return the program's file.
+
+        Args:
+            format: Name in `writers.FORMATS`.
+            name: Name of the program.
+            step_s: Time between samples; None: see `writers.Format`.
+
+        Raises:
+            InputError: As `program_text` does, for a step that the format does not support, and for tables of another
+                arm.
+        """
         timed = self.timed(format, step_s)
         return program_text(format, timed, self.beside(format, name, timed))
 
     def timed(self, format: str, step_s: float | None = None) -> Timed:
-        """Return the samples in the file. Raises InputError for a step that the format does not support."""
+        """Return the samples in the file.
+
+        Raises:
+            InputError: For a step that the format does not support.
+        """
         own = format_of(format).step_s
         if own is None and step_s is not None:
             raise InputError(f"{format} holds the postures that the motion is made of, whatever the step")
@@ -74,7 +87,16 @@ class OfPlan(NamedTuple):
         return load(timed, torque, np.asarray(self.robot.effort))
 
     def beside(self, format: str, name: str, timed: Timed) -> Beside:
-        """Return the job's controller data for a format."""
+        """Return the job's controller data for a format.
+
+        Args:
+            format: Name in `writers.FORMATS`.
+            name: Name of the program.
+            timed: Samples in the file.
+
+        Raises:
+            InputError: For tables of another arm, and for configurations whose arm configuration flags are unknown.
+        """
         asked, own = self.job.program, np.asarray(self.robot.speed, float)
         return Beside(
             name.upper() if format.startswith("jbi") else name,
@@ -114,11 +136,19 @@ def program_of(
     retract: bool = True,
     overrides: Sequence[str] = (),
 ) -> OfPlan:
-    """Make the program of one plan, from home or the start to the last target, and back if `retract`.
+    """Make the program of one plan, from home or the start to the last target.
 
-    feed_m_s: of the TCP on the path [m/s]; method: None means the first one; overrides: of the job's section program,
-    as on the command line. Raises InputError for a plan that does not exist or is not completely executable, for
-    overrides of other sections, and as `program` and `joint_limits` do.
+    Args:
+        found: The plans in a folder.
+        feed_m_s: Feed of the TCP on the path.
+        method: None: the first one.
+        scenario: Number of the plan.
+        retract: Append the motion back.
+        overrides: Changes to the job's section `program`, as on the command line.
+
+    Raises:
+        InputError: For a plan that does not exist or is not completely executable, for overrides of other sections, and
+            as `program` and `joint_limits` do.
     """
     method = found.methods[0] if method is None else method
     plans = _plans(found, method, scenario)
@@ -129,8 +159,20 @@ def program_of(
 def program_of_plans(
     name: str, plans: Plans, scenario: int, job: PlanConfig, feed_m_s: float, method: str, *, retract: bool = True
 ) -> OfPlan:
-    """Make the program of a plan in memory. name: of the plans; job: of the scenario. Raises InputError as
-    `program_of`."""
+    """Make the program of a plan in memory.
+
+    Args:
+        name: Name of the plans, for messages.
+        plans: The plans.
+        scenario: Row of the plan.
+        job: The scenario's job.
+        feed_m_s: Feed of the TCP on the path.
+        method: The method, for the result.
+        retract: Append the motion back.
+
+    Raises:
+        InputError: For a plan that is not completely executable, and as `program` and `joint_limits` do.
+    """
     end = plans.outcome(scenario)
     if not end.can_be_driven:
         why = end.way.message if end.executable < end.tracked else "the next one is not tracked"
@@ -151,8 +193,21 @@ def timed_plan(
     *,
     retract: bool = True,
 ) -> OfPlan:
-    """Make the program of a completely executable scenario. robot: with the job's tool; aims: of its scenario, if the
-    job has a task [m, rad]. Raises InputError as `program` and `joint_limits` do."""
+    """Make the program of a completely executable scenario.
+
+    Args:
+        plans: The plans.
+        scenario: Row of the plan.
+        job: The scenario's job.
+        robot: With the job's tool.
+        aims: Goals of its scenario [m, rad], if the job has a task; else None.
+        feed_m_s: Feed of the TCP on the path.
+        method: The method, for the result.
+        retract: Append the motion back.
+
+    Raises:
+        InputError: As `program` and `joint_limits` do.
+    """
     limits = joint_limits(robot, job.program)
     whole = motion(plans, scenario, job.on_path, retract=retract)
     left = spare(plans, scenario, whole, job.settings.tube_m)
@@ -164,7 +219,11 @@ def timed_plan(
 
 
 def asked_feed(text: str | None, job: PlanConfig) -> float:
-    """Return the feed [m/s]: `text`, else the job's. Raises InputError if neither is given, and as `feed_of` does."""
+    """Return the required feed [m/s]: `text`, else the job's.
+
+    Raises:
+        InputError: If neither is given, and as `feed_of` does.
+    """
     text = job.program.feed if text is None else text
     if text is None:
         raise InputError("no feed: --feed 20mm/s gives one, or program.feed of the job")
@@ -172,7 +231,11 @@ def asked_feed(text: str | None, job: PlanConfig) -> float:
 
 
 def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
-    """Return the plans of a method. Raises InputError for one without plans, and for an unknown scenario."""
+    """Return the plans of a method.
+
+    Raises:
+        InputError: For one without plans, and for an unknown scenario.
+    """
     if method not in found.methods:
         raise InputError(f"{found.folder} has no plans by {method!r}; there are {', '.join(found.methods)}")
     plans = found.plans(method)
@@ -182,7 +245,11 @@ def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
 
 
 def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
-    """Return the job with overrides in section `program`. Raises InputError for keys outside it."""
+    """Return the job with overrides in section `program`.
+
+    Raises:
+        InputError: For keys outside it, and for invalid values.
+    """
     raw = {"program": job.program.model_dump()}
     for override in overrides:
         key, value = parse_override(override)

@@ -1,4 +1,4 @@
-"""Parameterisation of a stretch by s, the variable of its time scaling: the TCP's arc length if the tool feeds.
+"""Parameterisation of a section by s, the variable of its time scaling: the TCP's arc length if the tool feeds.
 
 With sigma(u) = |J(q) q'| the arc length is the integral of sigma over u, and u(s) is the cubic spline through its
 inverse on a grid. The curve over s and its derivatives are those of q(u(s)), by the chain rule.
@@ -43,7 +43,7 @@ class Path(NamedTuple):
 
 
 def path_of(robot: Robot, stretch: Stretch) -> Path:
-    """Parameterise a stretch by s."""
+    """Parameterise a section by s."""
     curve = stretch.curve
     u = curve.grid(FINE, HALVINGS)
     ends = curve.u[:, None] + np.array([-1, 1]) * curve.reach[:, None]
@@ -58,7 +58,7 @@ def path_of(robot: Robot, stretch: Stretch) -> Path:
 
 
 def _apart(curve: Curve, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
-    """Drop positions that nearly coincide with the one before, as where two corners almost touch."""
+    """Remove positions that nearly coincide with the one before, as where two corners almost touch."""
     leg = curve.leg(u)
     corner = leg + (2 * (u - curve.u[leg]) > np.diff(curve.u)[leg])
     return u[np.diff(u, prepend=-np.inf) > CLOSE * 2 / (FINE - 1) * curve.reach[corner]]

@@ -1,9 +1,10 @@
 """Time-parameterised motion: `program(robot, motion, left, limits, feed_m_s)`.
 
-left = spare(plans, 0, motion, settings.tube_m)
-made = program(robot, motion, left, joint_limits(robot), feed_m_s=0.02)
-made.timed(0.001)   # arrays, 1 ms apart
-made.dips()         # feed drops along the weld, with the limiting joint
+Example:
+    left = spare(plans, 0, motion, settings.tube_m)
+    made = program(robot, motion, left, joint_limits(robot), feed_m_s=0.02)
+    made.timed(0.001)   # arrays, 1 ms apart
+    made.dips()         # feed drops along the weld, with the limiting joint
 """
 
 from typing import NamedTuple
@@ -21,11 +22,11 @@ from htcp_jax.trajectory.stretches import Spare, stretches
 from htcp_jax.trajectory.time_law import Law, instants, law_of
 from htcp_jax.trajectory.timed import Timed
 
-HELD, STANDS = 0.99, 1e-6  # shares of the feed below which it is a feed drop, and a stop
+HELD, STANDS = 0.99, 1e-6  # shares of the feed below which a feed drop, and a stop, begins
 
 
 class Dip(NamedTuple):
-    """A feed drop: a part of the weld on which the feed is not held."""
+    """A feed drop: a part of the weld on which the TCP is slower than the feed."""
 
     begin_m: float  # along the weld, from its first point
     end_m: float
@@ -34,7 +35,7 @@ class Dip(NamedTuple):
 
 
 class Program(NamedTuple):
-    """A sequence of stretches, each with its time scaling (law)."""
+    """Sections of a motion in order, each with its time scaling."""
 
     motion: Motion
     stretches: list[Stretch]
@@ -44,7 +45,7 @@ class Program(NamedTuple):
 
     @property
     def ends_s(self) -> Float[np.ndarray, "m"]:
-        """End time of each stretch [s]."""
+        """End time of each section [s]."""
         return np.cumsum([law.speed.duration_s for law in self.laws])
 
     @property
@@ -58,8 +59,10 @@ class Program(NamedTuple):
         return self.at(step_s * np.arange(count + 1))
 
     def at_postures(self) -> Timed:
-        """Return the motion's own configurations, at the times at which their corners are passed: the straight joint
-        paths between them are proven."""
+        """Return the motion's own configurations, at the times at which their corners are passed.
+
+        The straight joint paths between them are proven.
+        """
         time, row = self.passes()
         x = np.concatenate([self.stretches[0].curve.x[:1], *(each.curve.x[1:] for each in self.stretches)])
         return self.at(time)._replace(x=x, kind=self.motion.kind[row], target=self.motion.target[row])
@@ -73,7 +76,7 @@ class Program(NamedTuple):
         return np.concatenate([times[0][:1], *(each[1:] for each in times)]), row
 
     def at(self, time: Float[np.ndarray, "n"]) -> Timed:
-        """Sample the motion at times that increase from 0; from `duration_s` on the arm stands still."""
+        """Sample the motion at times that increase from 0 [s]; from `duration_s` on the arm is at rest."""
         ends = self.ends_s
         bounds = [0, *np.searchsorted(time, ends[:-1]).tolist(), len(time)]
         parts = []
@@ -99,8 +102,16 @@ class Program(NamedTuple):
 def program(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s: float) -> Program:
     """Time-parameterise a motion.
 
-    left: slack of its proof next to each leg. Raises InputError for a feed that is not above 0, and for a motion
-    without configurations or in which the arm stands still.
+    Args:
+        robot: With the job's tool.
+        motion: The motion.
+        left: Slack of its proof next to each leg.
+        limits: Limits of the joints.
+        feed_m_s: Feed of the TCP on the path.
+
+    Raises:
+        InputError: For a feed that is not above 0, and for a motion without configurations or in which the arm does not
+            move.
     """
     if not 0 < feed_m_s < np.inf:
         raise InputError(f"feed is {feed_m_s} m/s, a speed above 0 is needed")
@@ -114,7 +125,7 @@ def program(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s:
 
 
 def _dips(law: Law, before: float, feed: float, names: tuple[str, ...]) -> list[Dip]:
-    """Return the feed drops of one stretch that begins `before` metres along the weld."""
+    """Return the feed drops of one section that begins `before` metres along the weld."""
     place, speed, _, _ = law.speed.at(instants(law.speed))
     slow, found = np.flatnonzero(speed < HELD * feed), []
     limit = law.limit_at(place)

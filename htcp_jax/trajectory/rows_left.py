@@ -69,8 +69,18 @@ class RowsLeft(NamedTuple):
 def rows_beside(
     task: Task, robot: Robot, x: Float[np.ndarray, "n N"], goals: Float[np.ndarray, "m 2 G"], on: Bool[np.ndarray, "m"]
 ) -> RowsLeft | None:
-    """Return the slack of a task next to the m = n - 1 legs between configurations, from one goal to the next;
-    unlimited where `on` is False. None for a task that only constrains the TCP's position, which has a tube."""
+    """Return the slack of a task next to the m = n - 1 legs between configurations.
+
+    Args:
+        task: The task.
+        robot: With the job's tool.
+        x: The configurations [rad or m].
+        goals: Goals at both ends of each leg [m, rad].
+        on: True for legs with constraints; the slack of others is unlimited.
+
+    Returns:
+        The slack; None for a task that only constrains the TCP's position, which has a tube.
+    """
     if not (rows := heeded(task.parts)):
         return None
     left, apart = padded(partial(_left, task), robot, x[:-1], x[1:], goals)

@@ -6,7 +6,7 @@ moving mean of s over a time window makes it smooth: with P the integral of s,
     s_T(t) = (P(t + T/2) - P(t - T/2)) / T,    s_T' = (s(t + T/2) - s(t - T/2)) / T,    and so on,
 
 so that the acceleration is continuous, and the jerk at most the difference of two accelerations, over T. Speeds that
-are held longer than T are kept.
+are constant for longer than T are kept.
 """
 
 from typing import NamedTuple
@@ -25,7 +25,7 @@ class Speed(NamedTuple):
     speed: Float[np.ndarray, "m"]
     integral: Float[np.ndarray, "m"]  # of the position over time
     window_s: float
-    slower: float = 1.0  # factor by which all times are stretched
+    slower: float = 1.0  # factor by which all times are lengthened
 
     @property
     def duration_s(self) -> float:
@@ -68,10 +68,16 @@ class Speed(NamedTuple):
 def fastest(
     place: Float[np.ndarray, "m"], cap: Float[np.ndarray, "m"], push: Float[np.ndarray, "m"], window_s: float
 ) -> Speed:
-    """Return the fastest time scaling within speeds `cap` and accelerations `push`, at rest at both ends.
+    """Return the fastest time scaling within speeds and accelerations, at rest at both ends.
 
     z^2 grows by at most 2 push ds in both directions: with C the integral of 2 push, z^2 = C + min(cap^2 - C) over the
     positions before, and likewise backwards.
+
+    Args:
+        place: Grid of positions [m or s].
+        cap: Maximum speeds there [m/s or 1].
+        push: Maximum accelerations there [m/s2 or 1/s].
+        window_s: Time window of the moving mean.
     """
     square = cap * cap
     square[[0, -1]] = 0.0

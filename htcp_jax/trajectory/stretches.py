@@ -1,4 +1,4 @@
-"""Split of a motion into stretches from stop to stop, each a blended curve that is covered by the polyline's proof.
+"""Split of a motion into sections from stop to stop, each a blended curve that is covered by the polyline's proof.
 
 The arm stops where the tool begins or ends to follow the path, before and after a dwell, and at a corner that cannot be
 blended, because the slack is too small or the tool would almost reverse.
@@ -40,7 +40,14 @@ class Spare(NamedTuple):
 
 
 def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
-    """Return the slack of a plan's proof next to the legs of its motion. tube_m: `Settings.tube_m`."""
+    """Return the slack of a plan's proof next to the legs of its motion.
+
+    Args:
+        plans: The plans.
+        scenario: Row of the plan.
+        motion: Its motion.
+        tube_m: `Settings.tube_m`.
+    """
     there = int((motion.kind != Kind.RETRACT).sum())
     target, kind = motion.target[1:there], motion.kind[1:there]
     way = target + (kind == Kind.DWELL)
@@ -53,7 +60,15 @@ def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
 
 
 def stretches(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s: float) -> list[Stretch]:
-    """Split a motion into stretches, in order; legs without motion are dropped."""
+    """Split a motion into sections, in order; legs without motion are removed.
+
+    Args:
+        robot: With the job's tool.
+        motion: The motion.
+        left: Slack next to its legs.
+        limits: Limits of the joints.
+        feed_m_s: Feed of the TCP on the path.
+    """
     way = _merged(_moving(robot, motion, left), limits)
     if not len(way.row):
         return []
@@ -98,8 +113,10 @@ def _moving(robot: Robot, motion: Motion, left: Spare) -> _Way:
 
 
 def _merged(way: _Way, limits: Limits) -> _Way:
-    """Merge very short legs with the leg before: the first configuration of a short leg is replaced by the next one, if
-    the displacement is within the slack."""
+    """Merge very short legs with the leg before.
+
+    The first configuration of a short leg is replaced by the next one, if the displacement is within the slack.
+    """
     short = (_duration(way.x, limits) < ONE_MOMENT_S) | ((way.group == Kind.FEED) & ~way.feeds)
     goes = np.flatnonzero(short[1:] & (way.group[1:] == way.group[:-1])) + 1
     if not len(goes):
@@ -116,7 +133,7 @@ def _merged(way: _Way, limits: Limits) -> _Way:
     for k, fit in zip(goes[::-1], fits[::-1], strict=True):
         gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all up to its replacement
     kept = np.flatnonzero(~gone)
-    last, first = kept[1:] - 1, kept[:-1]  # of merged legs; on the path the first leg's line counts
+    last, first = kept[1:] - 1, kept[:-1]  # of merged legs; on the path the first leg's line is used
     row = np.where(way.group[first] == Kind.FEED, way.row[first], way.row[last])
     return _Way(way.x[kept], row, way.group[last], left.only(first), way.arm.only(kept))
 
@@ -182,8 +199,10 @@ def _beside(legs: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
 
 
 def _sag(robot: Robot, arm: Arm, curve: Curve, which: np.ndarray) -> Float[np.ndarray, "m"]:
-    """Return an upper bound on the chord deviation: the TCP's distance from the line between the ends of a leg on its
-    straight joint path [m]; 0 for legs not in `which`."""
+    """Return an upper bound on the chord deviation of legs in `which` [m]; 0 for other legs.
+
+    It is the TCP's distance, on the straight joint path, from the line between the leg's ends.
+    """
     found, legs = np.zeros(len(which)), np.flatnonzero(which)
     if not len(legs):
         return found

@@ -1,13 +1,13 @@
-"""Time scaling of one stretch: at the feed, or as fast as limits on velocity, acceleration and jerk allow.
+"""Time scaling of one section: at the feed, or as fast as limits on velocity, acceleration and jerk allow.
 
 Over the length s a joint has velocity q' s', acceleration q'' s'^2 + q' s'', jerk q''' s'^3 + 3 q'' s' s'' + q' s'''.
 At constant speed each limit is a speed limit (cap) in closed form,
 
     s' <= v / |q'|,    s' <= (a / |q''|)^(1/2),    s' <= (j / |q'''|)^(1/3),
 
-and the rest of a, after q'' s'^2, is available for s''. A cap holds for as long as it is in the window of the moving
-mean. Limits that the mean or the mixed terms still exceed are found on the timed curve, and the caps are lowered there;
-after ROUNDS the complete stretch is slowed down, so that no limit is exceeded at the sampled instants.
+and the rest of a, after q'' s'^2, is available for s''. A speed limit applies for as long as it is in the window of the
+moving mean. Limits that the mean or the mixed terms still exceed are found on the timed curve, and the speed limits are
+lowered there; after ROUNDS the complete section is slowed down, so that no limit is exceeded at the sampled instants.
 """
 
 from typing import NamedTuple
@@ -37,7 +37,7 @@ class _Caps(NamedTuple):
 
 
 class Law(NamedTuple):
-    """Time scaling of one stretch."""
+    """Time scaling of one section."""
 
     path: Path
     speed: Speed
@@ -46,8 +46,10 @@ class Law(NamedTuple):
     cap: Float[np.ndarray, "m"]  # on the path's grid, the speed limit before the moving mean
 
     def at(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], Derivatives]:
-        """Return positions, and joints with their derivatives by time [rad or m, and s], at times from 0 to the
-        duration."""
+        """Return positions, and joints with their derivatives by time, at times from 0 to the duration.
+
+        Times in [s], joints in [rad or m].
+        """
         place, v, a, j = self.speed.at(time)
         v, a, j = v[:, None], a[:, None], j[:, None]
         x, first, second, third = self.path.at(place)
@@ -68,8 +70,13 @@ class Law(NamedTuple):
 
 
 def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
-    """Compute the time scaling of a stretch. feed: its desired and maximum speed; if the tool does not feed, 1 is the
-    full speed of the fastest joint."""
+    """Compute the time scaling of a section.
+
+    Args:
+        path: The section over s.
+        limits: Limits of the joints.
+        feed: Desired and maximum speed [m/s]; if the tool does not feed, 1 is the full speed of the fastest joint.
+    """
     whole = limits
     limits = Limits(*(share * part for share, part in zip(SPARE, limits, strict=True)))
     window = float(np.max(limits.acceleration / limits.jerk))
@@ -101,8 +108,10 @@ def _slower(law: Law, limits: Limits) -> Law:
 
 
 def instants(law: Speed) -> Float[np.ndarray, "n"]:
-    """Return the times at which limits are checked: evenly spaced, at the positions of the grid, and at jumps of the
-    jerk."""
+    """Return the times at which limits are checked [s].
+
+    Evenly spaced, at the positions of the grid, and at jumps of the jerk.
+    """
     even = np.linspace(0, law.duration_s, 2 + min(int(law.duration_s / LOOKED_AT_S), INSTANTS))
     passed = np.interp(law.place, np.maximum.accumulate(law.at(even)[0]), even)
     return np.sort(np.concatenate([even, passed, law.jumps()]))
@@ -127,7 +136,7 @@ def _caps(path: Path, limits: Limits, feed: float) -> _Caps:
 
 
 def _held(path: Path, cap: np.ndarray, window: float) -> np.ndarray:
-    """Return the caps, with each corner's extended by the window of the mean before and after it."""
+    """Return the speed limits, each corner's extended by the window of the mean before and after it."""
     held = cap.copy()
     first, last = np.searchsorted(path.place, path.at_corner.T)
     slowest = np.array([cap[max(a - 1, 0) : b + 1].min() for a, b in zip(first, last, strict=True)])
@@ -141,7 +150,10 @@ def _held(path: Path, cap: np.ndarray, window: float) -> np.ndarray:
 
 
 def _slow_down(caps: _Caps, grid: np.ndarray, law: Speed, time: np.ndarray, shares: np.ndarray) -> None:
-    """Lower caps and accelerations in the window of each instant at which a limit is exceeded, and record the limit."""
+    """Lower speed limits and accelerations around each instant at which a limit is exceeded, and record that limit.
+
+    They are lowered in the window of the mean.
+    """
     over = shares.max(axis=1)
     bad = np.flatnonzero(over > ENOUGH)
     breaks = np.flatnonzero(np.diff(bad) > 1)

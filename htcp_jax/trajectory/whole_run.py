@@ -66,16 +66,23 @@ def time_run(
     progress: Callable[[str, int, int], None] | None = None,
     workers: int | None = 1,
 ) -> Run:
-    """Time every scenario of a run whose motion leads to its last target, and return the run, whose `scenarios()` have
-    the times.
+    """Time every scenario of a run whose motion leads to its last target.
 
-    feed: of the TCP on the path, "20mm/s"; None: the job's. methods: None means all with results. overrides: of the
-    job's section program, as on the command line. progress: called with a method, the number of its finished scenarios,
-    and their total. workers: processes; None: chosen by the number of scenarios.
+    Args:
+        run: The run.
+        feed: Feed of the TCP on the path, "20mm/s"; None: the job's.
+        methods: None: all with results.
+        overrides: Changes to the job's section `program`, as on the command line.
+        progress: Called with a method, the number of its finished scenarios, and their total.
+        workers: Number of processes; None: chosen by the number of scenarios.
 
-    Raises InputError for an invalid feed, a run without results, methods that it lacks, an arm without velocity limits,
-    files that have changed, and a folder that is in use or cannot be written; Interrupted on SIGINT and SIGTERM, after
-    which finished times are kept.
+    Returns:
+        The run, whose `scenarios()` have the times.
+
+    Raises:
+        InputError: For an invalid feed, a run without results, methods that it lacks, an arm without velocity limits,
+            files that have changed, and a folder that is in use or cannot be written.
+        Interrupted: On SIGINT and SIGTERM; finished times are kept.
     """
     asked = _Asked(asked_feed(feed, with_program(run.config, overrides)), tuple(overrides))
     timer = _Timer(plans_of_run(run), asked)
@@ -90,7 +97,11 @@ def time_run(
 
 
 def check_limits(jobs: Iterable[PlanConfig]) -> None:
-    """Raise InputError for an arm in these jobs without velocity limits, and for limits of another number of joints."""
+    """Check the joint limits of the arms in these jobs.
+
+    Raises:
+        InputError: For an arm without velocity limits, and for limits of another number of joints.
+    """
     for job in {repr((arm_of(job), job.program)): job for job in jobs}.values():
         joint_limits(robot_of(job.robot), job.program)
 

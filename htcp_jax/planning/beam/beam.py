@@ -1,19 +1,18 @@
-"""Beam search over configurations: per scenario and target a beam, each configuration connected to the start by a
-proven motion.
+"""Beam search over configurations: one beam per scenario and target, connected to the start by proven motions.
 
     extend   every configuration of the beam to the next target; accepted if its joint path is a proven motion
     spread   if few are accepted, by self-motions at the target, every step of them proven
-    select   those that are far apart; if none is accepted, spread the beam itself and extend what is new
+    select   those that are far apart; if none is accepted, spread the beam itself and extend its new configurations
     approach if no straight line leads to the path: search again from configurations at its first point, joined in free
              space
     transfer if all that fails, and it is allowed: search again from other configurations at the first target
 
-A local optimiser follows one configuration and stops at the first dead end; the beam holds many, on both sides of each
+A local optimiser follows one configuration and stops at the first dead end; the beam has several, on both sides of each
 fork. All accepted configurations form a tree whose root is the start, and the chosen path leads to the leaf with the
 fewest changes of configuration, and then the least cost of equation (3).
 
-Random keys are folded from the scenario's number, the target, the round and the walk, so results do not depend on which
-scenarios are planned together.
+Random keys are folded from the scenario's number, the target, the round and the self-motion, so results do not depend
+on which scenarios are planned together.
 """
 
 from collections.abc import Iterator
@@ -52,7 +51,7 @@ class Roadmap:
     smooth = True  # unless the settings say otherwise
 
     def first_calls(self, problem: Problem) -> list[tuple]:
-        """Return the first kernel calls, see `Kernels.preparing`."""
+        """Return the first calls of lane functions, see `Kernels.preparing`."""
         return _calls(problem)
 
     def plan(self, problem: Problem) -> Plans:
@@ -70,7 +69,7 @@ class Roadmap:
 
 
 def _calls(problem: Problem) -> list[tuple]:
-    """Return one call of each kernel, in the order in which they are needed, see `Kernels.preparing`."""
+    """Return one call of each lane function, in the order in which they are needed, see `Kernels.preparing`."""
     one, zero = problem.to_plan[:1], np.zeros(1, int)
     x, turns = problem.scenarios.x_start[one], np.zeros(1, bool)
     inputs = lane_inputs(problem.scenarios, one, zero)
@@ -81,7 +80,7 @@ def _calls(problem: Problem) -> list[tuple]:
 
 
 class Growing:
-    """Plan many scenarios at a time, in dense batches of all their configurations."""
+    """Beam searches of many scenarios at a time, in dense batches of all their configurations."""
 
     def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker):
         self._problem, self._checker = problem, checker
@@ -90,7 +89,7 @@ class Growing:
         self._record = RoadmapRecord(problem, plans, checker, self._searches)
 
     def run(self, scenarios: Iterator[int]) -> list[Knotted]:
-        """Plan until the iterator is exhausted."""
+        """Plan until the iterator is exhausted; return the via points of all segments that have some."""
         ways, searches, most = [], self._searches, max(1, self._checker.kernels.lanes // IN_FLIGHT)
         while True:
             before = searches.tracked
@@ -110,8 +109,7 @@ class Growing:
             self._problem.progress(tracked, len(finished))
 
     def _begin(self, new: list[int]) -> None:
-        """Begin searches at the starts of some scenarios; without a given start, at configurations sampled at the first
-        target."""
+        """Begin searches at the scenarios' starts; without one, at configurations sampled at the first target."""
         if not new:
             return
         start, unknown = self._problem.scenarios.x_start[new], np.full((len(new), 3), np.nan)
@@ -123,8 +121,10 @@ class Growing:
         self._searches.begin(new, self._problem.scenarios.count[new].tolist(), roots)
 
     def _begin_elsewhere(self, search: int) -> bool:
-        """Begin a search from other configurations after one has failed: at the path's first point if it was not
-        reached, else at the first target, if allowed. Returns True if there is one."""
+        """Begin a search from other configurations after one has failed, and return True if there are any.
+
+        They are at the path's first point if it was not reached, else, if allowed, at the first target.
+        """
         columns, chain = self._searches.columns, self._searches.chain(search)
         s, scenarios, first = int(columns.scenario[search]), self._problem.scenarios, int(columns.target[chain[-1]])
         on_path, anywhere = int(scenarios.on_path[s]), bool(self._problem.begins_anywhere[s])
@@ -160,7 +160,7 @@ class Growing:
         searches.take_fed(arrived)
 
     def _walk(self) -> None:
-        """Move in the null space, in searches without configurations to extend; as far as every step is proven."""
+        """Spread searches without configurations to extend, by self-motions, as far as every step is proven."""
         searches, (walkers, walker) = self._searches, self._searches.walkers()
         if not len(walkers.node):
             return
@@ -171,7 +171,7 @@ class Growing:
         lane, step = np.nonzero(np.arange(walked.path.x.shape[1]) < walked.steps[:, None])
         before = np.concatenate([x[:, None], walked.path.x], axis=1)
         proven = np.zeros(walked.path.clearance.shape, bool)
-        if len(lane):  # the tip is checked only at a walk's end
+        if len(lane):  # the tip is checked only at a self-motion's end
             edges = before[lane, step], before[lane, step + 1]
             proof = self._checker.edges(gather(inputs, lane), *edges, gather(tube, lane), tip=False)
             proven[lane, step] = proof.verdict == Way.PROVEN
@@ -186,8 +186,10 @@ class Growing:
         searches.take_walked(walkers, Members(walkers.search[good], node[good]))
 
     def _say_why(self, fed: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
-        """Set the status of the extended searches in case no more configurations reach the next target. If some did,
-        the start is clear, as the motion from there is proven."""
+        """Set the status of the extended searches in case no more configurations arrive at the next target.
+
+        If some did, the start is clear, as the motion from there is proven.
+        """
         columns, scenarios = self._searches.columns, self._problem.scenarios
         columns.failure[fed] = np.where(reached, Status.PATH_BLOCKED, Status.ESCAPE_EXHAUSTED)[fed]
         lost = np.flatnonzero(fed & ~arrived & (columns.target < 0))
@@ -198,7 +200,7 @@ class Growing:
             columns.failure[lost[collides]] = Status.START_IN_COLLISION
 
     def _inputs(self, scenario: np.ndarray, target: np.ndarray, draws: np.ndarray, turns: bool):
-        """Return the lanes' inputs and tubes: on the segment to their target, or during a self-motion at it."""
+        """Return the inputs and tubes of lanes: on the segment to their target, or during a self-motion at it."""
         problem = self._problem
         inputs = lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
         towards, which = target + turns, np.full(len(target), turns)

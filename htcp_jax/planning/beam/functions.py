@@ -44,8 +44,14 @@ class Walked(NamedTuple):
 
 
 def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
-    """Extend x from the target before: by inverse kinematics if that keeps a clearance of `front_aim_m`, else by step
-    QPs with the same goal at first, and in the end with the required margin. The loop's result is `Fed`."""
+    """Extend x (N,) [rad or m] from the previous target to the lane's target.
+
+    By inverse kinematics if that keeps a clearance of `front_aim_m` above the margin, else by step QPs, with the same
+    goal at first and with the required margin in the end.
+
+    Returns:
+        A loop whose result is `Fed`.
+    """
     robot, task = own_scene(scene, lane.tool_extension_m).robot, scene.task
     above = jnp.array([settings.front_aim_m, settings.aim_above_m])
     aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
@@ -83,9 +89,20 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
 
 
 def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
-    """Move from x, on its target, along a random direction of the null space, carried along by projection, for a random
-    number of steps, as long as every configuration is valid. walker: distinguishes the self-motions of one round. The
-    loop's result is `Walked`."""
+    """Move from x (N,) [rad or m], on its target, along a random direction of the null space.
+
+    The direction is carried along by projection, for a random number of steps, as long as every configuration is valid.
+
+    Args:
+        settings: Length and number of steps.
+        scene: Arm, obstacles and task.
+        lane: The lane's inputs.
+        x: Configuration on the lane's target (N,) [rad or m].
+        walker: Number that distinguishes the self-motions of one round.
+
+    Returns:
+        A loop whose result is `Walked`.
+    """
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     key = fold_keys(jax.random.PRNGKey(lane.seed), lane.number, lane.row, lane.round, walker)

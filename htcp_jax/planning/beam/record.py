@@ -1,4 +1,4 @@
-"""Record of a beam search that has ended: the path to its best leaf, and the motion from the start to its root."""
+"""Results of a beam search that has ended: the path to its best leaf, and the motion from the start to its root."""
 
 from itertools import pairwise
 
@@ -18,15 +18,19 @@ Knotted = tuple[int, int, np.ndarray]  # via points of a segment: (scenario, tar
 
 
 class RoadmapRecord:
-    """Write the results of searches into `plans`."""
+    """Writer of the results of searches into `plans`."""
 
     def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker, searches: Searches):
         self._problem, self._plans, self._checker = problem, plans, checker
         self._searches, self._tree = searches, searches.tree
 
     def chosen(self, last: int) -> tuple[int, int, np.ndarray | None]:
-        """Return the result of a scenario whose last search has ended: the search that reached the farthest target, the
-        leaf of its best path, and the via points of the transfer to it."""
+        """Return the result of a scenario whose last search has ended.
+
+        Returns:
+            The search that came to the farthest target, the leaf of its best path, and the via points of the transfer
+                to it (V, N) [rad or m], None without a transfer.
+        """
         searches, scenarios = self._searches, self._problem.scenarios
         s, chain = int(searches.columns.scenario[last]), searches.chain(last)
         for search in sorted(chain[::-1], key=lambda one: -searches.columns.target[one]):
@@ -43,7 +47,16 @@ class RoadmapRecord:
         raise AssertionError("the first search begins at the start, and needs no transfer")
 
     def write(self, search: int, leaf: int, transfer: np.ndarray | None) -> list[Knotted]:
-        """Record the path to a leaf, and the search's status; returns the via points of its segments."""
+        """Record the path to a leaf, and the search's status.
+
+        Args:
+            search: Number of the search.
+            leaf: Tree row at the end of its path.
+            transfer: Via points of the transfer to the path's root (V, N) [rad or m]; None without one.
+
+        Returns:
+            Via points of the path's segments.
+        """
         columns, plans, path = self._searches.columns, self._plans, self._tree.path(leaf)
         s, nodes = int(columns.scenario[search]), self._tree.nodes(path)
         ways, fed = [], np.flatnonzero(~nodes.walked)
@@ -61,7 +74,7 @@ class RoadmapRecord:
         return ways
 
     def _is_approach(self, search: int) -> bool:
-        """True if the search begins at the path's first point instead of the first target."""
+        """Return True if the search begins at the path's first point instead of the first target."""
         root = self._tree.path(self._searches.front_of(search)[0])[0]
         return bool(self._searches.columns.earlier[search] != NONE and self._tree.target[root] > 0)
 
@@ -80,8 +93,10 @@ class RoadmapRecord:
         plans.path_clear[s, target] = 1
 
     def _write_joined(self, search: int, root: int) -> int:
-        """Record the motion to the configuration at which a search begins; returns the target at its end. An approach
-        leaves its lines: all of its targets but the first become the path's first point."""
+        """Record the motion to the configuration at which a search begins; return the target at its end.
+
+        An approach leaves its lines: all of its targets but the first become the path's first point.
+        """
         s, plans, x = int(self._searches.columns.scenario[search]), self._plans, self._tree.x
         if not self._is_approach(search):
             plans.joint_step[s, 0] = np.linalg.norm(x[root] - plans.start[s])

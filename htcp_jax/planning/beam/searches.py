@@ -1,5 +1,6 @@
-"""State of the beam searches: progress, configurations and next steps, in columns with one row per search, so that
-thousands run together.
+"""State of the beam searches: progress, configurations and next steps.
+
+One row per search in every column, so that thousands run together.
 """
 
 from typing import NamedTuple
@@ -16,14 +17,14 @@ NONE = -1  # no status yet; no earlier search
 
 
 class Members(NamedTuple):
-    """Tree rows that searches hold: search by search, in an order of each search's own."""
+    """Tree rows of searches, grouped by search; the order within a group is the search's."""
 
     search: Int[np.ndarray, "n"]
     node: Int[np.ndarray, "n"]
 
     @classmethod
     def none(cls) -> "Members":
-        """No rows for any search."""
+        """Return no rows."""
         return cls(np.zeros(0, int), np.zeros(0, int))
 
     def of(self, which: Bool[np.ndarray, "searches"]) -> "Members":
@@ -37,7 +38,7 @@ class Members(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Columns with one row per search, all integers."""
+    """Columns of integers with one row per search."""
 
     scenario: Int[np.ndarray, "n"]
     target: Int[np.ndarray, "n"]  # of its beam
@@ -50,8 +51,11 @@ class Columns(NamedTuple):
 
 
 class Searches:
-    """All searches of one tree. `front` is the beam of each search at its target, `unfed` the part of it that is still
-    to be extended to the next target, and `arrived` what has reached that while the search spreads."""
+    """All searches of one tree.
+
+    `front` is the beam of each search at its target, `unfed` the part of it that is still to be extended to the next
+    target, and `arrived` the configurations already there while the search spreads.
+    """
 
     def __init__(self, settings: Settings, tree: BeamTree, can_walk: bool):
         self._settings, self._can_walk, self.tree = settings, can_walk, tree
@@ -61,7 +65,14 @@ class Searches:
         self._ended: dict[int, np.ndarray] = {}  # the beams of searches that have ended
 
     def begin(self, scenario: list[int], targets: list[int], roots: list[np.ndarray], earlier: int = NONE) -> None:
-        """Add searches, each of a scenario and from its own roots, one or more, all at one target."""
+        """Add searches, each of one scenario, all at one target.
+
+        Args:
+            scenario: Row of the scenario, per search.
+            targets: Number of its targets, per search.
+            roots: One or more tree rows to begin from, per search.
+            earlier: The search before, if these begin at other configurations; or NONE.
+        """
         count, draws = len(scenario), 0 if earlier == NONE else self.columns.draws[earlier]
         first = len(self.going)
         held = Members(np.repeat(np.arange(first, first + count), [len(own) for own in roots]), np.concatenate(roots))
@@ -76,7 +87,7 @@ class Searches:
         self.front, self.unfed = concatenate([self.front, held]), concatenate([self.unfed, held])
 
     def has(self, members: Members) -> Bool[np.ndarray, "searches"]:
-        """True for searches that hold any of these."""
+        """Return True for searches that have any of these."""
         return self._count(members) > 0
 
     def chain(self, search: int) -> list[int]:
@@ -104,8 +115,10 @@ class Searches:
         self._go_on(arrived.of(~thin))
 
     def walkers(self) -> tuple[Members, Int[np.ndarray, "n"]]:
-        """Return the configurations to move from in the null space, one per self-motion, and its number among its
-        search's."""
+        """Return the configurations from which to move in the null space, and the self-motions' numbers.
+
+        One row per self-motion; numbers count from 0 in every search.
+        """
         resting = self.going & ~self._done & ~self.has(self.unfed)
         among = self.arrived.and_(self.front.of(resting & ~self.has(self.arrived)))
         rows, count = np.flatnonzero(resting), self._count(among)
@@ -137,12 +150,12 @@ class Searches:
         return searches
 
     def forget(self, ended: list[int]) -> None:
-        """Drop the beams of ended searches."""
+        """Discard the beams of ended searches."""
         for search in ended:
             del self._ended[search]
 
     def prune(self) -> None:
-        """Remove all configurations without descendants in a beam, if there are many."""
+        """Remove all configurations without descendants in a beam if the tree is overgrown."""
         if self.tree.is_overgrown:
             moved = self.tree.prune(np.concatenate([self.front.node, *self._ended.values()]))
             self.front = self.front._replace(node=moved[self.front.node])
@@ -172,7 +185,7 @@ class Searches:
         self.columns.rounds[which] = 0
 
     def _dispersed(self, members: Members, most: int | None = None, known: Members | None = None) -> Members:
-        """Return the best of them that are far apart, and far from the known ones."""
+        """Return the best members that are far apart, and far from the known ones."""
         members = gather(members, best_first(self.tree.nodes(members.node), members.search))
         most = len(members.node) if most is None else most
         where = None if known is None else (self.tree.x[known.node], known.search)

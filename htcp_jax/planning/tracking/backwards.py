@@ -1,12 +1,12 @@
-"""Planning backwards: at a lost target clear configurations are sampled, and each is carried back target by target to
-the first one. A chain that is clear all along, including from the given start to its first configuration, replaces the
-rows so far.
+"""Planning backwards from a failed target to the first one.
 
-One kernel call per round advances all lanes in the same phase:
+Clear configurations are sampled at the failed target, and each is carried back target by target. A chain that is clear
+all along, including from the given start to its first configuration, replaces the rows so far. One call of a lane
+function per round advances all lanes in the same phase:
 
-    draw    a round of configurations at the lost target; each valid one begins a chain
+    draw    a round of configurations at the failed target; each valid one begins a chain
     push    every chain one target further back; chains whose new configuration is not valid end
-    check   one chain that has reached the first target: the joint paths between its rows, and from the start
+    check   one chain that has come to the first target: the joint paths between its rows, and from the start
 """
 
 from dataclasses import dataclass
@@ -30,14 +30,14 @@ LOST = -6  # instead of a phase
 
 @dataclass
 class Chains:
-    """Chains of one scenario: configurations (C, rows, N) from the target reached so far to the lost one."""
+    """Chains of one scenario: configurations (C, rows, N) from the target reached so far to the failed one."""
 
     x: np.ndarray
     rounds: int = 0  # rounds of draws so far
 
 
 class Replanned(NamedTuple):
-    """Result of a round; lanes that are in neither are lost."""
+    """Result of a round; the scenarios of lanes that are in neither `going` nor `found` have ended."""
 
     going: Lanes  # in their next phases
     found: Lanes  # with a recorded chain; they are at their target
@@ -62,7 +62,7 @@ class BackwardPlans:
         self._chains: dict[int, Chains] = {}
 
     def begin(self, lanes: Lanes) -> Replanned:
-        """Begin with lanes that have lost their target; all stay lost if the method has no rounds of this."""
+        """Begin with lanes whose target failed; all end if the method does not plan backwards."""
         none = np.zeros((0, 1, lanes.x_ref.shape[1]))
         self._chains.update({scenario: Chains(none) for scenario in lanes.scenario.tolist()})
         return self._replanned(lanes, np.zeros(lanes.size, bool))
@@ -78,7 +78,7 @@ class BackwardPlans:
         return [self._chains[scenario] for scenario in lanes.scenario.tolist()]
 
     def _draw(self, lanes: Lanes) -> None:
-        """Sample configurations at the lost targets, the clearest first; valid ones are chains of one row."""
+        """Sample configurations at the failed targets, the clearest first; valid ones are chains of one row."""
         chains = self._of(lanes)
         drawn = self._checks.kernels(DRAW, self._checks.inputs(lanes, np.array([each.rounds for each in chains])))
         count = drawn.x.shape[1]
@@ -101,7 +101,7 @@ class BackwardPlans:
             each.x = np.concatenate([here.x[own][:, None], each.x], axis=1)[good[own]]
 
     def _check(self, lanes: Lanes) -> Replanned:
-        """Record the first chain of every lane if all its paths are clear, else drop it."""
+        """Record the first chain of every lane if all its paths are clear, else discard it."""
         chains = self._of(lanes)
         rows = [each.x.shape[1] for each in chains]
         owner, end = np.repeat(np.arange(lanes.size), rows), np.cumsum(rows) - 1
@@ -120,8 +120,10 @@ class BackwardPlans:
         return self._replanned(lanes, clear)
 
     def _rows(self, many: Lanes, x: np.ndarray, end: np.ndarray) -> Lanes:
-        """Return the lanes of complete chains x (rows of all chains, N), whose last rows are at `end`. Only the last
-        row, the lost target, has a count of step QPs: the other rows were pushed there without any."""
+        """Return the lanes of complete chains x (rows of all chains, N), whose last rows are at `end`.
+
+        Only the last row, at the failed target, has a count of step QPs: the other rows were pushed there without any.
+        """
         first = np.concatenate([[0], end[:-1] + 1])
         before = np.concatenate([x[:1], x[:-1]])
         before[first] = self._starts[many.scenario[first]]
@@ -132,7 +134,7 @@ class BackwardPlans:
 
     def _write(self, many: Lanes, now: State) -> None:
         self._record.track(many, now, Status.TRACKED_AFTER_ESCAPE, self._escape, np.ones(many.size, np.int8))
-        self._record.tracked -= many.size - len(np.unique(many.scenario))  # all but the lost one were counted before
+        self._record.tracked -= many.size - len(np.unique(many.scenario))  # all but the failed one were counted before
 
     def _replanned(self, lanes: Lanes, found: np.ndarray) -> Replanned:
         """Return the lanes in their next phases, except those with a chain, `found`."""
@@ -146,7 +148,7 @@ class BackwardPlans:
         return Replanned(going, gather(lanes, found), None, int((over & ~found).sum()))
 
     def _next(self, chains: Chains, lost: int) -> int:
-        """Return the next phase of a scenario that has lost its target number `lost`."""
+        """Return the next phase of a scenario that failed at target number `lost`."""
         if len(chains.x):
             return CHECKING if chains.x.shape[1] == lost + 1 else PUSHING
         return DRAWING if chains.rounds < self._rounds else LOST

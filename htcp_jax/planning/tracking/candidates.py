@@ -1,5 +1,7 @@
-"""Candidates: a sampling stage proposes configurations for a stuck scenario, which waits while the step QPs track its
-target from each of them. The scenario continues from the nearest one that reaches it by a clear joint path.
+"""Candidates: configurations that a sampling stage proposes for a stuck scenario.
+
+The scenario waits while the step QPs track its target from each of them, and continues from the nearest one that
+reaches it by a clear joint path.
 """
 
 import threading
@@ -67,8 +69,7 @@ class CandidateSearch:
         self._waiting = waiting
 
     def sample(self, lanes: Lanes, stage: int) -> Outcome:
-        """Propose candidates for every lane. If some are done as they are, take the best of them; else track from
-        all."""
+        """Propose candidates for every lane: if some are done, take the best of them, else track from all."""
         found: Candidates = self._checks.kernels(self._kernels[stage], self._checks.inputs(lanes), lanes.x_previous)
         found = found._replace(done=self._without_passing_tips(lanes, found))
         done = found.done.any(axis=1)
@@ -81,15 +82,24 @@ class CandidateSearch:
         return outcome._replace(arrived=Arrived(lanes, self._checks.measured(lanes, x[best]), clear))
 
     def _without_passing_tips(self, lanes: Lanes, found: Candidates) -> np.ndarray:
-        """True for candidates (lanes, C) that are done and whose tip passes through no wall."""
+        """Return True for candidates (lanes, C) that are done and whose tip passes through no wall."""
         owner, number = np.nonzero(found.done)
         done = found.done.copy()
         done[owner, number] = self._checks.tip_free(gather(lanes, owner), found.x[owner, number], done[owner, number])
         return done
 
     def track_from(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> Outcome:
-        """Return the outcome with lanes that track each lane's target from its valid configurations, x (lanes, C, N),
-        while the lane waits."""
+        """Let each lane wait while candidates track its target from its valid configurations.
+
+        Args:
+            lanes: The stuck lanes.
+            x: Their candidates (lanes, C, N) [rad or m].
+            valid: True for candidates to try (lanes, C).
+            stage: Number of the sampling stage.
+
+        Returns:
+            The outcome, with the lanes to be tracked as its `candidates`.
+        """
         left = valid.sum(axis=1)
         for k in np.flatnonzero(left):
             pending = PendingCandidates((lanes, np.array([k])), stage, int(left[k]))
@@ -104,8 +114,17 @@ class CandidateSearch:
         )
 
     def decide(self, lanes: Lanes, now: State, reached: np.ndarray, stuck: np.ndarray) -> list[Outcome]:
-        """Register candidates that reached the target, and those that did not; returns outcomes of scenarios whose last
-        candidate is decided."""
+        """Register candidates that reached the target, and those that did not.
+
+        Args:
+            lanes: Lanes that track for candidates, and others.
+            now: Their states.
+            reached: True for candidates on their target (lanes,).
+            stuck: True for candidates that cannot reach it (lanes,).
+
+        Returns:
+            Outcomes of the scenarios whose last candidate is decided.
+        """
         decided = np.flatnonzero(reached | stuck)
         if not len(decided):
             return []
@@ -145,16 +164,26 @@ class CandidateSearch:
         return Outcome(stage, spent, Arrived(lanes, gather(now, best), clear))
 
     def _best(self, lanes: Lanes, owner: np.ndarray, number: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return, for every lane, which of its configurations in x (M, N) has the smallest joint change among those
-        with a clear path, and its path's result: 1 clear, 0 not, -1 not checked."""
+        """Return the best configuration of every lane as a row of x (M, N), and the result of its path.
+
+        The best has the smallest joint change among those with a clear path. Results: 1 clear, 0 not, -1 not checked.
+        """
         clear = self._checks.path_clear(gather(lanes, owner), x, self._checks.of_escapes)
         best = nearest(owner, number, np.linalg.norm(x - lanes.x_previous[owner], axis=1), clear)
         return best, clear[best]
 
 
 def nearest(owner: np.ndarray, number: np.ndarray, change: np.ndarray, clear: np.ndarray) -> np.ndarray:
-    """Return, for every owner, the place of its candidate with the smallest change among those whose path is clear or
-    unchecked, the first by number if several are; one that is not clear only if none is. All (M,); one result per
-    owner."""
+    """Return the row of each owner's best candidate (owners,).
+
+    The best has the smallest change among those whose path is clear or unchecked, the lowest number among equals; one
+    with a blocked path only if the owner has no other.
+
+    Args:
+        owner: Owner of each candidate (M,).
+        number: The candidates' numbers (M,).
+        change: Their joint change (M,) [rad or m].
+        clear: Results of their paths (M,): 1 clear, 0 not, -1 not checked.
+    """
     order = np.lexsort((number, np.where(clear != 0, change, np.inf), owner))
     return order[np.unique(owner[order], return_index=True)[1]]

@@ -1,17 +1,17 @@
-"""The engine: a scenario is a small state machine, and the engine advances every unfinished one a few steps at a time.
+"""The engine: each scenario is a small state machine, and every unfinished one is advanced a few steps at a time.
 
     prepare   (device)  lane -> step QP             linearised task, clearance rows, limits about x_ref
     solve     (host)    step QPs -> steps, verdicts Clarabel
     advance   (device)  lane, step -> lane          linearised and measured at the new x_ref
 
-or, if the step QPs are solved on the device too (`qp: device`), a chunk of these steps at a time.
+If the step QPs are solved on the device too (`qp: device`), it takes a chunk of these steps at a time.
 
-A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck and in a recovery stage,
-which moves in the null space a few steps at a time or samples; or it is one of many candidates of a sampling stage,
-tracking the stuck target on behalf of a scenario that waits (`candidates`); or its target is lost and the path to it is
-planned backwards (`backwards`). Each lane has its own target, phase and count; finished ones leave, new scenarios take
-their place. Lanes in the same phase go through one kernel together, and do not influence each other: a scenario's
-result is the same alone, in any batch, in any order and on any thread.
+A lane is one row of the batch. It tracks one target by step QPs until it is reached, then the next one; or it is stuck
+and in a recovery stage, which moves in the null space a few steps at a time or samples; or it is one of many candidates
+of a sampling stage, tracking the stuck target on behalf of a scenario that waits (`candidates`); or its target failed
+and the path to it is planned backwards (`backwards`). Each lane has its own target, phase and count; finished ones
+leave, new scenarios take their place. Lanes in the same phase go through one lane function together, and do not
+influence each other: a scenario's result is the same alone, in any batch, in any order and on any thread.
 
 This module does the bookkeeping on numpy tables (`lanes`). The mathematics is in `kernels` and below; `batching` runs
 it over tables.
@@ -37,8 +37,10 @@ from htcp_jax.status import Status
 
 
 class Engine:
-    """Plan scenarios taken from `work`, writing into `plans`; one engine per thread. Without a solver the step QPs are
-    solved on the device. work, waiting: shared by all engines."""
+    """Engine of one thread: plans scenarios taken from `work` and writes into `plans`.
+
+    `work` and `waiting` are shared by all engines. Without a `solver` the step QPs are solved on the device.
+    """
 
     def __init__(
         self,
@@ -134,8 +136,7 @@ class Engine:
         self._enter(gather(lanes, blocked), 0, Status.PATH_BLOCKED)
 
     def _ascended(self, lanes: Lanes, now: State) -> tuple[Lanes, State]:
-        """Return the lanes moved in the null space to larger D where D is small, unless that blocks a path that was
-        clear."""
+        """Return the lanes moved in the null space to larger D where D is small, unless that blocks a clear path."""
         low = now.clearance < self._settings.keep_clear_m
         if not low.any():
             return lanes, now
@@ -170,8 +171,10 @@ class Engine:
     # Recovery stages
 
     def _enter(self, lanes: Lanes, stage: int, reason: np.ndarray | Status) -> None:
-        """Enter the given recovery stage with main lanes that have not reached their target; without one the target is
-        lost, and with it the rest of the scenario, unless it can be planned backwards."""
+        """Enter the given recovery stage with main lanes that have not reached their target.
+
+        Without one the target fails, and with it the rest of the scenario, unless it can be planned backwards.
+        """
         if not lanes.size:
             return
         while stage < len(self._possible) and not self._possible[stage]:
@@ -198,8 +201,10 @@ class Engine:
             self._table.keep(self._arrived(lanes._replace(walked=walked), now, stage))
 
     def _arrived(self, lanes: Lanes, now: State, stage: int) -> Lanes:
-        """Return the lanes whose recovery in the null space continues; those that meet the success criterion, or have
-        spent their steps, leave it."""
+        """Return the lanes whose recovery in the null space continues.
+
+        Those that meet the success criterion, or have spent their steps, leave it.
+        """
         lanes = lanes._replace(x_ref=now.x)
         out = self._checks.at_target(lanes, now)
         spent = ~out & (lanes.walked >= self._settings.max_null_space_steps)

@@ -1,4 +1,4 @@
-"""Kernel calls that engines will certainly make, to be compiled in parallel, see `Kernels.preparing`."""
+"""Calls of lane functions that engines will certainly make, to be compiled in parallel, see `Kernels.preparing`."""
 
 import numpy as np
 
@@ -10,8 +10,7 @@ from htcp_jax.planning.tracking.lanes import new_lanes
 
 
 def first_calls(problem: Problem) -> list[tuple]:
-    """Return one call of each kernel, in the order in which they are needed; but quick compilations do not delay the
-    largest."""
+    """Return one call of each lane function, in the order of need; quick compilations do not delay the longest."""
     kernels, one, zero = problem.checkers[0].kernels, problem.to_plan[:1], np.zeros(1, int)
     x, inputs = problem.scenarios.x_start[one], lane_inputs(problem.scenarios, one, zero)
     lanes = new_lanes(kernels.sizes, one, zero, x, x)

@@ -10,7 +10,10 @@ from htcp_jax.planning.tracking.lanes import TRACK, Lanes
 
 
 class LaneChecks:
-    """A collision checker for tables of lanes. check_paths: every joint path is checked, regardless of the settings."""
+    """Measurements and collision checks of tables of lanes.
+
+    With `check_paths` every joint path is checked, regardless of the settings.
+    """
 
     def __init__(self, problem: Problem, checker: CollisionChecker, check_paths: bool):
         self._checker, self.kernels = checker, checker.kernels
@@ -19,15 +22,15 @@ class LaneChecks:
         self.of_escapes = self.of_steps or problem.settings.path_check == "escapes"
 
     def inputs(self, lanes: Lanes, round_: int | np.ndarray = 0) -> LaneInputs:
-        """Return the lanes' kernel inputs. round_: of draws."""
+        """Return the inputs of the lanes' functions; `round_` is the number of the round of draws."""
         return lane_inputs(self._scenarios, lanes.scenario, lanes.target, seed=self._seed, round_=round_)
 
     def advanced(self, lanes: Lanes, y: np.ndarray) -> State:
-        """Return the lanes' states after steps y (lanes, N)."""
+        """Return the lanes' states after steps y (lanes, N) [rad or m]."""
         return self._checker.stepped(self.inputs(lanes), lanes.x_ref, y)
 
     def measured(self, lanes: Lanes, x: np.ndarray) -> State:
-        """Return the lanes' states at configurations x (lanes, N)."""
+        """Return the lanes' states at configurations x (lanes, N) [rad or m]."""
         return self._checker.stepped(self.inputs(lanes), x, np.zeros_like(x))
 
     def linearised(self, lanes: Lanes) -> tuple[Lanes, np.ndarray]:
@@ -36,19 +39,37 @@ class LaneChecks:
         return lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)), now.clearance
 
     def keeps_margin(self, lanes: Lanes, here: State) -> np.ndarray:
-        """True for lanes on their target with the required margin."""
+        """Return True for lanes on their target with the required margin."""
         return self.kernels.task.counts(here.clearance, here.residual, self._scenarios.margin_m[lanes.scenario])
 
     def tip_free(self, lanes: Lanes, x: np.ndarray, among: np.ndarray) -> np.ndarray:
-        """True for lanes of `among` whose bare tip is out of the walls at x."""
+        """Return True for lanes of `among` whose bare tip at x is outside of the walls.
+
+        Args:
+            lanes: The lanes.
+            x: Their configurations (lanes, N) [rad or m].
+            among: True for lanes to check (lanes,).
+        """
         return self._checker.tip_free(self.inputs(lanes), x, among)
 
     def at_target(self, lanes: Lanes, here: State, among: np.ndarray | bool = True) -> np.ndarray:
-        """True for lanes of `among` that meet the success criterion: see `CollisionChecker.valid`."""
+        """Return True for lanes of `among` that meet the success criterion, see `CollisionChecker.valid`.
+
+        Args:
+            lanes: The lanes.
+            here: Their states.
+            among: True for lanes to check (lanes,), or for all.
+        """
         return self._checker.valid(self.inputs(lanes), here, among)
 
     def path_clear(self, lanes: Lanes, x: np.ndarray, asked: bool) -> np.ndarray:
-        """Return 1 for each clear joint path from a lane's last target to x, 0 if it is not; -1 if not `asked`."""
+        """Return 1 for each clear joint path from a lane's last target to x, 0 for others; -1 if not `asked`.
+
+        Args:
+            lanes: The lanes.
+            x: Ends of the paths (lanes, N) [rad or m].
+            asked: True to check them.
+        """
         if not (asked and len(x)):
             return np.full(len(x), -1, np.int8)
         return self._checker.path_clear(self.inputs(lanes), lanes.x_previous, x).astype(np.int8)

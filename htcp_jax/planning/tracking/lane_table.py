@@ -1,4 +1,4 @@
-"""Lanes that an engine has in flight, at most as many as the kernels' table takes, and its queue of others."""
+"""Lanes that an engine has in flight, at most as many as a call of a lane function takes, and its queue of others."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class LaneTable:
         self._queue.append(lanes)
 
     def fill(self) -> bool:
-        """Leave some lanes to an idle engine, and fill the table. Returns False if no work is left."""
+        """Leave some lanes to an idle engine, and fill the table; return False if no work is left."""
         if self._work.wanted:
             self._leave()
         while not self._top_up():
@@ -38,8 +38,10 @@ class LaneTable:
         return True
 
     def _leave(self) -> None:
-        """Leave half of the queued lanes, or else of those in flight. Lanes planned backwards stay, as the engine holds
-        more of their state."""
+        """Leave half of the queued lanes, or else of those in flight.
+
+        Lanes planned backwards stay, as the engine has more of their state.
+        """
         if self._queue:
             block = self._queue.pop()
             self._work.leave(gather(block, slice(0, None, 2)))
@@ -53,7 +55,7 @@ class LaneTable:
                 self._kept = [gather(lanes, ~np.isin(np.arange(lanes.size), movable))]
 
     def _top_up(self) -> bool:
-        """Fill the table from the queue, then with new scenarios. Returns False if there are no lanes."""
+        """Fill the table from the queue, then with new scenarios; return False if there are no lanes."""
         free = self._kernels.lanes - sum(lanes.size for lanes in self._kept)
         while free > 0 and self._queue:
             block = self._queue.pop(0)
@@ -68,8 +70,11 @@ class LaneTable:
         return bool(self._kept)
 
     def turn(self) -> list[tuple[int, Lanes]]:
-        """Take the lanes to advance next out of the table, by phase: all of them or, if a call takes as long for few
-        lanes, only the phase with the most lanes, while the others fill up."""
+        """Take the lanes to advance next out of the table, by phase.
+
+        These are all lanes or, if a call takes as long for few lanes, those of the phase with the most lanes, while the
+        others fill up.
+        """
         lanes, self._kept = concatenate(self._kept), []
         phases, counts = np.unique(lanes.phase, return_counts=True)
         if not self._kernels.pays_by_lane:

@@ -9,7 +9,7 @@ from htcp_jax.clearance.obstacles.obstacles import ClearanceRows
 
 MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
 # Phases; for a lane in a recovery stage, the number of that stage. The last three are those of
-# lanes planned backwards: configurations are drawn at the lost target, carried back row by row, and checked.
+# lanes planned backwards: configurations are drawn at the failed target, carried back row by row, and checked.
 NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
 BACKWARDS = DRAWING, PUSHING, CHECKING
 ENTERING = -1  # `walked` of a lane before its first null-space step
@@ -36,7 +36,16 @@ class Lanes(NamedTuple):
 
 
 def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candidate=MAIN) -> Lanes:
-    """Return lanes that start at x_ref (L, N); sizes: number of values in the task, and of clearance rows."""
+    """Return lanes that start at x_ref.
+
+    Args:
+        sizes: Number of values in the task, and of clearance rows.
+        scenario: Rows of the scenarios (L,).
+        target: Their targets (L,).
+        x_previous: Configurations at the targets before (L, N) [rad or m].
+        x_ref: Configurations to start at (L, N) [rad or m].
+        candidate: MAIN, or the candidates' numbers (L,).
+    """
     lanes, n = x_ref.shape
 
     def column(value):

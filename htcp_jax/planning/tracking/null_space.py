@@ -1,5 +1,6 @@
-"""Steps in the null space of the task, Algorithm 1: minimise J2 on the sphere, equation (11), move by alpha,
-re-anchor. Each is a pure function of one scenario.
+"""Steps in the null space of the task (Algorithm 1), each a pure function of one scenario.
+
+Minimise J2 on the sphere, equation (11), move by alpha, re-anchor.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,7 +25,7 @@ from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers import sphere
 from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
-READS = ("alpha_rad", "include_proximal_bodies", "j1_weight", "q_weights")  # settings that any null-space step reads
+READS = ("alpha_rad", "include_proximal_bodies", "j1_weight", "q_weights")  # settings read by every null-space step
 DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, number pushed clear, null-space steps per push
 
 
@@ -44,7 +45,7 @@ class Stuck(NamedTuple):
 
 
 def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
-    """True for the rows in J2: all, or those of bodies on the outer half of the chain (capsules 4 to 8 of the GP50)."""
+    """Return True for the rows in J2: all, or those of bodies on the chain's outer half (GP50: capsules 4 to 8)."""
     half = len(scene.robot.slides) // 2
     return tuple(include_proximal_bodies or scene.robot.capsule_link[body] >= half for body in scene.rows.body)
 
@@ -52,8 +53,15 @@ def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
 def sphere_problem(
     scene: Scene, settings: Settings, where: Posed, x_ref: Joints, target: Float[Array, "G"] | None = None
 ) -> tuple[sphere.Sphere, HeldContacts, Float[Array, "N D"]]:
-    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref) [rad]. Undefined if D = 0. target:
-    the task's goal; any for a task of points, hence None."""
+    """Return the problem of equation (11) at x_ref, the contacts there, and alpha N(x_ref) [rad]; undefined if D = 0.
+
+    Args:
+        scene: Arm with its tool, obstacles and task.
+        settings: `alpha_rad`, `j1_weight`, `q_weights` and `include_proximal_bodies`.
+        where: Pose of the workpiece.
+        x_ref: The configuration [rad or m].
+        target: The task's goal; not needed, hence None, for a task of points.
+    """
     robot, obstacles, task = scene
     rows = scene.rows
     held = task.linear_at(robot, x_ref, jnp.zeros(task.numbers) if target is None else target)
@@ -100,14 +108,10 @@ def null_space_objective(
     w: Float[Array, "D"],
     settings: Settings | Mapping[str, Any] | None = None,
 ) -> Scalar:
-    """J2 of equation (11a): -D(x, O) + J1(x, x_ref) [m] at x = x_ref + alpha N(x_ref) w of (11c).
+    """Return J2 of equation (11a): -D(x, O) + J1(x, x_ref) [m] at x = x_ref + alpha N(x_ref) w of (11c).
 
-    Smaller is clearer: the planners minimise it over |w| = 1, within the joint limits, which it does not check.
-    robot: with its tool, as in a plan. where: a scenario, or anything else that is `Posed`. w: D = N - 3 numbers.
-    settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), with weight 1 in
-    the paper; and `include_proximal_bodies`. None: the defaults, whose `j1_weight` is 0: then J2 = -D.
-
-    Raises InputError for an x_ref or w of another shape, including batches, and for `q_weights` of another length.
+    Smaller is clearer: the planners minimise it over |w| = 1 within the joint limits, which this function does not
+    check.
 
     ```python
     >>> import jax
@@ -126,6 +130,18 @@ def null_space_objective(
     [-0.497, -0.499, -0.498]
 
     ```
+
+    Args:
+        robot: With its tool, as in a plan.
+        obstacles: See `make_obstacle`.
+        where: A scenario, or any other object that is `Posed`.
+        x_ref: Configuration [rad or m].
+        w: Direction in the null space, D = N - 3 numbers.
+        settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), with weight 1
+            in the paper; and `include_proximal_bodies`. None: the defaults, whose `j1_weight` is 0: then J2 = -D.
+
+    Raises:
+        InputError: For an x_ref or w of another shape, including batches, and for `q_weights` of another length.
     """
     x_ref = configuration(robot, x_ref, "x_ref")
     joints = x_ref.shape[0]
@@ -145,7 +161,15 @@ def _objective(
 
 
 def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "G"]) -> State:
-    """Re-anchor x, (5b), if it is off the target [m] by more than xi, Algorithm 1, line 13; then measure it."""
+    """Re-anchor x, (5b), if it is off the target by more than xi, Algorithm 1, line 13; then measure it.
+
+    Args:
+        scene: Arm with its tool, obstacles and task.
+        settings: Not used.
+        where: Pose of the workpiece.
+        x: Configuration [rad or m].
+        target: The task's goal [m].
+    """
     robot, obstacles, task = scene
     off = task.off(robot, x, target)
     anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
@@ -165,7 +189,20 @@ def null_space_step(
     x_ref: Joints,
     count: Int[Array, ""],
 ) -> State:
-    """Algorithm 1, lines 11 to 13: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
+    """Take one null-space step, Algorithm 1, lines 11 to 13: minimise J2 on the sphere, move, re-anchor.
+
+    Args:
+        minimise: Minimiser on the sphere.
+        scene: Arm with its tool, obstacles and task.
+        settings: Settings of the planner.
+        where: Pose of the workpiece.
+        stuck: The stuck scenario.
+        x_ref: Configuration before the step [rad or m].
+        count: Steps so far; folded into the random key.
+
+    Returns:
+        The state at x = x_ref + alpha N w after re-anchoring.
+    """
     problem, held, step_basis = sphere_problem(scene, settings, where, x_ref, stuck.target)
     best = minimise(problem, held, jax.random.fold_in(stuck.key, count), settings)
     x = jnp.clip(x_ref + product(step_basis, best.w), scene.robot.lower, scene.robot.upper)
@@ -181,10 +218,18 @@ def keep_clear_ascent(
     enough_m: Scalar | float | None = None,
     steps: int | None = None,
 ) -> State:
-    """Max-min null-space steps away from the workpiece while D is below `enough_m`, at most `steps` of them (by default
-    `keep_clear_m` and `keep_clear_steps`); the result is never worse than the start. target: where the task stays [m].
+    """Take max-min null-space steps away from the workpiece; the result is never worse than the start.
 
     One linearisation per step: the best direction for the contacts at x, at most alpha long, halved on failure.
+
+    Args:
+        scene: Arm with its tool, obstacles and task.
+        settings: Settings of the planner.
+        where: Pose of the workpiece.
+        x: Configuration to start at [rad or m].
+        target: The task's goal, which is kept [m].
+        enough_m: Clearance D at which to stop; None: `keep_clear_m`.
+        steps: Maximum number of steps; None: `keep_clear_steps`.
     """
     enough_m = settings.keep_clear_m if enough_m is None else enough_m
     steps = settings.keep_clear_steps if steps is None else steps
@@ -211,18 +256,28 @@ def keep_clear_ascent(
 
 
 def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "G"]) -> State:
-    """Bring x onto the target and push it in the null space until it keeps the margin, or as far as possible."""
+    """Bring x onto the target and push it in the null space until it keeps the margin, or as far as possible.
+
+    Args:
+        scene: Arm with its tool, obstacles and task.
+        settings: Settings of the planner.
+        where: Pose of the workpiece and the required clearance.
+        x: Configuration [rad or m].
+        target: The task's goal [m].
+    """
     enough_m = jnp.maximum(1e-9, where.margin_m)
     x = anchor(scene, settings, where, x, target).x
     return keep_clear_ascent(scene, settings, where, x, target, enough_m, PUSHES)
 
 
 def stuck_key(seed, number, row, stage: int, round_) -> jax.Array:
-    """Random key of one recovery: of scenario `number`, at target `row`. The seed is data, so a new one compiles
-    nothing."""
+    """Return the random key of one recovery, folded from scenario `number`, target `row`, stage and round.
+
+    The seed is data, so a new one does not cause a compilation.
+    """
     return fold_keys(jax.random.key(seed), number, row, stage, round_)
 
 
 def stuck_at(lane: LaneInputs, x_previous: Joints, stage: int) -> Stuck:
-    """Return a stuck lane's state, with the random key of one stage."""
+    """Return the state of a stuck lane, with the random key of one stage."""
     return Stuck(x_previous, lane.target, stuck_key(lane.seed, lane.number, lane.row, stage, lane.round))

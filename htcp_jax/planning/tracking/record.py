@@ -1,4 +1,4 @@
-"""Record of an engine: targets that are tracked, and those that are lost."""
+"""Record of an engine: targets that are tracked, and those that failed."""
 
 import jax
 import numpy as np
@@ -12,14 +12,22 @@ from htcp_jax.status import Status
 
 
 class Record:
-    """Write into the plans, and count newly tracked targets and newly finished scenarios."""
+    """Writer into the plans, which counts newly tracked targets and newly finished scenarios."""
 
     def __init__(self, plans: Plans):
         self._plans = plans
         self.tracked = self.finished = 0
 
     def track(self, lanes: Lanes, now: State, status: Status, escape: int, clear: np.ndarray) -> None:
-        """Record that every lane has reached its target; clear: see `Plans.path_clear`."""
+        """Record that every lane has reached its target.
+
+        Args:
+            lanes: The lanes.
+            now: Their states.
+            status: TRACKED or TRACKED_AFTER_ESCAPE.
+            escape: See `Plans.escape`.
+            clear: See `Plans.path_clear` (lanes,).
+        """
         s, t, plans = lanes.scenario, lanes.target, self._plans
         plans.x[s, t], plans.tcp[s, t] = now.x, now.tcp
         plans.clearance[s, t], plans.residual[s, t] = now.clearance, now.residual
@@ -30,7 +38,7 @@ class Record:
         self.tracked += len(s)
 
     def lose(self, lanes: Lanes, reason: np.ndarray | Status) -> None:
-        """Record that no lane has reached its target, each with its reason."""
+        """Record that no lane has reached its target; `reason` is one for all, or one per lane (lanes,)."""
         self._plans.status[lanes.scenario, lanes.target] = reason
         self._plans.iterations[lanes.scenario, lanes.target] = lanes.iteration
 
@@ -41,7 +49,7 @@ class Record:
 
 
 def with_separate_errors(problem: Problem, plans: Plans) -> Plans:
-    """Return the plans with the residual split into a distance and an angle, if the task holds angles."""
+    """Return the plans with the residual split into a distance and an angle, if the task constrains angles."""
     if not problem.task.holds_angles:
         return plans
     residual, angle, scenarios = plans.residual.copy(), plans.orientation_error.copy(), problem.scenarios

@@ -1,5 +1,6 @@
-"""Sampling stages: configurations proposed many at once, from which the step QP then tracks the target. Each is a pure
-function of one scenario.
+"""Sampling stages: configurations proposed many at once, from which the step QPs then track the target.
+
+Each is a pure function of one scenario.
 """
 
 from collections.abc import Callable
@@ -32,8 +33,11 @@ Propose = Callable[[Scene, Settings, Posed, Stuck], Candidates]
 
 
 def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Candidates:
-    """The paper's C-Space sample: joints 3 and outwards uniform about x_{t-1}, +-1 rad (joint 3) and +-2 rad (the
-    others); the first `samples` feasible ones (inside the limits and clear) out of eight times as many draws."""
+    """Sample configurations about x_{t-1}, the paper's C-Space sample.
+
+    Uniform in joint 3 within +-1 rad and in the joints beyond it within +-2 rad; the first `samples` feasible ones
+    (inside the limits and clear) out of eight times as many draws.
+    """
     robot, n = scene.robot, len(scene.robot.slides)
     # The paper's arm moves joints 3 to 6; on another arm, too, the first two, which carry all others, stay.
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
@@ -49,8 +53,18 @@ def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck)
 def nspace_samples(
     scene: Scene, settings: Settings, where: Posed, stuck: Stuck, step_rad: tuple[float, ...]
 ) -> Candidates:
-    """The paper's N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given
-    length, re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
+    """Sample configurations in the null space, the paper's N-Space sample.
+
+    Random directions, each followed for `sample_steps` steps of each given length, re-anchored whenever the TCP error
+    exceeds the tolerance. The direction is carried along by projection.
+
+    Args:
+        scene: Arm with its tool, obstacles and task.
+        settings: Number of samples and steps, and the maximum distance.
+        where: Pose of the workpiece; not used.
+        stuck: The stuck scenario.
+        step_rad: Lengths of the steps.
+    """
     robot, task = scene.robot, scene.task
     origin, _ = reanchor(robot, stuck.x_previous, stuck.target, task.fine_m, task=task)
     first = null_basis(task.linear_at(robot, origin, stuck.target).jacobian)
@@ -78,8 +92,18 @@ def nspace_samples(
 def best_nspace_samples(
     scene: Scene, settings: Settings, where: Asked, stuck: Stuck, step_rad: tuple[float, ...], keep: int = 24
 ) -> Candidates:
-    """N-Space samples with their clearance: those that are clear on the target are done; of the others, only the `keep`
-    clearest are tracked."""
+    """Return N-Space samples with their clearance: those that are clear on the target are done.
+
+    If there are none, the `keep` clearest are tracked.
+
+    Args:
+        scene: Arm with its tool, obstacles and task.
+        settings: Settings of the planner.
+        where: Pose of the workpiece and the required clearance.
+        stuck: The stuck scenario.
+        step_rad: Lengths of the steps.
+        keep: Maximum number of samples to track.
+    """
     x, near, _ = nspace_samples(scene, settings, where, stuck, step_rad)
     here = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
     done = near & scene.task.counts(here.clearance, here.residual, where.margin_m)
@@ -89,10 +113,17 @@ def best_nspace_samples(
 
 
 def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spread: Bool[Array, ""]) -> State:
-    """The best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows): each draw is
-    brought onto the target, and some are pushed clear: the clearest, or with `spread` any of the clearer quarter.
+    """Return the best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows).
 
-    The clearest alone are often similar, for example all on the same side of the workpiece, with no path back.
+    Each draw is brought onto the target, and some are pushed clear: the clearest, or with `spread` any of the clearer
+    quarter. The clearest alone are often similar, for example all on the same side of the workpiece, with no path back.
+
+    Args:
+        scene: Arm with its tool, obstacles and task.
+        settings: Settings of the planner.
+        where: Pose of the workpiece and the required clearance.
+        stuck: The stuck scenario.
+        spread: True to push any of the clearer quarter.
     """
     robot = scene.robot
     lower, upper = jnp.maximum(robot.lower, -jnp.pi), jnp.minimum(robot.upper, jnp.pi)

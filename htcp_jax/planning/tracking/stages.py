@@ -1,4 +1,4 @@
-"""Recovery stages of a method with step QPs: tried in order when these are stuck, each with its own kernel."""
+"""Recovery stages of a method with step QPs: tried in order when these are stuck, each with its own lane function."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -40,7 +40,7 @@ class NullSpace:
     in_null_space = True
 
     def kernel(self, index: int) -> Kernel:
-        """Return the kernel for a chunk of null-space steps, as stage `index` of a method."""
+        """Return the lane function for a chunk of null-space steps, as stage `index` of a method."""
         reads = (*READS, *MEASURED, *self.settings)
         return Kernel(f"walk {index}", walk_null_space, WALKED, reads, (self.minimise, index))
 
@@ -54,7 +54,7 @@ class Sample:
     in_null_space: bool = True  # True if it proposes nothing without a null space
 
     def kernel(self, index: int) -> Kernel:
-        """Return the kernel that proposes a lane's candidates, as stage `index` of a method."""
+        """Return the lane function that proposes a lane's candidates, as stage `index` of a method."""
         return Kernel(f"sample {index}", propose, SAMPLED, self.settings, (self.propose, index))
 
 
@@ -64,7 +64,7 @@ class Escapes:
 
     stages: tuple[NullSpace | Sample, ...] = ()  # tried in order at a stuck target
     keep_clear: bool = False  # ascend after every target
-    replan_backwards: bool = False  # if all stages fail, draw a clear configuration there and plan backwards from it
+    replan_backwards: bool = False  # if all stages fail, draw clear configurations there and plan backwards from them
     check_paths: bool = False  # every joint path must be clear, regardless of the settings
 
     @property
@@ -91,8 +91,22 @@ def walk_null_space(
     walked: Int[jax.Array, ""],
     most: Int[jax.Array, ""],
 ) -> Loop:
-    """Algorithm 1, lines 10 to 14: null-space steps of the method's stage `index`, after those `walked`, until the
-    target is held with the margin, or `walked` reaches `most`. The loop's state is `Walked`."""
+    """Take null-space steps until the target is reached with the margin, Algorithm 1, lines 10 to 14.
+
+    Args:
+        minimise: Minimiser on the sphere.
+        index: Number of the method's stage; part of the random key.
+        settings: Settings of the planner.
+        scene: Arm, obstacles and task.
+        lane: The lane's inputs.
+        x_previous: Configuration at the target before [rad or m].
+        x_ref: Configuration to continue from [rad or m].
+        walked: Number of steps so far.
+        most: Number of steps at which the chunk ends.
+
+    Returns:
+        A loop whose state is `Walked`.
+    """
     stuck, own = stuck_at(lane, x_previous, index), own_scene(scene, lane.tool_extension_m)
 
     def going(there: Walked):
@@ -110,32 +124,48 @@ def walk_null_space(
 def propose(
     proposed: Propose, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous
 ) -> Candidates:
-    """Return the candidates of a sampling stage, the method's stage `index`."""
+    """Return the candidates of a sampling stage.
+
+    Args:
+        proposed: Function that draws them.
+        index: Number of the method's stage; part of the random key.
+        settings: Settings of the planner.
+        scene: Arm, obstacles and task.
+        lane: The lane's inputs.
+        x_previous: Configuration at the target before (N,) [rad or m].
+    """
     scene = own_scene(scene, lane.tool_extension_m)
     return proposed(scene, settings, lane, stuck_at(lane, x_previous, index))
 
 
 def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previous: Joints) -> State:
-    """Algorithm 1, line 9: inverse kinematics (5b) of the stuck target from x_{t-1}."""
+    """Bring x_{t-1} onto the stuck target by inverse kinematics (5b), Algorithm 1, line 9.
+
+    Args:
+        settings: Settings of the planner.
+        scene: Arm, obstacles and task.
+        lane: The lane's inputs.
+        x_previous: x_{t-1} [rad or m].
+    """
     own = own_scene(scene, lane.tool_extension_m)
     x, _ = reanchor(own.robot, x_previous, lane.target, own.task.fine_m, task=own.task)
     return measured(settings, scene, lane, anchor(own, settings, lane, x, lane.target).x)
 
 
 def push(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
-    """Carry x over to the lane's target and push it clear."""
+    """Bring x (N,) [rad or m] onto the lane's target and push it clear."""
     return push_clear(own_scene(scene, lane.tool_extension_m), settings, lane, x, lane.target)
 
 
 def draw(settings: Settings, scene: Scene, lane: LaneInputs) -> State:
-    """Return the best of a round of draws at the lane's target; the lane holds the round's number."""
+    """Return the best of a round of draws at the lane's target; the lane has the round's number."""
     scene = own_scene(scene, lane.tool_extension_m)
     stuck = stuck_at(lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
     return draw_clear(scene, settings, lane, stuck, lane.round % SPREAD_EVERY == SPREAD_EVERY - 1)
 
 
 def ascend(settings: Settings, scene: Scene, lane: LaneInputs, x):
-    """Ascend D in the null space at the target just reached."""
+    """Ascend D in the null space from x (N,) [rad or m], at the target just reached."""
     scene = own_scene(scene, lane.tool_extension_m)
     return keep_clear_ascent(scene, settings, lane, x, lane.target)
 

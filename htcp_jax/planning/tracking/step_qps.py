@@ -29,13 +29,14 @@ class StepQPs(Escapes):
     description: str  # short description
 
     def first_calls(self, problem: Problem) -> list[tuple]:
-        """Return the first kernel calls, see `Kernels.preparing`."""
+        """Return the first calls of lane functions, see `Kernels.preparing`."""
         return first_calls(problem)
 
     def plan(self, problem: Problem) -> Plans:
-        """Plan all scenarios. Raises InputError for a QP solver that is not installed.
+        """Plan all scenarios, with one engine per thread; all share the work and write into different rows.
 
-        One engine per thread; all share the work, and write into different rows.
+        Raises:
+            InputError: For a QP solver that is not installed.
         """
         plans, count = problem.empty_plans(), len(problem.scenarios.number)
         threads = min(problem.threads, count)
@@ -55,8 +56,17 @@ class StepQPs(Escapes):
 
 
 def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) -> QPSolver | None:
-    """Return the solver that `settings.qp` names; None for the one on the device, which the kernels call themselves.
-    Raises InputError for a name that is not installed."""
+    """Return the solver that `settings.qp` names; None for the one on the device, which the lane functions call.
+
+    Args:
+        settings: `qp`, `qp_tolerance` and `q_weights`.
+        joints: Number of joints; not used.
+        rows: Number of inequality rows per step QP.
+        task_rows: Number of the task's equality rows.
+
+    Raises:
+        InputError: For a name that is not installed.
+    """
     if settings.qp == "device":
         return None
     name, _, backend = settings.qp.partition(":")

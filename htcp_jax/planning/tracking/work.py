@@ -1,6 +1,6 @@
 """Work shared by several engines: scenarios not begun, and lanes that one engine leaves to an idle one.
 
-A lane holds all that an engine needs to continue it. So towards the end, when only hard scenarios are left, they are
+A lane has all that an engine needs to continue it. So towards the end, when only hard scenarios are left, they are
 divided among the engines again and again, and no engine is idle for long.
 """
 
@@ -12,7 +12,7 @@ from htcp_jax.planning.tracking.lanes import Lanes
 
 
 class Work:
-    """Scenarios for so many engines, one per thread."""
+    """Scenarios for a number of engines, one per thread."""
 
     def __init__(self, scenarios: Sequence[int], engines: int):
         # Neighbours in a grid are alike: dealt out in turn, every engine gets its part of the hard ones.
@@ -39,7 +39,7 @@ class Work:
             self._changed.notify_all()
 
     def wait(self) -> Lanes | None:
-        """Wait for lanes that another engine leaves; None once no engine has any."""
+        """Wait for lanes that another engine leaves; return None once no engine has any."""
         with self._changed:
             self._waiting += 1
             self._changed.notify_all()

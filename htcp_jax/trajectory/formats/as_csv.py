@@ -11,9 +11,11 @@ from htcp_jax.trajectory.timed import Timed
 
 
 def csv_text(timed: Timed, beside: Beside) -> str:
-    """Return comments after #, a header, and rows: `time_s`, `kind`, `target`; for each joint its value in
-    `<joint>_rad`, its velocity in `<joint>_rad_s` and its acceleration in `<joint>_rad_s2`, with m in place of rad for
-    a slide."""
+    """Return comments after #, a header, and rows.
+
+    Columns: `time_s`, `kind`, `target`; for each joint its value in `<joint>_rad`, its velocity in `<joint>_rad_s` and
+    its acceleration in `<joint>_rad_s2`, with m in place of rad for a slide.
+    """
     stream = io.StringIO()
     stream.writelines(f"# {line}\n" for line in header(timed))
     units = ["m" if slides else "rad" for slides in beside.slides]

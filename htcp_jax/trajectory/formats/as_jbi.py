@@ -37,8 +37,9 @@ MORE = (
 def jbi_text(timed: Timed, beside: Beside) -> str:
     """Return a relative job of RECTAN positions in the user frame.
 
-    Raises InputError without that frame or for an invalid number of it, without joint speeds or for speeds over them,
-    for an arm without exactly six joints, for too many lines, and for an invalid job name.
+    Raises:
+        InputError: Without that frame or for an invalid number of it, without joint speeds or for speeds over them, for
+            an arm without exactly six joints, for too many lines, and for an invalid job name.
     """
     if (frame := beside.user_frame) is None:
         raise InputError("jbi: RECTAN positions are in a user frame; program.user_frame names it, {number: 1 to 63}")
@@ -55,10 +56,11 @@ def jbi_text(timed: Timed, beside: Beside) -> str:
 
 
 def jbi_pulses_text(timed: Timed, beside: Beside) -> str:
-    """Return a job of joint pulses, by the table in `beside`.
+    """Return a job of joint pulses, by the controller's encoder scale.
 
-    Raises InputError without that table, without joint speeds or for speeds over them, for too many joints or lines,
-    and for an invalid job name.
+    Raises:
+        InputError: Without that scale, without joint speeds or for speeds over them, for too many joints or lines, and
+            for an invalid job name.
     """
     if (pulses := beside.pulses) is None:
         raise InputError("jbi-pulses: no table; program.pulses gives one: {per_rad: [...], source: ...}")
@@ -109,8 +111,10 @@ def _rounded(values: np.ndarray, digits: int) -> np.ndarray:
 
 
 def _fixed_xyz_rad(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Return Rx, Ry, Rz with R = Rz Ry Rx. If Ry is a right angle only the difference of the others is known: Rz =
-    0."""
+    """Return Rx, Ry, Rz with R = Rz Ry Rx.
+
+    If Ry is a right angle only the difference of the others is known: Rz = 0.
+    """
     flat = np.hypot(R[:, 0, 0], R[:, 1, 0])
     locked = flat < 1e-9
     about_x = np.where(locked, np.arctan2(-R[:, 1, 2], R[:, 1, 1]), np.arctan2(R[:, 2, 1], R[:, 2, 2]))
@@ -132,7 +136,10 @@ def _feed_mm_s(timed: Timed, frame: UserFrame) -> Float[np.ndarray, "n"]:
 
 def _percent(timed: Timed, beside: Beside, format: str) -> Float[np.ndarray, "n"]:
     """Return the fastest joint's share of its full speed on the segment to each row, in percent; slow to the first.
-    Raises InputError without joint speeds, and for more than 100 %."""
+
+    Raises:
+        InputError: Without joint speeds, and for more than 100 %.
+    """
     if beside.speed is None or not np.isfinite(beside.speed).all():
         raise InputError(f"{format}: speeds are in percent of full joint speed; program.velocity gives them")
     share = 100 * np.abs(np.diff(timed.x, axis=0)) / (np.diff(timed.time_s)[:, None] * beside.speed)

@@ -2,8 +2,8 @@
 
     <include file="weld.xml"/>
 
-Each `key` holds a time, qpos and qvel (MJCF reference, keyframe/key). The model must have these joints and no others,
-in their order. Numbers round-trip exactly.
+Each `key` has a time, qpos and qvel (MJCF reference, keyframe/key). The model must have these joints and no others, in
+their order. Numbers round-trip exactly.
 """
 
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring

@@ -1,8 +1,8 @@
 """ROS 2's trajectory_msgs/msg/JointTrajectory, in YAML and in JSON.
 
-Both contain the message's fields by name, so that they can be set one by one from the file. Numbers round-trip
-exactly, times to the message's nanoseconds. Sources: the message definitions of trajectory_msgs
-(JointTrajectory, JointTrajectoryPoint), std_msgs (Header) and builtin_interfaces (Time, Duration).
+Both contain the message's fields by name, so that they can be set one by one from the file. Numbers round-trip exactly,
+times to the message's nanoseconds. Sources: the message definitions of trajectory_msgs (JointTrajectory,
+JointTrajectoryPoint), std_msgs (Header) and builtin_interfaces (Time, Duration).
 """
 
 import json
@@ -29,8 +29,10 @@ def ros_yaml_text(timed: Timed, beside: Beside) -> str:
 
 
 def ros_json_text(timed: Timed, beside: Beside) -> str:
-    """Return a JSON object with the message under `message`, its type under `type` and the header under `about`, as
-    JSON has no comments."""
+    """Return a JSON object with the message, its type and the header.
+
+    Keys are `message`, `type` and `about`; the header is an entry, as JSON has no comments.
+    """
     message = {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
         "joint_names": timed.joint_names,

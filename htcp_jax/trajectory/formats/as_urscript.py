@@ -18,7 +18,7 @@ from htcp_jax.trajectory.timed import Timed
 JOINTS = 6
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 LOOKAHEAD_S, GAIN = 0.1, 300  # the manual's defaults
-SLOW_RAD_S, SLOW_RAD_S2 = 0.1, 0.1  # to the first posture
+SLOW_RAD_S, SLOW_RAD_S2 = 0.1, 0.1  # to the first configuration
 STOP_RAD_S2 = 1.0
 ONE_TIME_S = 1e-7
 MORE = (
@@ -30,8 +30,9 @@ MORE = (
 def urscript_text(timed: Timed, beside: Beside) -> str:
     """Return a function with the program's name, and its call.
 
-    Raises InputError for an arm without exactly six revolute joints, an invalid function name, and times that are no
-    multiples of the controller's step.
+    Raises:
+        InputError: For an arm without exactly six revolute joints, an invalid function name, and times that are no
+            multiples of the controller's step.
     """
     if len(timed.joint_names) != JOINTS or any(beside.slides):
         raise InputError(f"urscript: {_arm(beside)}; these arms have {JOINTS} turning joints")

@@ -34,17 +34,27 @@ FORMATS = {
 
 
 def format_of(name: str) -> Format:
-    """Return a format in FORMATS. Raises InputError for another name."""
+    """Return a format in FORMATS.
+
+    Raises:
+        InputError: For another name.
+    """
     if name not in FORMATS:
         raise InputError(f"{name!r} is no format of a program; valid: {', '.join(FORMATS)}")
     return FORMATS[name]
 
 
 def program_text(format: str, timed: Timed, beside: Beside) -> str:
-    """Return the file of a program in a format of FORMATS.
+    """Return the file of a program.
 
-    Raises InputError for an unknown format, for controller data that the format needs and `beside` lacks, for a motion
-    without configurations, and for times that do not increase.
+    Args:
+        format: Name in FORMATS.
+        timed: Samples of the motion.
+        beside: The job's controller data.
+
+    Raises:
+        InputError: For an unknown format, for controller data that the format needs and `beside` lacks, for a motion
+            without configurations, and for times that do not increase.
     """
     write = format_of(format).write
     if len(timed.x) == 0:
