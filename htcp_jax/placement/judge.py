@@ -204,7 +204,7 @@ def judge_lowered(
 
 
 def _better(found: Judged, again: Judged, which: Bool[np.ndarray, "n"]) -> tuple[Judged, Bool[np.ndarray, "n"]]:
-    """Return `found` with complete results of `again`, which planned the mask `which`, and the mask of those replaced."""
+    """Put complete results of `again`, which planned the mask `which`, into `found`; return it and their mask."""
     new = which.copy()
     new[which] = again.complete
     row = np.arange(len(which) * found.seams).reshape(-1, found.seams)
