@@ -1,25 +1,25 @@
-"""One command for every case:
+"""Benchmarks, one command for every case:
 
     python -m benchmarks clearance         an exact query against brute force, 5,000 to 500,000 points
-    python -m benchmarks cell-distances    of arms to themselves and to a cell, against MuJoCo's
-    python -m benchmarks step-qps          the step QP's solvers, on 100,000 recorded ones
+    python -m benchmarks cell-distances    self-distances of arms, and distances to a cell, against MuJoCo's
+    python -m benchmarks step-qps          the solvers of the step QP, on 100,000 recorded QPs
     python -m benchmarks tables            both of the paper's tables by six planners under configs/paper.yaml
     python -m benchmarks cross             125 starts x 49 poses by the baseline and N-space SQP
     python -m benchmarks peers             other planners on the same task (pip install -e '.[peers]')
     python -m benchmarks peers --motions   OMPL and Descartes, by executable targets
     python -m benchmarks paths DATA        public problems of full poses, by their own rules
-    python -m benchmarks programs RUN...    programs of whole runs: feed held, limits kept, CPU time
-    python -m benchmarks time-laws PLAN...  laws of time on one plan's ways, beside copp-py's and toppra's
-    python -m benchmarks baseline-margin OUT.png
+    python -m benchmarks programs RUN...   robot programs of complete runs: feed rate, limits, CPU time
+    python -m benchmarks time-laws PLAN... time scaling of a plan's air moves, compared with copp-py and toppra
+    python -m benchmarks baseline-margin OUT.png    the baseline's success by margin and QP tolerance
     python -m benchmarks paper-deviations  experiments behind the deviations from the two tables
-    python -m benchmarks mountings         found by a grid, random draws, htcp place and differential evolution
-    python -m benchmarks seams OUT.png     the seams of the generated duct, drawn
-    python -m benchmarks speed             what is timed, beside committed figures, or in pairs with another checkout
+    python -m benchmarks mountings         placement search: grid, random draws, htcp place, differential evolution
+    python -m benchmarks seams OUT.png     a picture of the seams of the generated duct
+    python -m benchmarks speed             times, next to committed figures, or in pairs with another checkout
     python -m benchmarks shape             sizes and depth of imports of the source, next to other checkouts
-    python -m benchmarks mutants           60 small faults in the mathematics and the planners, noticed by tests or not
+    python -m benchmarks mutants           mutation testing: 60 small faults in the mathematics and the planners
 
-Options follow the case: --help shows them. Nothing else should run on the machine while times are taken. RESULTS.md
-beside this file has the numbers measured so far.
+Options follow the case: --help shows them. The machine should be idle while times are measured. RESULTS.md next to
+this file has the numbers measured so far.
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""How the baseline's success depends on the rows' margin and on the QP solver's tolerance.
+"""Success of the baseline over the margin of the clearance rows and the tolerance of the QP solver.
 
     python benchmarks/baseline_margin.py OUT.png [--set KEY=VALUE]...
 
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def draw(success: np.ndarray, workpiece: str):
-    """The figure: one line a tolerance, the margin on a logarithmic axis with 0 set apart on its left."""
+    """Draw one line per tolerance over the margin, on a logarithmic axis with 0 at its left end."""
     figure = new_figure(3.6, "Baseline: success against margin and QP tolerance", f"49 poses, {workpiece}, one row")
     axes = figure.subplots()
     x = [1e-10, *MARGINS_M[1:]]

@@ -1,12 +1,12 @@
-"""Distances of arms to themselves and to the shapes of a cell, against MuJoCo's and, of a ring, trimesh's.
+"""Self-distances of arms, and distances to the shapes of a cell, against MuJoCo's and, for a ring, trimesh's.
 
     python -m benchmarks cell-distances [--configurations N] [MODEL[:TCP] ...]
 
 Arms: the GP50, and models as `htcp robot` reads them. At random configurations within the joint limits every capsule is
-measured to every shape, and every pair of capsules that is kept apart; MuJoCo does the kinematics for its own part.
-Where a capsule's axis crosses a box, mj_geomDistance says anything, so a box is a mesh of eight corners for MuJoCo.
-Clearances to the ring, which is not convex, are bounds: how far below trimesh's they are at most, at every 100th
-configuration.
+measured to every shape, and so is every checked pair of capsules; MuJoCo's distances use MuJoCo's kinematics.
+mj_geomDistance is undefined where a capsule's axis crosses a box, so for MuJoCo a box is a mesh of eight corners.
+Clearances to the ring, which is not convex, are lower bounds; their largest distance from trimesh's is measured at
+every 100th configuration.
 """
 
 import argparse
@@ -45,13 +45,15 @@ SHAPES = {
     "piece": '<geom name="piece" type="mesh" mesh="wedge" pos="0.5 -0.3 0.3" euler="20 30 40"/>',
 }
 SOLID, AS_MESH = 'box" size="0.1 0.3 0.2', 'mesh" mesh="box'  # a box
-RING_AT, EVERY, PLACES = (0.4, 0.0, 0.7), 100, 101  # of the ring, configurations; of an axis
-FAR_M, CROSSING = 1e3, 0.99  # of two radii: where a capsule's axis passes through another's MuJoCo takes another normal
+RING_AT, EVERY, PLACES = (0.4, 0.0, 0.7), 100, 101  # ring's position, every N-th configuration, samples of an axis
+FAR_M, CROSSING = 1e3, 0.99  # of two radii; MuJoCo's normal differs where two axes cross
 
 
 class Compared(NamedTuple):
-    """Of a kind of shape: how far ours were from MuJoCo's at most [m], how many were compared and touched, and of how
-    many the verdicts differ."""
+    """Comparison with MuJoCo for one kind of shape.
+
+    It has the largest difference [m], the numbers of distances and of contacts, and that of different verdicts.
+    """
 
     kind: str
     off_m: float
@@ -61,15 +63,17 @@ class Compared(NamedTuple):
 
 
 class _World(NamedTuple):
-    """No workpiece has a part in it."""
+    """Placement without a workpiece."""
 
     T_world_workpiece: np.ndarray
     interior_plane: np.ndarray
 
 
 class Ring(NamedTuple):
-    """Of the ring: how far clearances were below trimesh's at most and above it [m], and how many verdicts of clear
-    were wrong."""
+    """Comparison with trimesh for the ring.
+
+    It has the largest differences below and above trimesh's clearance [m], and the number of false "clear" verdicts.
+    """
 
     below_m: float
     above_m: float
@@ -96,7 +100,7 @@ def main() -> None:
 
 
 def read(model: str, folder: Path) -> Path:
-    """An arm of capsules, made of a model as its maker ships it."""
+    """Convert a vendor's model to an arm of capsules, and return its file."""
     file, _, tcp = model.partition(":")
     arm = folder / f"{Path(file).stem}.xml"
     arm.write_text(arm_xml(import_robot(Path(file), tcp or None), file))
@@ -104,7 +108,7 @@ def read(model: str, folder: Path) -> Path:
 
 
 def compare(file: Path, folder: Path, count: int) -> list[Compared]:
-    """Every kind of shape, and pairs of the arm's own capsules, at `count` configurations."""
+    """Compare every kind of shape, and pairs of the arm's capsules, at `count` configurations."""
     arm, robot = Arm(file), load_robot(file)
     (fixed,), own = make_fixtures(robot, load_cell(_cell(folder, SOLID))), self_collision(robot)
     x = drawn(robot, count)
@@ -116,7 +120,10 @@ def compare(file: Path, folder: Path, count: int) -> list[Compared]:
 
 
 def compare_ring(file: Path, folder: Path, count: int) -> Ring:
-    """A ring, of which MuJoCo knows the hull alone: axes of capsules by places on them, trimesh's distances."""
+    """Compare clearances to a ring with trimesh's distances from samples of the capsules' axes.
+
+    MuJoCo cannot serve here, as it represents the ring by its hull.
+    """
     robot, arm = load_robot(file), Arm(file).moving
     ring = trimesh.creation.annulus(0.35, 0.4, 0.2)
     ring.export(folder / "ring.stl")
@@ -139,12 +146,12 @@ def compare_ring(file: Path, folder: Path, count: int) -> Ring:
 
 
 def _to_triangles(mesh: trimesh.Trimesh, places: np.ndarray) -> np.ndarray:
-    """The least distance of every axis's places (K, m, 3)."""
+    """Minimum distance of the samples (K, m, 3) on each axis [m]."""
     return trimesh.proximity.closest_point_naive(mesh, places.reshape(-1, 3))[1].reshape(places.shape[:2]).min(axis=1)
 
 
 def drawn(robot: Robot, count: int) -> np.ndarray:
-    """Uniform within the limits, at most half a turn either way."""
+    """Random configurations, uniform within the joint limits and within half a turn of zero."""
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     return np.random.default_rng(0).uniform(lower, upper, (count, len(lower)))
 
@@ -159,7 +166,7 @@ def _cell(folder: Path, box: str) -> Path:
 
 @jax.jit
 def _ours(robot: Robot, fixed, own: SelfCollision, x):
-    """To every shape, and of every pair."""
+    """Distances to every shape, and between every pair, by htcp_jax [m]."""
 
     def at(x):
         p, q = capsule_segments(robot, x)
@@ -169,7 +176,7 @@ def _ours(robot: Robot, fixed, own: SelfCollision, x):
 
 
 def _theirs(arm: Arm, cell: Path, names, pairs, x) -> tuple[np.ndarray, np.ndarray]:
-    """The same by mj_geomDistance, with capsules put where MuJoCo's kinematics has the arm's."""
+    """Distances to every shape, and between every pair, by mj_geomDistance and MuJoCo's kinematics [m]."""
     spec = mujoco.MjSpec.from_file(str(cell))
     for k, (radius, length) in enumerate(zip(arm.radius, arm.length, strict=True)):
         spec.worldbody.add_geom(

@@ -1,9 +1,9 @@
-"""An exact clearance query with its gradient, through the index and by brute force, on growing clouds.
+"""Time of an exact clearance query with its gradient, by the index and by brute force, on growing clouds.
 
     python -m benchmarks clearance [--set KEY=VALUE]... [--json FILE]
 
-Configurations lie about the nominal plan. Brute force is what one writes first, jitted and vectorised:
-all distances and the smallest of every body, here even without a gradient.
+Configurations are near the nominal plan. Brute force, jitted and vectorised, computes all distances and the minimum
+for each body, here without a gradient.
 """
 
 import argparse
@@ -31,7 +31,7 @@ from htcp_jax.planning.batch import plan
 ROOT = Path(__file__).resolve().parents[1]
 CLOUDS = (5_000, 50_000, 500_000)
 QUERIES = 1024
-NAMES = "gradient", "alone", "path of 20"  # of what is timed, as RESULTS.md has it
+NAMES = "gradient", "alone", "path of 20"  # timed queries, named as in RESULTS.md
 
 
 def main() -> None:
@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def row(size: int, ours: float, alone: float, path: float, brute: float) -> str:
-    """A row of the table: points, and microseconds."""
+    """Format a row of the table: points, and times [us]."""
     return f"{size:8,} {ours:23.1f} us {alone:5.1f} us {path:8.1f} us {brute:12.0f} us {brute / ours:6.0f}"
 
 
@@ -80,7 +80,7 @@ def _cloud(points: np.ndarray, size: int, random) -> np.ndarray:
 
 
 def _brute_force(robot, obstacle: Obstacles, where, x):
-    """The smallest distance of every body to all points, without its gradient."""
+    """Minimum distance of every body to all points, without its gradient."""
     p, q = capsule_segments(robot, x)
     T = where.T_world_workpiece
     p, q = (p - T[:3, 3][None]) @ T[:3, :3], (q - T[:3, 3][None]) @ T[:3, :3]
@@ -101,8 +101,10 @@ def _path(robot, obstacle: Obstacles, where, x):
 
 
 def _time(function, x: np.ndarray, repeats: int = 5) -> float:
-    """Microseconds a configuration: the median of some runs after the first, a few side by side as the engine does on a
-    CPU, all of them on a GPU."""
+    """Time per configuration [us]: the median of some runs after the first.
+
+    On a CPU a few configurations are batched, as in the engine, on a GPU all of them.
+    """
     side_by_side = 4 if jax.default_backend() == "cpu" else len(x)
     program = jax.jit(lambda x: jax.lax.map(function, x, batch_size=side_by_side))
     jax.block_until_ready(program(x))

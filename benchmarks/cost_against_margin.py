@@ -1,9 +1,9 @@
-"""How the cost of equation (3) depends on the margin that is asked for.
+"""Cost of equation (3) over the required margin.
 
     python -m benchmarks.cost_against_margin OUT.png [--set KEY=VALUE]...
 
-Plans the default job by `roadmap` at every margin below, with and without smoothing, and draws the cost of its motion,
-where one leads to the last target; the numbers go to OUT.csv. About a minute on two cores. The figure of the docs:
+Plans the default job by `roadmap` with every margin below, with and without smoothing, and draws the cost of its
+motion if it leads to the last target; the numbers go to OUT.csv. About a minute on two cores. The figure of the docs:
 
     python -m benchmarks.cost_against_margin docs/figures/cost_against_margin.png \\
         --set workpiece.rotation_y_rad=0.4 --set workpiece.rotation_z_rad=-0.1
@@ -25,7 +25,7 @@ SMOOTH = {True: "smoothed", False: "as the search found it"}
 
 
 def cost(plan: htcp_jax.Plan) -> float:
-    """Equation (3) with weights of 1, over all postures passed [rad2]; NaN where no motion leads to the last target."""
+    """Cost (3) over all configurations, with weights of 1 [rad2]; NaN if no motion leads to the last target."""
     plans = plan.plans
     if not plans.executable[plans.exists].all():
         return np.nan
@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def draw(costs: dict[bool, list[float]]):
-    """The figure: two lines over the margin."""
+    """Draw two lines over the margin."""
     figure = new_figure(3.6, "Cost of equation (3) against the margin", "roadmap, one pose; complete motions alone")
     axes = figure.subplots()
     for smooth, row in costs.items():

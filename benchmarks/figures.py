@@ -1,6 +1,6 @@
-"""Figures of a benchmark as a machine reads them, and the committed ones, which figures.yaml beside this file holds.
+"""Machine-readable figures of a benchmark, and the committed ones in figures.yaml next to this file.
 
-An entry of that file is a case on one machine: its figures with the commit and the versions they were measured with.
+An entry of that file is a case on one machine: its figures, with the commit and the versions that were measured.
 """
 
 import json
@@ -17,20 +17,20 @@ HEAD = "# Written by `python -m benchmarks speed --record`.\n"
 
 
 class Figure(NamedTuple):
-    """One number of a case."""
+    """Number measured by a case."""
 
     name: str
     value: float
     unit: str
-    count: int | None = None  # of targets or programs that it took; must not change
+    count: int | None = None  # of targets or programs; must not change
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A case as it was committed."""
+    """Committed figures of a case."""
 
     case: str
-    job: str  # the workpiece, and what differs from the whole case
+    job: str  # the workpiece, and differences from the complete case
     machine: str
     commit: str
     versions: str
@@ -38,30 +38,30 @@ class Entry:
 
 
 def save(file: Path | None, figures: Iterable[Figure]) -> None:
-    """Write what `load` reads; nothing without a file."""
+    """Write figures for `load`, if there is a file."""
     if file is not None:
         file.write_text(json.dumps([figure._asdict() for figure in figures]))
 
 
 def load(file: Path) -> list[Figure]:
-    """The figures that a benchmark wrote with --json."""
+    """Read the figures that a benchmark wrote with --json."""
     return [Figure(**raw) for raw in json.loads(file.read_text())]
 
 
 def committed(file: Path) -> list[Entry]:
-    """The entries of a file; none where it is absent."""
+    """Read the entries of a file; none if it does not exist."""
     raw = yaml.safe_load(file.read_text(encoding="utf-8")) if file.is_file() else []
     return [Entry(**{**each, "figures": tuple(Figure(**one) for one in each["figures"])}) for each in raw or []]
 
 
 def nearest(entries: Iterable[Entry], case: str, job: str, machine: str) -> Entry | None:
-    """The entry of a case and job on this machine, else the last one on another."""
+    """Find the entry of a case and job on this machine, else the last one on another."""
     found = [entry for entry in entries if (entry.case, entry.job) == (case, job)]
     return next((entry for entry in found if entry.machine == machine), found[-1] if found else None)
 
 
 def record(file: Path, new: list[Entry]) -> None:
-    """Put entries in place of those of the same case, job and machine: all of them or none."""
+    """Replace the entries of the same case, job and machine, atomically."""
     replaced = {(entry.case, entry.job, entry.machine) for entry in new}
     kept = [entry for entry in committed(file) if (entry.case, entry.job, entry.machine) not in replaced]
     aside = file.with_suffix(".part")
@@ -71,6 +71,6 @@ def record(file: Path, new: list[Entry]) -> None:
 
 
 def _raw(entry: Entry) -> dict[str, Any]:
-    """An entry in YAML's own types; what is not counted has no count."""
+    """Convert an entry to plain types for YAML; a count of None is omitted."""
     figures = [{key: value for key, value in one._asdict().items() if value is not None} for one in entry.figures]
     return {**asdict(entry), "figures": figures}

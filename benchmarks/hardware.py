@@ -1,4 +1,4 @@
-"""What a figure was measured on."""
+"""Description of the machine on which a figure was measured."""
 
 import json
 import os
@@ -30,13 +30,13 @@ def line() -> str:
 
 
 def version(package: str) -> str:
-    """A package with its version, or that there is none."""
+    """Name of a package with its version, or a note that it is not installed."""
     try:
         return f"{package} {version_of(package)}"
     except PackageNotFoundError:
         return f"no {package}"
 
 
-if __name__ == "__main__":  # for a process that must not take the accelerators itself
+if __name__ == "__main__":  # for a parent process that must not initialise the accelerators
     versions = f"Python {platform.python_version()}, {', '.join(map(version, PACKAGES))}"
     print(json.dumps({**machine(), "versions": versions}))

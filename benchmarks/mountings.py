@@ -1,11 +1,11 @@
-"""How mountings are found: a grid, random draws, `htcp place`'s search and differential evolution, on one budget.
+"""Placement search on one budget by a grid, random draws, `htcp place` and differential evolution.
 
     python -m benchmarks mountings [PLACE.yaml] [--scenarios 2000] [--seeds 5] [--threads N] [--out out/mountings]
 
-Every way asks for mountings of the same ranges, which the same quick planner judges; each has a run of `--seeds` seeds
-(the grid has one). Counted are the mountings that do the whole work, and the best clearance at their targets. Every
-round is a sweep under `--out`, so the same command goes on where it was stopped. Writes mountings.csv and mountings.png
-there, and prints a table.
+Every search proposes mountings in the same ranges, which the same quick planner evaluates, with `--seeds` seeds (the
+grid has one). The results are the number of mountings that complete the path, and the best clearance at their targets.
+Every round is a sweep under `--out`, so the same command resumes an interrupted run. Writes mountings.csv and
+mountings.png there, and prints a table.
 """
 
 import argparse
@@ -29,21 +29,24 @@ from htcp_jax.report.chart_style import new_figure
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.sweep import sweep
 
-Judge = Callable[[Float[np.ndarray, "n d"]], Known]  # mountings in the unit cube, judged
-Way = Callable[[Judge, int, int, int], None]  # with so many dimensions, on such a budget, by a seed
+Judge = Callable[[Float[np.ndarray, "n d"]], Known]  # evaluates mountings in the unit cube
+Way = Callable[[Judge, int, int, int], None]  # of a number of dimensions, a budget and a seed
 
 
 class Found(NamedTuple):
-    """What one way came to by one seed."""
+    """Results of one search with one seed."""
 
     way: str
     seed: int
-    best_m: Float[np.ndarray, "n"]  # least clearance of the best so far, mounting by mounting; NaN: none yet
-    complete: Float[np.ndarray, "n"]  # how many so far
+    best_m: Float[np.ndarray, "n"]  # minimum clearance of the best so far, after each mounting; NaN: none yet
+    complete: Float[np.ndarray, "n"]  # number of complete mountings so far
 
 
 def grid(judged: Judge, d: int, budget: int, seed: int) -> None:
-    """As many points an axis as there may be, at the middles of equal parts; the axes that vary first have one more."""
+    """Evaluate a grid with as many points per axis as the budget allows, at the centres of equal parts.
+
+    The first axes have one more.
+    """
     counts = np.full(d, int(budget ** (1 / d) + 1e-9))
     for k in range(d):
         if np.prod(counts) // counts[k] * (counts[k] + 1) <= budget:
@@ -53,12 +56,12 @@ def grid(judged: Judge, d: int, budget: int, seed: int) -> None:
 
 
 def draws(judged: Judge, d: int, budget: int, seed: int) -> None:
-    """Uniform and independent."""
+    """Evaluate uniform, independent random mountings."""
     judged(np.random.default_rng([seed, 2]).random((budget, d)))
 
 
 def search(judged: Judge, d: int, budget: int, seed: int) -> None:
-    """As `htcp place` looks: evenly, and then about the best."""
+    """Search as `htcp place` does: evenly, and then near the best."""
     rounds = int((1 - EVEN) * budget) // (FROM * POPULATION)
     evolution = Evolution(judged(even(d, 0, budget - rounds * FROM * POPULATION, seed)), 1, seed)
     for _ in range(rounds):
@@ -66,7 +69,7 @@ def search(judged: Judge, d: int, budget: int, seed: int) -> None:
 
 
 def differential(judged: Judge, d: int, budget: int, seed: int) -> None:
-    """SciPy's differential evolution with its defaults, generation by generation, on the same score."""
+    """Search by SciPy's differential evolution with its defaults, by generations, with the same score."""
     parents = max(5, min(15 * d, budget // 4))
     known: list[Known] = []
 
@@ -81,7 +84,7 @@ def differential(judged: Judge, d: int, budget: int, seed: int) -> None:
 
 
 def _fixed_score(known: Known) -> Float[np.ndarray, "n"]:
-    """The order of `search.score`, but the same for a mounting in every generation."""
+    """Score in the order of `search.score`, which for one mounting is equal in every generation."""
     return np.where(known.complete, -1.0 - known.spare[:, 0], 1.0 - known.done)
 
 
@@ -94,7 +97,7 @@ WAYS: dict[str, Way] = {
 
 
 def run(asked: Search, way: str, seed: int, budget: int, folder: Path, threads: int | None) -> Found:
-    """One way by one seed."""
+    """Run one search with one seed."""
     rounds: list[Known] = []
 
     def plan(spec: Sweep, method: str, into: Path) -> Run:
@@ -114,7 +117,7 @@ def run(asked: Search, way: str, seed: int, budget: int, folder: Path, threads: 
 
 
 def results(asked: Search, seeds: int, budget: int, out: Path, threads: int | None) -> Iterator[Found]:
-    """Every way by every seed."""
+    """Run every search with every seed."""
     for way in WAYS:
         one = partial(run, asked, way, budget=budget, threads=threads)
         for seed in range(1 if way == "grid" else seeds):
@@ -122,7 +125,7 @@ def results(asked: Search, seeds: int, budget: int, out: Path, threads: int | No
 
 
 def draw(found: list[Found]):
-    """The figure: complete mountings and best clearance over the budget; a line a seed."""
+    """Draw complete mountings and best clearance over the budget, one line per seed."""
     figure = new_figure(3.8, "Mountings found on the same budget", "a line a seed; judged by the same quick planner")
     left, right = figure.subplots(1, 2)
     for k, way in enumerate(WAYS):

@@ -1,4 +1,4 @@
-"""Mutation testing: which of 60 small faults in the mathematics and the planners the tests notice.
+"""Mutation testing: 60 small faults in the mathematics and the planners, and the tests that notice them.
 
     python -m benchmarks mutants [--only N,...] [--jobs 1] [--cache DIR] [--record] [-- PYTEST ARGUMENT...]
     python -m benchmarks mutants --draw SEED     (pip install cosmic-ray==8.7.0)
@@ -96,7 +96,7 @@ def run_tests(tests: list[str], cache: Path, extra: list[str], mutant: dict | No
 
 
 def check(mutants: list[dict], jobs: int, start: Path | None, extra: list[str]) -> list[bool]:
-    """Return for each mutant whether its test files notice it; print each result as soon as it is known.
+    """Return True for each mutant that its test files notice; print each result as soon as it is known.
 
     `start` is a folder with compiled programs to start from, None for none.
     """

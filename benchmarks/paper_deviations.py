@@ -72,7 +72,7 @@ BASE_M = 0.259  # height of the GP50's base in the world
 
 @dataclass(frozen=True)
 class Runs:
-    """Plans both sweeps on one cloud."""
+    """Planner of both sweeps on one cloud."""
 
     cloud: str
 
@@ -102,7 +102,7 @@ def table(head: tuple[str, ...], rows) -> None:
 
 
 def readings(runs: Runs) -> None:
-    """Weights, the cost's centre and what follows an escape, all six methods."""
+    """Weights, the cost's centre and the step after a recovery, all six methods."""
     after_escape = "accept", "track"
     cases = [(q, about, after) for q in (EQUAL, PORT) for about in ("previous", "reference") for after in after_escape]
 
@@ -164,7 +164,7 @@ def cmaes(runs: Runs) -> None:
 
 
 def starts(runs: Runs) -> None:
-    """The starts' joints and posture."""
+    """Joints that vary, and the start's configuration."""
     joints = tuple((f"start_rad.{joint}:", f"start_rad.{joint - 1}:") for joint in (3, 4, 5))
     posture = (("0.5, -2.0]", "0.5, 0.0]"),)
     cases = [("joints 3, 4, 5", ()), ("joints 2, 3, 4", joints), ("joint 6 at 0", posture)]
@@ -202,7 +202,7 @@ def null_space(runs: Runs) -> None:
 
 @contextmanager
 def jacobian_point(height_m: float) -> Iterator[None]:
-    """Take the step QPs' Jacobian of a point that lies so far above the TCP."""
+    """Use the Jacobian of a point at this height above the TCP in the step QPs."""
     own = kernels.linearise
 
     def linearise(robot, obstacles, where, x, task, smallest=False):
@@ -242,10 +242,10 @@ def walk_best(minimise, index, settings, scene, lane, x_previous, x_ref, walked,
 
 @dataclass(frozen=True)
 class BestOfLoop(NullSpace):
-    """A null-space stage that walks by `walk_best`."""
+    """Null-space stage by `walk_best`."""
 
     def kernel(self, index: int) -> Kernel:
-        """Return the whole loop, as stage `index` of a method."""
+        """Return the complete loop, as stage `index` of a method."""
         reads = *READS, *READS_OF_MEASURED, "max_null_space_steps"
         return Kernel(f"best {index}", walk_best, WALKED, reads, (self.minimise, index))
 
@@ -329,7 +329,7 @@ def definitions(plans: Plans, clearances: np.ndarray, residuals: np.ndarray) -> 
 
 
 def damped(runs: Runs) -> None:
-    """Step QPs of which a share is taken: the TCP distance of a linear convergence."""
+    """Damped step QPs: TCP distance with linear convergence."""
     own = LaneChecks.advanced
 
     def row(share):
@@ -344,7 +344,7 @@ def damped(runs: Runs) -> None:
 
 @contextmanager
 def registered(method) -> Iterator[str]:
-    """Register a method; its name."""
+    """Register a method, and yield its name."""
     yield registry.register(method).name
     registry.unregister(method.name)
 
@@ -384,7 +384,7 @@ def moved(scene, settings, lane, x_ref, w):
 
 
 class HostKernels(Kernels):
-    """Kernels whose null-space steps are minimised on the host."""
+    """Compiled functions, with null-space steps minimised on the host."""
 
     def __init__(self, direction: Callable, *of):
         super().__init__(*of)
@@ -408,7 +408,7 @@ class HostKernels(Kernels):
 
 @dataclass(frozen=True)
 class OnHost:
-    """A method whose null-space steps are minimised by a function of the host."""
+    """Method whose null-space steps are minimised by a function on the host."""
 
     name: str
     direction: Callable

@@ -1,6 +1,7 @@
-"""Whether postures at the waypoints of a public problem are valid, by its own rules; nothing of the planner is used.
+"""Independent check of configurations at the waypoints of a public problem, by its rules.
 
-Poses by `path_problems.poses`, products of matrices; distances by MuJoCo, of capsules and boxes that stand alone.
+The code is independent of the planner: poses are products of matrices (`path_problems.poses`), distances between
+capsules and boxes are MuJoCo's.
 """
 
 from itertools import combinations
@@ -13,35 +14,35 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.path_problems import PathProblem, poses
 
-STEP = np.deg2rad(7.0), 0.02  # the longest of a hinge and of a slide [rad, m], CppFlow's rule
+STEP = np.deg2rad(7.0), 0.02  # largest step of a hinge and of a slide [rad, m], CppFlow's rule
 DT_S = 1 / 30  # of IKLink's rule
-SLACK = 1e-9  # [m or rad]; more than rounding
+SLACK = 1e-9  # [m or rad]; larger than rounding errors
 FAR_M = 10.0
 _CAPSULE, _BOX = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_BOX
 
 
 class Verdicts(NamedTuple):
-    """Of T postures."""
+    """Results for T configurations."""
 
     position_m: Float[np.ndarray, "T"]  # errors
     rotation_rad: Float[np.ndarray, "T"]
-    clearance_m: Float[np.ndarray, "T"]  # the least
-    inside: Bool[np.ndarray, "T"]  # the joint limits
+    clearance_m: Float[np.ndarray, "T"]  # minimum over all pairs
+    inside: Bool[np.ndarray, "T"]  # within the joint limits
     steps: Float[np.ndarray, "T1 N"]  # between consecutive ones, of hinges modulo a turn [rad or m]
-    good: Bool[np.ndarray, "T"]  # waypoints at which all of the rules hold
-    calm: Bool[np.ndarray, "T1"]  # steps no longer than the rules want them
-    reconfigurations: int  # steps in which a joint would be faster than its speed, by IKLink's rule
+    good: Bool[np.ndarray, "T"]  # waypoints at which all rules hold
+    calm: Bool[np.ndarray, "T1"]  # steps that are not larger than STEP
+    reconfigurations: int  # steps that exceed a joint's speed limit, by IKLink's rule
     length: float  # of the path of hinges [rad], the sum of |dx|
     slide_m: float  # the same of slides
 
     @property
     def valid(self) -> bool:
-        """Whether all of the path is, by CppFlow's rules."""
+        """True if the complete path is valid by CppFlow's rules."""
         return bool(self.good.all() and self.calm.all())
 
 
 def check(problem: PathProblem, x: Float[np.ndarray, "T N"]) -> Verdicts:
-    """Look at postures at the waypoints, in order [rad or m]; NaN where there is none."""
+    """Check configurations at the waypoints, in order [rad or m]; NaN where there is none."""
     arm = problem.arm
     there = np.isfinite(x).all(axis=1)
     T = poses(arm, np.where(there[:, None], x, 0.0))
@@ -67,7 +68,7 @@ def check(problem: PathProblem, x: Float[np.ndarray, "T N"]) -> Verdicts:
 
 
 def clearance(problem: PathProblem, T: dict[str, Float[np.ndarray, "T 4 4"]]) -> Float[np.ndarray, "T"]:
-    """The least distance of pairs that are checked, where the links have these poses [m]."""
+    """Minimum distance of the checked pairs for some poses of the links [m]."""
     arm, boxes = problem.arm, problem.boxes
     spec = mujoco.MjSpec()
     for link, numbers in arm.capsules.items():
@@ -97,7 +98,7 @@ def _ends(numbers: Float[np.ndarray, "7"], T: Float[np.ndarray, "T 4 4"]) -> tup
 
 
 def _checked(problem: PathProblem) -> list[tuple[str, str]]:
-    """Names of what must not touch: links, but for parents and pairs that may, and links and boxes."""
+    """Names of the pairs that must not touch: links, except neighbours and ignored pairs, and links with boxes."""
     arm = problem.arm
     links = [
         (a, b)
@@ -107,12 +108,15 @@ def _checked(problem: PathProblem) -> list[tuple[str, str]]:
     return links + [(link, f"box {k}") for link in arm.capsules for k in range(len(problem.boxes))]
 
 
-# What can be reached at all
+# Reachability
 
 
 def reachable(problem: PathProblem) -> Bool[np.ndarray, "T"]:
-    """For which waypoints a posture within the joint limits is found, whatever it touches: by damped least squares
-    (Sugihara, Solvability-unconcerned inverse kinematics, 2011) from STARTS random postures each."""
+    """Mask of the waypoints for which a configuration within the joint limits is found, without collision checks.
+
+    The search is damped least squares (Sugihara, Solvability-unconcerned inverse kinematics, 2011) from STARTS random
+    configurations each.
+    """
     arm, rng, count = problem.arm, np.random.default_rng(0), len(problem.position)
     lower, upper = (np.array([getattr(joint, side) for joint in arm.moving]) for side in ("lower", "upper"))
     ends = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
@@ -135,7 +139,7 @@ STARTS, NEWTON, DAMPING = 100, 100, 0.1
 
 
 def _error(problem: PathProblem, x: Float[np.ndarray, "n N"], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far the tip is from its waypoints, as a length and a rotation vector in the world, and the Jacobian."""
+    """Errors from the tip to its waypoints, translation and rotation vector in the world, and the tip's Jacobian."""
     arm = problem.arm
     T = poses(arm, x)
     tip = T[arm.tip]

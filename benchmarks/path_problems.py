@@ -1,10 +1,10 @@
 """Public problems of path following as jobs: an arm with their capsules, a cell with their boxes, a path of poses.
 
-    problems(data)                  the names, of a folder that holds cppflow/, iklink/ and robots/
-    made(data, name, folder)        the job; its files are written into `folder`
+    problems(data)                  the names in a folder with cppflow/, iklink/ and robots/
+    made(problem, folder)           the job; its files are written into `folder`
 
-The rules are those of the tools that the problems come from, CppFlow and IKLink. The position of a waypoint is shifted,
-its orientation turned by itself; the path as a whole is not turned.
+The rules are those of the tools that published the problems, CppFlow and IKLink. Each waypoint is shifted and rotated
+by itself; the path is not rotated.
 """
 
 import json
@@ -28,12 +28,12 @@ CHECKED = {
 }
 TOLERANCE = (1e-4, np.deg2rad(0.1))  # of CppFlow [m, rad]
 IKLINK, IKLINK_TOLERANCE = "iklink__panda", (1e-3, 0.01)
-MOST_BOXES, FAR_M = 4, -50.0  # of a problem: others get boxes far away, so that one compilation serves all of an arm's
-WAY_M = 0.02  # that the TCP may be from the straight line between two waypoints; the rules ask for nothing there
+MOST_BOXES, FAR_M = 4, -50.0  # boxes are padded by distant ones, so that one compilation serves all problems of an arm
+WAY_M = 0.02  # tolerance of the TCP's path between two waypoints, for which there are no rules
 
 
 class PathProblem(NamedTuple):
-    """One problem, as its rules have it."""
+    """Public problem of path following."""
 
     name: str
     arm: "Arm"
@@ -43,12 +43,12 @@ class PathProblem(NamedTuple):
     tolerance: tuple[float, float]  # [m, rad]
 
     def rest(self, first: int) -> "PathProblem":
-        """From a waypoint on."""
+        """The problem from one waypoint on."""
         return self._replace(position=self.position[first:], rotation=self.rotation[first:])
 
 
 class Joint(NamedTuple):
-    """One of the chain's: from its parent's frame; at `value` where it does not move."""
+    """Joint of a chain, in the frame of its parent."""
 
     name: str
     child: str
@@ -56,16 +56,16 @@ class Joint(NamedTuple):
     T: Float[np.ndarray, "4 4"]
     axis: Float[np.ndarray, "3"]
     slides: bool
-    lower: float  # -inf where it turns on and on
+    lower: float  # -inf if it is continuous
     upper: float
     speed: float  # [rad/s or m/s]
     moves: bool
 
 
 class Arm(NamedTuple):
-    """A published arm: its links from the base outwards, and their capsules."""
+    """Published arm: its joints from the base outwards, and the capsules of its links."""
 
-    joints: tuple[Joint, ...]  # to the tip, and those to other links that are checked; parents first
+    joints: tuple[Joint, ...]  # to the tip, and to other links that are checked; parents first
     base: str
     tip: str
     capsules: dict[str, Float[np.ndarray, "7"]]  # by link: both ends and the radius, in its frame [m]
@@ -73,22 +73,22 @@ class Arm(NamedTuple):
 
     @property
     def moving(self) -> tuple[Joint, ...]:
-        """In order."""
+        """Joints that move, in order."""
         return tuple(joint for joint in self.joints if joint.moves)
 
     @property
     def parents(self) -> dict[str, str]:
-        """Of every link."""
+        """Parent of every link."""
         return {joint.child: joint.parent for joint in self.joints}
 
 
 def problems(data: Path) -> list[str]:
-    """The names of all problems."""
+    """Names of all problems."""
     return [*sorted(file.stem for file in (data / "cppflow/problems").glob("*.yaml")), IKLINK]
 
 
 def read_problem(data: Path, name: str) -> PathProblem:
-    """A problem as its rules have it."""
+    """Read a problem."""
     if name == IKLINK:
         return _iklink(data)
     given = yaml.safe_load((data / f"cppflow/problems/{name}.yaml").read_text())
@@ -110,12 +110,12 @@ def _merged(box: dict | list[dict]) -> dict:
 
 
 def _iklink(data: Path) -> PathProblem:
-    """IKLink's: its links are capsules of one radius about the lines between the joints."""
+    """Read IKLink's problem, in which links are capsules of one radius about the lines between the joints."""
     given = yaml.safe_load((data / "iklink/panda.yaml").read_text().partition("obstacles")[0])
     arm = read_chain(data / "robots/panda/panda_iklink.urdf", "panda_link0", given["ee_links"][0], ())
     at = {joint.parent: joint.T[:3, 3] for joint in arm.joints if np.linalg.norm(joint.T[:3, 3]) > 0.03}
     capsules = {link: np.array([0, 0, 0, *end, given["link_radius"]]) for link, end in at.items()}
-    order = list(capsules)  # those next but one overlap at the wrist, however it is turned
+    order = list(capsules)  # every second one overlaps at the wrist, in any configuration
     near = [frozenset(order[k : k + 3 : 2]) for k in range(len(order) - 2)]
     near += [frozenset(order[k : k + 2]) for k in range(len(order) - 1)]
     table = np.genfromtxt(data / "iklink/panda_767.csv", delimiter=",", skip_header=1)
@@ -128,7 +128,7 @@ def _iklink(data: Path) -> PathProblem:
 
 
 def read_arm(data: Path, name: str) -> Arm:
-    """One of robots.json, with its published capsules."""
+    """Read an arm in robots.json, with its published capsules."""
     known = json.loads((data / "robots/robots.json").read_text())
     own = known[name]
     of = known[own.get("as", name)]
@@ -143,8 +143,10 @@ def read_arm(data: Path, name: str) -> Arm:
 
 
 def read_chain(urdf: Path, base: str, tip: str, links: tuple[str, ...], moving: list[str] | None = None) -> Arm:
-    """The joints of a URDF from the base to the tip and to some links. moving: their names; the others stand at 0;
-    None: all that can move."""
+    """Read the joints of a URDF from the base to the tip and to some links.
+
+    `moving` are the names of the joints that move, None for all that can; the others are fixed at 0.
+    """
     into = {found.child: found for each in ElementTree.parse(urdf).getroot().iter("joint") if (found := _joint(each))}
     chain: list[Joint] = []
     for link in (tip, *links):
@@ -181,7 +183,7 @@ def _numbers(text: str) -> np.ndarray:
 
 
 def poses(arm: Arm, x: Float[np.ndarray, "*n N"]) -> dict[str, Float[np.ndarray, "*n 4 4"]]:
-    """Of all links in the base's frame, at one posture or many [rad or m]."""
+    """Poses of all links in the base's frame, at one configuration or many [rad or m]."""
     x = np.asarray(x, float)
     found, at = {arm.base: np.broadcast_to(np.eye(4), (*x.shape[:-1], 4, 4))}, 0
     for joint in arm.joints:
@@ -205,7 +207,7 @@ def poses(arm: Arm, x: Float[np.ndarray, "*n N"]) -> dict[str, Float[np.ndarray,
 
 
 def made(problem: PathProblem, folder: Path) -> dict[str, Any]:
-    """The job; its three files are written into `folder`."""
+    """Write the files of a problem into `folder`, and return its job."""
     (folder / "arm.xml").write_text(arm_xml(problem.name, problem.arm))
     quaternion = Rotation.from_matrix(problem.rotation).as_quat(scalar_first=True)
     table = np.column_stack([problem.position, quaternion])
@@ -230,7 +232,7 @@ def made(problem: PathProblem, folder: Path) -> dict[str, Any]:
 
 
 def arm_xml(name: str, arm: Arm) -> str:
-    """An MJCF file of exactly these capsules, and of the pairs that may touch."""
+    """Contents of an MJCF file with exactly the published capsules, and the pairs that may touch."""
     root = Element("mujoco", model=name)
     SubElement(root, "compiler", angle="radian", autolimits="true", boundmass="1e-6", boundinertia="1e-6")
     custom = SubElement(root, "custom")
@@ -266,7 +268,7 @@ def _body(parent: Element, joint: Joint) -> Element:
 
 
 def cell_xml(boxes: Float[np.ndarray, "B 9"]) -> str:
-    """An MJCF file of these boxes."""
+    """Contents of an MJCF file with some boxes."""
     root = Element("mujoco", model="boxes")
     world = SubElement(root, "worldbody")
     for k, box in enumerate(boxes):

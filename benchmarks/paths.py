@@ -1,14 +1,14 @@
-"""Public problems of path following, full poses, by their own rules: those of CppFlow, and IKLink's path.
+"""Public problems of path following with full poses, by their own rules: CppFlow's problems, and IKLink's path.
 
     python -m benchmarks paths DATA [--problems A,B] [--effort 10 --runs 10]
 
-DATA is a folder that holds cppflow/, iklink/ and robots/. Every problem becomes a job of ours (`path_problems`): the
-arm of exactly their capsules, their boxes as a cell, the tip's pose held at all waypoints, the start left to the
-planner. It is planned three times: once to compile, once without smoothing, which is when the first valid plan is
-there, and once whole. What comes of it is checked by their rules alone (`path_check`).
+DATA is a folder with cppflow/, iklink/ and robots/. Every problem becomes a job (`path_problems`): an arm of exactly
+the published capsules, the published boxes as a cell, the tip's pose constrained at all waypoints, a free start. It is
+planned three times: to compile, without smoothing for the time to the first valid plan, and with all settings. The
+results are checked by the published rules alone (`path_check`).
 
-Untrained, and on as many threads as there are cores. With --runs each is planned as often again by other seeds, with
---effort times the front, the walks and the front that counts as thin, and the shortest of these paths is told.
+Planning uses default settings and one thread per core. --runs N plans every problem N more times with other seeds, and
+with --effort times the settings front, thin_front and walks; the table has the length relative to the shortest of them.
 """
 
 import argparse
@@ -47,18 +47,21 @@ DEFAULTS = Settings()
 
 
 class Planned(NamedTuple):
-    """What came of a problem."""
+    """Results of a problem."""
 
     verdicts: Verdicts
-    run_s: float  # all of these add up over the parts
+    run_s: float  # this and the next two are sums over the parts
     cpu_s: float
     compile_s: float
-    parts: int  # motions along the path; between two of them the arm leaves it, and comes back in another posture
+    parts: int  # motions along the path; between two the arm leaves it and returns in another configuration
 
 
 def planned(problem: PathProblem, **settings: Any) -> Planned:
-    """Plan and check. A path that cannot be followed in one goes on where it ended, from home there: IKLink's alone,
-    as the other rules have no such reconfigurations."""
+    """Plan and check a problem.
+
+    A path that cannot be followed in one motion continues where the motion ended, from home there. This is only for
+    IKLink's problem, as the other rules have no such reconfigurations.
+    """
     x, times, home = np.full((len(problem.position), len(problem.arm.moving)), np.nan), [], None
     first = 0
     while first < len(x):
@@ -74,7 +77,7 @@ def planned(problem: PathProblem, **settings: Any) -> Planned:
 
 
 def _planned(problem: PathProblem, home: list[float] | None, settings: dict[str, Any]) -> tuple[htcp_jax.Plan, float]:
-    """The plan, and the processor time that it took [s]."""
+    """Plan a problem, and return the plan and its CPU time [s]."""
     began = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         job = made(problem, Path(folder)) | {"home_rad": home}
@@ -83,7 +86,7 @@ def _planned(problem: PathProblem, home: list[float] | None, settings: dict[str,
 
 
 def row(problem: PathProblem, effort: int, runs: int) -> str:
-    """Of the table."""
+    """Plan a problem, and format its row of the table."""
     compile_s = planned(problem).compile_s
     first, whole = planned(problem, smooth=False), planned(problem)
     others = [planned(problem, seed=seed, **_more(effort)).verdicts for seed in range(1, runs + 1)]
@@ -110,7 +113,7 @@ def row(problem: PathProblem, effort: int, runs: int) -> str:
 
 
 def _counts(problem: PathProblem, found: Verdicts) -> bool:
-    """Whether all rules hold; IKLink's are none about steps, but for counting those that are too long."""
+    """True if all rules hold; IKLink's rules only count steps that are too long."""
     return bool(found.good.all()) if problem.name == IKLINK else found.valid
 
 
@@ -123,7 +126,7 @@ def _more(effort: int) -> dict[str, int]:
 
 
 def unreachable(problem: PathProblem) -> str:
-    """Which waypoints no posture was found for, whatever stands about."""
+    """Waypoints for which no configuration is found even without obstacles, as text."""
     lost = np.flatnonzero(~reachable(problem))
     parts = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1) if len(lost) else []
     return ", ".join(f"{part[0]} to {part[-1]}" for part in parts) or "none"

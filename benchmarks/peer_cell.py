@@ -1,6 +1,8 @@
-"""One scenario as the peers that plan motions see it. What is asked of postures and ways is answered by htcp_jax's own
-kernels: inverse kinematics from wherever a peer samples, exact clearance, the proof of a joint path. What is left to a
-peer is the search."""
+"""Interface of one scenario for the peers that plan motions.
+
+Compiled functions of htcp_jax provide inverse kinematics from any sample, exact clearance, and the proof of a joint
+path. Only the search is the peer's.
+"""
 
 from typing import NamedTuple
 
@@ -21,7 +23,7 @@ from htcp_jax.status import Status, Way
 
 
 class Brought(NamedTuple):
-    """Postures (n, N) [rad] that were brought onto a target, and how they stand to it."""
+    """Configurations (n, N) after inverse kinematics to a target [rad], and their clearance and error there."""
 
     x: np.ndarray
     clearance: np.ndarray  # [m]
@@ -29,12 +31,12 @@ class Brought(NamedTuple):
     tcp: np.ndarray  # world [m]
 
     def of(self, which: np.ndarray | int) -> "Brought":
-        """Some of them, or one."""
+        """Select some of them, or one."""
         return Brought(*(column[which] for column in self))
 
 
 def bring(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Brought:
-    """A posture brought onto the lane's target by inverse kinematics."""
+    """Move a configuration to the lane's target by inverse kinematics."""
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     x, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
@@ -46,7 +48,7 @@ BRING = Kernel("bring", bring, DEEP)
 
 
 class Cell:
-    """One scenario of a problem."""
+    """Scenario of a problem, with its compiled functions."""
 
     def __init__(self, problem: Problem, scenario: int):
         scenarios = problem.scenarios
@@ -59,37 +61,39 @@ class Cell:
         self.upper = np.minimum(np.asarray(robot.upper), np.pi)
 
     def bring(self, x: np.ndarray, target: int) -> Brought:
-        """Postures (n, N), n >= 1, brought onto a target; not all arrive, nor clear."""
+        """Move configurations (n, N), n >= 1, to a target; not all converge, and some collide."""
         return Brought(*self.problem.checkers[0].kernels(BRING, self._lanes(np.full(len(x), target)), x))
 
     def counts(self, here: Brought) -> np.ndarray:
-        """Which of them are on their target and keep the margin."""
+        """Mask of those that are on their target and keep the margin."""
         return self.problem.task.counts(here.clearance, here.residual, self.margin)
 
     def brought_clear(self, x: np.ndarray, target: int) -> Brought:
-        """Those of the postures that arrive on the target and keep the margin."""
+        """Move configurations to a target, and return those that are on it and keep the margin."""
         here = self.bring(x, target)
         return here.of(self.counts(here))
 
     def proven(self, a: np.ndarray, b: np.ndarray, target: int, turns: np.ndarray | bool = False) -> np.ndarray:
-        """Which straight joint paths from a to b (n, N), n >= 1, are proven as (a part of) the way to a target. turns:
-        whether the arm changes its posture at the target before."""
+        """Mask of the straight joint paths from a to b (n, N), n >= 1, that are proven as segments to a target.
+
+        `turns` is True if the arm changes its configuration at the previous target.
+        """
         target, turns = np.full(len(a), target), np.broadcast_to(turns, len(a))
         tube = tubes(self.problem, np.full(len(a), self.scenario), target, turns)
         return self.problem.checkers[0].edges(self._lanes(target), a, b, tube).verdict == Way.PROVEN
 
     def uniform(self, draw: np.random.Generator, count: int) -> np.ndarray:
-        """Postures drawn within the joint limits."""
+        """Draw configurations within the joint limits."""
         return draw.uniform(self.lower, self.upper, (count, len(self.lower)))
 
     def surroundings(self) -> tuple[Scene, LaneInputs]:
-        """What the clearance of a single posture is asked with."""
+        """Return the scene and the lane's inputs for the clearance of a single configuration."""
         scene = Scene(self.problem.robot, self.problem.obstacles, self.problem.task)
         lane = jax.tree.map(lambda leaf: leaf[0], self._lanes(np.zeros(1, int)))
         return jax.device_put((scene, lane))
 
     def record(self, plans: Plans, target: int, x_before: np.ndarray, here: Brought) -> None:
-        """Write a target down as tracked, on a way that is proven."""
+        """Store a target as tracked, with a proven segment to it."""
         row = self.scenario, target
         plans.x[row], plans.tcp[row], plans.clearance[row], plans.residual[row] = here.x, here.tcp, *here[1:3]
         plans.joint_step[row] = np.linalg.norm(here.x - x_before)

@@ -1,15 +1,14 @@
-"""Descartes' ladder graph as one of the `peers`, through tesseract-robotics-nanobind, whose samplers and evaluators can
-be written in Python.
+"""Descartes' ladder graph as one of the `peers`, by tesseract-robotics-nanobind.
 
-A rung is a target, its vertices are clear postures on it. As a grid of tool orientations would be, the same samples are
-on every rung: postures drawn at every `KEY`-th target, by inverse kinematics from uniform draws and from draws about
-what becomes of the start there, are carried by inverse kinematics to all other targets, and are vertices wherever they
-are clear. An edge is a straight joint path that is proven as the way from one target to the next; its cost is its
-length. There are no edges within a rung. Descartes builds the graph and finds the shortest path through it. It finds a
-whole path or none, so it is given the rungs up to the last that any chain of edges leads to.
+A rung is a target; its vertices are collision-free configurations there. As with a grid of tool orientations, all rungs
+have the same samples. They are drawn at every `KEY`-th target, by inverse kinematics from uniform draws and from draws
+about the start's continuation there, and are transferred to all other targets by inverse kinematics; the collision-free
+ones are vertices. An edge is a straight joint path that is proven as the segment from one target to the next; its cost
+is its length. There are no edges within a rung. Descartes builds the graph and finds the shortest path through it. As
+it finds a complete path or none, its graph ends at the last rung that a chain of edges leads to.
 
-The wheel asks for the libstdc++ of GCC 13 or newer, and cannot stand beside tesseract-robotics, whose module has the
-same name.
+The package, whose samplers and evaluators can be written in Python, requires the libstdc++ of GCC 13 or newer. It
+cannot be installed next to tesseract-robotics, whose module has the same name.
 """
 
 from dataclasses import dataclass
@@ -27,15 +26,15 @@ from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
 from htcp_jax.status import Status
 
-KEY, DRAWN, TRIED = 6, 100, 1024  # a key target every so many; clear postures drawn there, and draws to find them in
-SPREAD_RAD = 0.3  # of the draws about the start's own postures
-VERTICES = 200  # the most on one rung
-EDGE_RAD, APPROACH_RAD = 0.25, 0.4  # the longest edges, along the path and before it
+KEY, DRAWN, TRIED = 6, 100, 1024  # interval of key targets; number of clear configurations there, and of draws for them
+SPREAD_RAD = 0.3  # of the draws about the start's continuation
+VERTICES = 200  # largest number on one rung
+EDGE_RAD, APPROACH_RAD = 0.25, 0.4  # largest length of an edge, along the path and before it
 
 
 @dataclass(frozen=True)
 class LadderGraph:
-    """The planner. A `registry.Method`."""
+    """Descartes' planner as a `registry.Method`."""
 
     name: str = "descartes-ladder"
     title: str = "Descartes' ladder graph"
@@ -61,7 +60,7 @@ Edges = dict[tuple[int, int], float]  # from a vertex of one rung to one of the 
 
 
 def _ladder(cell: Cell) -> tuple[list[Brought], list[Edges]]:
-    """The rungs up to the last that can be reached, and the edges between one and the next."""
+    """Build the rungs up to the last that can be reached, and the edges between one and the next."""
     rungs, edges, reached = [], [], np.zeros(0, bool)
     for target, rung in enumerate(_rungs(cell)):
         if target:
@@ -77,7 +76,7 @@ def _ladder(cell: Cell) -> tuple[list[Brought], list[Edges]]:
 
 
 def _rungs(cell: Cell) -> list[Brought]:
-    """The vertices of every target; of the first, the start alone."""
+    """Vertices of every target; for the first target only the start."""
     draw = np.random.default_rng(cell.problem.settings.seed)
     own = _carried(cell, cell.start[None], 0)
     lines = [own]
@@ -96,7 +95,7 @@ def _rungs(cell: Cell) -> list[Brought]:
 
 
 def _carried(cell: Cell, x: np.ndarray, target: int) -> list[Brought]:
-    """Postures at a target, and as inverse kinematics carries them to all others, clear or not; one each a target."""
+    """Transfer configurations from one target to all others by inverse kinematics; some may collide."""
     here = cell.bring(x, target)
     before, after = [here], [here]
     for there in range(target - 1, -1, -1):
@@ -119,19 +118,19 @@ def _edges(cell: Cell, before: Brought, after: Brought, target: int) -> Edges:
 
 
 class _Sampler(descartes.DescartesWaypointSamplerD):
-    """The vertices of one rung."""
+    """Sampler of the vertices on one rung."""
 
     def __init__(self, x: np.ndarray):
         super().__init__()
         self._x = x
 
     def sample(self) -> list:
-        """All of them, at no cost."""
+        """Return all of them, at no cost."""
         return [descartes.DescartesStateSampleD(descartes.DescartesStateD(x), 0.0) for x in self._x]
 
 
 class _Evaluator(descartes.DescartesEdgeEvaluatorD):
-    """The edges that lead to one rung."""
+    """Evaluator of the edges that lead to one rung."""
 
     def __init__(self, before: np.ndarray, after: np.ndarray, edges: Edges):
         super().__init__()
@@ -139,21 +138,21 @@ class _Evaluator(descartes.DescartesEdgeEvaluatorD):
         self._edges = edges
 
     def evaluate(self, start, end) -> tuple[bool, float]:
-        """Whether there is one, and its cost."""
+        """Return True if there is an edge, and its cost."""
         length = self._edges.get((self._before[start.values.tobytes()], self._after[end.values.tobytes()]))
         return length is not None, length or 0.0
 
 
 class _Anything(descartes.DescartesStateEvaluatorD):
-    """Every path is as good as its edges."""
+    """Evaluator of states, which adds nothing to the cost of the edges."""
 
     def evaluate(self, solution) -> tuple[bool, float]:
-        """Valid, at no cost."""
+        """Return True, and a cost of 0."""
         return True, 0.0
 
 
 class _Profile(descartes.DescartesMoveProfileD):
-    """Hands Descartes the rungs one after the other, in the order in which it asks."""
+    """Profile that returns the rungs in the order of Descartes' calls."""
 
     def __init__(self, rungs: list[Brought], edges: list[Edges]):
         super().__init__()
@@ -164,22 +163,22 @@ class _Profile(descartes.DescartesMoveProfileD):
         self._anything = _Anything()
 
     def createWaypointSampler(self, move, manipulator, scene):
-        """That of the next rung."""
+        """Return the sampler of the next rung."""
         self._asked["sampler"] += 1
         return self._samplers[self._asked["sampler"] - 1]
 
     def createEdgeEvaluator(self, move, manipulator, scene):
-        """That of the next pair of rungs."""
+        """Return the evaluator of the next pair of rungs."""
         self._asked["evaluator"] += 1
         return self._evaluators[self._asked["evaluator"] - 1]
 
     def createStateEvaluator(self, move, manipulator, scene):
-        """The same for all."""
+        """Return the evaluator of states."""
         return self._anything
 
 
 def _shortest(rungs: list[Brought], edges: list[Edges]) -> list[int]:
-    """The vertices of the shortest path, one a rung, as Descartes finds it."""
+    """Find the vertices of the shortest path, one per rung, by Descartes."""
     if len(rungs) < 2:
         return [0] * len(rungs)
     manipulator, name = common.ManipulatorInfo(), "ladder"
@@ -213,7 +212,7 @@ def _shortest(rungs: list[Brought], edges: list[Edges]) -> list[int]:
 
 
 def _arm(joints: int):
-    """A chain of that many joints. Its geometry is never asked for: vertices and edges bring all there is to know."""
+    """Build a chain with that many joints; its geometry is not used, as vertices and edges are given."""
     names = ["base", *(f"link {k}" for k in range(1, joints)), "tool"]
     links = "".join(f'<link name="{name}"/>' for name in names)
     chain = "".join(

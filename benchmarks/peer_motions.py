@@ -1,8 +1,8 @@
-"""The planners whose plans are to be motions, by the count of htcp_jax: executable targets (`peers --motions`).
+"""Comparison of motion planners by executable targets (`peers --motions`).
 
-Every planner is a method of htcp_jax here, also those that are not its own, so all of them are given the same problem,
-plan on one thread, and are judged by `motion.motion_check`; nothing that a peer says of its own motions counts.
-"cpu s" is what planning took of the processor, the judgement included and compilation left out.
+Here every planner is a method of htcp_jax, including the peers: all get the same problem, plan on one thread, and are
+checked by `motion.motion_check`; a peer's own verdicts are not used. "cpu s" is the CPU time of planning and of that
+check, without compilation.
 """
 
 import importlib
@@ -22,7 +22,7 @@ from htcp_jax.status import Way
 
 ROW = "{:18} {:>10} {:>6} {:>8} {:>8} {:>9}  {}"
 HEAD = ROW.format("planner", "executable", "%", "tracked", "cpu s", "compile s", "by pose; ways that end a motion")
-PEERS = {  # the module, the class, and what to say where it cannot be imported
+PEERS = {  # module, class, and message if it cannot be imported
     "ompl-projected": ("benchmarks.peer_ompl", "ProjectedRRTConnect", "ompl is missing: pip install -e '.[peers]'"),
     "descartes-ladder": (
         "benchmarks.peer_descartes",
@@ -35,7 +35,7 @@ NAMES = (*OWN, *PEERS)
 
 
 class Judged(NamedTuple):
-    """What a planner made of the scenarios."""
+    """Results of a planner."""
 
     plans: Plans
     cpu_s: float
@@ -43,8 +43,10 @@ class Judged(NamedTuple):
 
 
 def rows(batch: Batch, names: list[str], limit_s: float):
-    """A line for every planner, as it ends. limit_s: of processor time for a scenario, for OMPL, which would search on
-    for ever."""
+    """Yield a line for every planner when it has finished.
+
+    `limit_s` is the limit of CPU time per scenario for OMPL, which would search without end.
+    """
     yield HEAD
     targets = int(batch.scenarios.count.sum())
     for name in names:
@@ -71,7 +73,7 @@ def _judged(batch: Batch, name: str, limit_s: float) -> Judged:
         settings = batch.points[0].config.settings
         return plan(batch.robot, batch.workpiece, scenarios, name, settings, threads=1)
 
-    # What a peer compiles serves any number of targets; what a method of htcp_jax needs, all scenarios together show.
+    # A peer compiles for any number of targets; the shapes of a method of htcp_jax depend on all scenarios.
     few = jax.tree.map(lambda leaf: leaf[:1], batch.scenarios)
     compile_s = run(replace(few, count=np.minimum(few.count, 3)) if name in PEERS else batch.scenarios).compile_s
     began = time.process_time()

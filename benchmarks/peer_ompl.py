@@ -1,13 +1,14 @@
 """OMPL's projected RRT-Connect as one of the `peers`.
 
-The search goes from target to target, as the tool does. Where inverse kinematics leads on from the posture at hand,
-that is taken. Elsewhere the arm has to change its posture with the tool at rest, which is a constrained problem of its
-own: the manifold is where the TCP is at the target (3 equations, so 3 of 6 dimensions are left), the start the posture
-at hand, the goals postures there from which inverse kinematics leads on. `ProjectedStateSpace` keeps to the manifold by
-Newton steps, `RRTConnect` searches it, a posture is valid where it keeps the margin.
+The search proceeds from target to target. If inverse kinematics from the current configuration succeeds, its result is
+used. Otherwise the arm has to change its configuration with the tool at rest, which is a constrained problem: on the
+manifold the TCP is at the target (3 equations, so 3 of 6 dimensions remain), the start is the current configuration,
+and goals are configurations there from which inverse kinematics succeeds. `ProjectedStateSpace` projects to the
+manifold by Newton steps, `RRTConnect` searches it, and a configuration is valid if it keeps the margin.
 
-Goals are drawn, half of them uniformly within the joint limits and half about the posture at hand. OMPL checks postures
-`DELTA_RAD` apart, so what it returns is proven afterwards, and searched again where that fails, until the time is over.
+Half of the goals are drawn uniformly within the joint limits, half about the current configuration. OMPL checks
+configurations `DELTA_RAD` apart, so its result is proven afterwards; if that fails, the search is repeated until the
+time is over.
 """
 
 import time
@@ -26,18 +27,18 @@ from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
 from htcp_jax.status import Status
 
-DELTA_RAD = 0.05  # between the postures that OMPL checks
-RANGE_RAD = 0.5  # the longest motion that joins its trees
+DELTA_RAD = 0.05  # between the configurations that OMPL checks
+RANGE_RAD = 0.5  # longest motion that connects its trees
 ONTO_M = 1e-4  # tolerance of its projection, the default
-DRAWS = 256  # for goals, a round
-AHEAD = 10  # targets that tell better goals from worse
-ROUND_S = 2.0  # of RRT-Connect on the goals that there are, before more are drawn
+DRAWS = 256  # for goals, per round
+AHEAD = 10  # number of later targets by which goals are ranked
+ROUND_S = 2.0  # of RRT-Connect with the known goals, before more are drawn
 
 clearance_of = jax.jit(lambda scene, lane, x: clearance(scene.robot, scene.obstacles, lane, x))
 
 
 class AtPoint(base.Constraint):
-    """The TCP at a point; by MuJoCo's kinematics."""
+    """Constraint that the TCP is at a point, by MuJoCo's kinematics."""
 
     def __init__(self, point: np.ndarray):
         self._model = mujoco.MjModel.from_xml_path(str(GP50))
@@ -45,13 +46,13 @@ class AtPoint(base.Constraint):
         super().__init__(self._model.nv, 3, ONTO_M)
 
     def function(self, x: np.ndarray, out: np.ndarray) -> None:
-        """Where the TCP is off the point [m]."""
+        """Write the TCP's position relative to the point [m] into `out`."""
         self._data.qpos[:] = x
         mujoco.mj_kinematics(self._model, self._data)
         out[:] = self._data.site_xpos[0] - self.point
 
     def jacobian(self, x: np.ndarray, out: np.ndarray) -> None:
-        """Its derivatives."""
+        """Write the derivatives of `function` into `out`."""
         self._data.qpos[:] = x
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
@@ -62,7 +63,7 @@ class AtPoint(base.Constraint):
 
 @dataclass(frozen=True)
 class ProjectedRRTConnect:
-    """The planner. A `registry.Method`."""
+    """OMPL's planner as a `registry.Method`."""
 
     limit_s: float  # for a scenario
     name: str = "ompl-projected"
@@ -80,7 +81,7 @@ class ProjectedRRTConnect:
 
 
 class _Search:
-    """One scenario."""
+    """Search of one scenario."""
 
     def __init__(self, cell: Cell, limit_s: float):
         self._cell, self._until = cell, time.process_time() + limit_s
@@ -89,7 +90,7 @@ class _Search:
         clearance_of(*self._surroundings, cell.start)  # compiled here
 
     def run(self, plans: Plans) -> list[tuple[int, int, np.ndarray]]:
-        """Plan, target after target; returns the knots of ways."""
+        """Plan, target by target, and return the via points of the segments."""
         cell, x, ways = self._cell, self._cell.start, []
         for target in range(cell.count):
             knots, here = self._way(target, x)
@@ -103,7 +104,7 @@ class _Search:
         return ways
 
     def _way(self, target: int, x: np.ndarray) -> tuple[np.ndarray, Brought | None]:
-        """Postures to pass and the one at the target; None where the time is over."""
+        """Find via points to a target and the configuration there; None if the time is over."""
         here, none = self._cell.brought_clear(x[None], target), x[:0].reshape(0, len(x))
         if len(here.x) and self._cell.proven(x[None], here.x, target)[0]:
             return none, here.of(0)
@@ -125,7 +126,7 @@ class _Search:
         return none, None
 
     def _goals(self, target: int, x: np.ndarray) -> tuple[np.ndarray, Brought]:
-        """Where a change of posture may end, and the postures at the target that are reached from there."""
+        """Draw goals for a change of configuration, and the configurations at the target reached from them."""
         cell, about = self._cell, 10 ** self._draw.uniform(-1.5, 0.0, (DRAWS // 2, 1))
         near = x + about * self._draw.normal(size=(DRAWS // 2, len(x)))
         draws = np.concatenate([near, cell.uniform(self._draw, DRAWS // 2)])
@@ -138,7 +139,7 @@ class _Search:
         return before.x[good], after.of(good)
 
     def _ahead(self, target: int, here: Brought) -> np.ndarray:
-        """Of postures at a target, to how many of the next ones, up to AHEAD, inverse kinematics leads on."""
+        """Number of next targets, up to AHEAD, for which inverse kinematics succeeds from each configuration."""
         count, going, x = np.zeros(len(here.x), int), np.arange(len(here.x)), here.x
         for later in range(target + 1, min(target + 1 + AHEAD, self._cell.count)):
             there = self._cell.bring(x, later)
@@ -150,7 +151,7 @@ class _Search:
         return count
 
     def _turned(self, target: int, x: np.ndarray, goals: np.ndarray) -> np.ndarray | None:
-        """Postures from x, left out, to one of the goals; None where none are found in time."""
+        """Find configurations from x (excluded) to one of the goals; None if none are found in time."""
         ambient, bounds = base.RealVectorStateSpace(len(x)), base.RealVectorBounds(len(x))
         for joint, (low, high) in enumerate(zip(self._cell.lower, self._cell.upper, strict=True)):
             bounds.setLow(joint, low)

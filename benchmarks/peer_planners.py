@@ -1,4 +1,4 @@
-"""The planners that `peers` compares htcp_jax with, written as a user would: one scenario, one target after the other.
+"""Planners that `peers` compares with htcp_jax, in plain user code: one scenario, one target after the other.
 
 Each is a function of a `Task` that returns its `Advance`.
 """
@@ -31,7 +31,7 @@ class Near(NamedTuple):
 
 
 class Task:
-    """One scenario as a user would write it down: MuJoCo, numpy, and a tree of the cloud."""
+    """Scenario in plain user code: MuJoCo, numpy, and a tree of the cloud."""
 
     def __init__(self, batch: Batch, tree: cKDTree, number: int):
         part, scenario = batch.workpiece, jax.tree.map(lambda leaf: leaf[number], batch.scenarios)
@@ -51,13 +51,13 @@ class Task:
         self.x, self.known = None, None
 
     def near(self, x: np.ndarray) -> Near:
-        """Everything about x, measured once."""
+        """Measure a configuration; the last result is cached."""
         if self.x is None or not np.array_equal(x, self.x):
             self.x, self.known = x.copy(), self._measure(x)
         return self.known
 
     def reached(self, x: np.ndarray, target: np.ndarray) -> bool:
-        """Whether the TCP is on the target and the arm clear."""
+        """True if the TCP is on the target and the arm is clear."""
         near = self.near(x)
         return np.linalg.norm(near.tcp - target) <= self.settings.tolerance_m and near.clearance.min() > 0
 
@@ -77,7 +77,7 @@ class Task:
         middle, axis = self._local(self.data.geom_xpos[k]), axis @ self.rotate
         samples = middle + self.samples[k][:, None] * axis
         distance, _ = self.tree.query(samples)
-        # The nearest point's arm stands upright on the axis, or on an end of it, which is a sample.
+        # The nearest point projects at right angles onto the axis, or onto one of its ends, which is a sample.
         apart = 0.5 * np.linalg.norm(samples[1] - samples[0]) if len(samples) > 1 else 0.0
         reach = np.hypot(distance.min(), apart) + 1e-9
         near = samples[distance**2 <= reach**2 + apart**2]
@@ -89,7 +89,7 @@ class Task:
         clearance, at = apart[best] - self.radius[k], on_axis[best]
         normal = (at - points[best]) / apart[best]
         witness = self.rotate @ points[best] + self.translate
-        for end in (middle - axis, middle + axis):  # deep inside they must be in the hull
+        for end in (middle - axis, middle + axis):  # beyond the interior plane they must be in the hull
             beyond = self.interior_plane[:3] @ (self.rotate @ end + self.translate) > self.interior_plane[3]
             if beyond and len(self.hull_offset):
                 height = self.hull_normal @ end - self.hull_offset
@@ -105,11 +105,11 @@ class Task:
         return (point - self.translate) @ self.rotate
 
 
-Advance = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from x_{t-1} and target t to x_t, good or bad
+Advance = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from x_{t-1} and target t to x_t, valid or not
 
 
 def step_qps(task: Task) -> Advance:
-    """Equation (9), a row a capsule, up to 20 times a target; a Clarabel solver each."""
+    """Step QPs (9) with one row per capsule, up to 20 per target, each with a new Clarabel solver."""
     n, cost = len(task.start), sparse.csc_matrix(np.diag(2 * np.array(task.settings.q_weights)))
     quiet = clarabel.DefaultSettings()
     quiet.verbose = False
@@ -132,7 +132,7 @@ def step_qps(task: Task) -> Advance:
 
 
 def slsqp(task: Task) -> Advance:
-    """The nonlinear problem of each target, from x_{t-1}."""
+    """SLSQP on the nonlinear problem of each target, from x_{t-1}."""
     weights, bounds = np.array(task.settings.q_weights), list(zip(task.lower, task.upper, strict=True))
 
     def advance(x: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -156,8 +156,11 @@ def slsqp(task: Task) -> Advance:
 
 
 def mink(task: Task) -> Advance:
-    """mink, greedy: up to 20 steps towards each target. Before each, a small sphere is put on every capsule's nearest
-    point. The damping and the distance kept tracked the most of what was tried (1e-4 to 0.1, 0.5 to 5 mm)."""
+    """Greedy differential inverse kinematics by mink, up to 20 steps to each target.
+
+    Before each step, a small sphere is placed at every capsule's nearest point. Damping and minimum distance are those
+    with most tracked targets among the values tried (1e-4 to 0.1, 0.5 to 5 mm).
+    """
     import mink
 
     spec = mujoco.MjSpec.from_file(str(GP50))

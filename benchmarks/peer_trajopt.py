@@ -1,8 +1,8 @@
-"""TrajOpt as one of the `peers`, through tesseract-robotics 0.5.1, as far as its Python goes.
+"""TrajOpt as one of the `peers`, within the limits of the Python bindings of tesseract-robotics 0.5.1.
 
-Every problem is put together term by term, because the profile of its planner does not take the weights that make a
-waypoint position-only: the setter of `cartesian_constraint_config.coeff` refuses every array. The cloud is one link of
-small spheres, because `OcTree` has no constructor.
+Every problem is built term by term, because the profile of its planner does not accept the weights of a position-only
+waypoint: the setter of `cartesian_constraint_config.coeff` refuses every array. The cloud is one link of small spheres,
+because `OcTree` has no constructor.
 """
 
 import os
@@ -28,8 +28,8 @@ contact_manager_plugins:
 
 
 def trajopt(task: Task) -> Advance:
-    """One problem a target, from x_{t-1}: the tool's position and the clearance as constraints, the joints near."""
-    os.environ.setdefault("TRAJOPT_LOG_THRESH", "ERROR")  # unset, it says at import how to set it
+    """One problem per target, from x_{t-1}: constraints on position and clearance, and a cost on joint motion."""
+    os.environ.setdefault("TRAJOPT_LOG_THRESH", "ERROR")  # unset, it prints at import how to set it
     import tesseract_robotics.tesseract_collision as collision
     import tesseract_robotics.tesseract_motion_planners_trajopt as planner
 
@@ -41,7 +41,7 @@ def trajopt(task: Task) -> Advance:
         0, 0, task.margin - DOT_M, 0.02, planner.CollisionEvaluatorType_SINGLE_TIMESTEP, False, 1.0,
         collision.ContactTestType_CLOSEST, 0.005, planner.TermType_TT_CNT,
     )  # fmt: skip
-    # The module's own OptimizeProblem always hands over a plotter, 0, which the function behind it refuses.
+    # OptimizeProblem of this module always passes a plotter, 0, which the wrapped function refuses.
     wrapper = planner.tesseract_motion_planners_trajopt_python
     optimise = wrapper._tesseract_motion_planners_trajopt_python.OptimizeProblem
 
@@ -62,8 +62,10 @@ def trajopt(task: Task) -> Advance:
 
 
 def _tesseract_scene(task: Task) -> tuple:
-    """The arm and the cloud in tesseract, every capsule a link, so that each has its own nearest point; and what makes
-    its pose of a position and a quaternion."""
+    """Build the arm and the cloud in tesseract, and a function from position and quaternion to its pose.
+
+    Every capsule is a link, so that each has a nearest point.
+    """
     import tesseract_robotics.tesseract_common as common
     import tesseract_robotics.tesseract_environment as environment
     import tesseract_robotics.tesseract_geometry as geometry

@@ -1,22 +1,22 @@
-"""The same task by other planners, side by side: robot, path, workpiece and poses of sweeps/workpiece.yaml.
+"""Comparison with other planners on one task: robot, path, workpiece and poses of sweeps/workpiece.yaml.
 
     python -m benchmarks peers [--scenarios N] [--real CLOUD PATH X Y Z] [--json FILE]
     python -m benchmarks peers --motions [--planners A,B] [--limit-s S] ...
 
-Only the tool's position is asked for. All run on one thread, one scenario after the other, but for htcp_jax, which
-advances all of them together. "setup s" is compilation or the building of models, apart from the time a step. "cpu ms"
-is less than "ms a step" where others use the processor.
+Only the tool's position is constrained. All run on one thread, one scenario after the other, except htcp_jax, which
+advances all scenarios together. "setup s" is the time to compile or to build models, which is not part of the time per
+step. "cpu ms" is less than "ms a step" if other processes use the CPU.
 
 - htcp_jax: its baseline and N-space SQP; the first run compiles, the second is timed.
 - step QPs: the baseline's in a plain Python loop, with MuJoCo's kinematics, scipy's tree of the cloud, and Clarabel.
-- SLSQP: scipy's, on the nonlinear problem of each target, with the same distances and gradients.
+- SLSQP: scipy's solver on the nonlinear problem of each target, with the same distances and gradients.
 - mink: differential inverse kinematics, the obstacle a moving sphere on the nearest point of each capsule.
 - TrajOpt of tesseract-robotics, on all points.
 
-A target is passed when MuJoCo's own kinematics and distances (`htcp_jax.validation`) find the tool within the
-tolerance, the arm clear and inside its limits, and all targets before it passed.
+A target is passed if by MuJoCo's kinematics and distances (`htcp_jax.validation`) the tool is within the tolerance, the
+arm is clear and within its limits, and all earlier targets are passed.
 
-With --motions others are compared, by executable targets, see `peer_motions`: three methods of htcp_jax, OMPL's
+With --motions other planners are compared by executable targets, see `peer_motions`: three methods of htcp_jax, OMPL's
 projected RRT-Connect (`peer_ompl`) and Descartes' ladder graph (`peer_descartes`).
 """
 
@@ -53,7 +53,7 @@ ROW = "{:20} {:>7} {:>6} {:>10} {:>10} {:>7} {:>8}  {}"
 
 
 class Outcome(NamedTuple):
-    """What a planner made of the scenarios: the configurations (n, N) it calls tracked, one array a scenario."""
+    """Results of a planner: the configurations (n, N) that it counts as tracked, one array per scenario."""
 
     found: list[np.ndarray]
     attempted: int
@@ -64,7 +64,7 @@ class Outcome(NamedTuple):
 
 
 class Clock:
-    """Adds up the wall and processor time [s] of what runs inside it."""
+    """Sum of the wall and CPU times of the blocks that run inside it [s]."""
 
     def __init__(self):
         self.wall = self.cpu = 0.0
@@ -79,7 +79,7 @@ class Clock:
 
 
 def ours(method: str) -> Callable[[Batch, list[Task]], Outcome]:
-    """A method of htcp_jax."""
+    """Planner by a method of htcp_jax."""
 
     def run(batch: Batch, tasks: list[Task]) -> Outcome:
         how = {"settings": tasks[0].settings, "threads": 1, "check_paths": False}
@@ -94,7 +94,7 @@ def ours(method: str) -> Callable[[Batch, list[Task]], Outcome]:
 
 
 def theirs(make: Callable[[Task], Advance], note: str) -> Callable[[Batch, list[Task]], Outcome]:
-    """A planner of single targets: scenario by scenario, each until its first failure."""
+    """Planner of single targets: scenario by scenario, each until its first failure."""
 
     def run(batch: Batch, tasks: list[Task]) -> Outcome:
         found, attempted, run, setup = [], 0, Clock(), Clock()
@@ -125,7 +125,7 @@ PLANNERS = {
 
 
 def passed(batch: Batch, arm: Arm, wall: Wall, found: list[np.ndarray]) -> int:
-    """How many targets MuJoCo finds passed, each scenario's up to its first that is not."""
+    """Number of targets passed by MuJoCo, up to the first that is not in each scenario."""
     total = 0
     for point, x in zip(batch.points, found, strict=True):
         config, part = point.config, point.config.workpiece
@@ -144,12 +144,12 @@ def passed(batch: Batch, arm: Arm, wall: Wall, found: list[np.ndarray]) -> int:
 
 
 def chosen_scenarios(count: int, real: list[str] | None) -> Batch:
-    """`count` poses of the sweep, the same few first at any count, and spread."""
+    """Select `count` poses spread over the sweep; a smaller count is a prefix of a larger one."""
     changes = {}
     if real:
         cloud, path, *inlet = real
         changes = {"workpiece.cloud": cloud, "workpiece.path": path, "workpiece.inlet_m": [float(v) for v in inlet]}
-        changes["workpiece.inlet_direction"] = "world-x"  # as of the generated duct
+        changes["workpiece.inlet_direction"] = "world-x"  # as for the generated duct
     where_the_duct_is = SWEEP.parents[1] / "configs" / "duct.yaml"
     batch = load_sweep(SWEEP, where_the_duct_is, changes).batch()
     numbers = [(24 + 19 * k) % POSES for k in range(count)]
@@ -159,7 +159,7 @@ def chosen_scenarios(count: int, real: list[str] | None) -> Batch:
 
 
 def main() -> None:
-    """Run every planner and print a row each."""
+    """Run every planner and print its row."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenarios", type=int, default=9, choices=range(1, POSES + 1), metavar="N", help="poses")
     parser.add_argument("--real", nargs=5, metavar=("CLOUD", "PATH", "X", "Y", "Z"), help="files; the inlet's centre")

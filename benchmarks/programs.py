@@ -1,13 +1,13 @@
-"""Programs of whole runs: on how many executable scenarios the feed is held, within which limits, and how soon.
+"""Robot programs of complete runs: scenarios that hold the feed rate, largest shares of the limits, CPU times.
 
     htcp sweep sweeps/workpiece.yaml --methods roadmap --out out/workpiece
     htcp sweep sweeps/robot.yaml --methods roadmap --out out/robot
     python -m benchmarks programs out/workpiece out/robot [--feed 20mm/s] [--checked N] [--json FILE]
 
-A row a run: of the scenarios whose motion leads to the last target how many hold the feed within 1 % over 99 % of the
-path; the largest share of any limit by finite differences of the CSV's postures at 1 ms; the median CPU time of a
-program, without reading the plan, and of writing its postures; and how many postures of the first N scenarios MuJoCo
-refutes, a millisecond apart.
+The table has one row per run, for the scenarios whose motion leads to the last target: the number that holds the feed
+rate within 1 % over 99 % of the path; the largest share of any limit, by finite differences of the CSV's configurations
+at 1 ms; the median CPU times of a program, without reading the plan, and of its configurations; and the number of
+configurations of the first N scenarios that MuJoCo refutes, at 1 ms.
 """
 
 import argparse
@@ -35,19 +35,19 @@ HELD, STEP_S = 0.99, 1e-3
 
 
 class Found(NamedTuple):
-    """Of one scenario."""
+    """Results of one scenario."""
 
     scenario: int
     figures: Figures
     largest: float  # share of any limit
     made_ms: float
     written_ms: float
-    refuted: int | None  # of its postures
+    refuted: int | None  # number of configurations
     postures: int
 
 
 def main() -> None:
-    """Print the table, and below it why the others do not hold the feed."""
+    """Print the table, and below each row the reasons of feed drops."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", help="that htcp sweep or htcp plan wrote")
     parser.add_argument("--feed", default="20mm/s")
@@ -73,7 +73,7 @@ def main() -> None:
 
 
 def of_run(folder: str, feed_m_s: float, checked: int) -> Iterator[Found]:
-    """Of every scenario of a run whose motion leads to its last target, by the run's first method."""
+    """Time every scenario of a run whose motion leads to its last target, by the run's first method."""
     opened = open_plans(folder)
     plans = opened.plans(opened.methods[0])
     driven = [k for k in range(len(plans.status)) if plans.outcome(k).can_be_driven]
@@ -90,30 +90,30 @@ def of_run(folder: str, feed_m_s: float, checked: int) -> Iterator[Found]:
 
 
 def made_of(made: OfPlan, left: Spare) -> tuple:
-    """What `program` is given after the robot."""
+    """Arguments of `program` after the robot."""
     return made.program.motion, left, made.limits, made.program.feed_m_s
 
 
 def timed(function: Callable) -> tuple[Any, float]:
-    """What a function returns, and its CPU time [ms]."""
+    """Result of a function, and its CPU time [ms]."""
     begin = time.process_time()
     found = function()
     return found, 1e3 * (time.process_time() - begin)
 
 
 def largest(x: Float[np.ndarray, "n N"], made: OfPlan) -> float:
-    """The largest share of any limit, by finite differences."""
+    """Largest share of any limit, by finite differences."""
     rates = (np.diff(x, n=n, axis=0) / STEP_S**n for n in (1, 2, 3))
     return max(float((np.abs(rate) / limit).max()) for rate, limit in zip(rates, made.limits, strict=True))
 
 
 def medians(found: list[Found]) -> tuple[float, float]:
-    """CPU times [ms] of a program and of its postures."""
+    """Median CPU times of a program and of its configurations [ms]."""
     return statistics.median(one.made_ms for one in found), statistics.median(one.written_ms for one in found)
 
 
 def row(folder: str, found: list[Found]) -> str:
-    """A row of the table."""
+    """Format a row of the table."""
     if not found:
         return f"| {folder} | 0 | | | | | |"
     held = sum(one.figures.held_share >= HELD for one in found)

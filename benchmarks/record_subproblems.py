@@ -1,7 +1,7 @@
-"""Record the null-space subproblems, equation (11), that `tests/test_sphere.py` holds the minimisers to.
+"""Record the null-space subproblems (11) by which `tests/test_sphere.py` tests the minimisers.
 
 The poses of the workpiece sweep are planned on the generated duct by the baseline with one clearance row and margin 0,
-which gets stuck on most of them. Each stuck target gives one configuration by inverse kinematics, as Algorithm 1 does,
+which fails on most of them. Each failed target gives one configuration by inverse kinematics, as in Algorithm 1,
 and further ones by random null-space offsets from it. Only configurations and poses are kept. Run it again only when
 the problem itself changes:
 
@@ -26,7 +26,7 @@ from htcp_jax.settings import Settings
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 COUNT = 200
-OFFSET_RAD = 0.6  # the escapes wander about as far within their first steps
+OFFSET_RAD = 0.6  # about the displacement of the null-space recovery in its first steps
 OUT = Path(__file__).parents[1] / "tests" / "data" / "subproblems.npz"
 
 

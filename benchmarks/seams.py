@@ -1,4 +1,4 @@
-"""The seams of the generated duct, drawn: from beside it and from its inlet.
+"""Picture of the seams of the generated duct: a side view, and a view from its inlet.
 
 python benchmarks/seams.py OUT.png
 """
@@ -18,7 +18,7 @@ from htcp_jax.viewer.sides import View
 COLOURS = "#22303c", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#c8102e", "#332288"
 WALL = "#d9cfba"
 NOTE = "On the left from beside, inlet in front; on the right from the inlet, z up. Dots: where a seam begins."
-ASIDE_RAD, ABOVE_RAD = np.radians((25.0, 25.0))  # of the view from beside
+ASIDE_RAD, ABOVE_RAD = np.radians((25.0, 25.0))  # of the side view
 
 
 def main() -> None:
@@ -29,7 +29,7 @@ def main() -> None:
 
 
 def draw() -> Figure:
-    """The figure: the wall as a net of lines, and every seam with its first point."""
+    """Draw the wall as a net of lines, and every seam with its first point."""
     figure = new_figure(4.6, "The seams of the generated duct", NOTE)
     views = turned(ASIDE_RAD, ABOVE_RAD), turned(np.pi / 2, 0.0)
     for axes, view in zip(figure.subplots(1, 2, width_ratios=(2.1, 1)), views, strict=True):
@@ -44,7 +44,10 @@ def draw() -> Figure:
 
 
 def turned(aside: float, above: float) -> View:
-    """From the right side of the duct, its inlet on the left, then turned [rad] towards the inlet and upwards."""
+    """View from the right side of the duct, with its inlet on the left.
+
+    It is rotated by `aside` towards the inlet and by `above` upwards [rad].
+    """
     right = np.array([np.cos(aside), -np.sin(aside), 0.0])
     level = np.array([-np.sin(aside), -np.cos(aside), 0.0])
     z = np.array([0.0, 0.0, 1.0])

@@ -1,21 +1,20 @@
-"""The shape of the source: sizes, depth of imports, comments and docstrings, of this checkout and of others beside it.
+"""Metrics of the source: sizes, depth of imports, comments and docstrings, of this checkout and of others.
 
     python -m benchmarks shape [CHECKOUT...]     a checkout, or a folder with the package htcp_jax in it
 
 Every number comes from the syntax tree and the tokens of the package's *.py files; nothing is imported or run.
 
-- Lines: all of them. Median, 90th percentile and maximum over the files, but for each `__init__` that holds at most a
+- Lines: all of them. Median, 90th percentile and maximum are over the files, except each `__init__` with at most a
   docstring.
-- A function is every `def`, methods and nested ones too, from that line to its last one, decorators left out. Its body
-  is the function less the lines of its docstring. A class is counted as a function is, docstring and methods included.
-- Comments and docstrings: lines with a comment on them, and lines of the docstrings of modules, classes and functions,
-  per 100 lines that are not blank.
-- Return types: the share of functions that say what they return.
-- An import is one of a module of this package that stands at the level of a module, also under `if` or `try`. One
-  inside a function does not count, for it runs when it is needed; nor does that of an `__init__` left out above. Depth:
-  the number of modules in the longest chain of imports.
-- A folder's arrow leads to each other folder that any of its modules imports from, modules beside `__init__` left out.
-  An arrow runs back where it is part of a circle of folders. A circle of modules: all that import one another.
+- A function is every `def`, including methods and nested functions, from that line to its last, without decorators. Its
+  body excludes the lines of its docstring. A class is counted like a function, with its docstring and methods.
+- Comments and docstrings: lines with a comment, and lines of the docstrings of modules, classes and functions, per 100
+  non-blank lines.
+- Return types: the share of functions with an annotated return type.
+- Imports are those of modules of this package at module level, also under `if` or `try`, but not inside functions, and
+  not of an `__init__` that is excluded above. Depth: the number of modules in the longest chain of imports.
+- Arrows lead from a folder to each other folder from which any of its modules imports; modules at the root are
+  excluded. An arrow runs back if it is part of a cycle of folders. A cycle of modules: all that import each other.
 """
 
 import ast
@@ -38,7 +37,7 @@ BLOCKS = ast.If, ast.Try, ast.With
 
 
 class Spread(NamedTuple):
-    """Of a list of sizes."""
+    """Distribution of a list of sizes."""
 
     median: float
     p90: float
@@ -49,59 +48,59 @@ class Spread(NamedTuple):
 
 
 def spread(sizes: list[int]) -> Spread:
-    """Median, 90th percentile (between neighbours in proportion) and maximum of at least two sizes."""
+    """Median, 90th percentile (interpolated) and maximum of at least two sizes."""
     return Spread(statistics.median(sizes), statistics.quantiles(sizes, n=10, method="inclusive")[-1], max(sizes))
 
 
 @dataclass(frozen=True)
 class Source:
-    """One file."""
+    """Source file."""
 
     name: str  # dotted, within the package
     text: str
     tree: ast.Module = field(repr=False)
 
     def all(self, kinds: tuple[type, ...]) -> list:
-        """Its nodes of these kinds."""
+        """Nodes of some kinds."""
         return [node for node in ast.walk(self.tree) if isinstance(node, kinds)]
 
     @property
     def lines(self) -> int:
-        """How many it has."""
+        """Number of lines."""
         return len(self.text.splitlines())
 
     @property
     def filled(self) -> int:
-        """Those that are not blank."""
+        """Number of non-blank lines."""
         return sum(bool(line.strip()) for line in self.text.splitlines())
 
     @property
     def comments(self) -> int:
-        """Lines with a comment."""
+        """Number of lines with a comment."""
         tokens = tokenize.generate_tokens(io.StringIO(self.text).readline)
         return len({token.start[0] for token in tokens if token.type == tokenize.COMMENT})
 
     @property
     def docstrings(self) -> int:
-        """Lines of docstrings."""
+        """Number of lines of docstrings."""
         return sum(length(text) for node in self.all(DEFINITIONS) if (text := docstring(node)) is not None)
 
     @property
     def is_bare(self) -> bool:
-        """Whether it is the `__init__` of a folder and holds a docstring alone."""
+        """True for the `__init__` of a folder with at most a docstring."""
         return self.name.endswith("__init__") and len(self.tree.body) < 2
 
 
 @dataclass(frozen=True)
 class Tree:
-    """The package of one checkout."""
+    """Package of one checkout."""
 
     name: str
     root: Path
 
     @cached_property
     def sources(self) -> dict[str, Source]:
-        """The files by the dotted names of their modules; a folder's own by the folder's name."""
+        """Files by the dotted names of their modules; an `__init__` by the name of its folder."""
         package = self.root / PACKAGE
         found = {}
         for file in sorted(package.rglob("*.py")):
@@ -112,14 +111,14 @@ class Tree:
 
     @cached_property
     def imports(self) -> dict[str, set[str]]:
-        """What each module imports at its own level."""
+        """Modules that each module imports at its top level."""
         bare = {name for name, source in self.sources.items() if source.is_bare}
         known = self.sources.keys() - bare
         return {name: (imported(source.tree, known) - {name}) for name, source in self.sources.items()}
 
     @cached_property
     def chain(self) -> list[str]:
-        """The longest chain of imports, each module importing the next one; empty where they run in a circle."""
+        """Longest chain of imports, each module importing the next; empty if there is a cycle."""
         if self.circles:
             return []
         longest: dict[str, list[str]] = {}
@@ -130,23 +129,23 @@ class Tree:
 
     @cached_property
     def circles(self) -> list[str]:
-        """The modules of a circle of imports, if there is one."""
+        """Modules of a cycle of imports, if there is one."""
         return circle(self.imports)
 
     @cached_property
     def arrows(self) -> set[tuple[str, str]]:
-        """Pairs of folders, the first of which imports from the second."""
+        """Pairs of folders; the first imports from the second."""
         pairs = {(folder(a), folder(b)) for a, below in self.imports.items() for b in below}
         return {(a, b) for a, b in pairs if a and b and a != b}
 
     @property
     def arrows_back(self) -> int:
-        """Arrows that are part of a circle of folders."""
+        """Number of arrows that are part of a cycle of folders."""
         return sum(a in reached(b, self.arrows) for a, b in self.arrows)
 
     @property
     def files(self) -> list[int]:
-        """Lines of the files."""
+        """Numbers of lines of the files."""
         return [source.lines for source in self.sources.values() if not source.is_bare]
 
     @cached_property
@@ -156,35 +155,35 @@ class Tree:
 
     @property
     def bodies(self) -> list[int]:
-        """Lines of the functions less their docstrings."""
+        """Numbers of lines of the functions without their docstrings."""
         return [length(node) - (0 if docstring(node) is None else length(docstring(node))) for node in self.functions]
 
     @property
     def classes(self) -> dict[str, int]:
-        """Lines of the classes by their names."""
+        """Numbers of lines of the classes by their names."""
         nodes = {(name, node) for name, source in self.sources.items() for node in source.all((ast.ClassDef,))}
         return {f"{name}.{node.name}": length(node) for name, node in nodes}
 
     def share(self, count: Callable[[Source], int]) -> float:
-        """Lines of a kind per 100 that are not blank."""
+        """Lines of a kind per 100 non-blank lines."""
         sources = self.sources.values()
         return 100 * sum(map(count, sources)) / sum(source.filled for source in sources)
 
 
 def length(node: ast.AST) -> int:
-    """Lines of a node, from its own first one, which is behind the decorators."""
+    """Number of lines of a node, without its decorators."""
     return node.end_lineno - node.lineno + 1
 
 
 def docstring(node: ast.AST) -> ast.Expr | None:
-    """The statement that is the docstring of a module, a class or a function."""
+    """Docstring of a module, a class or a function, as a statement; None without one."""
     first = node.body[0] if node.body else None
     is_text = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
     return first if is_text and isinstance(first.value.value, str) else None
 
 
 def imported(tree: ast.Module, known: set[str]) -> set[str]:
-    """Those of the `known` modules that a module imports at its own level."""
+    """The `known` modules that a module imports at its top level."""
     found: set[str] = set()
     for node in _statements(tree):
         if isinstance(node, ast.Import):
@@ -195,7 +194,7 @@ def imported(tree: ast.Module, known: set[str]) -> set[str]:
 
 
 def _statements(block: ast.AST) -> Iterator[ast.stmt]:
-    """What runs when a module is imported, definitions as a whole; `if TYPE_CHECKING` does not run."""
+    """Statements that run when a module is imported, which excludes `if TYPE_CHECKING`."""
     for node in getattr(block, "body", []):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             continue
@@ -205,12 +204,12 @@ def _statements(block: ast.AST) -> Iterator[ast.stmt]:
 
 
 def folder(module: str) -> str:
-    """The folder that a module lies in; empty at the root."""
+    """Folder of a module; empty at the root."""
     return module.partition(".")[0] if "." in module else ""
 
 
 def reached(start: str, arrows: set[tuple[str, str]]) -> set[str]:
-    """Every folder that arrows lead to from `start`."""
+    """Folders to which arrows lead from `start`."""
     found, left = set(), [start]
     while left:
         here = left.pop()
@@ -221,7 +220,7 @@ def reached(start: str, arrows: set[tuple[str, str]]) -> set[str]:
 
 
 def circle(graph: dict[str, set[str]]) -> list[str]:
-    """A circle in a graph, as the names along it; empty where there is none."""
+    """Names along a cycle in a graph; empty if there is none."""
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -230,7 +229,7 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
 
 
 def rows(tree: Tree) -> dict[str, str]:
-    """The table's column of one checkout."""
+    """Column of the table for one checkout."""
     sources, functions = tree.sources.values(), tree.functions
     largest, size = max(tree.classes.items(), key=lambda item: item[1])
     return {
@@ -251,7 +250,7 @@ def rows(tree: Tree) -> dict[str, str]:
 
 
 def main() -> None:
-    """Print a column a checkout, then the longest chain of imports in the last one."""
+    """Print one column per checkout, then the longest chain of imports in the last one."""
     given = [Path(word) for word in sys.argv[1:]] or [ROOT]
     trees = [Tree(path.resolve().name, path.resolve()) for path in given]
     columns = [rows(tree) for tree in trees]

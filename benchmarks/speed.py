@@ -1,23 +1,23 @@
-"""The speed of this checkout beside the committed figures, and in pairs beside another checkout.
+"""Speed of this checkout, compared with the committed figures, and in pairs with another checkout.
 
     python -m benchmarks speed [--against CHECKOUT] [--pairs N] [--only CASE,...] [--quick] [--peers] [--record]
 
-Every run of a case is a process of its own that imports one tree's package and that tree's own benchmarks, in this
-Python's environment. With --against a case runs alternately here and there, N times each: "ratio" is that of the
-medians, "of pairs" the smallest and the largest of a pair. Cases, on the CPU unless they name GPUs:
+Every run of a case is a separate process that imports the package and the benchmarks of one tree, in this Python's
+environment. With --against a case runs alternately here and there, N times each: "ratio" is the ratio of the medians,
+"of pairs" the smallest and the largest ratio of a pair. Cases, on the CPU unless they name GPUs:
 
 CASES
 
-A row of a table or sweep is a method's seconds without compilation, and how many targets it tracked. Proofs of motions
-are part of it in trees that have them; "engines alone" leaves them and the checks of joint paths out, and so compares
-with a tree that has none. All cases run unless --only names some: those on GPUs where there are any, peers, which run
-here alone, where their extra is installed. --quick takes few scenarios and two methods, to see that all works.
+A row of a table or sweep has a method's time without compilation [s], and its number of tracked targets. It includes
+proofs of motions in trees that have them; "engines alone" excludes these and the checks of joint paths, for comparison
+with a tree without them. All cases run unless --only names some: those on GPUs if there are any, peers, which run only
+here, if their extra is installed. --quick plans few scenarios by two methods, to test that all cases run.
 
---config FILE: the section `workpiece` of a job file in place of the generated duct; --against-config FILE where the
-other checkout knows other keys. --record writes what was measured into figures.yaml beside this file: all of it, or
-nothing where a case failed. Nothing else should run on the machine.
+--config FILE: the section `workpiece` of a job file in place of the generated duct; --against-config FILE if the other
+checkout has other keys. --record writes the figures into figures.yaml next to this file: all of them, or none if a case
+failed. The machine should be idle.
 
-Exit code: 1 where the two checkouts count differently or a case fails here; 2 on bad input.
+Exit code: 1 if the counts of the two checkouts differ or a case fails here; 2 on bad input.
 """
 
 import argparse
@@ -39,7 +39,7 @@ from htcp_jax.planning import registry
 
 ROOT = Path(__file__).resolve().parents[1]
 NEEDED = "htcp_jax/__init__.py", "benchmarks/tables.py", "sweeps/cross.yaml", "pyproject.toml"  # of a checkout
-OF_NO_FIGURE = ":!*.md", ":!benchmarks/figures.yaml"  # changes there count for nothing
+OF_NO_FIGURE = ":!*.md", ":!benchmarks/figures.yaml"  # changes there are ignored
 FILES = "cloud", "path"  # keys of a workpiece
 
 
@@ -57,7 +57,11 @@ def main() -> int:
 
 
 def measure(asked: argparse.Namespace, here: Checkout, there: Checkout | None) -> int:
-    """All cases one after the other, a part of the table each. Raises InputError."""
+    """Run all cases one after the other, and print a part of the table for each.
+
+    Raises:
+        InputError: As `_cases`.
+    """
     facts = json.loads(here.python("-m", "benchmarks.hardware"))
     names, job, machine = _cases(asked, facts["gpus"]), job_of(here.part, asked), facts["machine"]
     known, now = committed(asked.figures), commit(ROOT)
@@ -85,7 +89,11 @@ def measure(asked: argparse.Namespace, here: Checkout, there: Checkout | None) -
 
 
 def part_of(file: Path | None) -> dict[str, Any]:
-    """The section `workpiece` of a job file, names of files made absolute; empty without one. Raises InputError."""
+    """Read the section `workpiece` of a job file, with absolute names of files; empty without a file.
+
+    Raises:
+        InputError: For a file that cannot be read.
+    """
     if file is None:
         return {}
     part = read_yaml(file).get("workpiece")
@@ -96,7 +104,7 @@ def part_of(file: Path | None) -> dict[str, Any]:
 
 
 def job_of(part: dict[str, Any], asked: argparse.Namespace) -> str:
-    """What is planned, in words that tell jobs apart: files by their contents."""
+    """Describe the job uniquely, files by their contents."""
     told = [f"{key}={value}".encode() if key not in FILES else _contents(value) for key, value in sorted(part.items())]
     words = ["generated duct"]
     if part:
@@ -108,12 +116,12 @@ def job_of(part: dict[str, Any], asked: argparse.Namespace) -> str:
 
 
 def _contents(value: str) -> bytes:
-    """Of a file, or the word for a built-in part."""
+    """Contents of a file, or the name of a built-in part."""
     return Path(value).read_bytes() if Path(value).is_file() else value.encode()
 
 
 def commit(root: Path) -> str:
-    """Of a checkout, and whether its files differ from it."""
+    """Commit of a checkout, with a note if its files differ from it."""
 
     def git(*words: str) -> str:
         return subprocess.run(["git", "-C", root, *words], capture_output=True, text=True).stdout.strip()
@@ -125,7 +133,11 @@ def commit(root: Path) -> str:
 
 
 def _alternately(name: str, here: Checkout, there: Checkout | None, asked, notes: list[str]) -> Measured:
-    """The runs of a case, here and there by turns. Raises Broken where one fails here."""
+    """Run a case alternately here and there.
+
+    Raises:
+        Broken: If a run fails here.
+    """
     case, how, found = CASES[name].run, Asked(asked.quick, asked.methods, asked.device, asked.warm), Measured([], [])
     for _ in range(asked.pairs or (3 if there else 1)):
         found.here.append(case(here, how))
@@ -139,7 +151,7 @@ def _alternately(name: str, here: Checkout, there: Checkout | None, asked, notes
 
 
 def _recorded(file: Path, new: list[Entry], names: list[str]) -> str:
-    """What became of the figures."""
+    """Record the figures, and return a message."""
     if len(new) < len(names):
         return "nothing recorded, as a case failed"
     record(file, new)
@@ -147,7 +159,11 @@ def _recorded(file: Path, new: list[Entry], names: list[str]) -> str:
 
 
 def _arguments() -> argparse.Namespace:
-    """What was asked for. Raises InputError for what no case can do."""
+    """Parse the command line.
+
+    Raises:
+        InputError: For an unknown case or method, and for a number of pairs below 1.
+    """
     about = __doc__.replace("CASES\n", "\n".join(f"    {name:22} {case.about}" for name, case in CASES.items()) + "\n")
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser("python -m benchmarks speed", description=about, formatter_class=formatter)
@@ -178,7 +194,11 @@ def _refuse(option: str, kind: str, given: list[str], valid: list[str]) -> None:
 
 
 def _other(asked: argparse.Namespace) -> Checkout | None:
-    """The checkout to compare with. Raises InputError for a folder that is none."""
+    """Return the checkout to compare with; None without one.
+
+    Raises:
+        InputError: For a folder that is no checkout.
+    """
     if asked.against is None:
         return None
     if lost := [name for name in NEEDED if not (asked.against / name).is_file()]:
@@ -188,7 +208,11 @@ def _other(asked: argparse.Namespace) -> Checkout | None:
 
 
 def _cases(asked: argparse.Namespace, gpus: int) -> list[str]:
-    """The cases to run; says why peers are left out. Raises InputError."""
+    """Return the cases to run, and print the reason if peers are excluded.
+
+    Raises:
+        InputError: For a case on GPUs if there are none.
+    """
     names = list(asked.only or CASES)
     on_gpus = {name for name in names if CASES[name].gpus and not gpus}
     if asked.only and on_gpus:

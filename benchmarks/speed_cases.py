@@ -1,6 +1,6 @@
-"""What `benchmarks.speed` measures: the cases, and how each runs in a checkout.
+"""Cases of `benchmarks.speed`, and their execution in a checkout.
 
-A case is a function of a checkout and of what was asked: it starts fresh processes there and returns their figures.
+A case is a function of a checkout and of the options: it starts new processes there and returns their figures.
 """
 
 import json
@@ -21,7 +21,7 @@ from benchmarks.figures import Figure, load
 
 SIX = "baseline,cspace-sample,nspace-sample,nspace-sqp,nspace-ip,nspace-cmaes"
 FEW = "baseline,nspace-sqp"
-EVERY, EVERY_CROSS, LIMIT = 25, 250, 5  # of a quick case: every N-th scenario, and the first ones
+EVERY, EVERY_CROSS, LIMIT = 25, 250, 5  # of a quick case: every N-th scenario, number of scenarios
 PEERS = {"mink": "mink", "tesseract_robotics": "tesseract-robotics"}  # modules and packages
 DEVICE_QP = "--set", "settings.qp=device"
 ON_CPU = {"JAX_PLATFORMS": "cpu"}
@@ -32,11 +32,11 @@ TEXT = {  # rows that a benchmark prints
 
 
 class Broken(Exception):
-    """A process failed; the message is its last line."""
+    """Failure of a process; the message is its last line."""
 
 
 class Asked(NamedTuple):
-    """What the command line says of every case."""
+    """Options of the command line for every case."""
 
     quick: bool = False
     methods: str | None = None  # of tables and the cross sweep
@@ -46,7 +46,7 @@ class Asked(NamedTuple):
 
 @dataclass(frozen=True)
 class Checkout:
-    """A tree of the project, and the part that it plans for."""
+    """Tree of the project, and the workpiece of its jobs."""
 
     name: str
     root: Path
@@ -55,16 +55,20 @@ class Checkout:
 
     @property
     def overrides(self) -> list[str]:
-        """What turns any job of this checkout into the one asked for, KEY=VALUE each."""
+        """Changes of every job in this checkout, KEY=VALUE each."""
         return [*(f"workpiece.{key}={json.dumps(value)}" for key, value in self.part.items()), *self.changes]
 
     @property
     def sets(self) -> list[str]:
-        """The same as options."""
+        """Changes of every job as options of the command line."""
         return [word for pair in self.overrides for word in ("--set", pair)]
 
     def python(self, *words: str, one_core: bool = False, expected: Iterable[int] = (0,), **environment: str) -> str:
-        """What a fresh interpreter prints that imports from this tree alone. Raises Broken."""
+        """Run a new interpreter that imports from this tree only, and return its output.
+
+        Raises:
+            Broken: For an unexpected exit code.
+        """
         known = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
         pin = _pin if one_core and hasattr(os, "sched_setaffinity") else None
         done = subprocess.run(
@@ -80,7 +84,7 @@ class Checkout:
         return done.stdout
 
     def benchmark(self, name: str, *words: str, **how: Any) -> list[Figure]:
-        """The figures of this tree's own benchmark: as JSON, or read off the table where it writes none."""
+        """Run a benchmark of this tree, and return its figures, from JSON or else from the printed table."""
         begin = "-m", "benchmarks", name
         if "--json" not in (self.root / f"benchmarks/{name}.py").read_text(encoding="utf-8"):
             return of_text(name, self.python(*begin, *words, **how))
@@ -90,7 +94,7 @@ class Checkout:
             return load(file)
 
     def htcp(self, *words: str, **how: Any) -> str:
-        """What this tree's command prints."""
+        """Run this tree's command `htcp`, and return its output."""
         scripts = tomllib.loads((self.root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
         module, _, function = scripts["htcp"].partition(":")
         return self.python("-c", f"import sys; from {module} import {function}; sys.exit({function}())", *words, **how)
@@ -104,7 +108,11 @@ def _pin() -> None:
 
 
 def of_text(name: str, text: str) -> list[Figure]:
-    """The figures in a printed table. Raises Broken where there are none."""
+    """Parse the figures in a printed table.
+
+    Raises:
+        Broken: If there are none.
+    """
     if name not in TEXT or not (rows := TEXT[name].findall(text)):
         raise Broken(f"`python -m benchmarks {name}` of this checkout has no figures that can be read")
     if name == "tables":
@@ -118,7 +126,7 @@ def of_text(name: str, text: str) -> list[Figure]:
 
 
 def tables(*more: str, methods: str = SIX, quick: int = EVERY, gpus: bool = False) -> Run:
-    """A case of `benchmarks.tables`: run seconds and tracked targets by method, and the seconds in all."""
+    """Case of `benchmarks.tables`: time and tracked targets by method, and the total time."""
 
     def run(checkout: Checkout, asked: Asked) -> list[Figure]:
         chosen = asked.methods or (FEW if asked.quick else methods)
@@ -133,17 +141,17 @@ def tables(*more: str, methods: str = SIX, quick: int = EVERY, gpus: bool = Fals
 
 
 def cross(*more: str, methods: str = SIX, gpus: bool = False) -> Run:
-    """The cross sweep."""
+    """Case of the cross sweep."""
     return tables("--sweeps", "cross", *more, methods=methods, quick=EVERY_CROSS, gpus=gpus)
 
 
 def clearance(checkout: Checkout, asked: Asked) -> list[Figure]:
-    """A query on one core."""
+    """Measure a clearance query on one core."""
     return checkout.benchmark("clearance", *checkout.sets, one_core=True, **ON_CPU)
 
 
 def first_plan(checkout: Checkout, asked: Asked) -> list[Figure]:
-    """Compilation in a first `htcp plan` by N-space SQP and by the default method, and the whole command."""
+    """Measure a first `htcp plan` by N-space SQP and by the default method: compilation, and the complete command."""
     found = []
     for method in (["--method", "nspace-sqp"], []):
         with tempfile.TemporaryDirectory() as cache, tempfile.TemporaryDirectory() as out:
@@ -158,13 +166,13 @@ def first_plan(checkout: Checkout, asked: Asked) -> list[Figure]:
 
 
 def _clocks() -> tuple[float, float]:
-    """Now, and the processor time of all processes started here that have ended [s]."""
+    """Time of the clock, and CPU time of all child processes that have ended [s]."""
     spent = os.times()
     return time.perf_counter(), spent.children_user + spent.children_system
 
 
 def programs(checkout: Checkout, asked: Asked) -> list[Figure]:
-    """CPU time of a program, the median of the starts that N-space SQP brings to the last target."""
+    """Measure the CPU time of a program, the median over the starts that N-space SQP completes."""
     if not (checkout.root / "benchmarks/programs.py").is_file():
         raise Broken("this checkout writes no programs")
     limit = ["--limit", str(LIMIT)] if asked.quick else []
@@ -175,7 +183,7 @@ def programs(checkout: Checkout, asked: Asked) -> list[Figure]:
 
 
 def peers(checkout: Checkout, asked: Asked) -> list[Figure]:
-    """Other planners beside two of ours, by targets that MuJoCo finds passed."""
+    """Compare other planners with two of ours, by targets that MuJoCo confirms."""
     part = [checkout.part.get(key) for key in ("cloud", "path", "inlet_m")]
     real = ["--real", *part[:2], *map(str, part[2])] if all(part) else []
     scenarios = ["--scenarios", "1"] if asked.quick else []
@@ -188,11 +196,11 @@ def lacking() -> list[str]:
 
 
 class Case(NamedTuple):
-    """What `--only` names."""
+    """Case, as named by `--only`."""
 
     about: str
     run: Run
-    gpus: bool = False  # whether it needs some
+    gpus: bool = False  # True if it needs GPUs
 
 
 CASES = {

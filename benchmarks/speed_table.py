@@ -1,4 +1,4 @@
-"""The table of `benchmarks.speed`: figures of this checkout, of another one and committed ones."""
+"""Table of `benchmarks.speed`: figures of this checkout, of another one and committed ones."""
 
 import statistics
 from collections.abc import Iterable
@@ -6,37 +6,37 @@ from typing import NamedTuple
 
 from benchmarks.figures import Entry, Figure
 
-# Names and widths; behind the last ratio there is room for a star.
+# Names and widths; the last ratio may be followed by a star.
 COLUMNS = {"": 38, "here": 11, "there": 11, "ratio": 5, "of pairs": 12, "committed": 11, "ratio ": 6, "count": 8}
 OF_PAIRS = "there", "ratio", "of pairs"
 
 
 class Measured(NamedTuple):
-    """A case: the figures of every run, here and there."""
+    """Figures of every run of a case, here and there."""
 
     here: list[list[Figure]]
-    there: list[list[Figure]]  # none without another checkout, or where it lacks the case
+    there: list[list[Figure]]  # empty without another checkout, or if it lacks the case
 
 
 def medians(runs: list[list[Figure]]) -> dict[str, Figure]:
-    """Every figure by its name with the median of its values."""
+    """Figures by their names, each with the median of its values."""
     return {
         one.name: one._replace(value=statistics.median(values(runs, one.name))) for one in (runs[0] if runs else ())
     }
 
 
 def values(runs: list[list[Figure]], name: str) -> list[float]:
-    """Of one figure in all runs that have it."""
+    """Values of one figure in all runs that have it."""
     return [one.value for run in runs for one in run if one.name == name]
 
 
 def head(pairs: bool) -> str:
-    """Names of the columns, those of pairs where there are any."""
+    """Names of the columns, with those of pairs if there are any."""
     return _line({name: name for name in COLUMNS}, pairs)
 
 
 def rows(found: Measured, old: Entry | None, machine: str, pairs: bool) -> Iterable[str]:
-    """A row a figure; a star where the committed one is another machine's."""
+    """Rows of the table, one per figure; a star marks a committed one of another machine."""
     here, there = medians(found.here), medians(found.there)
     committed = {one.name: one for one in old.figures} if old else {}
     star = "*" if old and old.machine != machine else " "
@@ -52,7 +52,7 @@ def rows(found: Measured, old: Entry | None, machine: str, pairs: bool) -> Itera
 
 
 def counts_differ(case: str, found: Measured) -> list[str]:
-    """Counts that are not the same in all runs of both checkouts."""
+    """Counts that differ between runs of the two checkouts."""
     lines = []
     for name in medians(found.here):
         here, there = ({one.count for run in runs for one in run if one.name == name} for runs in found)
@@ -63,7 +63,7 @@ def counts_differ(case: str, found: Measured) -> list[str]:
 
 
 def sources(compared: Iterable[tuple[str, Measured, Entry | None]], machine: str) -> list[str]:
-    """Where the committed figures are from, a line each, and the counts that are other ones now."""
+    """Sources of the committed figures, one line each, and the counts that have changed since."""
     lines: dict[str, list[str]] = {}
     counts = []
     for case, found, old in compared:

@@ -1,11 +1,11 @@
-"""The step QP's solvers on recorded QPs: same verdicts, same steps, and the time that each takes.
+"""Solvers of the step QP on recorded QPs: agreement of verdicts and steps, and times.
 
     python -m benchmarks step-qps [--count 100000] [--set KEY=VALUE]...
 
 The QPs are those that Clarabel solves while the poses are planned by the N-space sample planner, half of them under
-configs/paper.yaml (one row, margin 0) and half under configs/duct.yaml (a row a body). Every verdict that differs is
-listed with the slack that its rows leave: the largest t for which all of them hold with t to spare, by scipy's LP. One
-within 1e-6 of 0 is undecidable for solvers that work to 1e-8.
+configs/paper.yaml (one row, margin 0) and half under configs/duct.yaml (one row per body). Every verdict that differs
+is listed with the slack of its rows: the largest t by which all of them can be satisfied, by scipy's LP. A slack within
+1e-6 of 0 is undecidable for solvers with a tolerance of 1e-8.
 """
 
 import argparse
@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def _recorded(config: str, overrides: list[str], count: int) -> StepQP:
-    """The first `count` step QPs of the sweep; repeated with 1 % more or less clearance where it has fewer."""
+    """Record the first `count` step QPs of the sweep; if it has fewer, repeat them with up to 1 % other clearance."""
     spec = load_sweep(ROOT / "sweeps/workpiece.yaml", ROOT / f"configs/{config}.yaml", overrides)
     batch, seen = spec.batch(), []
     make = step_qps.make_solver

@@ -1,4 +1,4 @@
-"""Sweeps under configs/paper.yaml, timed: by default both of the paper's tables by its six planners.
+"""Times of sweeps under configs/paper.yaml: by default both of the paper's tables by its six planners.
 
     python -m benchmarks tables [--sweeps robot,workpiece] [--methods A,B] [--every N] [--device cpu|gpu[:N]]
         [--config FILE] [--profile] [--processes N] [--no-paths] [--set KEY=VALUE]... [--json FILE]
@@ -59,7 +59,7 @@ def main() -> None:
 
             def run(method=method, batch=batch, scenarios=scenarios, settings=spec.config.settings):
                 how = {"check_paths": not chosen.no_paths, "device": chosen.device}
-                how["processes"] = 1 if chosen.profile else chosen.processes  # what others spend is not seen here
+                how["processes"] = 1 if chosen.profile else chosen.processes  # the profile is of this process only
                 return plan(batch.robot, batch.workpiece, scenarios, method, settings, **how)
 
             plans = first = run()
@@ -83,7 +83,7 @@ def main() -> None:
 
 
 def _watch() -> dict[str, tuple[float, int, int]]:
-    """Seconds, calls and lanes by kernel and of the QP solver, counted from now on, summed over threads."""
+    """Start counting seconds, calls and lanes by compiled function and in the QP solver, summed over threads."""
     spent: dict[str, tuple[float, int, int]] = {}
 
     def watched(own, named):

@@ -1,11 +1,12 @@
-"""How fast, and how fast found, laws of time are: this package's, copp-py's and toppra's, on the ways off the weld.
+"""Time scaling of air moves by this package, copp-py and toppra: durations, and times to compute them.
 
     pip install toppra copp-py
     python -m benchmarks time-laws out/plan [out/other ...]
 
-Every law gets the same rounded curve on the same grid. toppra and copp-py's second order know no jerk; the others do.
-Whichever of the two is not installed is said so. A row a law and way: how long it takes, the median time to find it,
-and the largest shares of velocity, acceleration and jerk on the timed curve, by finite differences at 1 ms.
+All get the same rounded curve on the same grid. toppra and copp-py's second order do not limit the jerk; the others do.
+A package that is not installed is reported. The table has one row per package and air move: the duration, the median
+time to compute it, and the largest shares of the velocity, acceleration and jerk limits on the timed curve, by finite
+differences at 1 ms.
 """
 
 import argparse
@@ -30,13 +31,13 @@ Found = Callable[[np.ndarray], np.ndarray]  # places at times
 
 
 def own(path: Path, limits: Limits) -> tuple[float, Found]:
-    """This package's."""
+    """Time scaling of this package."""
     law = law_of(path, limits)
     return law.speed.duration_s, lambda time: law.speed.at(time)[0]
 
 
 def copp_robot(path: Path, limits: Limits, jerk: bool):
-    """A station a place of the grid."""
+    """Robot of copp-py, with one station per place of the grid."""
     import copp_py as copp
 
     robot, found = copp.Robot(path.curve.x.shape[1]), path.at(path.place)
@@ -51,7 +52,7 @@ def copp_robot(path: Path, limits: Limits, jerk: bool):
 
 
 def between(place: np.ndarray, square: np.ndarray) -> tuple[float, Found]:
-    """The law that has these squares of the speed at the places, and a constant acceleration between them."""
+    """Time scaling by the squared speed at places, with constant acceleration between them."""
     speed = np.sqrt(np.maximum(square, 0.0))
     step = 2 * np.diff(place) / np.maximum(speed[:-1] + speed[1:], 1e-12)
     when = np.append(0.0, np.cumsum(step))
@@ -66,7 +67,7 @@ def between(place: np.ndarray, square: np.ndarray) -> tuple[float, Found]:
 
 
 def copp_2(path: Path, limits: Limits) -> tuple[float, Found]:
-    """Time-optimal in velocity and acceleration, by reachability."""
+    """Time-optimal scaling with limits of velocity and acceleration, by reachability (copp-py)."""
     import copp_py as copp
 
     robot = copp_robot(path, limits, jerk=False)
@@ -75,7 +76,7 @@ def copp_2(path: Path, limits: Limits) -> tuple[float, Found]:
 
 
 def copp_3(path: Path, limits: Limits) -> tuple[float, Found]:
-    """With jerk, linearised about the second order's answer, as a linear programme."""
+    """Scaling with limited jerk, by a linear programme about the solution of second order (copp-py)."""
     import copp_py as copp
 
     robot = copp_robot(path, limits, jerk=True)
@@ -88,7 +89,7 @@ def copp_3(path: Path, limits: Limits) -> tuple[float, Found]:
 
 
 def toppra_(path: Path, limits: Limits) -> tuple[float, Found]:
-    """toppra, by reachability, on the curve itself."""
+    """Time-optimal scaling by reachability, on the curve itself (toppra)."""
     import toppra
     from toppra import algorithm, constraint
     from toppra.interpolator import AbstractGeometricPath
@@ -116,7 +117,7 @@ LAWS = {"own": own, "copp-py, 2nd order": copp_2, "copp-py, 3rd order": copp_3, 
 
 
 def paths(folder: str) -> Iterator[tuple[str, Path, Limits]]:
-    """The ways of a plan's motion that do not feed."""
+    """Air moves of a plan's motion."""
     found = open_plans(folder)
     plans, job = found.plans(found.methods[0]), found.jobs[0]
     robot, _, scenario = scene(job)
@@ -128,7 +129,7 @@ def paths(folder: str) -> Iterator[tuple[str, Path, Limits]]:
 
 
 def row(law: Callable, path: Path, limits: Limits) -> str:
-    """What a law comes to on a way, as cells."""
+    """Cells of one row: a time scaling on one air move."""
     taken = []
     for _ in range(REPEATS):
         begin = time.process_time()
@@ -153,7 +154,7 @@ def main() -> None:
                     print(f"| {name} | {title} | {row(law, path, limits)} |", flush=True)
                 except ImportError:
                     print(f"| {name} | {title} | not installed | | | | |")
-                except Exception as error:  # a solver's own: it found no law
+                except Exception as error:  # of a solver: it found no solution
                     print(f"| {name} | {title} | none: {' '.join(str(error).split())[:60]} | | | | |")
 
 

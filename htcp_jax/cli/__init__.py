@@ -1,1 +1,1 @@
-"""The command `htcp`: one module per command, loaded when it is called. `main` lists them."""
+"""Command line interface `htcp`: one module per command, imported when it runs. `main` lists them."""

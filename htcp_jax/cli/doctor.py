@@ -1,4 +1,4 @@
-"""`htcp doctor`: versions, devices, rendering, and a self-test by a known plan."""
+"""`htcp doctor`: versions, devices, rendering, and a self-test by a plan with a known result."""
 
 from rich.text import Text
 

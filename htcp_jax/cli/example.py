@@ -1,4 +1,4 @@
-"""`htcp example`: the jobs, sweeps and placements that ship, listed or written to a folder."""
+"""`htcp example`: list the shipped jobs, sweeps and placement searches, or copy one to a folder."""
 
 import os
 import shlex

@@ -18,9 +18,14 @@ ProgramKeys = Annotated[
 
 
 def played_feed(feed: str | None, **others: object) -> float | None:
-    """Parse the feed [m/s]; None if a plan is played by its targets. others: given options, by their names.
+    """Parse the feed rate [m/s]; None if a plan is played by its targets.
 
-    Raises InputError as `feed_of` does, and for one of the others without a feed.
+    Args:
+        feed: The feed rate as text, such as 20mm/s; None without one.
+        **others: Values of options that need a feed rate, by their names.
+
+    Raises:
+        InputError: As `feed_of`, and for one of these options without a feed rate.
     """
     if feed is not None:
         return feed_of(feed)

@@ -1,4 +1,4 @@
-"""The command `htcp`. A command is a function in the module of its name, and one line in COMMANDS.
+"""Entry point of `htcp`: each command is a function in the module of its name, and one line in COMMANDS.
 
 A command's module is imported when it runs. Commands return their exit code. Bad input, on the command line or in a
 file, gives one line and code 2.
@@ -43,13 +43,13 @@ COMMANDS = {
 }
 
 LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: the pipe is closed
-FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # errors of a disk, not of a program
+FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # errors of a disk, not of this code
 COMPLETION = "--install-completion", "--show-completion"
 LONGEST = 60  # characters of a file's name in a message
 
 
 class Commands(TyperGroup):
-    """Commands that are imported on demand; lists show only their names and lines of help."""
+    """Group of commands that are imported on demand; its help shows only their names and lines in COMMANDS."""
 
     def resolve_command(self, ctx, args):
         """Import the command that the first argument names; return it with the remaining arguments."""
@@ -65,7 +65,7 @@ def _imported(name: str):
 
 
 def _listed() -> None:
-    """Placeholder of a command that is not imported yet."""
+    """Do nothing; placeholder of a command that is not imported yet."""
 
 
 HELP = {"help_option_names": ["-h", "--help"]}  # commands inherit them
@@ -122,7 +122,14 @@ def htcp(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command, or show the help if there is none; returns the exit code."""
+    """Run one command, or show the help if there is none.
+
+    Args:
+        argv: Arguments of the command line without `htcp`; None: those of this process.
+
+    Returns:
+        The exit code.
+    """
     words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
     try:
         code = _run(words)

@@ -1,4 +1,4 @@
-"""`htcp methods`: the methods, with their descriptions."""
+"""`htcp methods`: list the planning methods with their descriptions."""
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
 from htcp_jax.planning import registry
@@ -32,7 +32,7 @@ def complete_method(start: str) -> list[str]:
 
 
 def complete_methods(start: str) -> list[str]:
-    """Shell completions of a list with commas: the names that may follow the last one."""
+    """Shell completions of a list with commas: the names that may follow its last comma."""
     before, comma, last = start.rpartition(",")
     given = before.split(",")
     return [before + comma + name for name in complete_method(last) if name not in given]

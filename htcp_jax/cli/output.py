@@ -1,4 +1,4 @@
-"""Options and output of several commands: a table on stdout or, with --json, JSON, and nothing else.
+"""Options and output of several commands: only a table on stdout or, with --json, only JSON.
 
 Progress and warnings go to stderr; if that is not a terminal, progress is a line every ten seconds. NO_COLOR disables
 colours.
@@ -30,10 +30,10 @@ from rich.text import Text
 from htcp_jax.report.document import Table
 from htcp_jax.runs.plan_folder import json_text
 
-WIDEST = 100_000  # columns of a table; it is folded before
+WIDEST = 100_000  # characters; wider than any table, as tables are folded before
 LINE_S = 10.0  # between lines of progress
 GAP, LEAST_TEXT = 2, 30  # between columns; minimum width of a last column of text
-TIED = "of", "at", "scenario:"  # heads of columns that belong to the one before them
+TIED = "of", "at", "scenario:"  # heads of columns that are not separated from the one before
 
 Device = Annotated[
     str | None, typer.Option(metavar="cpu|gpu[:N]", help="Device to plan on; by default a GPU if there is one.")
@@ -50,7 +50,7 @@ Overrides = Annotated[
 
 
 def stdout() -> Console:
-    """Console for tables: of unlimited width, without automatic highlighting."""
+    """Return a console for tables, of unlimited width and without automatic highlighting."""
     return Console(highlight=False, soft_wrap=True)
 
 
@@ -70,8 +70,12 @@ def print_facts(title: str, facts: Mapping[str, str]) -> None:
 
 @contextmanager
 def progress_bars(*columns: ProgressColumn, **how: Any) -> Iterator[Progress]:
-    """Show bars on a terminal, which vanish at the end; elsewhere one of them as a line every `LINE_S` seconds.
-    columns: by default description, counts and elapsed time."""
+    """Show progress bars on a terminal until the block ends; elsewhere print one of them every `LINE_S` seconds.
+
+    Args:
+        *columns: Columns of a bar; by default description, counts and elapsed time.
+        **how: Further arguments of `rich.progress.Progress`.
+    """
     columns = columns or (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     console, ended = Console(stderr=True), threading.Event()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal, **how) as bars:
@@ -93,7 +97,12 @@ def _print_lines(bars: Progress, ended: threading.Event) -> None:
 
 @contextmanager
 def progress_bar(what: str, *, time_left: bool = False) -> Iterator[Callable[[int, int], None]]:
-    """Show one bar; yields progress(done, count). time_left: show remaining instead of elapsed time."""
+    """Show one progress bar, and yield a function to be called with the number of finished steps and of all.
+
+    Args:
+        what: Name of the steps, in the plural.
+        time_left: True to show the remaining instead of the elapsed time.
+    """
     time = TimeRemainingColumn() if time_left else TimeElapsedColumn()
     with progress_bars(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time) as bars:
         task = bars.add_task(what, total=None)
@@ -101,13 +110,15 @@ def progress_bar(what: str, *, time_left: bool = False) -> Iterator[Callable[[in
 
 
 def width() -> int:
-    """Columns of the terminal, or COLUMNS; 80 if there is neither."""
+    """Width of the terminal, or COLUMNS, in characters; 80 if there is neither."""
     return shutil.get_terminal_size((80, 24)).columns
 
 
 def print_table(console: Console, table: Table) -> None:
-    """Print heads, units and rows in columns, numbers to the right; columns beyond the terminal's width continue below,
-    with the first column repeated."""
+    """Print heads, units and rows in columns, numbers to the right.
+
+    Columns beyond the terminal's width continue below, with the first column repeated.
+    """
     for number, part in enumerate(_folded(table, width())):
         if number:
             console.print()
@@ -119,7 +130,7 @@ def print_table(console: Console, table: Table) -> None:
 
 
 def _laid_out(table: Table) -> rich.table.Table:
-    """The table in rich's layout; a last column of text is wrapped."""
+    """Return the table in rich's layout; a last column of text is wrapped."""
     laid_out = rich.table.Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0), header_style="cyan")
     *before, last = range(len(table.columns))
     room = max(LEAST_TEXT, width() - sum(_needed(table, k) + GAP for k in before))
@@ -140,8 +151,10 @@ def _laid_out(table: Table) -> rich.table.Table:
 
 
 def _folded(table: Table, most: int) -> Iterator[Table]:
-    """Split the table into tables that fit, of whole columns, each with the first column. A last column of text needs
-    at most LEAST_TEXT: it is wrapped. Columns that belong to the one before them stay with it."""
+    """Split the table between columns into tables that fit, each with the first column.
+
+    A last column of text needs at most LEAST_TEXT, as it is wrapped. Columns in TIED stay with the one before them.
+    """
     taken, used = [0], _needed(table, 0)
     for group in _groups(table):
         wide = sum(GAP + _needed(table, k) for k in group)

@@ -93,8 +93,10 @@ def place(
 
 @contextmanager
 def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
-    """Show one bar per stage on a terminal: scenarios, complete mountings. said: True to omit the line with the number
-    of plans."""
+    """Show one bar per stage on a terminal: scenarios, complete mountings.
+
+    Before the first one, the largest number of plans is printed, unless `said` is True.
+    """
     columns = TextColumn("{task.description:<10}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn()
     with progress_bars(*columns) as bars:
         tasks: dict[str, Any] = {}
@@ -104,7 +106,7 @@ def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
                 print(_most(now.most), flush=True)
             if now.stage not in tasks:
                 for task in bars.tasks:
-                    bars.update(task.id, total=task.completed)  # a finished stage is not shown again
+                    bars.update(task.id, total=task.completed)  # marks it as finished
                 tasks[now.stage] = bars.add_task(now.stage, total=now.of, text="")
             text = f"{now.scenarios:,} {'plans' if now.of is None else f'of up to {now.of:,} plans'}"
             if now.stage == "search":

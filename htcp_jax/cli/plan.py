@@ -1,4 +1,4 @@
-"""`htcp plan`: one job from a configuration to a table and five files."""
+"""`htcp plan`: plan one job, print a table and write five files."""
 
 from pathlib import Path
 from typing import Annotated
@@ -72,7 +72,17 @@ def plan(
 def plan_with_progress(
     config: Path | None, overrides: list[str] | None, method: str | None, device: str | None = None
 ) -> Plan:
-    """Plan a job, with a bar of tracked targets on a terminal. Raises InputError as `api.plan` does."""
+    """Plan a job, with a bar of tracked targets on a terminal.
+
+    Args:
+        config: The job file or example; None: the default job.
+        overrides: Changes of the job, "dotted.key=value" each.
+        method: The planning method; None: the job's.
+        device: The device; None: a GPU if there is one.
+
+    Raises:
+        InputError: As `api.plan`.
+    """
     with progress_bar("targets") as progress:
         return api.plan(
             config,

@@ -1,4 +1,4 @@
-"""`htcp program`: a plan as a robot program for a controller."""
+"""`htcp program`: time a plan, and write it as a robot program for a controller."""
 
 import warnings
 from collections.abc import Sequence

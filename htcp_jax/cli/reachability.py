@@ -141,14 +141,18 @@ def _in_order(parts: Sequence[tuple[np.ndarray, Reachability]]) -> Reachability:
 
 
 def _resolution(batch: Batch, found: Reachability, asked_rad: float) -> float | None:
-    """Coarsest resolution that a target was searched at [rad]; None if a task does not hold the TCP."""
+    """Coarsest angular resolution of the search [rad]; None if a task does not hold the TCP."""
     if not all(cell.task.holds_tcp for cell in batch.cells):
         return None
     return max(asked_rad, float(found.resolution_rad.max()))
 
 
 def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]:
-    """Scenarios in which a method of the run got further, by method. Raises InputError for a run of other targets."""
+    """Return the scenarios in which a method of the run got further, by method.
+
+    Raises:
+        InputError: For a run with other targets.
+    """
     beaten = {}
     for method in run.methods:
         plans = run.plans(method)
@@ -163,8 +167,10 @@ def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]
 
 
 def _away(scenarios: Scenario, targets: np.ndarray) -> np.ndarray:
-    """Distance of a run's targets from those of the scenarios [m]; 0 for an approach that left its lines, whose targets
-    are the path's first point."""
+    """Distance of a run's targets from those of the scenarios [m].
+
+    It is 0 for an approach that deviates from its lines, whose targets are the path's first point.
+    """
     before = np.arange(targets.shape[1]) < scenarios.on_path[:, None]
     first = np.take_along_axis(scenarios.targets, scenarios.on_path[:, None, None], axis=1)
     left = before & (np.abs(targets - first) <= 1e-9).all(axis=2)

@@ -1,4 +1,4 @@
-"""`htcp render`: a picture and a movie of one plan, rendered off screen."""
+"""`htcp render`: draw a picture and a movie of one plan, without a screen."""
 
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -128,7 +128,11 @@ def render(
 
 
 def _files(out: Path, movie: str | None, name: str) -> _Files:
-    """Names of the files to write. Raises InputError for a movie whose name is of another kind."""
+    """Return the names of the files to write.
+
+    Raises:
+        InputError: For a movie file whose suffix is of another kind.
+    """
     if (kind := out.suffix[1:].lower()) in KINDS:
         if movie not in (None, kind):
             raise InputError(f"--out {out} is the name of one {kind}, --movie {movie} asks for something else")
@@ -138,7 +142,7 @@ def _files(out: Path, movie: str | None, name: str) -> _Files:
 
 
 def _film(studio: Studio, made: OfPlan, speed: float) -> Film:
-    """Film of a program at `speed` times real time, above its plots."""
+    """Film of a robot program at `speed` times real time, above its plot strip."""
     play = played(made, frame_times(made.program.duration_s, speed))
     return studio.film(arms_of(made, play)).over(Strip(made, play, studio.width, speed).at)
 

@@ -1,4 +1,4 @@
-"""`htcp report`: finished or unfinished runs as tables on the terminal, and as a report in files."""
+"""`htcp report`: print tables of finished or unfinished runs, and write a report."""
 
 from pathlib import Path
 from typing import Annotated

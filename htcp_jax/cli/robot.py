@@ -99,7 +99,7 @@ def robot(
 
 
 def _listed(arm: ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[Listed]:
-    """Pairs of capsules that need no check, by the meshes of the arm, and that the model does not exclude."""
+    """Pairs of capsules that need no check by the arm's meshes, except those that the model excludes."""
     meshes, names = LinkMeshes.of(arm), made.capsule_names
     x, tried = samples(made), itertools.count(1)
     at = meshes.poses(x)

@@ -20,9 +20,9 @@ from htcp_jax.runs.provenance import provenance
 from htcp_jax.viewer import offscreen
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
-POINTS = 3  # of the weld, so 14 targets
-# The baseline's result at the last of them, saved on a CPU. Other devices and versions round differently, by far
-# less than the tolerance.
+POINTS = 3  # of the weld: 14 targets in all
+# Results of the method baseline on a CPU: the last configuration, and the minimum clearance. Other devices and
+# versions round differently, by far less than the tolerance.
 KNOWN_RAD = (-0.03942173, -1.66173581, 0.28730992, -0.10670144, 0.24431399, -2.01895122)
 KNOWN_CLEARANCE_M = 0.0496996492
 TOLERANCE = 1e-6  # rad, m
@@ -34,11 +34,11 @@ class SelfTest(NamedTuple):
     passed: bool
     description: str
     seconds: float
-    compile_s: float  # of them
+    compile_s: float  # part of them
 
 
 def examine() -> dict[str, Any]:
-    """Facts on the installation, as plain values; `sound` is True if the self-test passed."""
+    """Collect facts on the installation, as plain values; `sound` is True if the self-test passed."""
     folder = compile_cache.enable()
     test = self_test()
     return {

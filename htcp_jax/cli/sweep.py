@@ -1,4 +1,4 @@
-"""`htcp sweep`: a grid of scenarios by several methods, from a sweep file to a run folder and a table."""
+"""`htcp sweep`: plan a grid of scenarios by several methods, print a table and write a run folder."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -112,7 +112,7 @@ def sweep(
 
 
 def _record(run: Run, running: RunningSummary) -> dict:
-    """Output of --json: the folder of the results, and the summary of every method that is finished."""
+    """Output of --json: the run folder, and the summary of every method that is finished."""
     found = {method: summary_record(summarise(running.plans(run, method))) for method in _finished(run)}
     for method, record in timing_records(run, list(found)).items():
         found[method]["timing"] = record
@@ -121,7 +121,7 @@ def _record(run: Run, running: RunningSummary) -> dict:
 
 
 def _finished(run: Run) -> list[str]:
-    """Methods of the run that have planned all of it, required now or earlier."""
+    """Methods that have planned the complete run, in this call or earlier."""
     left = run.unfinished()
     return [method for method in run.methods if method not in left]
 
@@ -215,6 +215,6 @@ def _margins(asked_m: np.ndarray) -> str:
 
 
 def _not_tried(status: np.ndarray) -> str:
-    """Numbers of refused scenarios by reason, as text; empty if there are none."""
+    """Numbers of scenarios that were not planned, by reason, as text; empty if there are none."""
     counts = {reason: int((status == reason).sum()) for reason in NOT_TRIED}
     return ", ".join(f"{reason.words} {count:,}" for reason, count in counts.items() if count)

@@ -1,4 +1,4 @@
-"""Timing of a run's scenarios and its output, for `htcp sweep --feed` and `htcp program --all`."""
+"""Timing of a run's scenarios, and the output of the times, for `htcp sweep --feed` and `htcp program --all`."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,7 +16,17 @@ from htcp_jax.trajectory.whole_run import check_limits, time_run
 
 
 def timed(run: Run, feed: str | None, methods: Sequence[str] | None, overrides: Sequence[str] = ()) -> Run:
-    """Time the run, with one bar per method on a terminal. Raises InputError as `time_run` does."""
+    """Time the run, with one bar per method on a terminal.
+
+    Args:
+        run: The run.
+        feed: The feed rate, such as 20mm/s; None: the job's.
+        methods: The methods; None: all with results.
+        overrides: Changes of the job's section program, "key=value" each.
+
+    Raises:
+        InputError: As `time_run`.
+    """
     with _bars() as progress:
         return time_run(run, feed, methods, overrides=overrides, progress=progress, workers=None)
 
@@ -35,7 +45,11 @@ def _bars() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def check_feed(spec: Sweep, feed: str) -> None:
-    """Raise InputError for an invalid feed, and for an arm of the sweep without velocity limits."""
+    """Check that a sweep can be timed.
+
+    Raises:
+        InputError: For an invalid feed rate, and for an arm of the sweep without velocity limits.
+    """
     feed_of(feed)
     check_limits(point.config for point in spec.points())
 
@@ -62,12 +76,16 @@ def print_timing(run: Run, methods: Sequence[str]) -> None:
 
 
 def refuse_untimed(run: Run, methods: Sequence[str]) -> None:
-    """Raise InputError if nothing can be timed."""
+    """Check that at least one scenario has been timed.
+
+    Raises:
+        InputError: If none has.
+    """
     if not any(len(timing.timed) for timing in _known(run, methods).values()):
         what = f"no motion leads to the last target of any scenario by {', '.join(methods)}"
         raise InputError(f"{run.folder}: {what}; there is nothing to time")
 
 
 def _known(run: Run, methods: Sequence[str]) -> dict[str, Timing]:
-    """Times of the methods that have any."""
+    """Times of the methods that are timed."""
     return {method: timing for method in methods if (timing := run.timing(method)) is not None}

@@ -1,4 +1,4 @@
-"""`htcp validate`: the results of a sweep or of one plan, validated by MuJoCo alone."""
+"""`htcp validate`: check the results of a sweep or of one plan independently, by MuJoCo alone."""
 
 import sys
 import time

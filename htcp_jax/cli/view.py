@@ -1,4 +1,4 @@
-"""`htcp view`: plans in the browser."""
+"""`htcp view`: show plans in the browser."""
 
 import importlib.util
 import signal
@@ -85,8 +85,11 @@ def view(
 def _looked_at(
     what: Path | None, method: str | None, overrides: list[str], feed_m_s: float | None, retract: bool
 ) -> tuple[Replays, Callable[[int, str], OfPlan]]:
-    """The plans to show, and a function that returns the program of a scenario and method at that feed; a job is
-    planned."""
+    """Open the plans to show; a job is planned.
+
+    Returns:
+        The plans, and a function for the robot program of a scenario and method at the feed rate.
+    """
     what = what and example_or_path(what)
     if what is not None and not what.exists():
         raise InputError(f"{what}: no such run folder, and no such job")

@@ -15,7 +15,12 @@ FILE = "seconds.json"
 
 
 class Clock:
-    """seconds: limit of the search; None: no limit, and nothing is stored."""
+    """Timer of a search.
+
+    Args:
+        folder: The folder that stores the elapsed time.
+        seconds: Limit of the search [s]; None: no limit, and no time is stored.
+    """
 
     def __init__(self, folder: Path, seconds: float | None):
         self._file, self._seconds, self._last = folder / FILE, seconds, time.monotonic()
@@ -26,7 +31,11 @@ class Clock:
         return 0.0 if self._seconds is None or not rounds else self._ends[rounds - 1] / self._seconds
 
     def finished(self, rounds: int) -> None:
-        """Record the end time of the last of `rounds` rounds. Raises InputError if it cannot be written."""
+        """Record the end time of the last of `rounds` rounds.
+
+        Raises:
+            InputError: If it cannot be written.
+        """
         now = time.monotonic()
         if self._seconds is not None and rounds > len(self._ends):
             self._ends.append(sum(self._ends[-1:]) + now - self._last)

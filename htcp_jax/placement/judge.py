@@ -25,13 +25,22 @@ from htcp_jax.runs.run_folder import Run
 MARGIN = "margin_m"
 # Settings of the quick plans: fewer configurations at a target, no smoothing.
 QUICK = ("settings.smooth=false", "settings.front=16", "settings.thin_front=4", "settings.walks=8")
-RAISED, FACTOR = 3, 3.0  # largest number of raises of a margin, and their factor on the guaranteed clearance
+RAISED, FACTOR = 3, 3.0  # largest number of raises of a margin, and the next margin over the guaranteed clearance
 # Plans a grid by a method into a folder, or resumes it, and times it if the cycle time is an objective.
 Planner = Callable[[Sweep, str, Path], Run]
 
 
 class Judged:
-    """Results of one method for n mountings with k seams. In `spare`, larger is better."""
+    """Results of one method for n mountings with k seams.
+
+    Args:
+        search: The search.
+        run: The run that holds the plans.
+        method: The method.
+        values: Parameters of the mountings, each in its unit in the job.
+        quick: True for quick plans, whose proofs of clearance are coarse.
+        plans: The plans, in place of the run's.
+    """
 
     def __init__(
         self,
@@ -94,9 +103,19 @@ def sweep_of(
     margin_m: Float[np.ndarray, "n"] | None = None,
     settings: Sequence[str] = (),
 ) -> Sweep:
-    """Sweep over mountings and seams; each scenario draws the random numbers of a job planned by itself. margin_m: one
-    per mounting; None: the job's. settings: overrides of the job, applied before the search's own. Raises InputError
-    for values that the job refuses."""
+    """Build a sweep over mountings and seams.
+
+    Each scenario draws the same random numbers as a job that is planned alone.
+
+    Args:
+        search: The search.
+        values: Parameters of the mountings, each in its unit in the job.
+        margin_m: Margin of each mounting; None: the job's.
+        settings: Overrides of the job, applied before the search's own.
+
+    Raises:
+        InputError: For values that the job refuses.
+    """
     first: dict[str, Any] = search.ranges.columns(values)
     if margin_m is not None:
         first[MARGIN] = margin_m.tolist()
@@ -113,14 +132,38 @@ def judge(
     margin_m: Float[np.ndarray, "n"] | None = None,
     settings: Sequence[str] = (),
 ) -> Judged:
-    """Plan mountings, resume planning them, or read them. Raises InputError and Interrupted as `runs.sweep` does."""
+    """Plan mountings, resume planning them, or read their plans from the folder.
+
+    Args:
+        search: The search.
+        plan: The planner of the sweep.
+        values: Parameters of the mountings, each in its unit in the job.
+        method: The method.
+        folder: The run folder.
+        margin_m: Margin of each mounting; None: the job's.
+        settings: Overrides of the job that make the plans quick; empty: none.
+
+    Raises:
+        InputError: As `runs.sweep.sweep`.
+        Interrupted: As `runs.sweep.sweep`.
+    """
     run = plan(sweep_of(search, values, margin_m, settings), method, folder)
     return Judged(search, run, method, values, quick=bool(settings))
 
 
 def judge_raised(search: Search, plan: Planner, values: Float[np.ndarray, "n d"], folder: Path, raised: Path) -> Judged:
-    """Plan mountings quickly with the job's margin and, if clearance is an objective, again with larger margins as long
-    as they stay complete. Return the plans with the largest margin. raised: folder of the later plans."""
+    """Plan mountings quickly and return the plans with the largest margin that was found.
+
+    The first margin is the job's. If clearance is an objective, complete mountings are planned again with larger
+    margins as long as they stay complete.
+
+    Args:
+        search: The search.
+        plan: The planner of the sweeps.
+        values: Parameters of the mountings, each in its unit in the job.
+        folder: The folder of the first plans.
+        raised: The folder of the plans with larger margins.
+    """
     found = judge(search, plan, values, search.file.screen, folder, settings=QUICK)
     going = found.complete if CLEARANCE in search.file.spare else np.zeros(len(values), bool)
     for k in range(RAISED):
@@ -139,7 +182,15 @@ def judge_lowered(
     folder: Path,
     margins: Sequence[Float[np.ndarray, "n"]],
 ) -> Judged:
-    """Plan mountings quickly with each of `margins` [m] in turn until they are complete, finally with the job's."""
+    """Plan mountings quickly with smaller and smaller margins until they are complete.
+
+    Args:
+        search: The search.
+        plan: The planner of the sweeps.
+        values: Parameters of the mountings, each in its unit in the job.
+        folder: The folder of the sweeps, one per margin.
+        margins: Margins in the order in which they are tried, each for all mountings [m]; the job's comes last.
+    """
     least = np.full(len(values), search.job.margin_m)
     found, missing = None, np.ones(len(values), bool)
     for k, margin in enumerate([*margins, least]):
@@ -153,8 +204,7 @@ def judge_lowered(
 
 
 def _better(found: Judged, again: Judged, which: Bool[np.ndarray, "n"]) -> tuple[Judged, Bool[np.ndarray, "n"]]:
-    """`found` with the mountings in `which` replaced by `again` where that is complete, and a mask of those
-    replaced."""
+    """Put complete results of `again`, which planned the mask `which`, into `found`; return it and their mask."""
     new = which.copy()
     new[which] = again.complete
     row = np.arange(len(which) * found.seams).reshape(-1, found.seams)
@@ -164,8 +214,7 @@ def _better(found: Judged, again: Judged, which: Bool[np.ndarray, "n"]) -> tuple
 
 
 def _clearance(judged: Judged) -> np.ndarray:
-    """Guaranteed clearance along the motions; for quick plans, whose proofs are coarse, the minimum at the targets
-    [m]."""
+    """Guaranteed clearance along the motions [m]; of quick plans, whose proofs are coarse, that at the targets."""
     return _at_targets(judged.plans) if judged.quick else _along(judged.plans)
 
 

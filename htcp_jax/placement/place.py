@@ -85,12 +85,25 @@ def place(
 ) -> Placed:
     """Search the ranges of a file, or of an equivalent mapping, and rank the mountings that complete the path.
 
-    config, overrides, changes: see `load_search`. on, device, threads: as for `runs.sweep.sweep`; results do not depend
-    on them. out: the folder; a folder that holds a part of the same search is resumed.
+    Args:
+        spec: The search, see `load_search`.
+        out: The folder of the results; a folder that holds a part of the same search is resumed.
+        config: The job, in place of the search's own, see `load_search`.
+        overrides: Changes of the job, "dotted.key=value" each.
+        changes: Changes of the search, key -> value.
+        on: The machines that plan, see `runs.sweep.sweep`; results do not depend on it.
+        device: The device of this process, see `runs.sweep.sweep`; results do not depend on it.
+        threads: The number of engines in this process, see `runs.sweep.sweep`; results do not depend on it.
+        progress: Called with the progress of the search.
 
-    Raises InputError for bad input, including ranges whose ends the job refuses, for a folder that holds another search
-    or is in use, and if every start collides; Interrupted and Lost as a sweep does, with what is finished in the
-    folder.
+    Returns:
+        The mountings, ranked, and the run that holds their motions.
+
+    Raises:
+        InputError: For bad input, including ranges whose ends the job refuses, for a folder that holds another search
+            or is in use, and if every start collides.
+        Interrupted: As `runs.sweep.sweep`; finished plans are kept in the folder.
+        Lost: As `runs.sweep.sweep`; finished plans are kept in the folder.
     """
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     _refuse(search)
@@ -234,8 +247,11 @@ def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, plan: Pla
 
 
 def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> Iterator[tuple[list[Mounting], bool]]:
-    """Rank each mounting's best plan: first by its objective, then by its results under perturbation, with tolerances
-    for the first few. Yield the mountings, and whether the ranking is final."""
+    """Rank each mounting's best plan, and yield the mountings, with True if the ranking is final.
+
+    The first ranking is by the objective, the final one by the results under perturbation, with the tolerances of the
+    first few.
+    """
     rows = _best_rows(confirmed)
     if not rows:
         yield [], True
@@ -266,13 +282,16 @@ def _anew(
     values: Float[np.ndarray, "n d"],
     folder: Path,
 ) -> Answer:
-    """Results of quick plans of mountings. margin_m: of m mountings, with which n / m each are planned if clearance is
-    an objective; None: only completeness is determined."""
+    """Results of quick plans of n perturbed mountings, n / m around each of m mountings.
+
+    If clearance is an objective, they are planned with shares of the m mountings' margins first (margin_m). With None
+    only the job's margin is tried.
+    """
     with_clearance = margin_m is not None and CLEARANCE in search.file.spare
     shares = LOWERED if with_clearance else ()
     margins = [] if margin_m is None else [s * np.repeat(margin_m, len(values) // len(margin_m)) for s in shares]
     quick = judge_lowered(search, plan, values, folder, margins)
-    proven = Judged(search, quick.run, quick.method, values, plans=quick.plans)  # clearance all along, at least
+    proven = Judged(search, quick.run, quick.method, values, plans=quick.plans)  # not quick: the guaranteed clearance
     return Answer(proven.complete, proven.spare)
 
 

@@ -101,10 +101,17 @@ def load_search(
     overrides: Sequence[str] = (),
     changes: Mapping[str, Any] | None = None,
 ) -> Search:
-    """Read the search at the path `spec`, or the example of that name, or a mapping with the same keys; its files are
-    then relative to the working folder. config replaces its own; overrides change the job, changes the file's own keys.
+    """Read and check a search.
 
-    Raises InputError for errors in either file, and for a seam that is missing.
+    Args:
+        spec: The path of a PLACE.yaml, the name of an example, or a mapping with the same keys. Files in a mapping are
+            relative to the working folder.
+        config: The job, in place of the search's own.
+        overrides: Changes of the job, "dotted.key=value" each.
+        changes: Changes of the search, key -> value.
+
+    Raises:
+        InputError: For errors in either file, and for a seam that is missing.
     """
     path, raw = read_mapping(spec, "place")
     file: PlaceFile = validate({**raw, **(changes or {})}, PlaceFile, str(path))

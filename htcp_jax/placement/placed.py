@@ -61,8 +61,7 @@ class Placed(NamedTuple):
         return sum(int(each.complete.sum()) for each in self.judged)
 
     def seams(self) -> dict[str, tuple[int, float]]:
-        """For every seam, the number of mountings in which it is complete, and its completed share in the best
-        mounting."""
+        """Return the number of mountings that complete each seam, and its completed share in the best mounting."""
         names = self.search.seams or (self.search.job.workpiece.path,)
         done = np.concatenate([each.done for each in self.judged])
         best = done[np.lexsort((done.mean(axis=1), (done == 1).sum(axis=1)))[-1]]
@@ -117,8 +116,12 @@ class Placed(NamedTuple):
 
 @contextlib.contextmanager
 def searching(folder: Path, search: Search) -> Iterator[None]:
-    """Lock the search's folder. If nothing was finished, the folder is left as it was before. Raises InputError if it
-    holds another search, is in use or cannot be written; Interrupted in place of Ctrl-C."""
+    """Lock the search's folder, and restore it at the end if no plan was finished.
+
+    Raises:
+        InputError: If the folder holds another search, is in use or cannot be written.
+        Interrupted: In place of KeyboardInterrupt.
+    """
     with made_folder(folder) as is_new, locked(folder):
         for place, stages, _ in os.walk(folder):
             for stage in stages:
@@ -135,7 +138,7 @@ def searching(folder: Path, search: Search) -> Iterator[None]:
 
 
 def _stopped(folder: Path, is_new: bool) -> str:
-    """Remove a search in which nothing is finished, and return a message that says how to resume."""
+    """Remove a search without finished plans, and return the message on how to resume."""
     if _holds_any(folder):
         return f"stopped; what is finished is in {folder}; the same command goes on from there"
     (folder / SEARCH).unlink(missing_ok=True)
@@ -180,7 +183,16 @@ def write(
     motions: Path | None,
     is_final: bool,
 ) -> Placed:
-    """Write the tables and the job files."""
+    """Write the tables and the job files.
+
+    Args:
+        folder: The search's folder.
+        search: The search.
+        judged: The results of every round.
+        mountings: The mountings, ranked.
+        motions: The run of the ranked mountings' motions; None if there are none.
+        is_final: True if the ranking is final.
+    """
     found = Placed(folder, search, judged, mountings, motions, is_final)
     if motions is not None:
         _write_jobs(found, [point.config for point in open_run(motions).points()])

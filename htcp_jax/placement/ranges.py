@@ -25,7 +25,7 @@ UNITS = {"_m": ("mm", 1e3), "_rad": ("°", 180 / math.pi), "_deg": ("°", 1.0)}
 
 
 class Range(NamedTuple):
-    """A number that varies: a key's whole value, or one element of it."""
+    """A number that varies: the value of a key, or one element of it."""
 
     key: str
     element: int | None
@@ -48,8 +48,10 @@ class Range(NamedTuple):
         return self.unit[0] == "°"
 
     def disturbed(self, off_m: float, off_deg: float) -> float:
-        """Half the width of the box of perturbations, in the parameter's own unit: off_m for a length, off_deg for an
-        angle. Parameters of the task are never perturbed: 0."""
+        """Half the width of the box of perturbations, in the parameter's own unit.
+
+        It is off_m for a length, off_deg for an angle, and 0 for parameters of the task, which are never perturbed.
+        """
         if self.key.startswith("task."):
             return 0.0
         return off_deg / self.unit[1] if self.is_angle else off_m
@@ -76,7 +78,7 @@ class Ranges(NamedTuple):
         return np.clip(self.low + u * self.width, self.low, [axis.high for axis in self.axes])  # rounding stays inside
 
     def columns(self, values: Float[np.ndarray, "n d"]) -> dict[str, list]:
-        """One axis of a grid: the values of every key, mounting by mounting."""
+        """Values of every key, mounting by mounting: one axis of a grid."""
         found: dict[str, list] = {key: [list(row) for _ in values] for key, row in self.fixed.items()}
         for k, axis in enumerate(self.axes):
             if axis.element is None:
@@ -88,8 +90,18 @@ class Ranges(NamedTuple):
 
 
 def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base: Mapping[str, Any]) -> Ranges:
-    """Read ranges from a PLACE.yaml. joints: the arm's; base: the plain form of the job that they vary. Raises
-    InputError if there is no range, for an unknown key, one that cannot vary, and a range that is empty or reversed."""
+    """Read the ranges of a PLACE.yaml.
+
+    Args:
+        where: The file and section, for messages.
+        raw: Key -> range.
+        joints: Names of the arm's joints.
+        base: The job that the ranges vary, as a mapping.
+
+    Raises:
+        InputError: If there is no range, for an unknown key, one that cannot vary, and a range that is empty or
+            reversed.
+    """
     if not raw:
         raise InputError(f"{where} is empty; it needs at least one range")
     known = parameters(joints)

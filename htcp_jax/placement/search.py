@@ -15,7 +15,7 @@ from htcp_jax.motion.front import first_apart
 
 EVEN = 0.5  # share of the budget for the Halton sequence
 ROUND = 512  # mountings of an even round
-FROM, POPULATION = 4, 24  # CMA-ES runs at a time, and mountings of each per round
+FROM, POPULATION = 4, 24  # number of parallel CMA-ES runs, and mountings of each per round
 SIGMA, ENDED = 0.08, 0.004  # in shares of the ranges: initial step size, and the one at which a run restarts
 APART = 0.1  # smallest difference of distinct mountings in at least one parameter, in shares of its range
 
@@ -30,7 +30,14 @@ class Known(NamedTuple):
 
 
 def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray, "n d"]:
-    """Mountings from number `first` of a scrambled Halton sequence."""
+    """Mountings of a scrambled Halton sequence, in the unit cube.
+
+    Args:
+        dimensions: The number of parameters, d.
+        first: The index of the first mounting in the sequence.
+        count: The number of mountings, n.
+        seed: The seed of the scrambling.
+    """
     sequence = qmc.Halton(dimensions, rng=np.random.default_rng(seed))
     if first:
         sequence.fast_forward(first)
@@ -38,8 +45,11 @@ def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray
 
 
 def score(known: Known, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n"]:
-    """Cost that the evolution minimises: below 0 for a complete mounting, lower is better; else the share of targets
-    that it lacks. Objectives are scaled to their range so far; an unknown one counts as the worst."""
+    """Cost that CMA-ES minimises.
+
+    It is below 0 for a complete mounting, the lower the better, else the share of targets without a motion. Objectives
+    are scaled to their range so far; an unknown one is taken for the worst.
+    """
     told = np.isfinite(known.spare)
     low, high = (np.where(told, known.spare, none) for none in (np.inf, -np.inf))
     low, high = low.min(axis=0), high.max(axis=0)
@@ -49,7 +59,13 @@ def score(known: Known, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n
 
 
 def best_apart(u: Float[np.ndarray, "n d"], order: np.ndarray, count: int) -> list[int]:
-    """The first `count` in an order, each at least APART from all before it."""
+    """Indices of the first `count` mountings in an order, each at least APART from all before it.
+
+    Args:
+        u: Mountings in the unit cube.
+        order: Indices of the mountings, best first, (n,).
+        count: The number of mountings; fewer are returned if no more are apart.
+    """
     return order[first_apart(u[order], count, APART, np.inf)].tolist()
 
 

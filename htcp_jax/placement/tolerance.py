@@ -30,14 +30,29 @@ def box(search: Search) -> Float[np.ndarray, "d"]:
 
 
 def disturbed(search: Search, values: Float[np.ndarray, "n d"], folder: Path, judge: Judge) -> list[Answer]:
-    """Results of each mounting under perturbations of up to `off`."""
+    """Results of each mounting under perturbations of up to `off`.
+
+    Args:
+        search: The search.
+        values: Parameters of the mountings, each in its unit in the job.
+        folder: The folder of the plans.
+        judge: Plans the perturbed mountings.
+    """
     shifts = _shifts(search, TRIED, 1) * box(search)
     return _judged(search, values, shifts, folder, judge)
 
 
 def tolerances(search: Search, values: Float[np.ndarray, "n d"], folder: Path, judge: Judge) -> list[Tolerance]:
-    """Tolerance of each mounting. The levels are tried from the smallest; a mounting that fails one is not tried at the
-    next."""
+    """Tolerance of each mounting.
+
+    Perturbations are tried from the smallest level; a mounting that fails one is not tried at the next.
+
+    Args:
+        search: The search.
+        values: Parameters of the mountings, each in its unit in the job.
+        folder: The folder of the plans, one sweep per level.
+        judge: Plans the perturbed mountings.
+    """
     half, shifts = box(search), WIDER * box(search) * _shifts(search, MORE, 2)
     together, going = np.zeros(len(values)), np.arange(len(values))
     for level in LEVELS:

@@ -1,5 +1,4 @@
-"""The best scenarios of every method: those with the most executable targets, then with the largest minimum
-clearance."""
+"""Best scenarios of every method: the most executable targets first, then the largest minimum clearance."""
 
 import numpy as np
 
@@ -7,7 +6,7 @@ from htcp_jax.report.document import Block, Column, Picture, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.runs.labels import SHORT, split_unit, varying
 
-BEST = 3  # scenarios a method
+BEST = 3  # number of scenarios per method
 RANKED = (
     "The best scenarios of each method: those with the most executable targets first, then by the smallest clearance, "
     "then by the joint motion."
@@ -15,8 +14,10 @@ RANKED = (
 
 
 def best(part: Part) -> Table:
-    """Up to BEST scenarios per method: most executable targets first, then largest minimum clearance, then least joint
-    motion; with the parameters that vary."""
+    """Table of up to BEST scenarios per method, with the parameters that vary.
+
+    Most executable targets come first, then largest minimum clearance, then least joint motion.
+    """
     own = varying(part.parameters)
     columns = (
         Column("method", "method"),
@@ -36,8 +37,12 @@ def best(part: Part) -> Table:
 
 
 def ranked(part: Part, method: str) -> list[tuple[int, int, int, float, float]]:
-    """Row, executable targets, targets, minimum clearance [mm] and joint motion [rad] of every scenario that was
-    planned and has an executable target, the best first."""
+    """Rank the scenarios that a method has planned and that have an executable target, the best first.
+
+    Returns:
+        For each its row, the numbers of executable targets and of targets, the minimum clearance [mm], and the joint
+        motion [rad].
+    """
     plans = part.plans[method]
     good, targets = plans.executable, plans.outcomes.targets
     rows = []
@@ -48,7 +53,13 @@ def ranked(part: Part, method: str) -> list[tuple[int, int, int, float, float]]:
 
 
 def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
-    """The table, see `best`, and a picture of its best scenario."""
+    """Section on the best scenarios: the table, and a picture of the best one.
+
+    Args:
+        part: The part of the run.
+        table: The table, see `best`.
+        prefix: Start of the picture's name.
+    """
     found = [(rows[0], method) for method in part.plans if (rows := ranked(part, method))]
     if not found:
         return []

@@ -1,4 +1,4 @@
-"""The robot and the workpiece of a run, for the report: colliding bodies at failed targets, and a picture.
+"""Robot and workpiece of a run, for the report: colliding bodies at failed targets, and a picture.
 
 They are read at first use. If their files have changed or are missing, the report omits them and gives the reason.
 """
@@ -19,7 +19,12 @@ from htcp_jax.viewer.replay import Replays, recorded_replays
 
 
 class RunScene:
-    """Scene of one run. plans: those of every method that has begun, which are read already."""
+    """Scene of one run.
+
+    Args:
+        run: The run.
+        plans: Plans of every method that has finished a shard, by its name.
+    """
 
     def __init__(self, run: Run, plans: Mapping[str, Plans]):
         self._run, self._plans = run, plans
@@ -47,7 +52,13 @@ class RunScene:
         return self._in_the_way[method]
 
     def picture(self, number: int, method: str, title: str) -> Figure | None:
-        """Draw the arm in the workpiece of a scenario; None if there is no scene."""
+        """Draw the arm in the workpiece of a scenario; None if there is no scene.
+
+        Args:
+            number: The scenario.
+            method: The method.
+            title: The title of the figure.
+        """
         replays, _ = self._opened
         if replays is None:
             return None

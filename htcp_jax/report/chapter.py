@@ -1,4 +1,4 @@
-"""One part of a run as a chapter of the report: sentences, tables and charts."""
+"""Chapter of the report on one part of a run: sentences, tables and charts."""
 
 import math
 import re
@@ -53,8 +53,14 @@ def tables_of(part: Part) -> dict[str, Table]:
 
 
 def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list[Block]:
-    """Chapter on one part; `made` are its tables, `prefix` starts the pictures' names, `level` is that of its
-    headings."""
+    """Write the chapter on one part of a run.
+
+    Args:
+        part: The part.
+        made: Its tables, see `tables_of`.
+        prefix: Start of the pictures' names.
+        level: Level of the headings.
+    """
     return [
         *facts(part),
         Heading(level, "Results"),
@@ -121,8 +127,10 @@ def _range(name: str, values: np.ndarray) -> str:
 
 
 def choice(part: Part) -> str:
-    """Name of the nearest shipped configuration, and every key that differs from it; for a job with its own scene only
-    the margin and the settings that are not the default."""
+    """Describe the configuration by the nearest shipped one, and every key that differs from it.
+
+    For a job with its own scene these are only the margin and the settings that are not the default.
+    """
     ran = part.run.config
     if not fits_presets(part):
         differ = tables.differences(ran, PlanConfig())
@@ -170,8 +178,11 @@ def _success(part: Part, made: dict[str, Table]) -> Figure:
 
 
 def _maps(part: Part, prefix: str) -> list[Block]:
-    """Charts of the scenarios over their grid: a line for one axis, maps for two, slices for three, else maps of means;
-    and a line for every parameter of the task."""
+    """Charts of the scenarios over their grid.
+
+    They are a line for one axis, maps for two, slices for three, else maps of means; and a line for every parameter of
+    the task.
+    """
     counts = {method: _or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
     open_ = {method: _or_nan(plans, plans.outcomes.executable) for method, plans in part.plans.items()}
     names = list(part.axes)
@@ -267,7 +278,7 @@ def _notes_on_results(part: Part) -> list[str]:
 
 
 def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
-    """The paper's table next to ours, and the meaning of its columns; empty if the grid is not the paper's."""
+    """Section with the paper's table next to ours, and its definitions; empty if the grid is not the paper's."""
     if not table.rows:
         return []
     return [

@@ -1,4 +1,4 @@
-"""Style of all charts: the methods' colours, figures, axes, labelled lines."""
+"""Style of all charts: the colours of the methods, figures, axes, labelled lines."""
 
 import colorsys
 import math
@@ -25,13 +25,16 @@ LINES = {
     "keep-clear": ("#cc79a7", "-."),
     "hybrid": ("#332288", "-."),
 }
-_OTHERS: dict[str, int] = {}  # places of the methods that are not in the table, once drawn
+_OTHERS: dict[str, int] = {}  # places of methods that are not in LINES and have been drawn
 _PLACES = 64
 
 
 def line_of(method: str) -> tuple[str, str]:
-    """Colour and line style of a method. A method that is not in the table has a dotted line in a colour of its own,
-    which depends only on its name unless another method has it already."""
+    """Colour and line style of a method.
+
+    A method that is not in LINES has a dotted line in a separate colour, which depends only on its name unless another
+    method has it already.
+    """
     if method in LINES:
         return LINES[method]
     if method not in _OTHERS:
@@ -49,7 +52,13 @@ def _other_colour(place: int) -> str:
 
 
 def new_figure(height: float, title: str, note: str) -> Figure:
-    """An empty figure with its title and, below it, a one-line note on how to read it."""
+    """Make an empty figure with a title and a note.
+
+    Args:
+        height: Height of the figure [inch].
+        title: The title.
+        note: One line below it on how to read the figure.
+    """
     figure = Figure(figsize=(WIDTH, height), dpi=150, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     space = 0.62 / height
@@ -71,7 +80,13 @@ def plain_axes(axes: Axes, grid: str = "y") -> None:
 
 
 def heading(axes: Axes, name: str, figure_of_merit: str) -> None:
-    """Write a name above the left end of a panel and its figure of merit above the right end."""
+    """Write the heading of a panel.
+
+    Args:
+        axes: The panel.
+        name: The name, above the left end.
+        figure_of_merit: The figure of merit, above the right end.
+    """
     axes.set_title(name, loc="left", color=INK, fontsize=10.5, fontweight="bold")
     axes.set_title(figure_of_merit, loc="right", color=QUIET, fontsize=10)
 
@@ -83,7 +98,14 @@ def blank_the_rest(panels, used: int) -> None:
 
 
 def outer_labels(panels, used: int, below: str, left: str) -> None:
-    """Set axis labels only at the left and below the lowest panel of every column."""
+    """Set the outer axis labels of a grid of panels.
+
+    Args:
+        panels: The panels (rows, columns).
+        used: The number of panels that are used.
+        below: Label below the lowest panel of every column.
+        left: Label at the left of every row.
+    """
     across = panels.shape[1]
     for number, axes in enumerate(panels.flat[:used]):
         axes.xaxis.label.set(color=QUIET, fontsize=10)
@@ -96,7 +118,14 @@ def outer_labels(panels, used: int, below: str, left: str) -> None:
 
 
 def name_lines(axes: Axes, ends: Mapping[str, float], x: float | int, form: str) -> None:
-    """Write the name and the last value of every line at its end, spread so that none overlaps another."""
+    """Write the name and the last value of every line at its end, spread so that none overlaps another.
+
+    Args:
+        axes: The axes.
+        ends: The last value of each line, by method.
+        x: The position of the lines' ends on the horizontal axis.
+        form: The format of the values, such as "{:.0f}".
+    """
     low, high = axes.get_ylim()
     heights = spread({method: (end - low) / (high - low) for method, end in ends.items()}, 0.062)
     for method, height in heights.items():

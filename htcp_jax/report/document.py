@@ -1,4 +1,4 @@
-"""A report as blocks, written as Markdown, as one HTML file, as CSV and as plain records."""
+"""Document of blocks, written as Markdown, as one HTML file, as CSV and as plain records."""
 
 import base64
 import csv
@@ -23,13 +23,13 @@ def unknown(value: Any) -> bool:
 
 
 class Column(NamedTuple):
-    """One column of a table."""
+    """Column of a table."""
 
     key: str  # its name in CSV and JSON, with its unit
     head: str
     unit: str = ""
     form: str = ""  # of numbers; a column without one holds text and is aligned left
-    quiet: bool = False  # for reference alone: figures that are not ours
+    quiet: bool = False  # True for figures from elsewhere, as a reference
 
     @property
     def title(self) -> str:
@@ -78,12 +78,15 @@ Block = Heading | Table | Picture | str  # a string is a paragraph
 
 
 def markdown(blocks: Sequence[Block]) -> str:
-    """The blocks as Markdown; pictures are referred to as files next to it."""
+    """Return the blocks as Markdown, which refers to pictures as files next to it."""
     return "\n\n".join(map(_markdown, blocks)) + "\n"
 
 
 def literal(block: Block) -> Block:
-    """Return the block with its text escaped for Markdown, as `html` does for HTML; a table's cells always are."""
+    """Return the block with its text escaped for Markdown, as `html` does for HTML.
+
+    Cells of a table are escaped by `markdown`.
+    """
     match block:
         case Heading(level, text):
             return Heading(level, escaped(text))
@@ -95,7 +98,12 @@ def literal(block: Block) -> Block:
 
 
 def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
-    """The blocks as one self-contained HTML file without scripts; `pictures` are PNG files by name."""
+    """Return the blocks as one self-contained HTML file without scripts.
+
+    Args:
+        blocks: The blocks.
+        pictures: Contents of the PNG files by name.
+    """
     title = next((block.text for block in blocks if isinstance(block, Heading)), "Report")
     body = "\n".join(_html(block, pictures) for block in blocks)
     return _PAGE.format(title=escape(title), style=_STYLE, body=body)
@@ -112,7 +120,7 @@ def write_csv(file: Path, table: Table) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as a PNG file."""
+    """Return the contents of a PNG file with the figure."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()

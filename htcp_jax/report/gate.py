@@ -1,6 +1,6 @@
-"""A verdict of the regression gate for CI: JUnit XML, Markdown, and annotations of GitHub Actions.
+"""Verdict of the regression gate for CI: JUnit XML, Markdown, and annotations of GitHub Actions.
 
-JUnit is written by the standard library, as a further library would only add reading.
+JUnit is written by the standard library; another library would add a reader, which is not needed.
 """
 
 import re
@@ -46,7 +46,7 @@ CHANGED = (
 
 
 def junit(verdict: Verdict) -> str:
-    """JUnit XML: one test case per method and check; skipped if there is nothing to compare."""
+    """Return JUnit XML with one test case per method and check; skipped if there is no value to compare."""
     checks = verdict.checks
     failed, skipped = sum(bool(check.failures) for check in checks), sum(not check.compared for check in checks)
     counts = {"tests": len(checks), "failures": failed, "errors": 0, "skipped": skipped}
@@ -67,12 +67,12 @@ def junit(verdict: Verdict) -> str:
 
 
 def summary(verdict: Verdict) -> str:
-    """Markdown for a job summary: counts of each method, figures and scenarios that differ, and failures."""
+    """Return Markdown for a job summary: counts of each method, figures and scenarios that differ, and failures."""
     return markdown([*_blocks(verdict)])
 
 
 def annotations(verdict: Verdict) -> list[str]:
-    """Commands of GitHub Actions: an error for each method that fails."""
+    """Return commands of GitHub Actions, with an error for each method that fails."""
     lines: dict[str, list[str]] = {}
     for check in verdict.checks:
         lines.setdefault(check.method, []).extend(check.failures)
@@ -84,7 +84,7 @@ def annotations(verdict: Verdict) -> list[str]:
 
 
 def _escaped(text: str, more: str = "") -> str:
-    """Escape text for a command of GitHub Actions: %0A for a newline. more: characters that end a property."""
+    """Escape text for a command of GitHub Actions (%0A for a newline), and `more` characters, which end a property."""
     return re.sub(f"[%\r\n{more}]", lambda found: f"%{ord(found[0]):02X}", printable(text))
 
 

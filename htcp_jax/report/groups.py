@@ -1,4 +1,4 @@
-"""Parts of a run for the report: one for every group of its sweep, with the plans of each method as arrays."""
+"""Parts of a run for the report, one for every group of its sweep, with the plans of each method as arrays."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -31,18 +31,18 @@ class SceneOfRun(Protocol):
         """Colliding bodies in the scenarios that a method failed, by their numbers."""
 
     def picture(self, number: int, method: str, title: str) -> Figure | None:
-        """Draw the arm in the workpiece of a scenario."""
+        """Draw the arm in the workpiece of a scenario; None if there is no scene."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The scenarios of one group that at least one method has planned: S of them, with up to T targets each."""
+    """Group of S scenarios that at least one method has planned, with up to T targets each."""
 
     run_name: str
     name: str  # the run's, and the group's if there is one
     numbers: np.ndarray  # (S,) of the scenarios in the run
     parameters: dict[str, np.ndarray]  # columns of the scenario table that a grid may vary, (S,) each
-    plans: dict[str, Plans]  # by method that has begun; the status is -1 for scenarios not planned yet
+    plans: dict[str, Plans]  # by method with a finished shard; the status is -1 for scenarios not planned yet
     motions: dict[str, MotionFigures]  # by method; NaN if unknown
     timing: dict[str, pa.Table | None]  # by method, rows of its scenarios as in `timing_file`; None if not timed
     timed_with: dict[str, str]  # by method that is timed: description of its feed and limits
@@ -96,9 +96,15 @@ class Part:
 
 
 def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], SceneOfRun]) -> list[Part]:
-    """Read the parts of a run with the given `name`, in the order of its scenarios; every file is read once.
+    """Read the parts of a run, in the order of its scenarios; every file is read once.
 
-    Raises InputError for a run without a finished shard, and naming a file that is missing or damaged.
+    Args:
+        run: The run.
+        name: The run's name in the report.
+        scene_of: Function for the scene of the run and its plans.
+
+    Raises:
+        InputError: For a run without a finished shard, and for a file that is missing or damaged.
     """
     methods = [method for method in run.methods if any(shard.method == method for shard in run.manifest.shards)]
     whole = run.scenarios(*methods)

@@ -1,4 +1,4 @@
-"""The paper's two result tables as data, and the grids behind them.
+"""Data of the paper's two result tables, and the grids of their scenarios.
 
 Source: Y. Sun, W. Zhao, C. Liu, "Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment",
 tables 1 and 2. Its times are of MATLAB 2022 on a 2.5 GHz Intel Core i9.
@@ -14,7 +14,7 @@ START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # middle of the starts, our reading of
 
 
 class Figures(NamedTuple):
-    """One row of a table of the paper."""
+    """Row of a table of the paper."""
 
     success_percent: float
     step_s: float  # "computation time", average of a step
@@ -23,7 +23,7 @@ class Figures(NamedTuple):
 
 
 class Table(NamedTuple):
-    """One table of the paper: a sweep planned by six methods, under our names."""
+    """Table of the paper: a sweep planned by six methods, under our names."""
 
     number: int
     sweep: str

@@ -46,10 +46,14 @@ def survival(
     reachability: Int[np.ndarray, "S"] | None = None,
     title: str = "How far the scenarios get",
 ) -> Figure:
-    """Draw the number of scenarios that track each target, over the target's index; a scenario ends at its first
-    failure.
+    """Draw the number of scenarios that track each target, over the target's index.
 
-    reachability: each scenario's longest prefix of targets known to be reachable.
+    A scenario ends at its first failure.
+
+    Args:
+        status: Results of the targets by method, as `Plans.status`.
+        reachability: Number of targets in a row that are known to be reachable, for each scenario; a dashed line.
+        title: The title of the figure.
     """
     note = "Scenarios that track the target; a scenario ends at its first failure."
     figure = new_figure(
@@ -77,8 +81,14 @@ def survival(
 
 
 def stops(status: Mapping[str, Int8[np.ndarray, "S T"]], *, title: str = "Where and why scenarios end") -> Figure:
-    """Draw a marker for every target at which scenarios of a method fail: its shape and colour show the reason, its
-    area their number."""
+    """Draw a marker for every target at which scenarios of a method fail.
+
+    Its shape and colour show the reason, its area their number.
+
+    Args:
+        status: Results of the targets by method, as `Plans.status`.
+        title: The title of the figure.
+    """
     figure = new_figure(0.55 * len(status) + 1.9, title, "A marker's area is the number of scenarios that end there.")
     axes = figure.subplots()
     targets = next(iter(status.values())).shape[1]
@@ -115,8 +125,14 @@ def clearance_along(
     *,
     title: str = "Clearance along the path",
 ) -> Figure:
-    """Draw the clearance D of the scenarios that track each target, one panel per method: minimum, median, and the band
-    from 10 to 90 %."""
+    """Draw the clearance over the target's index, one panel per method.
+
+    Each has the minimum, the median and the band from 10 to 90 % over the scenarios that track the target.
+
+    Args:
+        clearance_m: Clearance D at the targets by method; NaN where not tracked.
+        title: The title of the figure.
+    """
     across = min(3, len(clearance_m))
     down = -(-len(clearance_m) // across)
     note = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: the smallest."
@@ -144,8 +160,14 @@ def joint_motion(
     *,
     title: str = "Joint motion",
 ) -> Figure:
-    """Draw the joint steps |x_t - x_{t-1}| between targets: for every method the distribution over all accepted steps,
-    and the median over scenarios along the path."""
+    """Draw the joint steps |x_t - x_{t-1}| between targets.
+
+    For every method they are the distribution over all accepted steps, and the median over scenarios along the path.
+
+    Args:
+        joint_step_rad: Length of the steps by method; NaN where a target is not tracked.
+        title: The title of the figure.
+    """
     note = "Left: median, middle half, middle nine tenths and longest of all accepted steps. Right: median by target."
     figure = new_figure(max(3.4, 0.42 * len(joint_step_rad) + 1.6), title, note)
     spread, along = figure.subplots(1, 2, width_ratios=(1, 1.1))
@@ -172,8 +194,14 @@ def joint_motion_by_joint(
     unit: str = "rad",
     title: str = "Motion of each joint",
 ) -> Figure:
-    """Draw the steps of every joint between targets in `unit`, one panel per method; x is NaN where a target is not
-    tracked."""
+    """Draw the distribution of each joint's steps between targets, one panel per method.
+
+    Args:
+        x: Configurations by method, in `unit`; NaN where a target is not tracked.
+        joints: Names of the joints.
+        unit: The unit of the joints, for the label.
+        title: The title of the figure.
+    """
     across = min(3, len(x))
     down = -(-len(x) // across)
     note = "Median, middle half, middle nine tenths and longest of all steps from one target to the next."
@@ -208,8 +236,7 @@ def _distribution(axes: Axes, y: int, values: Float[np.ndarray, "S T"], method: 
 
 
 def _over_scenarios(values: Float[np.ndarray, "S T"]) -> Float[np.ndarray, "4 T"]:
-    """Tenth percentile, median, ninetieth percentile and minimum of every column's finite values; NaN if there are
-    none."""
+    """Tenth percentile, median, ninetieth percentile and minimum of each column's finite values; NaN without any."""
     summary = np.full((4, values.shape[1]), np.nan)
     for column in range(values.shape[1]):
         known = values[np.isfinite(values[:, column]), column]

@@ -1,4 +1,4 @@
-"""Charts of a placement search: the map of its ranges, and the Pareto front of two objectives. Style: see `charts`.
+"""Charts of a placement search: the map of its ranges, and the Pareto front of two objectives.
 
 place_map(read_search("out/duct"))
 """
@@ -26,10 +26,10 @@ SHARE = LinearSegmentedColormap.from_list("share", ["#dfe3e6", "#c3cad0", "#6f7c
 NEARLY, LOST, RANK = "#e69f00", "#b9c0c6", "#c2185b"
 NEAR = 0.9  # share of the targets of a nearly complete mounting
 HOLLOW = "hollow"
-MARKS = "x", "+", "1", "2", "3", "4"  # of the reasons of failure, the most frequent first
+MARKS = "x", "+", "1", "2", "3", "4"  # for the reasons of failure, the most frequent first
 MOST_PARAMETERS, MOST_NUMBERS = 8, 9
 
-APART = 0.1  # of a panel's width, between numbers of ranked mountings; the better one is shown
+APART = 0.1  # least distance of two numbers, in shares of a panel's width; nearer ones are omitted
 
 
 class Ending(NamedTuple):
@@ -42,9 +42,15 @@ class Ending(NamedTuple):
 
 
 def place_map(found: Searched, in_the_way: Mapping[str, int] | None = None) -> Figure:
-    """Draw every planned mounting over every pair of parameters, or of the first eight: complete ones, nearly complete
-    ones, and elsewhere the reason of failure; the ranked ones are numbered. in_the_way: colliding bodies, with their
-    counts in a sample of the failed mountings."""
+    """Draw every planned mounting over every pair of parameters, or of the first eight.
+
+    Complete and nearly complete mountings are marked, for all others the reason of failure. The ranked ones are
+    numbered.
+
+    Args:
+        found: The search.
+        in_the_way: Colliding bodies, with their counts in a sample of the failed mountings.
+    """
     shown = found.parameters[:MOST_PARAMETERS]
     d, m = len(shown), max(1, min(len(shown), MOST_PARAMETERS) - 1)
     wide, half = (2, 1) if m == 1 else (m, m // 2)

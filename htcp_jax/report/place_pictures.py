@@ -1,4 +1,4 @@
-"""Pictures of a search, drawn from its folder into it: map.png, front.png of two objectives, the best as best-1.png.
+"""Pictures of a search, drawn into its folder: map.png, front.png for two objectives, the best as best-1.png.
 
 draw_search("out/duct")
 """
@@ -26,7 +26,11 @@ SAMPLE = 64  # number of failed mountings whose colliding bodies are determined
 
 
 def draw_search(folder: str | Path) -> list[Path]:
-    """Draw the results of a search; return the files. Raises InputError as `read_search` does, and for damaged runs."""
+    """Draw the results of a search into its folder, and return the files.
+
+    Raises:
+        InputError: As `read_search`, and for damaged runs.
+    """
     folder = Path(folder)
     found = read_search(folder)
     figures = {"map": place_map(found, in_the_way(folder, found))}
@@ -37,8 +41,11 @@ def draw_search(folder: str | Path) -> list[Path]:
 
 
 def best(folder: Path, found: Searched) -> dict[int, Figure]:
-    """Pictures of the first mountings by rank, each at the seam with the least guaranteed clearance; none if their
-    files have changed."""
+    """Draw the first mountings, each at the seam with the least guaranteed clearance.
+
+    Returns:
+        The pictures by rank; empty if no mounting is ranked, or if the files of the job have changed.
+    """
     if not len(found.ranked):
         return {}
     run = open_run(folder / MOTIONS)
@@ -72,7 +79,7 @@ def in_the_way(folder: Path, found: Searched) -> dict[str, int]:
 
 
 def _blocking(run: Run, mountings: Int[np.ndarray, "m"], k: int) -> list[str]:
-    """Colliding bodies in some mountings of a round, each at the first seam that it fails."""
+    """Colliding bodies in some mountings of a round, each at its first failed seam."""
     (method,) = run.methods
     plans = run.plans(method)
     whole = plans.outcomes.can_be_driven.reshape(-1, k)

@@ -1,4 +1,4 @@
-"""A search of `htcp place` as tables, read from its folder only: every planned mounting, and the ranked ones.
+"""Tables of a placement search, read from its folder only: every planned mounting, and the ranked ones.
 
 found = read_search("out/duct")
 found.values, found.done, found.lost         # one row per mounting
@@ -24,7 +24,7 @@ class Parameter(NamedTuple):
 
     column: str  # of mountings.parquet
     name: str  # shift x
-    unit: str  # mm, °, or nothing
+    unit: str  # mm, °, or empty
     scale: float  # factor on the column's numbers
 
     @property
@@ -34,7 +34,7 @@ class Parameter(NamedTuple):
 
 
 class Searched(NamedTuple):
-    """n mountings of d parameters with A objectives, and r that are ranked, the best first."""
+    """Search with n mountings of d parameters and A objectives, of which r are ranked, the best first."""
 
     name: str
     scenarios: int
@@ -60,8 +60,11 @@ class Searched(NamedTuple):
 
 
 def read_search(folder: str | Path) -> Searched:
-    """Read the search in `folder`. Raises InputError for a folder that holds none, for one that is not finished, and
-    for damaged files."""
+    """Read the search in `folder`.
+
+    Raises:
+        InputError: For a folder without a search, for a search that is not finished, and for damaged files.
+    """
     folder = Path(folder)
     if not (folder / SEARCH).exists():
         raise InputError(f"{folder} holds no search of htcp place ({SEARCH})")

@@ -1,4 +1,4 @@
-"""The report of one or several runs: chapters, common sections, and files.
+"""Report of one or several runs: chapters, common sections, and files.
 
 Every part of a run (see `groups`) is a chapter with the same sections. Pictures are named after their content, and
 after the part if there are several; a CSV file holds one table of all parts.
@@ -39,11 +39,15 @@ class Report(NamedTuple):
 
     @property
     def figures(self) -> dict[str, Figure]:
-        """The charts, by the names of their files."""
+        """Charts of the report, by the names of their files."""
         return {block.name: block.figure for block in self.blocks if isinstance(block, Picture)}
 
     def frame(self, table: str = "results") -> "pandas.DataFrame":
-        """One of the tables as a pandas frame, with the names of its columns in CSV. Raises InputError."""
+        """Return a table as a pandas frame, with the names of its columns in CSV.
+
+        Raises:
+            InputError: For an unknown name.
+        """
         names = [each.name for each in self.tables]
         if table not in names:
             raise InputError(f"the report has no table {table!r}; valid: {', '.join(names)}")
@@ -57,7 +61,8 @@ class Report(NamedTuple):
 def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     """Make the report of runs, or of the runs in these folders.
 
-    Raises InputError for a folder that holds no run, and naming a file that is missing or damaged.
+    Raises:
+        InputError: For a folder without a run, and for a file that is missing or damaged.
     """
     listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
     opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
@@ -88,7 +93,7 @@ def write_report(report: Report, folder: Path) -> None:
 
 
 def record(report: Report) -> dict:
-    """The report as a mapping for JSON: the runs, and all tables except the long one of scenarios."""
+    """Return the report as a mapping for JSON: the runs, and all tables except the long one of scenarios."""
     return {
         "runs": [
             {
@@ -103,7 +108,7 @@ def record(report: Report) -> dict:
 
 
 def overview(results: Mapping[str, Table]) -> Table:
-    """Success of every method in every part; `results` are the parts' tables of that name."""
+    """Table of every method's success in every part, from the parts' tables "results"."""
     found = {name: {row["method"]: row for row in table.records()} for name, table in results.items()}
     methods = dict.fromkeys(method for rows in found.values() for method in rows)
     columns = [Column("method", "method"), *(Column(name, name, "%", ".2f") for name in found)]

@@ -29,7 +29,7 @@ MOST_NUMBERS, MOST_NAMES = 15, 12  # along a side of a map
 
 
 class Axis(NamedTuple):
-    """One axis of a grid of scenarios."""
+    """Axis of a grid of scenarios."""
 
     label: str  # with its unit
     values: Sequence[float] | Sequence[str]  # in the unit that the label names
@@ -49,9 +49,16 @@ def success(
     reachability: int | None = None,
     title: str = "Success by method",
 ) -> Figure:
-    """Draw tracked targets in percent, one bar per method with its counts, `tracked` of `of`; next to it the paper's
-    percentage if `paper` has one, and `reachability`, a count of targets known to be reachable, as a line. executable:
-    those that a proven motion leads to; if there are fewer, the rest of the bar is pale."""
+    """Draw tracked targets in percent, one bar per method with its counts.
+
+    Args:
+        tracked: Number of tracked targets by method.
+        of: Number of all targets by method.
+        executable: Number of targets to which a proven motion leads; if there are fewer, the rest of the bar is pale.
+        paper: The paper's percentage, by method; a diamond.
+        reachability: Number of targets known to be reachable; a dashed line.
+        title: The title of the figure.
+    """
     executable = tracked if executable is None else executable
     cut = any(executable[method] < tracked[method] for method in tracked)
     figure = new_figure(0.42 * len(tracked) + 1.5, title, _success_note(paper, reachability, cut))
@@ -85,9 +92,18 @@ def success_map(
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
-    """Draw one small map per method: the tracked targets of `targets`, rows down and columns across; NaN where not
-    planned. executable: those that a proven motion leads to; if there are fewer, they have the colour and the number,
-    and all tracked ones are in brackets."""
+    """Draw one small map of the scenarios per method, coloured by tracked targets.
+
+    Args:
+        tracked: Number of tracked targets in each cell by method [1]; NaN where not planned.
+        rows: The axis of the rows, downwards.
+        columns: The axis of the columns.
+        targets: Number of targets of a scenario.
+        executable: Number of targets to which a proven motion leads; if there are fewer, they have the colour and the
+            number, and all tracked ones are in brackets.
+        title: The title of the figure.
+        note: More text for the note below it.
+    """
     shown = tracked if executable is None else executable
     across = min(3, len(tracked))
     down = -(-len(tracked) // across)
@@ -115,7 +131,18 @@ def success_slices(
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
-    """Draw a row of small maps per method, one for every value of the axis `slices`; otherwise as `success_map`."""
+    """Draw a row of small maps per method, one for every value of a third axis; see `success_map`.
+
+    Args:
+        tracked: Number of tracked targets in each cell by method [1]; NaN where not planned.
+        slices: The axis of the maps.
+        rows: The axis of the rows, downwards.
+        columns: The axis of the columns.
+        targets: Number of targets of a scenario.
+        executable: Number of targets to which a proven motion leads.
+        title: The title of the figure.
+        note: More text for the note below it.
+    """
     shown = tracked if executable is None else executable
     across, down = len(slices.values), len(tracked)
     side = (WIDTH - 1.8) / across * len(rows.values) / len(columns.values)
@@ -144,9 +171,18 @@ def success_line(
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
-    """Draw tracked targets over an axis of a grid, or over a list of scenarios, one line per method. executable: those
-    that a proven motion leads to; if there are fewer, they are the line, and all tracked ones are faint. reachability:
-    counts [1] of targets known to be reachable, dashed."""
+    """Draw tracked targets over an axis of a grid, or over a list of scenarios, one line per method.
+
+    Args:
+        tracked: Number of tracked targets by method [1]; NaN where not planned.
+        axis: The axis.
+        targets: Number of targets of a scenario.
+        executable: Number of targets to which a proven motion leads; if there are fewer, they are the line, and all
+            tracked ones are faint.
+        reachability: Number of targets known to be reachable [1]; a dashed line.
+        title: The title of the figure.
+        note: More text for the note below it.
+    """
     shown = tracked if executable is None else executable
     lines = "" if not _cut(tracked, shown) else "Line: executable, by a proven motion from the start; faint: tracked."
     figure = new_figure(
@@ -195,7 +231,13 @@ def _map(
 
 
 def frame_map(axes: Axes, rows: Axis, columns: Axis) -> None:
-    """Label the rows and the columns of a map, with white lines between them."""
+    """Label the rows and the columns of a map, and draw white lines between them.
+
+    Args:
+        axes: The axes of the map.
+        rows: The axis of the rows.
+        columns: The axis of the columns.
+    """
     for axis, given in ((axes.xaxis, columns), (axes.yaxis, rows)):
         every = -(-len(given.values) // MOST_NAMES)
         axis.set_ticks(range(0, len(given.values), every), given.names[::every])

@@ -92,12 +92,12 @@ TIMES = (
 
 
 def results(part: Part) -> Table:
-    """Return the counts behind each method's percentage, its times, TCP distance and clearance."""
+    """Table of the results: counts and percentages, time per step, TCP distance and clearance."""
     return without_empty(_table("results", RESULTS, [_result(part, method) for method in part.plans]))
 
 
 def paper(part: Part) -> Table:
-    """Return the paper's four columns next to ours, for its six methods; no rows if its grid differs."""
+    """Table of the paper's four columns next to ours, for its six methods; no rows if its grid differs."""
     table = part.paper_table
     if table is None:
         return Table("paper", PAPER, ())
@@ -137,7 +137,7 @@ def _result(part: Part, method: str) -> dict:
 
 
 def reachability(part: Part) -> Table:
-    """Tracked compared with reachable targets; no rows if reachability is unknown."""
+    """Table of tracked and reachable targets; no rows if reachability is unknown."""
     rows = []
     for method, plans in part.plans.items() if part.reachability is not None else ():
         ends = plans.outcomes
@@ -157,7 +157,7 @@ def reachability(part: Part) -> Table:
 
 
 def steps(part: Part) -> Table:
-    """Accepted steps: blocked joint paths, and lengths."""
+    """Table of the accepted steps: blocked joint paths, and lengths."""
     return _table("joint-steps", STEPS, [_step(part, method) for method in part.plans])
 
 
@@ -181,7 +181,7 @@ def _step(part: Part, method: str) -> dict:
 
 
 def stops(part: Part) -> Table:
-    """Reasons of the failed scenarios, with their targets and the colliding bodies there."""
+    """Table of the reasons of the failed scenarios, with their targets and the colliding bodies there."""
     rows = []
     for method, plans in part.plans.items():
         ends = plans.outcomes
@@ -204,8 +204,10 @@ def stops(part: Part) -> Table:
 
 
 def _bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
-    """Colliding bodies in these scenarios, the most frequent first, and the reason that ended the search in those
-    without one; None if unknown."""
+    """Colliding bodies in some scenarios, the most frequent first; None if unknown.
+
+    Scenarios in which no body collides are listed with the reason that ended the search.
+    """
     if reason == Status.TIP_BLOCKED:
         return f"bare tip ({len(numbers)})"
     found = [known for k in numbers if (known := part.scene.in_the_way(method).get(k)) is not None]
@@ -214,8 +216,10 @@ def _bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> 
 
 
 def motion_ends(part: Part) -> Table:
-    """Reasons why tracked targets are not executable: the result of the motion check at each motion's end, with the
-    number of tracked targets from there on."""
+    """Table of the reasons why tracked targets are not executable.
+
+    A reason is the result of the motion check at the end of a motion; its targets are the tracked ones from there on.
+    """
     rows = []
     for method, plans in part.plans.items():
         ends = plans.outcomes
@@ -229,7 +233,7 @@ def motion_ends(part: Part) -> Table:
 
 
 def scenarios(part: Part) -> Table:
-    """One row per scenario and method: parameters, tracked targets, reason of the end, reachable targets."""
+    """Table of every scenario by every method: parameters, tracked targets, reason of the end, reachable targets."""
     columns = [Column("scenario", "scenario", "", "d"), *(Column(name, name) for name in part.parameters)]
     columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
     columns += [Column("executable", "executable", "", "d")]
@@ -259,13 +263,13 @@ def scenarios(part: Part) -> Table:
 
 
 def times(part: Part) -> Table:
-    """Wall time of the whole run, without compilation, and of compilation."""
+    """Table of the planning time of the complete run, and of the compilation time, which is not part of it."""
     seconds = {method: (plans.run_s, plans.compile_s) for method, plans in part.plans.items()}
     return _table("times", TIMES, [{"method": m, "run_s": r, "compile_s": c} for m, (r, c) in seconds.items()])
 
 
 def configuration(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfig]) -> Table:
-    """Every key of the configuration in which the runs and the presets differ."""
+    """Table of every key of the configuration in which the runs and the presets differ."""
     flat = {name: _flat(config.model_dump()) for name, config in {**ran, **presets}.items()}
     keys = dict.fromkeys(key for config in flat.values() for key in config)
     differ = [key for key in keys if len({repr(config.get(key)) for config in flat.values()}) > 1]
@@ -283,13 +287,13 @@ def reasons(plans: Plans) -> list[Status]:
 
 
 def _tally(values: Int[np.ndarray, "n"]) -> str:
-    """Format values with their counts: '70, 71 (4), 72'."""
+    """Format values with their counts, such as '70, 71 (4), 72'."""
     found, counts = np.unique(values, return_counts=True)
     return ", ".join(f"{v} ({n})" if n > 1 else f"{v}" for v, n in zip(found, counts, strict=True))
 
 
 def percent(k: int | np.integer, n: int | np.integer) -> float:
-    """k of n in percent; NaN if n is 0."""
+    """Return k of n in percent; NaN if n is 0."""
     return float(100 * k / n) if n else math.nan
 
 
@@ -298,7 +302,7 @@ def _over(reduce, values: np.ndarray) -> float:
 
 
 def _flat(raw: dict, prefix: str = "") -> dict:
-    """Flatten nested mappings to dotted keys; settings may be a dataclass. The method is excluded: a run has many."""
+    """Flatten nested mappings to dotted keys; settings may be a dataclass. The method is excluded."""
     flat = {}
     for key, value in raw.items():
         value = dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value

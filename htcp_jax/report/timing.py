@@ -1,4 +1,4 @@
-"""Cycle times and feeds of a part's programs: a table and charts; empty if not timed."""
+"""Cycle times and feed rates of a part's motions: a table and charts; empty if not timed."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -43,19 +43,19 @@ HELD = Measure(
 
 
 def timing(part: Part) -> Table:
-    """Summary of the times of each method's scenarios; no rows if there are none."""
+    """Table of the times of each method's scenarios; no rows if there are none."""
     rows = [timing_row(method, rows) for method, rows in part.timing.items() if rows is not None]
     return timing_table(rows)
 
 
 def timing_table(rows: Sequence[dict]) -> Table:
-    """Table of rows by `timing_row`, without empty columns."""
+    """Make the table of rows by `timing_row`, without empty columns."""
     known = tuple(c for c in COLUMNS if not all(unknown(row[c.key]) for row in rows))
     return Table("timing", known, tuple(tuple(row[c.key] for c in known) for row in rows))
 
 
 def timing_row(method: str, rows: pa.Table) -> dict:
-    """Summary of one method's times."""
+    """Summarise one method's times; `rows` as in `timing_file`, one per scenario."""
     timed = rows.filter(pa.array(~np.isnan(column(rows, "cycle_time_s"))))
     cycle, held = column(timed, "cycle_time_s"), column(timed, "feed_held_share")
     most = {name: 100 * _over(np.max, timed, f"{name}_share") for name in SHARES}
@@ -74,7 +74,15 @@ def timing_row(method: str, rows: pa.Table) -> dict:
 
 
 def timing_section(part: Part, made: Table, prefix: str, level: int, label: Callable[[str], str]) -> list[Block]:
-    """The table, the reasons of reduced feeds, and cycle time and feed held over the grid; empty without times."""
+    """Section on the times: table, reasons of feed drops, and charts over the grid; empty without times.
+
+    Args:
+        part: The part of the run.
+        made: Its table, see `timing`.
+        prefix: Start of the pictures' names.
+        level: Level of the heading.
+        label: Function for the label of a parameter.
+    """
     if not made.rows:
         return []
     return [
@@ -87,7 +95,7 @@ def timing_section(part: Part, made: Table, prefix: str, level: int, label: Call
 
 
 def _reasons(part: Part) -> list[str]:
-    """Sentence with the reasons of reduced feeds, the most frequent first."""
+    """Sentence with the reasons of feed drops, the most frequent first."""
     reasons: dict[str, int] = {}
     for rows in filter(None, part.timing.values()):
         for reason in filter(None, rows["feed_reason"].to_pylist()):
@@ -112,7 +120,7 @@ def _charts(part: Part, prefix: str, label: Callable[[str], str]) -> list[Pictur
 
 
 def _chart(part: Part, axes: dict[str, Axis], measure: Measure, values: dict[str, np.ndarray], name: str) -> Picture:
-    """A line over one axis; maps over two; for more, maps over the first two with means over the others."""
+    """Draw a line over one axis, or maps over the first two axes, with means over the others."""
     chosen = list(axes)[:2]
     given = {method: part.cells(own, chosen) for method, own in values.items()}
     alt = f"{measure.title} of the scenarios over the grid, by method"
@@ -123,7 +131,7 @@ def _chart(part: Part, axes: dict[str, Axis], measure: Measure, values: dict[str
 
 
 def _values(part: Part, name: str) -> dict[str, np.ndarray]:
-    """A column (S,) of each method that is timed, in the order of the part's scenarios."""
+    """Column (S,) of each method that is timed, in the order of the part's scenarios."""
     found = {}
     for method, rows in part.timing.items():
         if rows is not None:

@@ -1,4 +1,4 @@
-"""Charts of a quantity of every scenario over its grid, where executable: one line or one map per method."""
+"""Charts of a quantity of every scenario over the grid: one line or one map per method."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -38,7 +38,13 @@ class Measure(NamedTuple):
 
 
 def over_line(values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure: Measure) -> Figure:
-    """Draw values over an axis of a grid, one line per method; NaN where there is no number."""
+    """Draw values over an axis of a grid, one line per method.
+
+    Args:
+        values: Values by method, in the unit of `measure`; NaN if unknown.
+        axis: The axis.
+        measure: The quantity.
+    """
     figure = new_figure(4.2, measure.title, measure.note)
     axes = figure.subplots()
     words = isinstance(axis.values[0], str)
@@ -59,7 +65,15 @@ def over_line(values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure:
 def over_map(
     values: Mapping[str, Float[np.ndarray, "R C"]], rows: Axis, columns: Axis, measure: Measure, note: str = ""
 ) -> Figure:
-    """Draw one small map per method, rows down and columns across; blank where there is no number."""
+    """Draw one small map of values per method.
+
+    Args:
+        values: Values by method, in the unit of `measure`; NaN if unknown, which is blank.
+        rows: The axis of the rows, downwards.
+        columns: The axis of the columns.
+        measure: The quantity.
+        note: More text for the note below the title.
+    """
     across = min(3, len(values))
     down = -(-len(values) // across)
     side = min(WIDTH / across - 0.5, 0.6 * len(columns.values) + 0.7) * len(rows.values) / len(columns.values)
@@ -82,7 +96,7 @@ def over_map(
 
 
 def _scale(values: Mapping[str, np.ndarray], measure: Measure) -> Normalize:
-    """Colour scale; at least a tenth of the largest number wide, so that small differences look small."""
+    """Colour scale, at least a tenth of the largest number wide, so that small differences have similar colours."""
     if measure.scale is not None:
         return Normalize(*measure.scale)
     known = np.concatenate([own[np.isfinite(own)] for own in values.values()])

@@ -44,14 +44,17 @@ BETWEEN = ("clearance_between_min_at",)
 
 
 def read_validation(run: Run) -> dict[str, Any] | None:
-    """Read the validation in the run's folder; None if there is none, or it is of other results. Raises InputError for
-    a damaged file."""
+    """Read the validation in the run's folder; None if there is none, or if it is of other results.
+
+    Raises:
+        InputError: For a damaged file.
+    """
     file = Path(run.folder) / VALIDATION
     try:
         found = read_json(file, file.parent)
         if found["files"] != run.result_files():
             return None
-        summary(found), validation_tables(found), notes(found)  # other keys are not used here
+        summary(found), validation_tables(found), notes(found)  # raises if a key is missing
         return found
     except FileNotFoundError:
         return None
@@ -60,18 +63,23 @@ def read_validation(run: Run) -> dict[str, Any] | None:
 
 
 def validated(found: dict[str, Any] | None) -> bool | None:
-    """True if every tracked target is confirmed; None if unknown. found: see `read_validation`."""
+    """True if every tracked target is confirmed by a validation, see `read_validation`; None without one."""
     return None if found is None else bool(found["validated"])
 
 
 def verdict(found: dict[str, Any] | None) -> str:
-    """Sentence on the validation; found: see `read_validation`."""
+    """Sentence on a validation, see `read_validation`, or on its absence."""
     return "Not validated independently." if found is None else summary(found)
 
 
 def validation_section(found: dict[str, Any] | None, labels: dict[int, str], level: int) -> list[Block]:
-    """Section of the report, with a heading of that level; empty if there is no validation. labels: varied parameters
-    of the run's scenarios."""
+    """Section of the report on the validation; empty if there is none.
+
+    Args:
+        found: The validation, see `read_validation`.
+        labels: The varied parameters of the run's scenarios, by number.
+        level: Level of the heading.
+    """
     if found is None:
         return []
     about = f"By MuJoCo's kinematics and distances alone, of the whole run. {summary(found)}"
@@ -80,7 +88,7 @@ def validation_section(found: dict[str, Any] | None, labels: dict[int, str], lev
 
 
 def summary(found: dict[str, Any]) -> str:
-    """Sentence on the result; `found` has the form of validation.json, here as in the next two."""
+    """Sentence on the result of a validation, in the form of validation.json."""
     checks = found["methods"].values()
     checked, touching, paths = (sum(check[k] or 0 for check in checks) for k in ("checked", "paths_touching", "paths"))
     refuted = int(found["refuted_count"])
@@ -90,7 +98,7 @@ def summary(found: dict[str, Any]) -> str:
 
 
 def validation_tables(found: dict[str, Any]) -> tuple[Table, ...]:
-    """Tables by method, at the targets and on the joint paths between them; then of the rows of a task."""
+    """Tables of a validation by method: at the targets, on the joint paths between them, and of the task's rows."""
     rows = [{"method": method, **check} for method, check in found["methods"].items()]
     tables = _table("validation", AT_TARGETS, rows), _table("validation-paths", ON_THE_WAY, rows)
     held = [{"method": check["method"], **row} for check in rows for row in check.get("rows", ())]
@@ -106,14 +114,14 @@ def _table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> Table:
 
 
 def scenarios_named(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
-    """Sentence with the labels of the scenarios in the tables."""
+    """Sentence with the labels of the scenarios in a validation's tables."""
     at = [check.get(key) for check in found["methods"].values() for key in ("clearance_min_at", *BETWEEN)]
     numbers = sorted({place[0] for place in at if place is not None and labels.get(place[0])})
     return [f"Scenarios: {'; '.join(f'{number} is {labels[number]}' for number in numbers)}."] if numbers else []
 
 
 def notes(found: dict[str, Any]) -> list[str]:
-    """Explanations of the filled columns."""
+    """Explanations of the columns that a validation fills."""
     lines = []
     if any(check.get("clearance_off_max_mm") is not None for check in found["methods"].values()):
         lines.append("Differs from plan: the largest difference between a clearance in the plan and MuJoCo's.")

@@ -1,12 +1,11 @@
 """Baseline file of a run, to compare later runs with: one line per scenario, readable and easy to diff.
 
-    methods:
-      nspace-sqp:
-        tracked: 4372
-        ...
-        scenarios:
-          0: 105 complete
-          1: 73 QP_INFEASIBLE     # targets in a row, and the status of the next one
+    nspace-sqp:                 # under `methods`
+      tracked: 4372
+      ...
+      scenarios:
+        0: 105 complete
+        1: 73 QP_INFEASIBLE     # targets in a row, and the status of the next one
 
 Tracked targets are the planner's own results. The bounds on the TCP and on the clearance are not: they are measured by
 `validate`, with MuJoCo alone, so that a wrong formula in the planner cannot confirm itself.
@@ -62,7 +61,7 @@ def _read_end(text: Any) -> End:
 
 
 class Times(Section):
-    """Durations of one method's programs at a feed; see `htcp program --all`."""
+    """Durations of one method's timed motions at a feed; see `htcp program --all`."""
 
     feed_m_s: float
     limits: dict[str, Any]  # keys of `program`
@@ -125,9 +124,12 @@ class Allowance(Section):
 
 
 class Allowances(Section):
-    """`here`: for the device and versions of the baseline, where the same code plans the same bits. `elsewhere`: for
+    """Allowed differences from the baseline, by machine.
+
+    `here` is for the device and versions of the baseline, where the same code plans the same bits; `elsewhere` for
     others, whose rounding may flip a scenario close to a threshold. With SSE 4.2 in place of AVX-512, one scenario of
-    the 49 poses by nine methods lost one target."""
+    the 49 poses by nine methods lost one target.
+    """
 
     here: Allowance = Allowance()
     elsewhere: Allowance = Allowance(targets=25, scenarios=2)
@@ -175,7 +177,14 @@ class RunSummary(NamedTuple):
 
 
 def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) -> RunSummary:
-    """Read and validate a run. Errors in its files do not raise but are listed in `problems`."""
+    """Read and validate a run.
+
+    Errors in its files do not raise but are listed in `problems`.
+
+    Args:
+        run: The run.
+        progress: Called with the number of validated plans and of all.
+    """
     problems: list[str] = []
 
     def attempt(what: str, function: Callable) -> Any:
@@ -196,16 +205,26 @@ def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) 
 
 
 def read_baseline(file: Path) -> Baseline:
-    """Read a baseline. Raises InputError for a file that cannot be read, is damaged, or is not a baseline."""
+    """Read a baseline.
+
+    Raises:
+        InputError: For a file that cannot be read, is damaged, or is not a baseline.
+    """
     return validate(read_yaml(file), Baseline, str(file))
 
 
 def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = None) -> Baseline:
     """Write the results of the run into `file`, keeping the allowances of an older baseline there.
 
-    Raises InputError, and leaves the file as it is, for a run that is limited, incomplete, damaged, refuted by
-    validation or planned by more than one commit or device; if the file is not a baseline, or is one of another sweep
-    or of methods that the run lacks; and if it cannot be written.
+    Args:
+        run: The run.
+        file: The baseline file; unchanged if an error is raised.
+        progress: Called with the number of validated plans and of all.
+
+    Raises:
+        InputError: For a run that is limited, incomplete, damaged, refuted by validation or planned by more than one
+            commit or device; if the file is not a baseline, or is one of another sweep or of methods that the run
+            lacks; and if it cannot be written.
     """
     old = read_baseline(file) if file.exists() else None
     if reason := _not_to_be_blessed(run, old):

@@ -1,7 +1,7 @@
 """Walls of a point cloud that the tool's bare tip must not pass through, for validation: a flat disc at every point.
 
-Nothing of tip_guard.py and surface.py is used. A disc lies in the plane fitted to its point's neighbours, and extends
-beyond the eighth of them. The planner thins a cloud of more than 60,000 points, so that its discs are larger there.
+The code is independent of tip_guard.py and surface.py. A disc lies in the plane fitted to its point's neighbours, and
+extends beyond the eighth of them. The planner thins a cloud of more than 60,000 points, so its discs are larger there.
 """
 
 import numpy as np
@@ -15,7 +15,12 @@ Points = Float[np.ndarray, "m 3"]
 
 
 class Discs:
-    """The discs of P >= 4 points; radius: of each [m]. A plane is fitted when it is needed."""
+    """Flat discs at P >= 4 points, with a radius each [m]; planes are fitted when they are needed.
+
+    Args:
+        points: The points [m].
+        tree: A tree of these points.
+    """
 
     def __init__(self, points: Float[np.ndarray, "P 3"], tree: cKDTree):
         self._points, self._tree, self._normals = points, tree, np.full(points.shape, np.nan)
@@ -23,7 +28,13 @@ class Discs:
         self.radius = np.minimum(FURTHER * distance, WIDEST * np.median(FURTHER * distance))
 
     def crossed(self, p: Points, q: Points, rows: Int[np.ndarray, "m"]) -> Bool[np.ndarray, "m"]:
-        """True if a segment p q meets the disc in its row."""
+        """True if a segment meets its disc.
+
+        Args:
+            p: Starts of the segments [m].
+            q: Ends of the segments [m].
+            rows: The disc of each segment.
+        """
         new = np.unique(rows[np.isnan(self._normals[rows, 0])])
         self._normals[new] = self._fitted(new)
         normal, centre = self._normals[rows], self._points[rows]

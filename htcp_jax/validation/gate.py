@@ -56,7 +56,7 @@ class Origin(NamedTuple):
 
 
 class Check(NamedTuple):
-    """One comparison for one method."""
+    """Result of one comparison for one method."""
 
     method: str
     name: str  # of CHECKS, for a method
@@ -139,9 +139,15 @@ class Verdict(NamedTuple):
 
 
 def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | None = None) -> Verdict:
-    """Compare the run with the baseline. progress: called with the plans validated and their number.
+    """Compare the run with the baseline.
 
-    Raises InputError if the baseline is of another sweep or configuration, and cannot be compared.
+    Args:
+        run: The run.
+        baseline: The baseline.
+        progress: Called with the number of validated plans and of all.
+
+    Raises:
+        InputError: If the baseline is of another sweep or configuration, and cannot be compared.
     """
     if differing := differences(baseline.planned, planned(run.manifest)):
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""

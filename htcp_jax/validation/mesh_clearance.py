@@ -1,7 +1,7 @@
 """Distances to the triangles of a mesh, for validation: read again by trimesh, not approximated by points.
 
-Nothing of mesh_points.py or tip_guard.py is used. The distance from a capsule's axis to a triangle is 0 if they
-intersect. Otherwise it is attained at an end of the axis or on an edge of the triangle.
+The code is independent of mesh_points.py and tip_guard.py. The distance from a capsule's axis to a triangle is 0 if
+they intersect. Otherwise it is attained at an end of the axis or on an edge of the triangle.
 """
 
 import io
@@ -22,7 +22,11 @@ Points = Float[np.ndarray, "m 3"]
 
 
 def read_triangles(path: str | Path) -> Triangles:
-    """All triangles of a mesh file [m]. Raises InputError for a file that cannot be read."""
+    """Read all triangles of a mesh file [m].
+
+    Raises:
+        InputError: For a file that cannot be read.
+    """
     try:
         data, ending = io.BytesIO(read_bytes(Path(path))), Path(path).suffix.lower()[1:]
         mesh = trimesh.load(data, file_type=ending, force="mesh", process=False, skip_materials=True)
@@ -46,7 +50,13 @@ def in_grains(triangles: Triangles) -> Float[np.ndarray, "g 3 3"]:
 
 
 def axis_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, "m"]:
-    """Distance from each segment p q to its triangle [m]."""
+    """Distance from each segment to its triangle [m].
+
+    Args:
+        p: Starts of the segments [m].
+        q: Ends of the segments [m].
+        triangles: Corners of each segment's triangle [m].
+    """
     steps = range(0, len(p), AT_ONCE)
     parts = [_distances(*(values[k : k + AT_ONCE] for values in (p, q, triangles))) for k in steps]
     return np.concatenate(parts or [np.empty(0)])
@@ -60,8 +70,15 @@ def _distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, 
 
 
 def goes_through(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray, "m"]:
-    """True if a segment p q passes through its triangle: its ends are on both sides of the plane, and it turns about
-    all three edges in the same sense."""
+    """True if a segment passes through its triangle.
+
+    Its ends are then on both sides of the plane, and it turns about all three edges in the same sense.
+
+    Args:
+        p: Starts of the segments [m].
+        q: Ends of the segments [m].
+        triangles: Corners of each segment's triangle [m].
+    """
     a, b, c = np.moveaxis(triangles, 1, 0)
     sides = [_volume(a, b, c, end) for end in (p, q)]
     about = np.stack([_volume(p, q, *edge) for edge in ((a, b), (b, c), (c, a))])
@@ -69,8 +86,11 @@ def goes_through(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray,
 
 
 def _between(p: Points, q: Points, a: Points, b: Points) -> Float[np.ndarray, "m"]:
-    """Distance from each segment p q to its segment a b [m]. For non-parallel lines the minimum of the lines is
-    included; for parallel ones an end of p q or of a b is among the nearest points."""
+    """Distance from each segment p q to its segment a b [m].
+
+    For non-parallel lines the minimum of the lines is included; for parallel ones an end of p q or of a b is among the
+    nearest points.
+    """
     u, v, w = q - p, b - a, p - a
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
     s = _share(uv * _dot(v, w) - vv * _dot(u, w), uu * vv - uv * uv)

@@ -1,7 +1,7 @@
 """The arm in MuJoCo, for validation: poses, capsules and distances come from MuJoCo's C code alone.
 
-Nothing of robot.py, kinematics.py or clearance.py is used, nor anything they depend on: the meaning of a model file
-(the TCP's site, a longer tool, the limits) is implemented here a second time.
+The code is independent of robot.py, kinematics.py and clearance.py, and of all that they depend on: the meaning of a
+model file (the TCP's site, a longer tool, the limits) is implemented here a second time.
 """
 
 import copy
@@ -25,7 +25,7 @@ PROBE_M = 1e-9  # radius of the sphere for a point of the cloud; distances are c
 FAR_M = 1e3  # cut-off of MuJoCo's distances
 _PROBE, _TCP = "probe of htcp validate", "TCP of htcp validate"
 _SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
-_OWN_FRAME = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # else MuJoCo may take the body's, and forget a changed position
+_OWN_FRAME = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # else MuJoCo may use the body's, and ignore a changed position
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
@@ -38,12 +38,22 @@ class Postures(NamedTuple):
 
 
 class Arm:
-    """A model file in MuJoCo, with the base and the tool of a job, the tool lengthened by `tool_extension_m`, and a
-    probe that can be placed anywhere.
+    """An arm's model file in MuJoCo, with the base and the tool of a job, and a probe that can be placed anywhere.
 
-    limits, tcp, base_m, base_rpy_rad, tool: see `robot_file.load_robot`. names, radius, length: of the K capsules and
-    spheres, and their axes' [m]; lower, upper: joint limits; speed: inf if the model gives none. Raises InputError for
-    a file that MuJoCo cannot read.
+    `names`, `radius` and `length` are those of the K capsules and spheres, and of their axes [m]; `lower` and `upper`
+    are the joint limits; `speed` is inf if the model has no limits.
+
+    Args:
+        path: The model file.
+        tool_extension_m: Length added to the tool.
+        limits: The profile of joint limits, as in `robot_file.load_robot`.
+        tcp: The name of the TCP's site or body, `tcp_site` in `robot_file.load_robot`.
+        base_m: Position of the model's frame in the world.
+        base_rpy_rad: Rotation of the model's frame, about world x, then y, then z.
+        tool: The tool on the frame `tcp`, which is then the flange.
+
+    Raises:
+        InputError: For a file that MuJoCo cannot read.
     """
 
     def __init__(
@@ -98,8 +108,10 @@ class Arm:
 
     @property
     def stated(self) -> dict[tuple[int, int], str] | None:
-        """Rules of the pairs in the list of the arm's file; None without a list, or if the joint limits are wider than
-        those that it was made for."""
+        """Rules of the pairs in the list of the arm's file.
+
+        None without a list, or if the joint limits are wider than those for which it was computed.
+        """
         model_lower, model_upper = _limits(self._model, "model")
         if self._list is None or (self.lower < model_lower).any() or (self.upper > model_upper).any():
             return None
@@ -156,8 +168,15 @@ class Arm:
     def frames(
         self, x: Float[np.ndarray, "n N"], name: str
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
-        """Origins [m] and axes, world, of the TCP's frame (tcp), or of a site or body of the model. Raises InputError
-        for another name."""
+        """Origins [m] and axes of a frame, world.
+
+        Args:
+            x: Configurations [rad or m].
+            name: "tcp" for the TCP's frame, or the name of a site or body of the model.
+
+        Raises:
+            InputError: For another name.
+        """
         site = self._site if name == "tcp" else mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
         body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
         if site < 0 and body < 0:
@@ -171,14 +190,20 @@ class Arm:
         return origin, rotation
 
     def tip_start(self, postures: Postures) -> Float[np.ndarray, "n 3"]:
-        """Start of the bare tip: the end on the last link that is nearest to the TCP at the model's zero; world."""
+        """Start of the bare tip, world: the end on the last link that is nearest to the TCP at zero joint values."""
         end, body = self._tip
         return (postures.p, postures.q)[end][:, body]
 
     def distances(
         self, x: Float[np.ndarray, "N"], capsules: Int[np.ndarray, "c"], points: Float[np.ndarray, "c 3"]
     ) -> Float[np.ndarray, "c"]:
-        """Signed distance of each world point to the surface of its capsule [m], by mj_geomDistance."""
+        """Signed distance of each point to the surface of its capsule [m], by mj_geomDistance.
+
+        Args:
+            x: The configuration [rad or m].
+            capsules: The capsule of each point.
+            points: The points, world [m].
+        """
         self._pose(x)
         found = np.empty(len(points))
         for k, (geom, point) in enumerate(zip(self._geoms[capsules].tolist(), points, strict=True)):
@@ -206,13 +231,13 @@ def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, i
             spec.delete(each)
         spec.worldbody.add_geom(name=_PROBE, type=_SPHERE, size=[PROBE_M, 0, 0])
         spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
-        spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9  # MuJoCo insists on masses
+        spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9  # MuJoCo requires masses
         spec.compiler.balanceinertia = True
         model = spec.compile()
         body, position, quaternion = _flange(model, tcp)
         flange = next(one for one in spec.bodies if one.id == body)
         if tool is not None:
-            if tool.bodies:  # in a body of their own: other geoms on the flange are not the tool
+            if tool.bodies:  # in a separate body: other geoms on the flange do not belong to the tool
                 flange = flange.add_body(pos=position, quat=quaternion)
                 position, quaternion = np.zeros(3), np.array([1.0, 0, 0, 0])
             for part in tool.bodies:
@@ -297,8 +322,11 @@ def _outermost_body(model: mujoco.MjModel) -> int:
 
 
 def _lengthen(model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: float) -> None:
-    """Move the TCP and the geoms on its body outwards along the tool's z axis; the first capsule there keeps the end
-    nearer to the last joint, and is stretched. Computed in the world, at the model's own zero."""
+    """Move the TCP and the geoms on its body outwards along the tool's z axis.
+
+    The first capsule there keeps the end nearer to the last joint, and becomes longer. This is computed in the world,
+    at the model's zero configuration.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     shift = extension_m * data.site_xmat[site, 2::3]

@@ -1,8 +1,9 @@
-"""Obstacles of an arm other than the workpiece, in MuJoCo: the arm itself, shapes of a cell, further clouds.
+"""Obstacles of an arm other than the workpiece, in MuJoCo: the arm itself, the shapes in a cell, further clouds.
 
 The cell's file is read a second time; the poses of its shapes, and the pairs of bodies to check, are determined
 independently. Capsules represent the arm's bodies in the cell's own model, placed by MuJoCo's kinematics; distances are
-by mj_geomDistance. MuJoCo represents a non-convex mesh by its hull: so its triangles are measured, like a workpiece's.
+by mj_geomDistance. MuJoCo represents a non-convex mesh by its hull, so the mesh's triangles are measured, like a
+workpiece's.
 """
 
 import math
@@ -22,14 +23,24 @@ from htcp_jax.validation.mujoco_arm import FAR_M, Arm, Postures
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.own_pairs import OwnPairs, own_pairs, touch_m
 
-MOST_FACES = 400  # of a mesh that counts as convex
+MOST_FACES = 400  # of a mesh that is treated as convex
 _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
 
 
 class Beside:
-    """An arm and the obstacles in a job's cell. Raises InputError for a file that MuJoCo cannot read. plain: the arm
-    without an extension of its tool, as in the model. bound: True if there are meshes that a planner may represent by
-    points only."""
+    """An arm and the obstacles in a job's cell.
+
+    `bound` is True if there are meshes that a planner may represent by points only. `deepest` is the largest overlap
+    of capsules that are not checked [m], and their names.
+
+    Args:
+        cell: The job's cell.
+        arm: The arm.
+        plain: The arm without an extension of its tool, as in the model.
+
+    Raises:
+        InputError: For a file that MuJoCo cannot read.
+    """
 
     def __init__(self, cell: CellConfig, arm: Arm, plain: Arm):
         self._arm, self.walls, self.bound = arm, [], False
@@ -62,8 +73,17 @@ class Beside:
     def distances(
         self, x: Float[np.ndarray, "n N"], postures: Postures, may: Bool[np.ndarray, "n R"] | None = None
     ) -> Float[np.ndarray, "n R"]:
-        """Distances of everything that must not touch [m]: pairs of shapes, then walls; the last one is below zero if
-        meshes touch in capsules that are not checked. inf if `may` is False."""
+        """Distances of everything that must not touch [m].
+
+        Args:
+            x: Configurations [rad or m].
+            postures: The arm's capsules at these.
+            may: False for distances that are not needed, which are inf; None: all are.
+
+        Returns:
+            The distances of pairs of shapes, then those to walls; the last one is below zero if meshes touch inside
+            capsules that are not checked.
+        """
         may = np.ones((len(x), len(self._pairs) + len(self.walls) + 1), bool) if may is None else may
         to_walls = np.full((len(x), len(self.walls)), np.inf)
         for column, rows, wall in zip(to_walls.T, may[:, len(self._pairs) : -1].T, self.walls, strict=True):
@@ -72,7 +92,7 @@ class Beside:
         return np.hstack([self._distances(postures, self._pairs, may[:, : len(self._pairs)]), to_walls, excluded])
 
     def _of_excluded(self, x: Float[np.ndarray, "n N"], postures: Postures) -> Float[np.ndarray, "n"]:
-        """Negative penetration depth [m] of meshes that touch in capsules that are not checked; inf elsewhere."""
+        """Negative penetration depth [m] of meshes that touch inside capsules that are not checked; inf elsewhere."""
         pairs, found = [*self._own.by_mesh, *self._own.excluded], np.full(len(x), np.inf)
         depth = -self._apart(postures, pairs)
         if depth.size and depth.max() > self.deepest[0]:

@@ -6,7 +6,7 @@ nearest point of the cloud. Let the capsule's smallest distance, D = e - radius,
 
 - d - radius is an upper bound on the clearance, because m lies on the axis.
 - If s is an end of the axis, the sample m = s with h = 0, which is among the samples, is at the distance e exactly.
-- Otherwise the arm of length e from s to its point is at right angles to the axis. The piece that holds s has
+- Otherwise the line of length e from s to its point is at right angles to the axis. The piece that holds s has
   |m - s| <= h, so that point lies within sqrt(e^2 + h^2) of m: e >= sqrt(d^2 - h^2).
 
 For a mesh the triangles themselves are measured (`mesh_clearance`), from MuJoCo's axes. The tree holds their centres. A
@@ -14,8 +14,8 @@ centre is on the mesh, and no point of its triangle is further from it than the 
 d - grain replaces d.
 
 So a piece whose sqrt(d^2 - h^2) - radius is above the least upper bound U of all pieces cannot hold s, and of a piece
-that may hold it only the points within sqrt((U + radius)^2 + h^2) of m can be the nearest. The pieces that are left
-are cut finer until that ball holds few points, and all of these are measured.
+that may hold it only the points within sqrt((U + radius)^2 + h^2) of m can be the nearest. The remaining pieces are
+cut finer until that ball holds few points, and all of these are measured.
 """
 
 from collections.abc import Callable, Iterator
@@ -53,8 +53,14 @@ class Pieces(NamedTuple):
 
 
 class Wall:
-    """A cloud's points, or a mesh's triangles, in a tree, and their exact convex hull if `interior` is "hull";
-    workpiece frame [m]. direction: into the part; None for the world's x."""
+    """A cloud's points, or a mesh's triangles, in a tree, in the workpiece frame [m].
+
+    Args:
+        cloud: The points; on a mesh they are not used.
+        interior: "hull" for the exact convex hull of the points or triangles, "none" for no hull.
+        direction: Direction into the part; None for the world's x.
+        triangles: Corners of the mesh's triangles; None for a cloud.
+    """
 
     def __init__(
         self,
@@ -85,8 +91,11 @@ class Wall:
 
 
 def wall_of(part: WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
-    """The wall that a configuration describes. A mesh is read again. For a user-supplied part the inlet's direction, if
-    none is given, is that of the hull's facet nearest to the inlet; without an inlet there is no interior."""
+    """Build the wall that a configuration describes.
+
+    A mesh is read again. For a user-supplied part the inlet's direction, if none is given, is that of the hull's facet
+    nearest to the inlet; without an inlet there is no interior.
+    """
     triangles = read_triangles(part.cloud) if workpiece.is_mesh else None
     given = None if part.is_along_world_x else part.inlet_direction
     if part.is_along_world_x or part.interior != "hull" or given is not None:
@@ -117,10 +126,20 @@ class AtTargets(NamedTuple):
 
 
 class CheckedScene:
-    """An arm next to a wall at x_world = rotate @ x + translate. Beyond `interior_depth_m` behind the start of the wall
-    along its direction, the ends of all axes must lie in the hull, unless the arm's base is beyond it, too. Along the
-    world's x the rule holds for any base. beside(x, postures, may): the distances (n, R) to everything else that must
-    not touch, inf where `may` (n, R) is False; None: of all."""
+    """An arm next to a wall at x_world = rotate @ x + translate.
+
+    From `interior_depth_m` behind the start of the wall along its direction, the ends of all axes must lie in the hull,
+    unless the arm's base is beyond it, too. Along the world's x the rule holds for any base.
+
+    Args:
+        arm: The arm.
+        wall: The wall.
+        rotate: Rotation from the wall's frame to the world (3, 3).
+        translate: Translation from the wall's frame to the world (3,) [m].
+        interior_depth_m: Distance from the start of the wall at which the rule begins.
+        beside: Function (x, postures, may) for the distances (n, R) to everything else that must not touch [m]; inf
+            where `may` (n, R) is False, None: all are measured. See `mujoco_cell.Beside.distances`.
+    """
 
     def __init__(
         self,
@@ -158,11 +177,19 @@ class CheckedScene:
     def between(
         self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: AtTargets, below: float
     ) -> tuple[Postures, Float[np.ndarray, "n"]]:
-        """TCP and capsules at configurations x between the configurations a and a + 1 of `known`, and the clearance
-        (n,) of those where it is at most `below` (at least 0); inf elsewhere.
+        """Compute the clearance at configurations between known ones, where it is small.
 
         No sample approaches the cloud, and no end of an axis leaves the hull, by more than it moves, and no two bodies
-        approach each other by more than both move: so most are decided by the results at a or at a + 1.
+        approach each other by more than both move. So most configurations are decided by the known results.
+
+        Args:
+            x: Configurations [rad or m].
+            a: The row of `known` before each; it lies between the rows a and a + 1.
+            known: The known results.
+            below: Largest clearance to measure, at least 0 [m].
+
+        Returns:
+            The TCP and the capsules, and the clearance where it is at most `below`, inf elsewhere [m].
         """
         postures = self.arm.postures(x)
         pieces = _whole_axes(self.arm, len(x))
@@ -183,8 +210,10 @@ class CheckedScene:
         return postures, np.where(clearance <= below, clearance, np.inf)
 
     def tip_goes_through(self, postures: Postures, contact_m: float) -> Bool[np.ndarray, "n"]:
-        """True if the segment from the last body to the TCP, without its last `contact_m`, passes through a triangle of
-        a mesh or a disc of a cloud."""
+        """True if the bare tip passes through a triangle of the mesh or a disc of the cloud.
+
+        The bare tip is the segment from the last body to the TCP, without its last `contact_m`.
+        """
         if not len(self.wall.middle):
             return np.zeros(len(postures.tcp), bool)
         mesh = self.wall.triangles
@@ -194,7 +223,7 @@ class CheckedScene:
         last = tcp + (first - tcp) * np.minimum(1.0, contact_m / np.maximum(length, contact_m + 1e-12))[:, None]
         length = np.linalg.norm(last - first, axis=1)
         row, share = _samples(np.maximum(1, np.ceil(length / (2 * grain))).astype(int))
-        reach = grain + ROOM_M + np.minimum(length[row] / 2, grain)  # from a sample's middle: its half length is less
+        reach = grain + ROOM_M + np.minimum(length[row] / 2, grain)  # from a sample's middle
         found = self.wall.tree.query_ball_point(
             first[row] + share[:, None] * (last - first)[row], reach, return_sorted=False
         )
@@ -205,8 +234,7 @@ class CheckedScene:
         return np.bincount(row[through], minlength=len(first)) > 0
 
     def _measured(self, x: np.ndarray, postures: Postures, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
-        """Clearance to the points, by MuJoCo, or to the triangles [m]; inf if no piece can have one of `upper` or
-        less."""
+        """Clearance to the points, by MuJoCo, or to the triangles [m]; inf if no piece can be within `upper`."""
         row, capsule, point = self._candidates(postures, pieces, upper)
         clearance = np.full(len(x), np.inf)
         if self.wall.triangles is not None:
@@ -221,8 +249,10 @@ class CheckedScene:
         return clearance
 
     def _candidates(self, postures: Postures, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
-        """Columns (row, capsule, point), sorted: everything that can be nearest in a row if its clearance is at most
-        `upper`; see the module."""
+        """Find everything that can be nearest in a row if its clearance is at most `upper`; see the module.
+
+        The columns are (row, capsule, point), sorted.
+        """
         radius = self.arm.radius
         if not len(self.wall.middle):
             return np.empty((3, 0), int)
@@ -265,8 +295,10 @@ class CheckedScene:
 
 
 def _whole_axes(arm: Arm, n: int) -> Pieces:
-    """Every capsule's axis in pieces of COARSE radii, and its ends, for each of n configurations. Their number is
-    computed from the model's lengths: those at a configuration have rounding errors of their own."""
+    """Divide every capsule's axis into pieces of COARSE radii, and its ends, for each of n configurations.
+
+    The number of pieces is computed from the model's lengths, as lengths at a configuration have rounding errors.
+    """
     capsule, centre, half = [], [], []
     for k, (length, radius) in enumerate(zip(arm.length.tolist(), arm.radius.tolist(), strict=True)):
         count = int(np.ceil(length / (2 * COARSE * radius)))

@@ -17,7 +17,7 @@ from htcp_jax.validation.mujoco_arm import Arm, Postures
 
 SAMPLES, SEED = 10_000, 1
 ALWAYS, NEARLY = 0.95, 0.93  # smallest shares within NEAR_M, for an arm without a list; for one whose list has rule b
-NEAR_M = 1e-3  # a pair that is always as near could keep no usual margin
+NEAR_M = 1e-3  # pairs that are always this near could keep no usual margin
 Pair = tuple[int, int]
 Distances = Callable[[Postures, list[Pair]], Float[np.ndarray, "n R"]]
 
@@ -31,7 +31,12 @@ class OwnPairs(NamedTuple):
 
 
 def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
-    """Classify the pairs of an arm. measured: distances of pairs [m]."""
+    """Classify the pairs of an arm.
+
+    Args:
+        arm: The arm.
+        measured: Function for the distances of pairs of capsules at configurations [m].
+    """
     stated, excluded = arm.stated, arm.excluded
     found, left = OwnPairs([], [], sorted(excluded)), [pair for pair in arm.apart if pair not in excluded]
     doubtful = [pair for pair in left if stated is None or pair in stated or arm.is_tool(pair)]
@@ -56,7 +61,7 @@ def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
 
 
 def touch_m(arm: Arm, pair: Pair, x: Float[np.ndarray, "N"]) -> float:
-    """Penetration depth of a pair's meshes at x [m]; 0 up to TOUCHING_M."""
+    """Penetration depth of a pair's meshes at the configuration x [m]; 0 up to TOUCHING_M."""
     meshes: LinkMeshes = arm.meshes
     deep = meshes.deepest_m(*(arm.names[k] for k in pair), meshes.poses(x[None]))
     return deep if deep > TOUCHING_M else 0.0

@@ -14,11 +14,15 @@ from htcp_jax.runs.open import PlanSet, open_plans
 from htcp_jax.status import Way
 from htcp_jax.validation.scene_rules import Results, Track, WorkpieceData
 
-MOST_WORKPIECES = 8  # largest number of one run in memory
+MOST_WORKPIECES = 8  # largest number of workpieces in memory
 
 
 def read_results(folder: Path) -> Results:
-    """Read the results in `folder`. Raises InputError as `open_plans` does."""
+    """Read the results in `folder`.
+
+    Raises:
+        InputError: As `open_plans`.
+    """
     found = open_plans(folder)
     return Results(found.folder, _workpieces(), found.count, _tracks(found), found.files)
 

@@ -25,7 +25,7 @@ class RowHeld(NamedTuple):
 
 
 class MethodCheck(NamedTuple):
-    """Validation results of one method; None where there was nothing to measure."""
+    """Validation results of one method; None where no value was measured."""
 
     checked: int  # tracked targets
     refuted: int
@@ -46,8 +46,8 @@ class MethodCheck(NamedTuple):
     speed_ratio_max: float | None  # joint speed by its limit at the feed rate; None if the model has no limits
     speed_joint: str | None  # the joint with this ratio
     speed_at: Place | None
-    in_place_max_rad: float | None  # largest joint change between targets closer than the tolerance, for which the
-    # feed rate leaves no time; among them the one from the start to the first target
+    in_place_max_rad: float | None  # largest joint change between targets closer than the tolerance, for which there
+    # is no time at the feed rate; also from the start to the first target
     rows: tuple[RowHeld, ...]  # rows of the task, if the job has one
 
 

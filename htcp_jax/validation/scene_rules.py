@@ -73,8 +73,10 @@ class Results(NamedTuple):
 
 
 def turned_and_moved(part: WorkpieceConfig, pose: Parameters) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and translation (3,) from the workpiece frame to the world [m]: the neutral pose is rotated about
-    the pivot, first about world x, then y, then z, and then shifted."""
+    """Rotation (3, 3) and translation (3,) from the workpiece frame to the world [m].
+
+    The neutral pose is rotated about the pivot, first about world x, then y, then z, and then shifted.
+    """
     angles = pose.rotation_x_rad, pose.rotation_y_rad, pose.rotation_z_rad
     (cx, sx), (cy, sy), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in angles)
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
@@ -87,8 +89,17 @@ def turned_and_moved(part: WorkpieceConfig, pose: Parameters) -> tuple[np.ndarra
 def targets_of(
     job: PlanConfig, tcp: np.ndarray, inlet: np.ndarray | None, path: np.ndarray
 ) -> Float[np.ndarray, "T 3"]:
-    """Targets, world [m]: the start's TCP, steps to the inlet, steps from there to the path, the path. If the start is
-    chosen at the path's first point: that point, then the path."""
+    """Targets of a job, world [m].
+
+    They are the start's TCP, steps to the inlet, steps from there to the path, and the path. If the start is chosen at
+    the path's first point, they are that point, then the path.
+
+    Args:
+        job: The job.
+        tcp: The TCP at the start (3,), world [m].
+        inlet: The inlet (3,), world [m]; None without one.
+        path: The path (T, 3), world [m].
+    """
     if job.start is None:
         return np.concatenate([path[:1], path])
     to_inlet, to_path = job.workpiece.approach_to_inlet, job.workpiece.approach_to_path
@@ -101,8 +112,10 @@ def targets_of(
 
 
 def fitted_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Unit normals of the planes fitted to the points near a path, towards the side on which most of the cloud lies, by
-    weights that decrease over a quarter of its extent."""
+    """Unit normals of the planes fitted to the points near a path.
+
+    They point to the side on which most of the cloud lies, by weights that decrease over a quarter of its extent.
+    """
     near = cloud[cKDTree(cloud).query(path, k=min(NEAREST, len(cloud)))[1]]
     normals = np.linalg.svd(near - near.mean(axis=1, keepdims=True), full_matrices=False)[2][:, 2]
     some = cloud[:: max(1, len(cloud) // SURROUNDINGS)]

@@ -1,6 +1,6 @@
 """Independent check of a task's rows, in plain numpy on poses by MuJoCo: deviation and tolerance of each.
 
-Nothing of the planner's rows is used.
+The code is independent of the planner's rows.
 """
 
 from collections.abc import Sequence
@@ -54,7 +54,13 @@ class Place(NamedTuple):
     point: Int[np.ndarray, "n"]
 
     def world(self, row: TaskRow, vector: Sequence[float], is_place: bool = False) -> Float[np.ndarray, "3"]:
-        """Transform a position [m] or direction that a row gives in numbers to the world."""
+        """Transform a position or direction that a row gives in numbers to the world.
+
+        Args:
+            row: The row, which has the frame.
+            vector: The position [m] or direction.
+            is_place: True for a position.
+        """
         if row.frame != "workpiece":
             return np.array(vector)
         return self.rotate @ np.array(vector) + (self.translate if is_place else 0.0)
@@ -68,7 +74,16 @@ def check_rows(
     tolerance_m: float,
     tolerance_rad: float,
 ) -> list[RowCheck]:
-    """Check every row at configurations x."""
+    """Check every row at configurations x.
+
+    Args:
+        rows: Rows of the task; without any, the TCP must be on the path.
+        arm: The arm.
+        x: Configurations [rad or m].
+        place: The part's pose, and the point of the path for each configuration.
+        tolerance_m: Tolerance of rows without one of their own, for positions.
+        tolerance_rad: Tolerance of rows without one of their own, for directions.
+    """
     return [_check(row, arm, x, place, tolerance_m, float(np.rad2deg(tolerance_rad))) for row in rows or (HELD,)]
 
 
@@ -80,9 +95,19 @@ def hold_between(
     here: Place,
     settings: Settings,
 ) -> Bool[np.ndarray, "R n"]:
-    """True if a row holds at configurations x on the segment from one point of the path to the next, for a requirement
-    between those at both points. A TCP that is held on the path counts as held; `from_line` checks it. A TCP held at
-    another position has the tolerance of a path."""
+    """True if a row holds between two points of the path, for a requirement between those at both points.
+
+    A row that holds the TCP on the path is True; `from_line` checks it. A TCP at another position has the tolerance of
+    a path, `tube_m`.
+
+    Args:
+        rows: Rows of the task.
+        arm: The arm.
+        x: Configurations on the segments [rad or m].
+        before: The part's pose, and the point of the path before each configuration.
+        here: The same with the point of the path after each configuration.
+        settings: Settings with the tolerances.
+    """
     good = np.ones((len(rows), len(x)), bool)
     for own, row in zip(good, rows, strict=True):
         if row.point is None:
@@ -98,17 +123,17 @@ def hold_between(
 
 
 def follower(rows: Sequence[TaskRow], arm: Arm, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n 3"]:
-    """Position of the point that follows the path [m]; the TCP if no row defines one."""
+    """Position of the point that follows the path at configurations x [m]; the TCP if no row defines one."""
     return _point(next((row for row in rows if row.on == "path"), HELD), arm, x)
 
 
 def holds_tcp(rows: Sequence[TaskRow]) -> bool:
-    """True if the TCP is held on the path in all directions."""
+    """True if a row of the task constrains the TCP to the path in all directions."""
     return not rows or any(replace(row, frame=HELD.frame) == HELD for row in rows)
 
 
 def follows_all(rows: Sequence[TaskRow]) -> bool:
-    """True if the point that follows the path is held in all directions."""
+    """True if the point that follows the path is constrained in all directions, exactly."""
     row = next((row for row in rows if row.on == "path"), None if rows else HELD)
     return row is not None and row.axes == "xyz" and row.within_m is None
 
@@ -199,8 +224,11 @@ def _turn(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) -> Float
 def _turned_between(
     row: TaskRow, arm: Arm, x: np.ndarray, places: tuple[Place, Place], tolerance_rad: float
 ) -> Bool[np.ndarray, "n"]:
-    """True if an axis or a frame is oriented as required at either end of a segment, or half way between, where the
-    limit is at least half of the rotation from end to end. A point that is looked at is fixed."""
+    """True if an axis or a frame is oriented as required at either end of a segment, or in the middle.
+
+    In the middle the limit is at least half of the rotation from end to end. A point that an axis is directed at is
+    fixed.
+    """
     limit = np.deg2rad(row.limit_deg or 0.0)
     if row.axis is None:
         (_, now), off = arm.frames(x, row.of), _turn

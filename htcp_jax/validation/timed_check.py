@@ -1,6 +1,6 @@
 """Validation of a timed motion by MuJoCo alone: collisions at every configuration, and the task on its path.
 
-Nothing of the curve, its bounds or its time scaling is used: configurations are placed as written by MuJoCo's
+The code is independent of the curve, its bounds and its time scaling: the written configurations are placed by MuJoCo's
 kinematics, and measured against the plan's scene and the rows of its task, as `htcp validate` does. The bare tip must
 not pass through the triangles of a mesh, or the discs of a cloud.
 """
@@ -61,8 +61,18 @@ def check_timed(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> TimedCheck:
-    """Check the motion of a saved plan in `folder`. progress: called with the configurations that are done and their
-    number. Raises InputError as `open_plans` does."""
+    """Check the timed motion of a saved plan.
+
+    Args:
+        folder: The folder of the plan or the run.
+        timed: The timed motion.
+        method: The plan's method.
+        scenario: The plan's scenario.
+        progress: Called with the number of configurations that are done and of all.
+
+    Raises:
+        InputError: As `open_plans`.
+    """
     results = read_results(Path(folder))
     track = next(one for one in results.tracks if (one.method, one.scenario) == (method, scenario))
     arm, wall, beside = parts_of(results, track)
@@ -94,8 +104,11 @@ def _held(timed: Timed, tcp: np.ndarray) -> _Held:
 
 
 def _turns_back(held: _Held, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarray, "m"]:
-    """True if the TCP moves backwards along the line of the previous configuration and along its own, as it may pass a
-    corner between the two. A line of no length allows any motion."""
+    """True if the TCP has moved backwards along its line since the previous configuration.
+
+    It may pass a corner between the two, so it must move backwards along the previous configuration's line, too. A line
+    of no length allows any motion.
+    """
     line = targets[held.to] - targets[held.before]
     length = np.linalg.norm(line, axis=1, keepdims=True)
     forwards = line / np.maximum(length, ONE_POINT_M)
@@ -108,8 +121,10 @@ def _turns_back(held: _Held, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarr
 def _at(
     scene: CheckedScene, x: Float[np.ndarray, "n N"], contact_m: float | None, progress: Callable[[int, int], None]
 ) -> tuple[np.ndarray, ...]:
-    """Measure configurations: the clearance [m], the TCP, and True if the bare tip passes through a wall. A clearance
-    above 0 and above the minimum so far may be infinite: it was not measured."""
+    """Measure configurations: the clearance [m], the TCP, and True if the bare tip passes through a wall.
+
+    A clearance above 0 and above the minimum so far may be inf if it was not measured.
+    """
     clearance, tcp, through = np.full(len(x), np.inf), np.empty((len(x), 3)), np.zeros(len(x), bool)
     rows = np.unique(np.append(np.arange(0, len(x), EVERY), len(x) - 1))  # that are measured
     for first in range(0, max(1, len(rows) - 1), AT_ONCE):

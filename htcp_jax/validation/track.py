@@ -53,8 +53,19 @@ class Checked(NamedTuple):
 
 
 def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track, between: int) -> Checked:
-    """Check one track with the arm and its tool; between: minimum number of steps per joint path, 0 to skip joint
-    paths. Raises InputError if the configuration leads to another number of targets than the saved one."""
+    """Check one track.
+
+    Args:
+        results: The results to which the track belongs.
+        arm: The arm, with the track's tool.
+        wall: The workpiece.
+        beside: The other obstacles; None if there are none.
+        track: The track.
+        between: Minimum number of steps per joint path; 0 to skip joint paths.
+
+    Raises:
+        InputError: If the configuration results in another number of targets than the saved one.
+    """
     scene, targets, on_path = scene_of(results, arm, wall, beside, track)
     task, settings = track.config.task, track.config.settings
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
@@ -63,7 +74,7 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
     reached = follower(task, arm, track.x[t]) if task else at.postures.tcp[1:]
     more = at.clearance[1:] - track.clearance[t]
     mesh = wall.triangles is not None
-    bound = mesh or (beside is not None and beside.bound)  # the record may be less, by how closely points cover a mesh
+    bound = mesh or (beside is not None and beside.bound)  # the saved clearance may be less, by the cover
     found = {
         "tcp_error": np.linalg.norm(reached - targets[t], axis=1) if follows_all(task) else np.zeros(len(t)),
         "clearance": at.clearance[1:],
@@ -79,7 +90,7 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
     moved, line = np.abs(paths.b - paths.a), paths.line_b - paths.line_a
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
     if track.config.home_rad is not None:
-        in_place[paths.target == 0] = 0.0  # the tool comes from elsewhere
+        in_place[paths.target == 0] = 0.0  # the motion to it begins at home
     between_rows = _walk(scene, at, paths, between, on_path)
     refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
     refuted += _refuted_ways(track, paths, between_rows)
@@ -108,8 +119,21 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
 def scene_of(
     results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track
 ) -> tuple[CheckedScene, Float[np.ndarray, "T 3"], int]:
-    """The arm and the wall as placed in the track, its targets, and the index of the path's first point among them.
-    Raises InputError if the configuration leads to another number of targets than the saved one."""
+    """Build the scene of a track.
+
+    Args:
+        results: The results to which the track belongs.
+        arm: The arm, with the track's tool.
+        wall: The workpiece.
+        beside: The other obstacles; None if there are none.
+        track: The track.
+
+    Returns:
+        The arm next to the wall, the targets [m], and the index of the path's first point among them.
+
+    Raises:
+        InputError: If the configuration results in another number of targets than the saved one.
+    """
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
@@ -122,7 +146,7 @@ def scene_of(
             f"{len(targets)} by its configuration"
         )
     on_path = len(targets) - len(path)
-    if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach left its lines
+    if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach deviates from its lines
         targets[1:on_path] = path[0]
     beside = None if beside is None else beside.distances
     return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m, beside), targets, on_path
@@ -139,8 +163,10 @@ def _refuted(
 
 
 def _rows(results: Results, arm: Arm, track: Track, scene: CheckedScene, t: np.ndarray, on_path: int) -> list[RowCheck]:
-    """Check the rows of the task at targets t of the path; an empty list without a task, as every plan's one row is
-    checked elsewhere."""
+    """Check the rows of the task at targets t of the path; an empty list without a task.
+
+    Without a task the only row is the TCP on the path, which is checked elsewhere.
+    """
     task, settings = track.config.task, track.config.settings
     place = RowPlace(scene.rotate, scene.translate, results.workpiece(track.config), t - on_path)
     return check_rows(task, arm, track.x[t], place, settings.tolerance_m, settings.tolerance_rad) if task else []
@@ -209,7 +235,7 @@ def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -
     for k in np.flatnonzero(t == np.concatenate([[-1], t[:-1]])[: len(t)] + 1).tolist():
         way = np.concatenate([rows[k][None], track.knots[t[k]], rows[k + 1][None]])
         count, to, before = len(way) - 1, targets[t[k]], targets[max(t[k] - 1, 0)]
-        last = (np.arange(count) == count - 1)[:, None]  # on those before it the arm changes its posture in place
+        last = (np.arange(count) == count - 1)[:, None]  # on those before it the arm changes its configuration in place
         start = np.broadcast_to(before, (count, 3))
         parts.append((np.full(count, t[k]), np.full(count, k), way[:-1], way[1:], start, np.where(last, to, before)))
     if not parts:
@@ -234,8 +260,11 @@ def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any]) -> lis
 
 
 def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, on_path: int) -> dict[str, Any]:
-    """Check the joint paths: collisions, minimum clearance where it is less than at all targets, and the TCP's
-    deviation from its line, 0 up to `on_path`, the path's first point: the approach may deviate."""
+    """Check the joint paths: collisions, minimum clearance where it is less than at all targets, and path deviation.
+
+    The deviation is the TCP's distance from its line; it is 0 up to the path's first point, `on_path`, as the approach
+    may deviate.
+    """
     if not between:
         return dict.fromkeys(("touches", "clearance_between", "deviation"))
     count = len(paths.target)
@@ -265,7 +294,13 @@ def _looks(steps: Int[np.ndarray, "m"]) -> tuple[Int[np.ndarray, "n"], Float[np.
 def from_line(
     points: Float[np.ndarray, "n 3"], a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n"]:
-    """Distance of each point to its straight line from a to b [m]."""
+    """Distance of each point to its straight line from a to b [m].
+
+    Args:
+        points: The points [m].
+        a: Starts of the lines [m].
+        b: Ends of the lines [m].
+    """
     along = b - a
     square = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
     fraction = np.clip(((points - a) * along).sum(axis=1) / square, 0.0, 1.0)
@@ -273,8 +308,10 @@ def from_line(
 
 
 def _speed(arm: Arm, moved: np.ndarray, length: np.ndarray, tolerance_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """`speed` and `in_place` of Checked, for joint changes (m, N) along lines of these lengths. Targets closer than the
-    tolerance coincide: the feed rate gives no time for a change of configuration there."""
+    """Compute `speed` and `in_place` of Checked, for joint changes (m, N) along lines of these lengths.
+
+    Targets closer than the tolerance coincide; at the feed rate there is no time for a change of configuration there.
+    """
     apart = length > tolerance_m
     speed = np.divide(moved / arm.speed, length[:, None], out=np.zeros(moved.shape), where=apart[:, None])
     return speed, np.where(apart, 0.0, moved.max(axis=1, initial=0.0))

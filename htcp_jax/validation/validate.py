@@ -4,11 +4,11 @@
     found.validated                       # True if every tracked configuration is confirmed
     found.methods["hybrid"].clearance_min_mm
 
-At the targets every tracked configuration must reach its target, be collision-free, keep the joint limits, and have the
+At the targets every tracked configuration must be at its target, be collision-free, keep the joint limits, and have the
 saved clearance, TCP and target; otherwise it is refuted. The clearance to a mesh is to its triangles, and the saved one
 must be a lower bound on it; if the job requires it, the tool's bare tip must not pass through them. Between the targets
-the straight joint path is checked in small steps. A collision, a TCP off its line or a violated row of the task refutes
-a target only if the segment to it is saved as proven. Otherwise it is counted and saved.
+the straight joint path is checked in small steps. A collision, a TCP away from its line or a violated row of the task
+refutes a target only if the segment to it is saved as proven. Otherwise it is counted and saved.
 """
 
 import time
@@ -46,11 +46,15 @@ def validate(
 ) -> Validation:
     """Check the run or the plan in `folder`.
 
-    between: minimum number of steps of each joint path, more if a joint would turn by more than `STEP_RAD` in one; 0 to
-    check the targets only. feed_mm_s: speed of the TCP along the straight lines between the targets. progress: called
-    with the tracks checked and their number.
+    Args:
+        folder: The folder of the run or the plan.
+        between: Minimum number of steps of each joint path, more if a joint would turn by more than `STEP_RAD` in one;
+            0 to check the targets only.
+        feed_mm_s: Speed of the TCP along the straight lines between the targets.
+        progress: Called with the number of checked tracks and of all.
 
-    Raises InputError for a folder that holds no results, for damaged ones, and for numbers out of range.
+    Raises:
+        InputError: For a folder without results, for damaged ones, and for numbers out of range.
     """
     if between < 0:
         raise InputError(f"between is {between}; it must be 0 or more")
@@ -81,7 +85,7 @@ def validate(
 
 
 def record(found: Validation) -> dict[str, Any]:
-    """A validation as a mapping for JSON."""
+    """Return a validation as a mapping for JSON."""
     refuted = [one._asdict() for one in found.refuted[:LISTED]]
     versions = {"mujoco": mujoco.__version__, "scipy": scipy.__version__, "numpy": np.__version__}
     return {
@@ -100,7 +104,10 @@ def write_validation(folder: Path, found: Validation) -> None:
     """Write validation.json and, in the folder of a plan, "validated" in summary.json, atomically.
 
     A stronger validation of the same results is kept, with a warning: one with more points between the targets, at any
-    feed rate. Raises InputError if the folder cannot be written.
+    feed rate.
+
+    Raises:
+        InputError: If the folder cannot be written.
     """
     recorded = record(found)
     if _is_stronger(folder / VALIDATION, recorded):
@@ -117,8 +124,10 @@ def write_validation(folder: Path, found: Validation) -> None:
 
 
 def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
-    """Return True if the validation in `file` has the same results and verdict, at least the keys of `recorded`, and
-    more points between the targets."""
+    """True if the validation in `file` is of the same results, with more points between the targets.
+
+    It must have the same verdict and at least the keys of `recorded`.
+    """
     try:
         known = read_json(file, file.parent)
         same = all(known[key] == recorded[key] for key in ("files", "validated"))
@@ -133,8 +142,11 @@ def _keys(recorded: dict[str, Any]) -> set[str]:
 
 
 def parts_of(results: Results, track: Track) -> tuple[Arm, Wall, Beside | None]:
-    """The arm, the workpiece and the other obstacles that a track is checked with. Raises InputError for a model that
-    cannot be read."""
+    """Load the arm, the workpiece and the other obstacles of a track.
+
+    Raises:
+        InputError: For a model that cannot be read.
+    """
     arms: dict[RobotConfig, Arm] = {}
     return _arm(arms, results, track), _wall({}, results, track), _beside({}, arms, track)
 
@@ -174,7 +186,7 @@ def _beside(besides: dict[tuple, Beside], arms: dict[RobotConfig, Arm], track: T
 
 
 def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
-    """The track's workpiece; each is loaded once, whatever the paths along it."""
+    """The track's workpiece; each is loaded once, also for several paths along it."""
     key = shape_of(part_of(track.config)), arm_of(track.config)  # the points on a mesh are as close as the arm needs
     if key not in walls:
         walls[key] = wall_of(track.config.workpiece, results.workpiece(track.config))

@@ -35,14 +35,17 @@ POLICY = (
 
 
 class Access(NamedTuple):
-    """Rule for requests: with a token, those that carry it; else those to this machine by one of its own names. For a
-    websocket the page must be from here."""
+    """Rule for requests that are answered.
+
+    With a token they are those that carry it, else those to this machine by one of its own names. For a websocket the
+    page must be from here, too.
+    """
 
     names: tuple[str, ...]  # without a port, which an SSH tunnel may change
     token: str | None
 
     def refusal(self, request: Request) -> str | None:
-        """Return why a request is refused; None if it is not."""
+        """Return the reason why a request is refused; None if it is not."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or (self.token is None and _name(hosts[0]) not in self.names):
             return "unknown host"
@@ -57,7 +60,13 @@ class Access(NamedTuple):
         return None
 
     def answer(self, serve_page: Callable, connection: ServerConnection, request: Request) -> Response | None:
-        """Return the page or a refusal; None lets a websocket open."""
+        """Return the page or a refusal; None to let a websocket open.
+
+        Args:
+            serve_page: viser's function that answers a request.
+            connection: The connection.
+            request: The request.
+        """
         if (reason := self.refusal(request)) is not None:
             return connection.respond(HTTPStatus.FORBIDDEN, f"htcp view: {reason}\n")
         if (response := serve_page(connection, request)) is not None:
@@ -80,8 +89,18 @@ class Access(NamedTuple):
 
 
 def serve(host: str, port: int) -> tuple[viser.ViserServer, str]:
-    """Return a server on exactly that port, any for 0, and the address of its page, with a token unless only this
-    machine can connect. Raises InputError if the address is not available."""
+    """Start a server, and return it with the address of its page.
+
+    Args:
+        host: The address to listen on.
+        port: The port, which is not replaced by another; 0 for any that is free.
+
+    Returns:
+        The server, and the address of the page, with a token unless only this machine can connect.
+
+    Raises:
+        InputError: If the address is not available, or if the version of viser cannot be protected.
+    """
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         with socket.socket(found[0][0]) as trial:  # viser alone would take the next port that is free
@@ -109,8 +128,10 @@ def silent():
 
 @contextlib.contextmanager
 def _guarded(access: Access) -> Iterator[list[bool]]:
-    """Put `access` in front of a server that is created in the block; viser has no setting for it. Yields a list, empty
-    unless that server was created by the function of websockets that viser 1.1 calls."""
+    """Restrict a server that is created in the block by `access`; viser has no setting for it.
+
+    Yields a list, empty unless that server was created by the function of websockets that viser 1.1 calls.
+    """
     original, guarded = websockets.asyncio.server.serve, []
 
     def serve_guarded(*args, process_request, **how):

@@ -1,4 +1,4 @@
-"""An imported arm in one picture: its capsules over the shapes that they enclose, from two sides.
+"""Picture of an imported arm: its capsules over the shapes that they enclose, in two views.
 
 The arm's own file is drawn, by MuJoCo's kinematics, in the configuration nearest to zero within its limits. Drawing
 needs no screen.
@@ -22,7 +22,16 @@ AXES, AXIS_M = ("#c0392b", "#27ae60", "#2c5fd1"), 0.1  # x, y, z of the TCP's fr
 
 
 def draw_arm(arm: ImportedArm, text: str, title: str) -> Figure:
-    """Draw the arm from `text`, its MJCF file; `arm` has the shapes. Save the figure with `figure.savefig(path)`."""
+    """Draw an imported arm, in the configuration nearest to zero.
+
+    Args:
+        arm: The imported arm, with the shapes.
+        text: Contents of its MJCF file.
+        title: The title of the figure.
+
+    Returns:
+        The figure, to be saved with `figure.savefig(path)`.
+    """
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     low, high = np.where(model.jnt_limited[:, None] > 0, model.jnt_range, [-np.inf, np.inf]).T

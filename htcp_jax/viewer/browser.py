@@ -1,7 +1,7 @@
-"""Plans in the browser: a 3D scene and a control panel, served by viser.
+"""Viewer of plans in the browser: a 3D scene and a control panel, served by viser.
 
-Callbacks of the panel run in threads of their own; one lock serialises them, and the properties wait for it, so that
-they describe a consistent page.
+Callbacks of the panel run in separate threads; one lock serialises them, and the properties wait for it, so that they
+describe a consistent page.
 """
 
 import threading
@@ -25,16 +25,24 @@ from htcp_jax.viewer.replay import Replay, Replays
 WAITING_S = 0.1  # polling interval of the play button
 
 
-Programs = Callable[[int, str], OfPlan]  # from the number of a scenario and a method
+Programs = Callable[[int, str], OfPlan]  # robot program of a scenario's number and a method
 
 
 class Viewer:
     """A running viewer of plans; `stop` ends it.
 
-    host, port: address to listen on; port 0 takes any that is free. scenario, method: shown first; by default the first
-    method's first scenario that failed, or with programs its first that is executable. programs: returns the program of
-    a scenario and method, to be played in time. Raises InputError for an unknown scenario or method, for an address
-    that is not available, and as `programs` does for the first one.
+    Args:
+        replays: The plans.
+        host: The address to listen on.
+        port: The port; 0 for any that is free.
+        scenario: The first scenario to show; by default the first that failed, if any, or with programs the first that
+            is executable.
+        method: The method whose plan is shown first; by default the first.
+        programs: Function for the robot program of a scenario and method, which is played in time.
+
+    Raises:
+        InputError: For an unknown scenario or method, for an address that is not available, and as `programs` for the
+            first scenario.
     """
 
     def __init__(
@@ -61,19 +69,19 @@ class Viewer:
 
     @property
     def target(self) -> int:
-        """Target that is shown."""
+        """The displayed target."""
         with self._lock:
             return self._target
 
     @property
     def place(self) -> float:
-        """Position of the slider: a target; for a program, a time [s]."""
+        """Position on the timeline: a target; for a robot program, a time [s]."""
         with self._lock:
             return self._place
 
     @property
     def shown(self) -> tuple[int, str]:
-        """Number of the scenario, and method."""
+        """Number of the displayed scenario, and its method."""
         with self._lock:
             return self._replay.number, self._replay.method
 
@@ -135,13 +143,13 @@ class Viewer:
                 self._show(replay, self._course_of(replay))
 
     def _course_of(self, replay: Replay) -> Course:
-        """Timeline of a replay: by time if there is a program, else by target."""
+        """Timeline of a replay: by time if there is a robot program, else by target."""
         try:
             return ByTime(self._programs(replay.number, replay.method)) if self._programs else ByTarget(replay)
         except InputError as refused:
             return ByTarget(replay, f"Not timed: {escaped(str(refused))}.")
 
-    # What is shown
+    # The displayed plan
 
     def _show(self, replay: Replay, course: Course) -> None:
         with self._lock, self._server.atomic():
@@ -171,7 +179,7 @@ class Viewer:
                 self.go_to(self._slider.value)
 
     def go_to(self, place: int | float) -> None:
-        """Show a target or, for a program, a time [s]; fractions of targets are between two targets."""
+        """Show a target or, for a robot program, a time [s]; fractions of targets are between two targets."""
         with self._lock, self._server.atomic():
             self._place = float(min(place, self._course.last))
             posture, told = self._course.look(self._place)

@@ -18,7 +18,13 @@ SIDES = "open side", "above", "front", "nothing"  # from which the workpiece is 
 
 
 class Looks:
-    """The lower part of the panel. lock: serialises callbacks."""
+    """Display options in the lower part of the panel.
+
+    Args:
+        server: The server.
+        stage: The 3D scene.
+        lock: Lock that serialises the callbacks.
+    """
 
     def __init__(self, server: viser.ViserServer, stage: Stage, lock: threading.RLock):
         self._server, self._stage, self._lock = server, stage, lock
@@ -42,8 +48,10 @@ class Looks:
         self._pair.on_update(lambda _: self._stage.show_smallest_distance(self._pair.value))
 
     def show(self, replay: Replay, arms: ArmShape) -> None:
-        """Show a plan with the panel's settings, and set the camera of new browsers, and of every reset of the view, to
-        show all of the arms and the workpiece."""
+        """Show a plan with the panel's settings.
+
+        The camera of new browsers, and of every reset of the view, is set to show all of the arms and the workpiece.
+        """
         self._replay = replay
         self._stage.show(replay, self._opacity.value / 100)
         self._stage.show_smallest_distance(self._pair.value)
@@ -71,8 +79,10 @@ class Looks:
 
 
 def _stand(event: viser.GuiEvent, position: np.ndarray, look_at: np.ndarray) -> None:
-    """Move the camera of the browser that triggered the event; in viser a new position also shifts the look-at
-    point."""
+    """Move the camera of the browser that triggered the event.
+
+    Both points are set, as in viser a new position also shifts the look-at point.
+    """
     if event.client is not None:
         with event.client.atomic():
             event.client.camera.position = position
@@ -80,7 +90,10 @@ def _stand(event: viser.GuiEvent, position: np.ndarray, look_at: np.ndarray) -> 
 
 
 def grazing(gap: Float[np.ndarray, "3"], side: View) -> Float[np.ndarray, "3"]:
-    """Unit direction perpendicular to a gap, to see it from the side, that is nearest to the open side."""
+    """Unit direction from which a gap is seen in full length.
+
+    It is perpendicular to the gap, and nearest to the open side.
+    """
     length = np.linalg.norm(gap)
     across = gap / length if length > 0 else side.up
     for wish in (side.near, side.up):

@@ -1,4 +1,4 @@
-"""Plots of the page: clearance over targets; for a program, speeds of the TCP and the joints over time."""
+"""Plots of the page: clearance over targets; for a robot program, speeds of the TCP and the joints over time."""
 
 from html import escape
 
@@ -16,7 +16,12 @@ LOG, HEIGHT = 3, 210
 
 
 class Plots:
-    """Plots of one page. order: position on the panel, from this number up to the next."""
+    """Plots of one page.
+
+    Args:
+        gui: The panel.
+        order: The position on the panel; each element is 0.1 after the one before.
+    """
 
     def __init__(self, gui: viser.GuiApi, order: float):
         self._gui, self._order, self._shown = gui, order, list[viser.GuiUplotHandle | viser.GuiHtmlHandle]()
@@ -42,7 +47,7 @@ class Plots:
         self.clearance.data = _curves(self._replay, target)
 
     def at_time(self, time_s: float) -> None:
-        """Move the line at the current time, if there is a program."""
+        """Move the line at the current time, if there is a robot program."""
         if self._curves is None:
             return
         row = int(np.searchsorted(self._curves.time_s, time_s, side="right")) - 1
@@ -106,8 +111,7 @@ def _line(label: str, colour: str) -> uplot.Series:
 
 
 def _curves(replay: Replay, target: int) -> tuple[np.ndarray, ...]:
-    """Clearance over the targets: of all, of each style, and of the target that is shown; a failed one at the
-    minimum."""
+    """Clearance over the targets: of all, of each style, and of the displayed one; a failed one at the minimum."""
     index = np.arange(len(replay.target), dtype=float)
     clearance = 1e3 * replay.clearance
     least = np.nanmin(clearance, initial=np.inf)

@@ -1,4 +1,4 @@
-"""The viewer's 3D scene: the arm, the workpiece cut open, the targets, the minimum distance.
+"""3D scene of the viewer: the arm, the workpiece cut open, the targets, the minimum distance.
 
 One `Stage` belongs to a viser server. `show` draws a plan, `pose` moves the arm to a target.
 """
@@ -33,7 +33,7 @@ from htcp_jax.viewer.colours import (
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, TIGHTEST_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
-BESIDE = 4  # targets
+BESIDE = 4  # difference of targets whose labels would overlap
 LEADER_M = 0.12  # length of the line from the clearance's minimum up to its label
 DWELL_M = 0.018  # side of the cube at a dwell
 LIT = 0.72  # factor on a colour that compensates viser's lights
@@ -53,7 +53,12 @@ class Stage:
         self._replay: Replay | None = None
 
     def show(self, replay: Replay, opacity: float) -> None:
-        """Draw a plan; the arm is at its first target, the workpiece is not cut. Thread-safe as viser is."""
+        """Draw a plan; the arm is at its first target, the workpiece is not cut.
+
+        Args:
+            replay: The plan.
+            opacity: Opacity of the arm, 0 to 1.
+        """
         with self._server.atomic():
             self._scene.reset()
             self._replay = replay
@@ -119,7 +124,13 @@ class Stage:
         return np.array([node.position for node in self._arm])
 
     def cut(self, surface: Surface, near: Vector, size_m: float) -> None:
-        """Show the remaining points of the cloud, lit for a view from `near`."""
+        """Show the points of the cloud that remain after the cut.
+
+        Args:
+            surface: The remaining points and their normals.
+            near: Unit direction to the camera, for the light.
+            size_m: Size of a point.
+        """
         light = near + np.array([0, 0, LIGHT_UP])
         slope = np.abs(surface.normals @ (light / np.linalg.norm(light)))[:, None]
         inside = (surface.normals @ light > 0)[:, None]  # True if the inner side is seen from there
@@ -185,8 +196,10 @@ class Stage:
             self._scene.add_line_segments("/targets/normals", replay.normals, rgb(NORMAL), **look)
 
     def _add_marks(self) -> list[viser.SceneNodeHandle]:
-        """Add a cube at every dwell and a ball at the guaranteed clearance's minimum, with labels; neighbouring dwells
-        share one."""
+        """Add a cube at every dwell and a ball at the guaranteed clearance's minimum, with labels.
+
+        Neighbouring dwells share a label.
+        """
         replay, marks = self._replay, []
         for target in replay.summary.dwells:
             cube = {"dimensions": (DWELL_M,) * 3, "color": lit(DWELL), "cast_shadow": False}
@@ -236,8 +249,7 @@ def side_by_side(targets: Sequence[int]) -> list[list[int]]:
 
 
 def turned_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
-    """Return the quaternions wxyz of the shortest rotations from z to the axes; the identity for an axis of no
-    length."""
+    """Quaternions wxyz of the shortest rotations from z to the axes; the identity for an axis of no length."""
     quaternions = np.empty((len(axes), 4))
     for quaternion, axis in zip(quaternions, axes, strict=True):
         mujoco.mju_quatZ2Vec(quaternion, axis)

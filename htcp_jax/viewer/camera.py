@@ -1,4 +1,4 @@
-"""Camera of a plan: towards the side that is cut open, as near as shows everything."""
+"""Camera of a plan: it faces the side that is cut open, as near as possible with everything in view."""
 
 from typing import NamedTuple
 
@@ -26,15 +26,27 @@ def open_side(replay: Replay) -> View:
 
 
 def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] | None = None) -> Bool[np.ndarray, "P"]:
-    """Mask of the cloud's points that remain when a share of its extent is cut off, from the open side or from
-    `direction`."""
+    """Mask of the cloud's points that remain after a cut.
+
+    Args:
+        replay: The plan.
+        share: Share of the cloud's extent that is removed.
+        direction: Unit direction from which it is removed; None: from the open side.
+    """
     depth = replay.cloud @ (open_side(replay).near if direction is None else direction)
     return depth <= depth.max() - share * np.ptp(depth)
 
 
 def sight(replay: Replay, arms: ArmShape, fovy_rad: float, aspect: float, close: bool = False) -> Sight:
-    """Camera that shows the cloud, the targets and n arms completely; close: only the targets of the path, and only the
-    tools of the arms."""
+    """Camera that shows the cloud, the targets and n arms completely.
+
+    Args:
+        replay: The plan.
+        arms: The arms.
+        fovy_rad: Vertical field of view.
+        aspect: Width of the picture by its height.
+        close: True to show only the targets of the path, and only the tools of the arms.
+    """
     toward = towards_camera(*replay.side, 0.0)
     azimuth = np.arctan2(-toward[1], -toward[0])
     on_tool = is_tool(replay.robot)
@@ -49,7 +61,15 @@ def sight(replay: Replay, arms: ArmShape, fovy_rad: float, aspect: float, close:
 def fitted(
     centres: Float[np.ndarray, "n 3"], radii: Float[np.ndarray, "n"], azimuth: float, fovy_rad: float, aspect: float
 ) -> Sight:
-    """Nearest camera that shows all these spheres, along the azimuth [rad] and down by ABOVE_RAD."""
+    """Nearest camera that shows all spheres.
+
+    Args:
+        centres: Centres of the spheres, world [m].
+        radii: Radii of the spheres [m].
+        azimuth: Direction of the view about world z [rad]; it is inclined downwards by ABOVE_RAD.
+        fovy_rad: Vertical field of view.
+        aspect: Width of the picture by its height.
+    """
     level = np.cos(ABOVE_RAD)
     ahead = np.array([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(ABOVE_RAD)])
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0])

@@ -10,7 +10,7 @@ from htcp_jax.motion.plans import is_tracked
 from htcp_jax.status import Kind, Status
 
 LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"
-NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # minimum clearance, dwells, the target that is shown
+NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # minimum clearance, dwells, the displayed target
 WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter with depth
 OUTSIDE = "#a3917a"  # of the wall
 FIXTURE = "#5b7fb4"  # other obstacles

@@ -1,7 +1,7 @@
-"""Playback timeline of the page: by target for a plan, by time [s] for a program.
+"""Playback timeline of the page: by target for a plan, by time [s] for a robot program.
 
 A place is a number on the slider, or between two numbers. Playback runs from `begin` to `end`: for a plan to the last
-tracked target, though the slider goes on to `last`.
+tracked target, though the slider extends to `last`.
 """
 
 import numpy as np
@@ -13,13 +13,20 @@ from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.timed_play import Curves, arms_of, played
 
 MOST_BETWEEN = 4  # configurations that share the time of a target; more of them, as in a dwell, take longer
-TICK_S = 0.05  # between frames of a program
-SEEN = 60  # number of its configurations that the camera is fitted to
+TICK_S = 0.05  # between frames of a robot program
+SEEN = 60  # number of its configurations to which the camera is fitted
 
 
 class ByTarget:
-    """Configurations of a plan, target by target; those of the segment to the next target are at places between the
-    two, and those before the first at places below 0. None is skipped."""
+    """Timeline of a plan by target, on which no configuration is skipped.
+
+    Configurations of the segment to the next target are at places between the two, those before the first target at
+    places below 0.
+
+    Args:
+        replay: The plan.
+        note: A note that is displayed at every place.
+    """
 
     name, step, curves = "Target", 1, None
     rate_name, rates, usual_rate = "Targets a second", ("5", "10", "20", "40"), "10"
@@ -43,7 +50,7 @@ class ByTarget:
         return max(int(np.floor(place)), 0)
 
     def after(self, place: float, passed_s: float, rate: float) -> float:
-        """Next place; no configuration is skipped, however much time has passed."""
+        """Place of the next configuration, independent of the time and the rate."""
         del passed_s, rate
         return float(self._places[min(self._row(place) + 1, len(self._places) - 1)])
 
@@ -56,7 +63,7 @@ class ByTarget:
 
 
 class ByTime:
-    """A program at its own time; places are seconds. Frames are dropped if rendering cannot keep up."""
+    """Timeline of a robot program in seconds; frames are dropped if rendering cannot keep up."""
 
     name, step, begin = "Time [s]", 0.01, 0.0
     rate_name, rates, usual_rate = "Times real time", ("0.25", "1", "4", "16"), "1"
@@ -76,7 +83,7 @@ class ByTime:
         return round(place, 2)
 
     def after(self, place: float, passed_s: float, rate: float) -> float:
-        """Place after `passed_s` at a rate."""
+        """Place after `passed_s` at a rate, from a place."""
         return min(place + rate * passed_s, self.last)
 
     def pause_s(self, place: float, rate: float) -> float:

@@ -1,4 +1,4 @@
-"""Frames to files: a GIF, which needs no extra, or an MP4, which needs the extra `movie`.
+"""Writing of movies: a GIF, which needs no extra, or an MP4, which needs the extra `movie`.
 
 A film draws each frame on request, so that a long one needs no memory.
 """
@@ -14,7 +14,7 @@ from PIL import Image
 from htcp_jax.errors import InputError
 
 RATE = 20  # frames a second
-HELD = 20  # repetitions of the last frame
+HELD = 20  # number of repetitions of the last frame
 COLOURS, PALETTE_FRAMES = 128, 16  # palette of a GIF, and number of frames that it is computed from
 KINDS = "gif", "mp4"
 
@@ -22,7 +22,13 @@ Frame = UInt8[np.ndarray, "H W 3"]
 
 
 class Film:
-    """A sequence of `count` frames; draw(k) draws the k-th. held: number of repetitions of the last one."""
+    """A sequence of frames, each drawn on request.
+
+    Args:
+        count: The number of frames.
+        draw: Draws the k-th frame.
+        held: The number of repetitions of the last frame.
+    """
 
     def __init__(self, count: int, draw: Callable[[int], Frame], held: int = HELD):
         self._count, self._draw, self.held = count, draw, held
@@ -36,12 +42,16 @@ class Film:
         return self._draw(k)
 
     def over(self, strip: Callable[[int], Frame]) -> "Film":
-        """The film with strip(k), of the same width, below the k-th frame."""
+        """Return the film with `strip(k)`, which has the same width, below the k-th frame."""
         return Film(self._count, lambda k: np.concatenate([self[k], strip(k)]), self.held)
 
 
 def check_kind(kind: str) -> None:
-    """Raise InputError for an unknown kind, and for an MP4 if its encoder is missing."""
+    """Check that movies of a kind can be written.
+
+    Raises:
+        InputError: For an unknown kind, and for an MP4 if its encoder is missing.
+    """
     if kind not in KINDS:
         raise InputError(f"a movie is one of {', '.join(KINDS)}, not {kind!r}")
     if kind == "mp4":
@@ -52,8 +62,13 @@ def check_kind(kind: str) -> None:
 
 
 def write_movie(file: Path, film: Film, told: Callable[[int, int], None] = lambda done, count: None) -> None:
-    """Write a film, as a GIF or MP4 by the suffix; both sides of an MP4's frames are even. told(done, count) is called
-    after each frame."""
+    """Write a film as a GIF or an MP4.
+
+    Args:
+        file: The file; its suffix is the format.
+        film: The film; width and height of an MP4's frames must be even.
+        told: Called after each frame with the number of written frames and of all.
+    """
     (_write_gif if file.suffix.lower() == ".gif" else _write_mp4)(file, film, _one_by_one(film, told))
 
 
@@ -64,9 +79,11 @@ def _one_by_one(film: Film, told: Callable[[int, int], None]) -> Iterator[Frame]
 
 
 def _write_gif(file: Path, film: Film, frames: Iterator[Frame]) -> None:
-    """Write a GIF whose frames share the palette of a few, so that fixed parts do not flicker. The last frame alone
-    would not do: the tool may hide blue marks in it. An octree keeps the colours of small marks; a median cut would
-    spend them on the shades of the arm."""
+    """Write a GIF whose frames share the palette of a few, so that fixed parts do not flicker.
+
+    The last frame alone is not enough, as the tool may hide blue marks in it. An octree keeps the colours of small
+    marks; a median cut would use them for the shades of the arm.
+    """
     few = np.unique(np.linspace(0, len(film) - 1, PALETTE_FRAMES).round().astype(int))
     mosaic = Image.fromarray(np.concatenate([film[k] for k in few.tolist()]))
     palette = mosaic.quantize(COLOURS, method=Image.Quantize.FASTOCTREE)
@@ -76,8 +93,10 @@ def _write_gif(file: Path, film: Film, frames: Iterator[Frame]) -> None:
 
 
 def _write_mp4(file: Path, film: Film, frames: Iterator[Frame]) -> None:
-    """Write an MP4 by imageio-ffmpeg's ffmpeg, called without that package's fork, which is unsafe with JAX's
-    threads."""
+    """Write an MP4 by imageio-ffmpeg's ffmpeg.
+
+    It is started as a subprocess, as that package forks, which is unsafe with JAX's threads.
+    """
     from imageio_ffmpeg import get_ffmpeg_exe
 
     height, width = film[0].shape[:2]

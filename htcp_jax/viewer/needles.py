@@ -14,7 +14,13 @@ NO_NEEDLES = np.empty((0, 2, 3))
 
 
 def needles(task: Sequence[TaskRow], workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Needles:
-    """One glyph per point of the path; none if no row of the task refers to the normals."""
+    """Compute one glyph per point of the path; none if no row of the task refers to the normals.
+
+    Args:
+        task: Rows of the task.
+        workpiece: The workpiece.
+        T_world_workpiece: Its pose.
+    """
     if not any("normals" in row.uses for row in task):
         return NO_NEEDLES
     both = np.stack([workpiece.path, workpiece.path + LENGTH_M * workpiece.normals], axis=1)

@@ -1,7 +1,7 @@
 """Off-screen OpenGL for MuJoCo's renderer: EGL if available, else OSMesa.
 
 MuJoCo chooses by MUJOCO_GL at its import, which is too early here; PyOpenGL fixes its platform once per process. So
-each is tried in a process of its own, and the first that works is used here.
+each is tried in a separate process, and the first that works is used here.
 """
 
 import os
@@ -27,9 +27,14 @@ mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 100)
 
 
 class Camera:
-    """Renderer of a model, which must allow for the size: `model.vis.global_.offwidth` and `offheight`.
+    """Off-screen renderer of a model, to be used as a context manager.
 
-    Use it as a context manager. Raises InputError if there is neither EGL nor OSMesa.
+    Args:
+        model: The model; `model.vis.global_.offwidth` and `offheight` are the size of the pictures [pixels].
+        most_geoms: Largest number of geoms in the scene.
+
+    Raises:
+        InputError: If there is neither EGL nor OSMesa.
     """
 
     def __init__(self, model: mujoco.MjModel, most_geoms: int = 10_000):
@@ -62,7 +67,11 @@ class Camera:
 
 @cache
 def platform() -> str:
-    """The platform that works here; if MUJOCO_GL names one, only that is tried. Raises InputError."""
+    """Return the platform that works here; if MUJOCO_GL names one, only that is tried.
+
+    Raises:
+        InputError: If none works.
+    """
     wish = os.environ.get("MUJOCO_GL", "").strip().lower()
     tried = (wish,) if wish in PLATFORMS else PLATFORMS
     for name in tried:

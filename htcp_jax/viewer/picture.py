@@ -1,4 +1,4 @@
-"""One plan in one picture: the arm and its capsules in the workpiece cut open, and the clearance along the path.
+"""Picture of a plan: the arm and its capsules in the workpiece cut open, and the clearance along the path.
 
 The scene is drawn in orthographic projection from the side, in which a capsule's outline is exactly two half circles
 and two lines. Drawing needs no screen.
@@ -54,9 +54,22 @@ def draw_plan(
     fixtures: Drawn = NOTHING,
     normals: Needles = NO_NEEDLES,
 ) -> Figure:
-    """Draw the plan of `scenario`, which is row `row` of `plans`; `robot` has the scenario's tool. obstruction: the
-    colliding body at the failed target, drawn in red; fixtures: other obstacles; normals: of the path, if the task
-    refers to them. Save the figure with `figure.savefig(path)`."""
+    """Draw a plan.
+
+    Args:
+        robot: The robot, with the scenario's tool.
+        workpiece: The workpiece.
+        scenario: The scenario.
+        plans: Plans, one of which is of the scenario.
+        row: The row of that plan.
+        title: The title of the figure.
+        obstruction: The colliding body at the failed target, drawn in red; None if there is none.
+        fixtures: The other obstacles.
+        normals: Glyphs of the path's normals, if the task refers to them.
+
+    Returns:
+        The figure, to be saved with `figure.savefig(path)`.
+    """
     figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 0.985, 1))
@@ -88,7 +101,7 @@ def _draw_scene(
     obstruction: Obstruction | None = None,
     fixtures: Drawn = NOTHING,
 ) -> View:
-    """Draw two views in the same direction, which is returned: of everything, and of the workpiece."""
+    """Draw two views from the same side, of everything and of the workpiece, and return that side."""
     shown = poses(plans, row)
     x = plans.x[row, shown] if shown else x_start
     arm = _shape(robot, x)
@@ -114,7 +127,19 @@ def draw_cell(
     title: str,
     fixtures: Drawn = NOTHING,
 ) -> Figure:
-    """Draw the arm in the workpiece cut open, and the fixtures, for plans of one scenario; cloud: in the world [m]."""
+    """Draw the arm in the workpiece cut open, and the other obstacles.
+
+    Args:
+        robot: The robot, with the scenario's tool.
+        cloud: Points of the workpiece, world [m].
+        x_start: The configuration to draw if no target is tracked [rad or m].
+        plans: Plans; the first one is drawn.
+        title: The title of the figure.
+        fixtures: The other obstacles.
+
+    Returns:
+        The figure, to be saved with `figure.savefig(path)`.
+    """
     figure = Figure(figsize=(14, 5.6), dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
@@ -124,7 +149,7 @@ def draw_cell(
 
 
 def poses(plans: Plans, row: int) -> list[int]:
-    """Targets whose configuration is drawn: the first, the middle, and the last that is tracked."""
+    """Targets whose configurations are drawn: the first, the middle and the last of the tracked ones."""
     tracked = np.flatnonzero(plans.tracked[row])
     return sorted({int(tracked[i]) for i in (0, tracked.size // 2, -1)}) if tracked.size else []
 
@@ -187,7 +212,13 @@ def _draw_obstruction(axes: Axes, view: View, robot: Robot, found: Obstruction) 
 
 
 def stadium(p: Float[np.ndarray, "2"], q: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "64 2"]:
-    """Outline of a capsule with projected ends p, q: the half circles about them, joined."""
+    """Outline of a projected capsule: two half circles and two lines.
+
+    Args:
+        p: One end of the projected axis [m].
+        q: The other end [m].
+        radius: The capsule's radius [m].
+    """
     along = np.arctan2(*(q - p)[::-1])
     half = np.linspace(-np.pi / 2, np.pi / 2, 32)
     angles = along + np.concatenate([half, half + np.pi])
@@ -228,7 +259,7 @@ def _draw_line(axes: Axes, target: int, text: str, **look: str) -> None:
 
 
 def _frame(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
-    """Set equal scales, limits around everything or the points `around`, and a scale bar."""
+    """Set equal scales, limits about everything or about the points `around`, and a scale bar."""
     axes.set_aspect("equal", anchor="NW")
     axes.axis("off")
     if around is None:

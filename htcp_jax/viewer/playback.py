@@ -8,7 +8,7 @@ from htcp_jax.status import Kind
 from htcp_jax.viewer.posture import Posture, arms_at, postures
 from htcp_jax.viewer.replay import Replay
 
-STRIDE_M = 0.04  # nothing moves further from one posture to the next
+STRIDE_M = 0.04  # largest displacement of a point from one configuration to the next
 
 
 def at(replay: Replay, target: int) -> Posture:
@@ -17,13 +17,15 @@ def at(replay: Replay, target: int) -> Posture:
 
 
 def way(replay: Replay) -> list[Posture]:
-    """Configurations up to the last tracked target, interpolated along the straight joint paths so that nothing moves
-    further than STRIDE_M at once."""
+    """Configurations up to the last tracked target, interpolated along the straight joint paths.
+
+    No point of the arm moves by more than STRIDE_M from one to the next.
+    """
     motion = replay.motion
     if not len(motion.x):
         return [at(replay, 0)]
     leads = motion.target + (motion.kind == Kind.DWELL)
-    come = np.where(np.append(np.diff(leads) != 0, True), leads, leads - 1)  # the last row of a way is at its target
+    come = np.where(np.append(np.diff(leads) != 0, True), leads, leads - 1)  # a segment's last row is at its target
     first = int(len(motion.x) > 1 and (motion.x[0] == motion.x[1]).all() and come[1] == 0)  # it starts at target 0
     x, come, turns = motion.x[first:], come[first:], motion.kind[first:] == Kind.DWELL
     points = _points(arms_at(replay.robot, x))

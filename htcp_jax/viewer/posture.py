@@ -1,4 +1,4 @@
-"""The arm as shown in one frame of a movie or of the page."""
+"""Configurations of the arm in the frames of a movie or of the page."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -22,13 +22,20 @@ class Posture(NamedTuple):
 def postures(
     robot: Robot, x: Float[np.ndarray, "n N"], reached: Int[np.ndarray, "n"], dwells: Bool[np.ndarray, "n"]
 ) -> list[Posture]:
-    """The arm at n configurations, with the targets that it has reached, and the dwells."""
+    """Frames of the arm at n configurations.
+
+    Args:
+        robot: The robot.
+        x: The configurations [rad or m].
+        reached: The last target reached at each, -1 before the first.
+        dwells: True if the arm dwells there.
+    """
     arms = (ArmShape(*arm) for arm in zip(*arms_at(robot, x), strict=True))
     return [Posture(*frame) for frame in zip(arms, reached.tolist(), dwells.tolist(), strict=True)]
 
 
 def together(row: Sequence[Posture]) -> ArmShape:
-    """Stack the arms of n postures in arrays."""
+    """Stack the arms in n frames."""
     return ArmShape(*map(np.stack, zip(*(posture.arm for posture in row), strict=True)))
 
 

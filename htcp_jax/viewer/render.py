@@ -34,22 +34,29 @@ from htcp_jax.viewer.posture import Posture, together
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
-MARK_M, NOWHERE = 0.012, [0.0] * 4  # radius of a contact point's marker, and a transparent colour
-NEEDLE_M = 0.0012  # radius of a normal
+MARK_M, NOWHERE = 0.012, [0.0] * 4  # radius of a contact point's marker, and its colour if hidden
+NEEDLE_M = 0.0012  # radius of a normal's glyph
 DWELL_M = 0.011  # half the side of the cube at a dwell
 FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
 FOVY_DEG = 32.0
-FEW_CORNERS = 4  # of a disc in a movie: half of the triangles, which dominate the time
-UNTOUCHED = {"contype": 0, "conaffinity": 0}  # no contacts: the plan is only shown
+FEW_CORNERS = 4  # of a disc in a movie: half of the triangles, which dominate the rendering time
+UNTOUCHED = {"contype": 0, "conaffinity": 0}  # no contacts: the plan is only displayed
 
 _Geom = mujoco.mjtGeom
 
 
 class Studio:
-    """A scene that is built once, to render frames of.
+    """Scene of a plan, built once to render many frames; to be used as a context manager.
 
-    close: show the cloud and the tool, not the whole arm. fine: smooth edges and shadows, at three times the time per
-    frame. Use it as a context manager. Raises InputError if OpenGL is missing.
+    Args:
+        replay: The plan.
+        width: Width of a frame [pixels].
+        height: Height of a frame [pixels].
+        close: True to show the cloud and the tool, not all of the arm.
+        fine: True for smooth edges and shadows, at three times the time per frame.
+
+    Raises:
+        InputError: If OpenGL is missing.
     """
 
     def __init__(self, replay: Replay, width: int = 1280, height: int = 880, close: bool = False, fine: bool = True):
@@ -80,13 +87,20 @@ class Studio:
         return self._frame(posture, self._view([posture]), len(self._beads))
 
     def movie(self) -> Film:
-        """The motion along the targets up to the last that is tracked, through all its configurations."""
+        """Film of the motion up to the last tracked target, through all its configurations."""
         postures = way(self._replay)
         return self.film([*postures, postures[-1]], HELD)
 
     def film(self, postures: Sequence[Posture], held: int = 0) -> Film:
-        """A film with one frame per posture; targets are coloured when reached, in the last frame all, and the cube at
-        a dwell is lit while the arm dwells there."""
+        """Film with one frame per configuration.
+
+        Targets are coloured when they are reached, all of them in the last frame, and the cube at a dwell is lit while
+        the arm dwells there.
+
+        Args:
+            postures: The configurations.
+            held: The number of repetitions of the last frame.
+        """
         met, view = np.maximum.accumulate([posture.target + 1 for posture in postures]), self._view(postures)
         met = [*met.tolist()[:-1], len(self._beads)]
         return Film(len(postures), lambda k: self._frame(postures[k], view, met[k]), held)
@@ -109,7 +123,7 @@ class Studio:
         return self._camera.shoot(self._data, view)
 
     def _view(self, postures: Sequence[Posture]) -> mujoco.MjvCamera:
-        """Camera that shows the arms completely; close up, the arms at the targets only: home may be far away."""
+        """Camera that shows the arms completely; close up only those at the targets, as home may be far away."""
         size = self._model.vis.global_
         aspect = size.offwidth / size.offheight
         arms = self._replay.shape if self._close and len(postures) > 1 else together(postures)
@@ -165,8 +179,10 @@ def _add_marks(spec: mujoco.MjSpec, replay: Replay) -> None:
 
 
 def _in_the_way(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[float], np.ndarray]]:
-    """Geoms that are highlighted at the failed target, the colliding body and the contact point, with their colours
-    there and elsewhere."""
+    """Geoms that are highlighted at the failed target, with their colours there and elsewhere.
+
+    They are the colliding body and the contact point.
+    """
     if replay.obstruction is None:
         return []
     names = f"body {replay.robot.capsule_names.index(replay.obstruction.body)}", "in the way"
@@ -181,7 +197,7 @@ def _add_cloud(spec: mujoco.MjSpec, replay: Replay, corners: int) -> None:
     for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
         mesh = discs(surface, side, corners)
         arrays = {"uservert": mesh.vertices, "usernormal": mesh.normals, "userface": mesh.faces}
-        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a solid's volume would be nothing
+        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # as a solid its volume would be 0
         spec.add_mesh(name=name, inertia=shell, **{key: array.ravel() for key, array in arrays.items()})
         spec.worldbody.add_geom(type=_Geom.mjGEOM_MESH, meshname=name, rgba=_rgba(colour), **UNTOUCHED)
 

@@ -1,10 +1,10 @@
-"""Plans to display: the arm, the cloud and the targets, target by target.
+"""Plans for display: the arm, the cloud and the targets, target by target.
 
     replays = open_replays("out/workpiece")     # a run of htcp sweep, a plan of htcp plan; or `replays_of` a Plan
     replay = replays.replay(12, "nspace-sqp")
     replay.x[40]                                # the configuration at target 40
 
-A picture or a viewer needs nothing else of the package than a `Replay`.
+A picture or a viewer needs only a `Replay`.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -36,7 +36,7 @@ from htcp_jax.viewer.needles import Needles, needles
 from htcp_jax.viewer.sides import Bodies, Side, camera_side
 from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
 
-LOOKED_AT = 5  # configurations by which the viewpoint is chosen
+LOOKED_AT = 5  # number of configurations by which the viewpoint is chosen
 LOOKED_AT_ON_WAY = 33  # samples of one segment, of which the minimum is taken
 
 
@@ -64,8 +64,10 @@ class Narrow(NamedTuple):
 
 
 class Replay(NamedTuple):
-    """One method's plan of one scenario. At the failed target the arm is shown all the same, in collision; at targets
-    not attempted it stays at the last tracked one."""
+    """Plan of one scenario by one method.
+
+    At the failed target the arm is displayed in collision; at targets not attempted it stays at the last tracked one.
+    """
 
     method: str
     number: int  # of the scenario
@@ -132,9 +134,14 @@ class Replay(NamedTuple):
 
 
 class Replays:
-    """Plans to display: several scenarios by several methods.
+    """Plans for display: several scenarios by several methods.
 
-    plans: by the name of a method; row s is scenario s. labels: the scenarios' varied parameters, by number.
+    Args:
+        name: Name of the plans, for messages.
+        methods: Names of the methods.
+        plans: Function for the plans of a method; row s is scenario s.
+        cells: The workcells.
+        labels: The scenarios' varied parameters, by number.
     """
 
     def __init__(
@@ -151,7 +158,8 @@ class Replays:
     def outcomes(self, method: str) -> list[Outcome]:
         """Outcomes of all scenarios that the method has planned; failed ones first, each group in order.
 
-        Raises InputError for a method without results.
+        Raises:
+            InputError: For a method without results.
         """
         if method not in self.methods:
             raise InputError(f"{self.name} has no results of {method!r}; it has {', '.join(self.methods)}")
@@ -160,7 +168,11 @@ class Replays:
         return sorted(found, key=lambda outcome: outcome.complete)
 
     def replay(self, number: int, method: str) -> Replay:
-        """The plan of a scenario by a method. Raises InputError for an unknown one, listing the known."""
+        """Return the plan of a scenario by a method.
+
+        Raises:
+            InputError: For an unknown scenario or method, with a list of the known.
+        """
         numbers = sorted(outcome.scenario for outcome in self.outcomes(method))
         if number not in numbers:
             raise InputError(f"{self.name} has no scenario {number} by {method}; it has {_spans(numbers)}")
@@ -210,7 +222,7 @@ class Replays:
         return f"{number}: {self.labels[number]}" if self.labels.get(number) else str(number)
 
     def obstructions(self, method: str, numbers: Sequence[int] | None = None) -> dict[int, Obstruction]:
-        """Colliding bodies in the failed scenarios, of these numbers or of all; in one call for hundreds."""
+        """Colliding bodies in the failed scenarios, all or those of some numbers; one call can do hundreds."""
         plans, together = self.plans(method), dict[Hashable, dict[int, int]]()
         for number in range(len(plans.status)) if numbers is None else numbers:
             if (target := blocked_target(plans, number)) is not None:
@@ -221,8 +233,10 @@ class Replays:
         return {number: found[number] for number in sorted(found)}
 
     def _in_the_way(self, cell: Workcell, plans: Plans, targets: dict[int, int]) -> dict[int, Obstruction]:
-        """Colliding bodies in scenarios of one workcell. targets: the failed target by scenario. Empty if the job has a
-        task, whose goals are not saved."""
+        """Colliding bodies in scenarios of one workcell, with the failed target of each.
+
+        It is empty if the job has a task, whose goals are not saved.
+        """
         if cell.config.task:
             return {}
         where = jax.tree.map(lambda *leaves: np.stack(leaves), *map(self._cells.placement, targets))
@@ -232,13 +246,24 @@ class Replays:
 
 
 def open_replays(folder: str | Path) -> Replays:
-    """Open the plans in the folder of a sweep or of one plan. Raises InputError as `open_plans` does, and for a plan
-    that does not match the configuration next to it."""
+    """Open the plans in the folder of a sweep or of one plan.
+
+    Raises:
+        InputError: As `open_plans`, and for a plan that does not match the configuration next to it.
+    """
     return recorded_replays(open_plans(folder))
 
 
 def recorded_replays(found: PlanSet, plans: Callable[[str], Plans] | None = None) -> Replays:
-    """Replays of saved plans. plans: by method, if they are read already. Raises InputError as `open_replays` does."""
+    """Return the replays of saved plans.
+
+    Args:
+        found: The saved plans.
+        plans: Function for the plans of a method, if they are read already.
+
+    Raises:
+        InputError: As `open_replays`.
+    """
     return Replays(str(found.folder), found.methods, plans or found.plans, cells_of(found), found.labels)
 
 
@@ -254,7 +279,7 @@ class Planned(Protocol):
 
 
 def replays_of(name: str, plan: Planned) -> Replays:
-    """The replay of a plan in memory, as `Replays`."""
+    """Return the replay of a plan in memory, as `Replays`."""
     cells = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
     return Replays(name, (plan.job.method,), lambda _: plan.plans, cells)
 
@@ -267,8 +292,7 @@ def _looked_at(shape: ArmShape, robot: Robot, tracked: np.ndarray, path: int) ->
 
 
 def _tightest_way(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:
-    """Configurations of the segment to a target, evenly along its straight joint paths; the start if there is no such
-    segment."""
+    """Configurations along the straight joint paths to a target, evenly spaced; the start if the target is None."""
     if target is None:
         return np.repeat(plans.start, LOOKED_AT_ON_WAY, axis=0)
     x = [plans.before(0, target)[None], plans.knots.on_the_way(0, target), plans.x[:1, target]]

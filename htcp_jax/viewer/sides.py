@@ -1,8 +1,8 @@
 """Viewpoint of a plan: the side from which the arm and the workpiece, cut open, hide least of the path and the tool.
 
-Horizontal directions all round are tried. Occlusion is counted along parallel rays, with the half of the cloud that
-faces the camera cut off; a side from which the path is foreshortened counts as hiding some of it, and so does one for
-which the cut removes the wall along the path. The result is deterministic.
+Horizontal directions all round are tried. Occlusion is measured along parallel rays, without the half of the cloud that
+faces the camera. There are penalties for a side from which the path is foreshortened, and for one whose cut removes the
+wall along the path. The result is deterministic.
 """
 
 from collections.abc import Sequence
@@ -49,12 +49,24 @@ class Bodies(NamedTuple):
 
 
 def flat_side(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], arm: Bodies) -> View:
-    """Side of an orthographic, horizontal view."""
+    """Choose the side of an orthographic, horizontal view.
+
+    Args:
+        cloud: The workpiece, world [m].
+        path: The targets of the path, world [m].
+        arm: The arm at some configurations.
+    """
     return _best(cloud, path, arm, (0.0,), 0.0).view
 
 
 def camera_side(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], arm: Bodies) -> Side:
-    """Side of a camera that looks down a little, at an angle to the cut."""
+    """Choose the side of a camera that is inclined downwards, at an angle to the cut.
+
+    Args:
+        cloud: The workpiece, world [m].
+        path: The targets of the path, world [m].
+        arm: The arm at some configurations.
+    """
     return _best(cloud, path, arm, ASIDE_RAD, ABOVE_RAD)
 
 
@@ -72,7 +84,7 @@ def _best(cloud, path, arm: Bodies, asides: Sequence[float], above_rad: float) -
     apart = np.median(cKDTree(cloud).query(cloud, k=2)[0][:, 1]) if len(cloud) > 1 else 0.0
     turns = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     best, least = Side(square, asides[0]), np.inf
-    for turn in turns:  # the square side first: of equals the first is taken
+    for turn in turns:  # the square side first: among equals the first is taken
         view = _view(np.cos(turn) * square.near + np.sin(turn) * square.right)
         depth = cloud @ view.near
         cut = (depth.max() + depth.min()) / 2
@@ -91,7 +103,13 @@ def _view(near: Float[np.ndarray, "3"]) -> View:
 
 
 def towards_camera(view: View, aside_rad: float, above_rad: float) -> Float[np.ndarray, "3"]:
-    """Unit direction towards a camera at an angle to a side."""
+    """Unit direction towards a camera.
+
+    Args:
+        view: The side.
+        aside_rad: Horizontal angle from the side to the camera.
+        above_rad: Angle of the camera above the horizontal.
+    """
     level = np.cos(aside_rad) * view.near + np.sin(aside_rad) * view.right
     return np.cos(above_rad) * level + np.sin(above_rad) * view.up
 
@@ -103,8 +121,17 @@ def hidden(
     arm: Bodies,
     toward: Float[np.ndarray, "3"],
 ) -> float:
-    """Share of the path and the tool that links of the arm, or discs of that radius about the cloud's points, hide from
-    a camera far away in a direction; the mean over the arm's configurations."""
+    """Share of the path and the tool that a distant camera does not see, as the mean over the arm's configurations.
+
+    Links of the arm hide them, and discs about the cloud's points.
+
+    Args:
+        cloud: The workpiece, world [m].
+        radius: Radius of the discs [m].
+        path: The targets of the path, world [m].
+        arm: The arm at some configurations.
+        toward: Unit direction towards the camera.
+    """
     plane = np.linalg.svd(toward[None])[2][1:].T  # two directions across
     shares = np.linspace(0, 1, ALONG)[:, None, None]
     path = path[:: -(-len(path) // 40)]

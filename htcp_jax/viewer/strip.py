@@ -1,4 +1,4 @@
-"""Plot strip of a program below its movie: speeds of the TCP and the joints, with a line at the current time."""
+"""Plot strip below the movie of a robot program: speeds of the TCP and the joints, with a line at the current time."""
 
 import numpy as np
 from jaxtyping import UInt8
@@ -11,15 +11,19 @@ from htcp_jax.trajectory.of_plan import OfPlan
 from htcp_jax.viewer.colours import INK, KINDS, PAPER, QUIET, RULE, joint_colour
 from htcp_jax.viewer.timed_play import BOUNDS, Curves, Played
 
-INCHES, ASPECT = 6.4, 0.38  # of the strip, for any number of pixels
+INCHES, ASPECT = 6.4, 0.38  # of the plot strip, for any number of pixels
 SMALL, WORDS = 7, 8.5  # points
 EDGE = 0.25  # of a pixel, so that rounding down loses none
 
 
 class Strip:
-    """A plot strip, drawn once; then only the line and the text change.
+    """Plot strip, drawn once; after that only the line and the text change.
 
-    play: the instants of the frames; width: in pixels; speed: playback rate of the program.
+    Args:
+        made: The robot program.
+        play: The instants of the frames.
+        width: Width [pixels].
+        speed: Playback rate; 1 is real time.
     """
 
     def __init__(self, made: OfPlan, play: Played, width: int, speed: float = 1.0):
@@ -41,7 +45,7 @@ class Strip:
         self._empty = self._canvas.copy_from_bbox(self.figure.bbox)
 
     def at(self, frame: int) -> UInt8[np.ndarray, "H W 3"]:
-        """The strip below a frame."""
+        """Return the plot strip of a frame."""
         self._canvas.restore_region(self._empty)
         self._now.set_text(self._play.words(frame))
         self.figure.draw_artist(self._now)

@@ -1,4 +1,4 @@
-"""Playback and plots of a program: kind of motion, speeds of the TCP and the joints."""
+"""Playback and plots of a robot program: kind of motion, speeds of the TCP and the joints."""
 
 from typing import NamedTuple
 
@@ -14,11 +14,11 @@ from htcp_jax.viewer.posture import Posture, postures
 
 INSTANTS = 600
 BOUNDS = 0.1, 100.0  # of a joint's limit [%]: on the path joints are slower by two orders of magnitude
-ROOM = 1.5  # factor on the required feed; off the path the TCP is faster, and its curve leaves the plot
+ROOM = 1.5  # factor on the required feed rate; elsewhere the TCP may be faster, and its curve leaves the plot
 
 
 class Played(NamedTuple):
-    """n instants of a program."""
+    """States at n instants of a robot program."""
 
     time_s: Float[np.ndarray, "n"]
     x: Float[np.ndarray, "n N"]  # [rad or m]
@@ -33,7 +33,7 @@ class Played(NamedTuple):
 
 
 class Curves(NamedTuple):
-    """Curves of a program at n equidistant instants, from its begin to its end."""
+    """Curves of a robot program at n equidistant instants, from its begin to its end."""
 
     time_s: Float[np.ndarray, "n"]
     tcp_mm_s: dict[Kind, Float[np.ndarray, "n"]]  # by kind of motion; NaN during other kinds
@@ -42,7 +42,7 @@ class Curves(NamedTuple):
 
     @classmethod
     def of(cls, made: OfPlan, instants: int = INSTANTS) -> "Curves":
-        """Curves of a program."""
+        """Compute the curves of a robot program."""
         play = played(made, np.linspace(0, made.program.duration_s, instants))
         tcp = {
             kind: np.where(play.kind == kind, 1e3 * play.tcp_m_s, np.nan) for kind in Kind if (play.kind == kind).any()
@@ -57,7 +57,7 @@ class Curves(NamedTuple):
 
 
 def played(made: OfPlan, time_s: Float[np.ndarray, "n"]) -> Played:
-    """Sample a program at times that increase from 0; after its end the arm stands still."""
+    """Sample a robot program at times that increase from 0; after its end the arm is at rest."""
     timed = made.program.at(time_s)
     _, jacobian = tcp_at(made.robot, timed.x)
     tcp = np.linalg.norm(np.einsum("nij,nj->ni", jacobian, timed.velocity), axis=1)
@@ -71,14 +71,23 @@ def arms_of(made: OfPlan, play: Played) -> list[Posture]:
 
 
 def frame_times(duration_s: float, speed: float = 1.0) -> Float[np.ndarray, "n"]:
-    """Times of a movie's frames [s], RATE a second, for a program that is shown at `speed` times real time. The movie
-    takes the program's duration over `speed`, to within a frame."""
+    """Times of a movie's frames, in the time of the robot program [s].
+
+    The movie has RATE frames a second and takes the program's duration over `speed`, to within a frame.
+
+    Args:
+        duration_s: The program's duration.
+        speed: Playback rate; 1 is real time [1].
+    """
     return np.arange(int(duration_s * RATE / speed) + 1) * speed / RATE
 
 
 def _come_to(program: Program, time_s: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Last target reached at each time, by the program's configurations: on the way there the last one of those that
-    lead to a target is at it; on the way back each is at or behind its own."""
+    """Last target reached at each time.
+
+    Of the program's configurations that lead to a target, the last one is at it; during the retract each is at its
+    target or past it.
+    """
     passed = program.at_postures()
     back = passed.kind == Kind.RETRACT
     leads = passed.target + (passed.kind == Kind.DWELL)

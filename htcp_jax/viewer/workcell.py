@@ -20,12 +20,11 @@ from htcp_jax.runs.open import FolderPlan, PlanSet
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import TRAJECTORY
 
-MOST_CELLS = 8  # robots and workpieces of one run in memory
+MOST_CELLS = 8  # largest number of workcells in memory
 
 
 class Placement(NamedTuple):
-    """Workpiece pose and interior plane of one scenario, as `clearance.Posed` requires, and the tool's extension
-    [m]."""
+    """Workpiece pose and interior plane of one scenario, as `obstacle.Posed` requires, and the tool's extension."""
 
     T_world_workpiece: Float[np.ndarray, "4 4"]
     interior_plane: Float[np.ndarray, "4"]
@@ -62,7 +61,7 @@ class Workcell:
 class RecordedCells:
     """Workcells of saved plans, built from the configurations at first use; the last few are cached.
 
-    cell(key): the workcell of the scenarios with that key. Raises InputError for files that cannot be read.
+    `cell(key)` is the workcell of the scenarios with that key. It raises InputError for files that cannot be read.
     """
 
     def __init__(self, found: PlanSet):
@@ -70,8 +69,10 @@ class RecordedCells:
         self.cell = lru_cache(maxsize=MOST_CELLS)(self._make)
 
     def key(self, number: int) -> Hashable:
-        """Key that is equal for scenarios that share a workcell. The paths of a run's scenarios do not matter, as the
-        targets are saved."""
+        """Key that is equal for scenarios that share a workcell.
+
+        The paths of a run's scenarios do not matter, as the targets are saved.
+        """
         return self._keys[number] if self._found.mixed else None
 
     def placement(self, number: int) -> Placement:
@@ -92,7 +93,7 @@ class RecordedCells:
 
 
 class GivenCell:
-    """One workcell in memory, with one placement for all scenarios; same interface as `RecordedCells`."""
+    """Workcell in memory, with one placement for all scenarios, by the interface of `RecordedCells`."""
 
     def __init__(self, cell: Workcell, scenario: Scenario):
         T, plane = np.asarray(scenario.T_world_workpiece), np.asarray(scenario.interior_plane)
@@ -117,8 +118,12 @@ Workcells = RecordedCells | GivenCell
 
 
 def cells_of(found: PlanSet) -> RecordedCells:
-    """Workcells of saved plans, with the first one built. Raises InputError if that fails, and for a plan whose number
-    of targets or joints differs from its configuration's."""
+    """Return the workcells of saved plans, with the first one built.
+
+    Raises:
+        InputError: If it cannot be built, and for a plan whose number of targets or joints differs from its
+            configuration's.
+    """
     cells = RecordedCells(found)
     cell = cells.cell(cells.key(min(found.parameters)))
     if isinstance(found, FolderPlan):
