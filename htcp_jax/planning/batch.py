@@ -16,13 +16,13 @@ from jaxtyping import Float
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.clearance.obstacles.obstacles import contacts, nearest_to
 from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision, refused_overlap
-from htcp_jax.device.devices import choose, default_threads
+from htcp_jax.device.devices import choose, default_threads, on
 from htcp_jax.device.processes import portable, shares, spread, that_pay
 from htcp_jax.device.tables import gather
 from htcp_jax.errors import InputError
-from htcp_jax.model.robot import Robot, capsule_in_words, mesh_note
+from htcp_jax.model.robot import Robot, capsule_in_words, lengthen_tool, mesh_note
 from htcp_jax.model.scenario import NOT_REFUSED, Scenario, stack
 from htcp_jax.model.task import Task
 from htcp_jax.model.workpiece import Workpiece
@@ -59,21 +59,23 @@ def plan(
     obstacles: Obstacles = (),
     check_starts: bool = False,
     processes: int | None = None,
+    targets_in_all: int | None = None,
 ) -> Plans:
     """Plan every scenario with one method (its name, see `registry`).
 
     scenarios: from `make_scenario`, one or many, or stacked already. settings: a mapping, {"alpha_rad": 0.05}, changes
     the defaults. device: see `devices.choose`. processes: number of those that share the scenarios on a CPU, by default
     as many as pay (`processes.that_pay`); what other processes cannot import, for example a method or an obstacle
-    defined in a notebook, is planned in this one. threads: engines per process, by default one; without other
-    processes, by default one per core. Results depend on neither. check_paths: afterwards check, for every accepted
-    step that the method did not check itself, whether its straight joint path is clear (`Plans.path_clear`), verify
-    which segments are motions, and smooth these if `settings.smooth` or the method requires it. task: what the arm
-    holds at every target, by default the TCP's position within `tolerance_m`. obstacles: further ones, see
-    `obstacle.Obstacle`. check_starts: refuse a start in collision, which otherwise is a status. Raises InputError for
-    an unknown method, device or setting, for weights of the wrong length, for no scenarios, for a task with more rows
-    than joints, or other ones than the targets have, for fewer than one process, and for checked starts that are in
-    collision; Lost if a process is ended from outside.
+    defined in a notebook, is planned in this one. targets_in_all: number of targets in all calls that belong together,
+    as a sweep's do, by default this one's: processes are used if they pay for all of them. threads: engines per
+    process, by default one; without other processes, by default one per core. Results depend on none of the three.
+    check_paths: afterwards check, for every accepted step that the method did not check itself, whether its straight
+    joint path is clear (`Plans.path_clear`), verify which segments are motions, and smooth these if `settings.smooth`
+    or the method requires it. task: what the arm holds at every target, by default the TCP's position within
+    `tolerance_m`. obstacles: further ones, see `obstacle.Obstacle`. check_starts: refuse a start in collision, which
+    otherwise is a status. Raises InputError for an unknown method, device or setting, for weights of the wrong length,
+    for no scenarios, for a task with more rows than joints, or other ones than the targets have, for fewer than one
+    process, and for checked starts that are in collision; Lost if a process is ended from outside.
     """
     chosen, settings = find(method), settings_of(settings)
     joints = len(robot.joint_names)
@@ -95,7 +97,7 @@ def plan(
     devices = choose(device)
     cores = default_threads(devices, settings.qp)
     if processes is None:
-        targets = int(scenarios.count.sum())
+        targets = targets_in_all or int(scenarios.count.sum())
         processes = 1 if threads else that_pay(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
@@ -106,18 +108,28 @@ def plan(
         if shared and portable(how):
             return _spread(processes, how, shared, scenarios, progress)
     began = time.perf_counter()
-    problem = Problem(
-        robot,
-        workpiece,
-        scenarios,
-        settings,
-        task,
-        all_obstacles(workpiece, obstacles),
-        devices,
-        threads or cores,
-        check_paths,
-        _counter(scenarios, progress),
-    )
+    with on(devices[0]):
+        problem = Problem(
+            robot,
+            workpiece,
+            scenarios,
+            settings,
+            task,
+            all_obstacles(workpiece, obstacles),
+            devices,
+            threads or cores,
+            check_paths,
+            _counter(scenarios, progress),
+        )
+        plans = _planned_here(problem, chosen, method, obstacles, check_starts)
+    spent = time.perf_counter() - began
+    compile_s = plans.compile_s + max(each.kernels.compile_s for each in problem.checkers)
+    return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
+
+
+def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obstacles, check_starts: bool) -> Plans:
+    """Return `plan`'s result, except for the times, on the problem's devices."""
+    settings, check_paths = problem.settings, problem.check_paths
     # Imported here, as methods are: no kernels are loaded before a method is looked up.
     from htcp_jax.motion.home import begin_at_home, leave_home
     from htcp_jax.motion.motion_check import check_remaining_paths, judge_motions, tighten
@@ -138,10 +150,7 @@ def plan(
                 from htcp_jax.motion.smoothing import smooth
 
                 plans = tighten(problem, judge_motions(problem, smooth(problem, plans)))
-        plans = with_separate_errors(problem, plans)
-    spent = time.perf_counter() - began
-    compile_s = plans.compile_s + max(each.kernels.compile_s for each in problem.checkers)
-    return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
+        return with_separate_errors(problem, plans)
 
 
 def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progress: Callable | None) -> Plans:
@@ -183,7 +192,7 @@ def start_clearance(
     obstacles: in addition to the workpiece."""
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
-    scene = own_scene(Scene(robot, all_obstacles(workpiece, obstacles)), scenario.tool_extension_m)
+    scene = Scene(lengthen_tool(robot, scenario.tool_extension_m), all_obstacles(workpiece, obstacles))
     touch = jax.jit(contacts)(scene.robot, scene.obstacles, scenario, x)
     row = int(touch.distance.argmin())
     body = scene.rows.body[row]

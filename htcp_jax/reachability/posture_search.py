@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from htcp_jax.clearance.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.device.kernel import Kernel
 from htcp_jax.device.tables import gather
 from htcp_jax.model.inverse_kinematics import damped_step, reanchor
@@ -65,7 +65,6 @@ class Found(NamedTuple):
 def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> State:
     """Move x as near as the arm gets to the target with the last link in the orientation `quaternion`; then bring it
     onto the target. Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7)."""
-    scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     place, turned = task.tcp_place(lane.target), quaternion_matrix(quaternion)
 
@@ -82,7 +81,6 @@ def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> St
 
 def measure(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Return D at x."""
-    scene = own_scene(scene, lane.tool_extension_m)
     return clearance(scene.robot, scene.obstacles, lane, x)
 
 

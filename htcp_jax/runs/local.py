@@ -1,6 +1,6 @@
 """Planning of a sweep's shards in this process, one after the other."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -32,14 +32,22 @@ class Planned(NamedTuple):
 
 
 def plan_here(
-    batch: Batch, threads: int | None, device: str | None, shards: Iterable[Shard], report: Callable
+    batch: Batch,
+    threads: int | None,
+    device: str | None,
+    targets_in_all: int | None,
+    shards: Sequence[Shard],
+    report: Callable,
 ) -> Iterator[Planned]:
     """Plan the shards one by one. report(method, batch.Progress of the current shard) is called as a shard advances; an
-    exception in it ends the work. threads, device: see `batch.plan`."""
+    exception in it ends the work. threads, device: see `batch.plan`.
+    targets_in_all: by default those of the shards."""
     by = planned_by()
+    targets_in_all = targets_in_all or sum(int(scenarios_of(batch, each.span)[1].count.sum()) for each in shards)
     for shard in shards:
         block = scenarios_of(batch, shard.span)
-        yield Planned(shard, plan_cells(batch.cells, *block, shard.method, threads, report, device), by)
+        plans = plan_cells(batch.cells, *block, shard.method, threads, report, device, targets_in_all)
+        yield Planned(shard, plans, by)
 
 
 def scenarios_of(batch: Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
@@ -56,6 +64,7 @@ def plan_cells(
     threads: int | None,
     report: Callable | None = None,
     device: str | None = None,
+    targets_in_all: int | None = None,
 ) -> Plans:
     """Plan stacked scenarios, each with the robot, workpiece and settings of its cell; one call of the planner per
     cell. report: see `plan_here`."""
@@ -74,6 +83,7 @@ def plan_cells(
             progress=report and partial(_add_up, report, method, [done for _, done in parts], *everything),
             threads=threads,
             device=device,
+            targets_in_all=targets_in_all,
             task=task,
             obstacles=obstacles,
         )
