@@ -219,7 +219,7 @@ def jacobian_point(height_m: float) -> Iterator[None]:
 
 def walk_best(minimise, index, settings, scene, lane, x_previous, x_ref, walked, most) -> Walked:
     """Return the clearest valid configuration of a null-space loop that takes six steps at least, or the last one."""
-    stuck, own = stuck_at(lane, x_previous, index), own_scene(scene, lane.tool_extension_m)
+    stuck = stuck_at(lane, x_previous, index)
 
     def valid(now):
         return scene.task.counts(now.clearance, now.residual, lane.margin_m)
@@ -230,7 +230,7 @@ def walk_best(minimise, index, settings, scene, lane, x_previous, x_ref, walked,
 
     def step(state):
         x, best, count = state
-        new = null_space_step(minimise, own, settings, lane, stuck, x, count)
+        new = null_space_step(minimise, scene, settings, lane, stuck, x, count)
         now = measured(settings, scene, lane, new.x)
         better = ~valid(best) | (valid(now) & (now.clearance > best.clearance))
         return new.x, jax.tree.map(lambda n, b: jnp.where(better, n, b), now, best), count + 1
@@ -363,24 +363,22 @@ def port_loop():
 @partial(jax.jit, static_argnames="settings")
 def J2(scene, settings, lane, x_ref, w):
     """Return J2 of equation (11) at x_ref for several w [m]."""
-    own = own_scene(scene, lane.tool_extension_m)
-    return -jax.lax.map(sphere_problem(own, settings, lane, x_ref, lane.target)[0].measure, w)
+    return -jax.lax.map(sphere_problem(scene, settings, lane, x_ref, lane.target)[0].measure, w)
 
 
 @partial(jax.jit, static_argnames="settings")
 def best_of_64(scene, settings, lane, x_ref):
     """Return the planners' first direction."""
-    problem, seen, _ = sphere_problem(own_scene(scene, lane.tool_extension_m), settings, lane, x_ref, lane.target)
+    problem, seen, _ = sphere_problem(scene, settings, lane, x_ref, lane.target)
     return sphere.first_guess(problem, seen)
 
 
 @partial(jax.jit, static_argnames="settings")
 def moved(scene, settings, lane, x_ref, w):
     """Return the configuration after a null-space step w, re-anchored and measured."""
-    own = own_scene(scene, lane.tool_extension_m)
-    _, _, basis = sphere_problem(own, settings, lane, x_ref, lane.target)
-    x = jnp.clip(x_ref + basis @ w, own.robot.lower, own.robot.upper)
-    return measured(settings, scene, lane, anchor(own, settings, lane, x, lane.target).x)
+    _, _, basis = sphere_problem(scene, settings, lane, x_ref, lane.target)
+    x = jnp.clip(x_ref + basis @ w, scene.robot.lower, scene.robot.upper)
+    return measured(settings, scene, lane, anchor(scene, settings, lane, x, lane.target).x)
 
 
 class HostKernels(Kernels):
@@ -397,8 +395,9 @@ class HostKernels(Kernels):
         return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
 
     def _walk(self, lane, x_previous, x, walked, most) -> Walked:
+        scene = own_scene(self._scene, lane.tool_extension_m)
         while True:
-            problem = self._scene, self._settings, lane, x
+            problem = scene, self._settings, lane, x
             walked = walked + 1
             now = jax.tree.map(np.asarray, moved(*problem, self._direction(problem, int(walked))))
             x = now.x

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from htcp_jax.clearance.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.device.kernel import DEEP, Kernel
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import tcp_position
@@ -37,7 +37,6 @@ class Brought(NamedTuple):
 
 def bring(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Brought:
     """Move a configuration to the lane's target by inverse kinematics."""
-    scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     x, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
     D = clearance(robot, scene.obstacles, lane, x)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
-from htcp_jax.device.devices import choose
+from htcp_jax.device.devices import choose, on
 from htcp_jax.jobs.build import drawn_of, obstacles_of, scene, task_of_job
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
@@ -58,6 +58,7 @@ class Plan:
     scenario: Scenario  # adds nothing to the tool
     plans: Plans  # of this one scenario: the first axis of every array has length 1
     obstacles: Obstacles = ()  # in addition to the workpiece
+    device: str | None = None  # see `device.devices`
 
     @cached_property
     def summary(self) -> Summary:
@@ -155,8 +156,9 @@ class Plan:
             return None
         x_last = self.plans.before(0, failed)
         known = self.robot, self.workpiece, self.scenario
-        task = task_of_job(self.job, self.robot)
-        return obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
+        with on(choose(self.device)[0]):
+            task = task_of_job(self.job, self.robot)
+            return obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
 
     def failure(self) -> dict[str, str]:
         """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
@@ -191,7 +193,8 @@ class Plan:
         known["in_the_way"] = self.obstruction and self.obstruction.record()
         config = self.job.model_dump()
         files = file_hashes(anchor_files(config))
-        return {**known, **provenance(), "config": config, "files": files}
+        with on(choose(self.device)[0]):
+            return {**known, **provenance(), "config": config, "files": files}
 
     def write(self, folder: Path, *, retract: bool = False) -> None:
         """Write motion.csv, trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder.
@@ -255,15 +258,15 @@ def plan(
     if method is not None:
         given = isinstance(overrides, Mapping)
         overrides = {**overrides, "method": method} if given else [*overrides, f"method={method}"]
-    choose(device)  # before anything is computed
-    job = load_config(config, overrides)
-    registry.find(job.method)
-    robot, workpiece, scenario = scene(job)
-    obstacles, task = obstacles_of(job.cell, robot), task_of_job(job, robot)
-    how = {"progress": progress, "device": device, "obstacles": obstacles, "task": task, "check_starts": True}
-    plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, **how)
-    robot, scenario = with_own_tool(robot, scenario)
-    return Plan(job, robot, workpiece, scenario, plans, obstacles)
+    with on(choose(device)[0]):
+        job = load_config(config, overrides)
+        registry.find(job.method)
+        robot, workpiece, scenario = scene(job)
+        obstacles, task = obstacles_of(job.cell, robot), task_of_job(job, robot)
+        how = {"progress": progress, "device": device, "obstacles": obstacles, "task": task, "check_starts": True}
+        plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, **how)
+        robot, scenario = with_own_tool(robot, scenario)
+    return Plan(job, robot, workpiece, scenario, plans, obstacles, device)
 
 
 def methods() -> "pandas.DataFrame":

@@ -5,7 +5,6 @@ They are written in Pallas for its Triton backend; with `interpret` they run on 
 
 from collections.abc import Callable
 
-import jax
 from jax.experimental import pallas as pl
 
 try:
@@ -14,11 +13,6 @@ except ImportError:  # JAX plans to remove it
     triton = None
 
 HAS_KERNEL = triton is not None
-
-
-def has_gpu() -> bool:
-    """True if JAX's default device is a GPU that runs these kernels."""
-    return jax.default_backend() == "gpu" and HAS_KERNEL
 
 
 def kernel(program: Callable, out, programs: int, interpret: bool, warps: int = 1) -> Callable:

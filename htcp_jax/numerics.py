@@ -10,6 +10,7 @@ from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
+from htcp_jax.backend import backend
 from htcp_jax.errors import InputError
 from htcp_jax.types import Array, Float, Joints, Scalar
 
@@ -205,8 +206,8 @@ def fold_keys(key: jax.Array, *data) -> jax.Array:
     The numbers are folded in one by one, so the key depends on nothing else.
     """
     values = jnp.stack([jnp.asarray(value).astype(jnp.uint32) for value in data])
-    # A loop compiles faster; on a GPU it is unrolled, because every iteration would be a launch.
-    unroll = 1 if jax.default_backend() == "cpu" else len(data)
+    # One loop in place of a program for each, but on a GPU, where every turn is a launch.
+    unroll = 1 if backend().is_cpu else len(data)
     return jax.lax.scan(lambda key, value: (jax.random.fold_in(key, value), None), key, values, unroll=unroll)[0]
 
 
@@ -230,7 +231,7 @@ def one_by_one(function: Callable) -> Callable:
             a if batched else jnp.broadcast_to(a, (axis_size, *a.shape))
             for a, batched in zip(arguments, in_batched[1:], strict=True)
         ]
-        if jax.default_backend() == "cpu":
+        if backend().is_cpu:
             found = jax.lax.map(lambda lane: alone(shared, *lane), arguments)
         else:
             found = jax.vmap(partial(function, shared))(*arguments)

@@ -1,5 +1,6 @@
 """Clearance bound of moving bodies to a cloud: valid, and tight for bodies that slide along the points."""
 
+import contextlib
 from functools import partial
 
 import jax
@@ -11,6 +12,7 @@ from sphere_references import Where
 from test_cloud_index import cloud
 from test_motion_proof import motions
 
+from htcp_jax.backend import Backend, compiled_for
 from htcp_jax.clearance.distance import cloud_sweep, cloud_tree_gpu, half_spaces
 from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
@@ -85,16 +87,18 @@ def test_the_search_ends_at_the_first_body_that_will_not_do_and_leaves_out_what_
 
 @pytest.fixture
 def as_on_a_gpu(monkeypatch):
-    """Use the GPU kernels, interpreted, as there is no GPU here."""
+    """Use the GPU kernels, interpreted, as there is no GPU here; `close` ends that."""
     places = (cloud_sweep, "least_in_reach"), (cloud_tree_gpu, "nearest_leaves"), (half_spaces, "highest")
     for module, kernel in places:
         monkeypatch.setattr(module, kernel, partial(getattr(module, kernel), interpret=True))
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    with contextlib.ExitStack() as on_gpu:
+        on_gpu.enter_context(compiled_for(Backend.of("gpu")))
+        yield on_gpu
 
 
 @pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 @pytest.mark.parametrize("name", ["one", "seventeen", "three hundred", "on a plane", "as few as take four levels"])
-def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu, monkeypatch):
+def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu):
     """Compare a batch of lanes, each with some of its bodies requested, and the verdicts at a required clearance."""
     rng, points = np.random.default_rng(2), cloud(name)
     index, lanes = build_index(points), []
@@ -109,7 +113,7 @@ def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu, monkeypatch):
 
     found, ended = clear(-jnp.inf), clear(0.01)
     np.testing.assert_array_equal(found, ended)  # none ends early
-    monkeypatch.undo()
+    as_on_a_gpu.close()
     np.testing.assert_allclose(found, clear(-jnp.inf), rtol=0, atol=1e-13)
     will_do = (clear(0.01) >= 0.01).all(axis=1)
     np.testing.assert_array_equal((ended >= 0.01).all(axis=1), will_do)
@@ -119,13 +123,13 @@ def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu, monkeypatch):
 
 
 @pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
-def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu, monkeypatch):
+def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu):
     """Compare proofs of a batch of motions by the GPU kernels, with points inside and outside the hull."""
     ways = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions()[:40])
     scene = Scene(*made_once.scene())
     proof = partial(prove, scene, kept=0.5)
     found = jax.jit(jax.vmap(proof))(*ways)
-    monkeypatch.undo()
+    as_on_a_gpu.close()
     expected = jax.jit(lambda ways: jax.lax.map(lambda way: proof(*way), ways))(ways)
     for name in ("verdict", "place", "queries", "depth"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)

@@ -53,8 +53,8 @@ def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_told():
     with kernels.preparing([prove_call(kernels.task, inputs, a, b)]):
         pass
     assert programs.of(PROVE)
-    faulty = Kernel("faulty", lambda settings, scene, x: x + settings.samples, STEP)
-    with pytest.raises(AttributeError, match="samples"), kernels.preparing([(faulty, a)]):
+    faulty = Kernel("faulty", lambda settings, scene, lane: settings.samples, STEP)
+    with pytest.raises(AttributeError, match="samples"), kernels.preparing([(faulty, inputs)]):
         pass
 
 

@@ -218,9 +218,10 @@ def test_a_setting_compiles_the_kernels_that_read_it_and_no_others(scene, scenar
 
 def test_a_kernel_sees_no_setting_that_it_does_not_name():
     """Check that reading an undeclared setting fails: programs are shared by declared settings only."""
-    kernel = Kernel("mine", lambda settings, x: x + settings.alpha_rad + settings.samples, STEP, ("alpha_rad",))
+    reads = lambda settings, *_: settings.alpha_rad + settings.samples  # noqa: E731
+    kernel, lane = Kernel("mine", reads, STEP, ("alpha_rad",)), made_once.nominal()
     with pytest.raises(AttributeError, match="kernel 'mine' reads the setting samples, which it does not name"):
-        kernel.of(PAPER)(1.0)
+        kernel.of(PAPER)(made_once.scene(), lane)
 
 
 def test_programs_can_be_given_back(scene, scenarios):

@@ -13,6 +13,7 @@ import pytest
 import qpsolvers
 from test_qp import ORACLE, dense_answer
 
+from htcp_jax.backend import Backend, compiled_for
 from htcp_jax.gpu_kernel import HAS_KERNEL
 from htcp_jax.solvers import cma_es, interior_point_gpu, square_roots_gpu
 from htcp_jax.solvers.interior_point import DenseSolution, solve_dense
@@ -113,18 +114,17 @@ def test_a_lane_of_the_interior_point_kernel_does_not_notice_the_others():
             np.testing.assert_array_equal(a, c[k // 3, k % 3])
 
 
-def test_a_gpu_gets_the_kernels_and_a_cpu_what_it_had(monkeypatch):
+def test_a_gpu_gets_the_kernels_and_a_cpu_what_it_had():
     """Count the kernels in the traced program, as the choice is made when tracing."""
     qp = [part[0] for part in random_qps(3, 20)]
 
-    def kernels():
-        jax.clear_caches()
-        made = jax.make_jaxpr(solve_dense)(*qp), jax.make_jaxpr(cma_es._square_roots)(np.eye(3))
+    def kernels(backend):
+        with compiled_for(backend):
+            made = jax.make_jaxpr(solve_dense)(*qp), jax.make_jaxpr(cma_es._square_roots)(np.eye(3))
         return [str(program).count("pallas_call") for program in made]
 
-    assert kernels() == [0, 0]
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert kernels() == [1, 1]
+    assert kernels(Backend.of("cpu")) == kernels(Backend("gpu")) == [0, 0]
+    assert kernels(Backend.of("gpu")) == [1, 1]
 
 
 # The square roots of a covariance
@@ -182,7 +182,7 @@ def test_a_generation_by_the_gpus_formulas_is_that_of_the_cpu_but_for_signs(monk
     samples, cost = rng.normal(size=(20, 3)), rng.normal(size=20)
     cpu = jax.jit(lambda *a: cma_es.tell(*a, r))(state, samples, cost)
     monkeypatch.setattr(square_roots_gpu, "square_roots", partial(square_roots_gpu.square_roots, interpret=True))
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    gpu = jax.jit(lambda *a: cma_es.tell(*a, r))(state, samples, cost)
+    with compiled_for(Backend.of("gpu")):
+        gpu = jax.jit(lambda *a: cma_es.tell(*a, r))(state, samples, cost)
     for ours, theirs in zip(gpu, cpu, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)

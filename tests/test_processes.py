@@ -22,8 +22,10 @@ from htcp_jax.device import compile_cache, processes
 from htcp_jax.device.processes import portable, shares, that_pay
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.planning import batch
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.registry import unregister
+from htcp_jax.runs.sweep import sweep
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
@@ -92,11 +94,13 @@ def test_what_progress_raises_ends_the_work_and_the_next_plan_begins_anew():
     assert again().tracked.any()
 
 
-def test_a_worker_that_is_killed_is_told_of():
+def test_a_worker_that_is_killed_is_told_of(monkeypatch):
     """A killed worker: an error at once, and the next call works."""
+    workers, executor = [], processes._executor
+    monkeypatch.setattr(processes, "_executor", lambda count: workers.append(executor(count)) or workers[-1])
 
     def kill(now):
-        for worker in list(processes._workers[0]._processes):
+        for worker in list(workers[0]._processes):
             with contextlib.suppress(ProcessLookupError):  # when one has ended, loky ends the others
                 os.kill(worker, signal.SIGKILL)
 
@@ -144,12 +148,13 @@ arm, duct = robot_file.gp50(), workpiece_file.load_workpiece()
 start = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 poses = scenario.stack([scenario.make_scenario(arm, duct, start, rotation=(wy, 0.1)) for wy in (0.3, 0.4, 0.5, 0.6)])
 print("begins", flush=True)
-heard = []
+heard, workers, executor = [], [], processes._executor
+processes._executor = lambda count: workers.append(executor(count)) or workers[-1]
 
 def hear(now):
     if now.targets_tracked and not heard:
         heard.append(now)
-        print(*processes._workers[0]._processes, flush=True)
+        print(*workers[0]._processes, flush=True)
         {then}
 
 plans = batch.plan(arm, duct, poses, "baseline", processes=2, progress=hear)
@@ -206,16 +211,33 @@ def test_every_scenario_is_in_one_part_and_no_part_is_much_larger(count, workers
     assert len(parts) >= min(count, workers)
 
 
-def test_few_scenarios_start_no_worker_and_many_or_many_calls_do(monkeypatch):
-    for name in ("_workers", "_asked"):
-        monkeypatch.setattr(processes, name, [])
+def test_few_scenarios_need_no_worker_and_many_do():
     assert that_pay(64, 1, 10**6) == that_pay(64, 15, 10**6) == that_pay(1, 1000, 10**6) == 1
-    assert that_pay(2, 49, 5145) == 1 and that_pay(2, 49, 5145) == 2
-    monkeypatch.setattr(processes, "_asked", [])
+    assert that_pay(2, 49, 5145) == 1 and that_pay(2, 49, 10290) == 2
     assert that_pay(64, 125, 13125) == 15  # at least eight scenarios each
-    monkeypatch.setattr(processes, "_asked", [])
-    monkeypatch.setattr(processes, "_workers", ["there"])
-    assert that_pay(4, 16, 160) == 2
+
+
+def test_the_same_call_plans_in_the_same_number_of_processes_however_often_it_was_made(monkeypatch):
+    """Count the processes of one call with too few targets for workers, made until all calls have more than enough, and
+    of the same call as one of a sweep's with more than enough."""
+    found = []
+    monkeypatch.setattr(batch, "_spread", lambda processes, *_: found.append(processes))
+    monkeypatch.setattr(batch, "_planned_here", lambda problem, *_: found.append(1) or problem.empty_plans())
+    monkeypatch.setattr(batch, "default_threads", lambda *_: 2)
+    many = stack([made_once.nominal()] * 16)
+    for _ in range(10):
+        plan(*scene(), many, "baseline", PAPER)
+    assert 10 * int(many.count.sum()) > processes.START_PAYS and found == [1] * 10
+    plan(*scene(), many, "baseline", PAPER, targets_in_all=processes.START_PAYS)
+    assert found[10:] == [2]
+
+
+def test_the_shards_of_a_sweep_are_planned_in_as_many_processes_as_pay_for_all(monkeypatch):
+    asked = []
+    monkeypatch.setattr(batch, "that_pay", lambda cores, scenarios, targets: asked.append(targets) or 1)
+    monkeypatch.setattr(batch, "_planned_here", lambda problem, *_: problem.empty_plans())
+    found = sweep({"grid": [{"margin_m": [0.0, 0.001, 0.002]}]}, "baseline,nspace-sqp", shard_scenarios=2)
+    assert asked == [2 * found.manifest.targets] * 4
 
 
 def test_fewer_processes_than_one_are_refused():

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
+import jax
 import rich.table
 import typer
 from rich.console import Console
@@ -27,6 +28,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from htcp_jax.device.devices import choose
 from htcp_jax.report.document import Table
 from htcp_jax.runs.plan_folder import json_text
 
@@ -47,6 +49,19 @@ Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job fi
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job; may be repeated.")
 ]
+
+
+def claim(device: str | None) -> None:
+    """Refuse a device that this host lacks.
+
+    For the CPU, keep JAX off the GPUs, of whose memory it would take most: the process is the command's own.
+
+    Raises:
+        InputError: For such a device.
+    """
+    if device == "cpu":
+        jax.config.update("jax_platforms", "cpu")
+    choose(device)
 
 
 def stdout() -> Console:

@@ -10,8 +10,7 @@ import typer
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from htcp_jax.cli.output import Device, Json, print_facts, print_json, print_table, progress_bars, stdout
-from htcp_jax.device.devices import choose
+from htcp_jax.cli.output import Device, Json, claim, print_facts, print_json, print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.placement.mounting import UNITS
 from htcp_jax.placement.place import PlaceProgress
@@ -66,7 +65,7 @@ def place(
       htcp plan out/duct/best-1.yaml                         the best one as a plan of its own
       htcp view out/duct                                     the ranked ones in the browser
     """
-    choose(sweeps.device_of(on, device))  # before anything is read
+    claim(sweeps.device_of(on, device))  # before anything is read
     changes: dict[str, Any] = {} if seed is None else {"seed": seed}
     if scenarios is not None and seconds is not None:
         raise InputError("--scenarios and --seconds exclude each other; omit one")

@@ -9,7 +9,7 @@ from rich.text import Text
 from htcp_jax import api
 from htcp_jax.api import Plan, forget_validation
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.output import Device, Json, Overrides, print_facts, print_json, progress_bar, stdout
+from htcp_jax.cli.output import Device, Json, Overrides, claim, print_facts, print_json, progress_bar, stdout
 from htcp_jax.runs.plan_folder import written_whole
 
 COMPLETE, INCOMPLETE = 0, 3
@@ -55,6 +55,7 @@ def plan(
       htcp plan cone --method hybrid            a third one, by another method
       htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
+    claim(device)  # before anything is read
     overrides = [*(overrides or ()), *([] if seed is None else [f"settings.seed={seed}"])]
     with written_whole(out) as folder:
         made = plan_with_progress(config, overrides, method, device)

@@ -19,13 +19,13 @@ from htcp_jax.cli.output import (
     Limit,
     Overrides,
     SweepFile,
+    claim,
     print_json,
     print_table,
     progress_bars,
     stdout,
 )
 from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
-from htcp_jax.device.devices import choose
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.tables import without_empty
@@ -85,7 +85,7 @@ def sweep(
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     running, chosen = RunningSummary(), sweeps.method_names(methods)
-    choose(sweeps.device_of(on, device))  # before anything is read
+    claim(sweeps.device_of(on, device))  # before anything is read
     spec = load_sweep(file, config, sweeps.seeded(overrides or (), seed))
     feed = spec.config.program.feed if feed is None else feed
     if feed is not None:

@@ -1,33 +1,41 @@
 """Devices that plans run on: `cpu`, `gpu` (all of this host) or `gpu:2` (the first two of them).
 
-A process computes on one kind of device, by default the one that JAX prefers: all GPUs if there are any, else the CPU.
+A plan computes on one kind of device, by default the one that JAX prefers: all GPUs if there are any, else the CPU.
+JAX's configuration stays as it is.
 """
 
 import os
+from contextlib import AbstractContextManager, nullcontext
 
 import jax
 
+from htcp_jax.backend import default_device
 from htcp_jax.errors import InputError
 
 
 def choose(name: str | None = None) -> list[jax.Device]:
-    """Return the devices with that name; None: those that JAX prefers.
-
-    `cpu` can be chosen on a host with GPUs before anything is computed.
-
-    Raises:
-        InputError: For a name that is no device here.
-    """
-    if name == "cpu":
-        jax.config.update("jax_platforms", "cpu")
+    """Return the devices with that name. Raises InputError for a name that is no device here."""
     here = jax.local_devices()
-    kind = "cpu" if here[0].platform == "cpu" else "gpu"
-    if name is None or name == kind:
-        return here[:1] if kind == "cpu" else here
-    counts = {f"gpu:{count}": count for count in range(1, len(here) + 1)} if kind == "gpu" else {}
-    if name not in counts:
-        raise InputError(f"device is {name!r}; valid here: {', '.join([kind, *counts])}")
-    return here[: counts[name]]
+    gpus = [] if here[0].platform == "cpu" else here
+    if name is None:
+        return gpus or here[:1]
+    known = _cpu() | ({"gpu": gpus} if gpus else {})
+    known |= {f"gpu:{count}": gpus[:count] for count in range(1, len(gpus) + 1)}
+    if name not in known:
+        raise InputError(f"device is {name!r}; valid here: {', '.join(known)}")
+    return known[name]
+
+
+def _cpu() -> dict[str, list[jax.Device]]:
+    try:
+        return {"cpu": jax.local_devices(backend="cpu")[:1]}
+    except RuntimeError:  # JAX_PLATFORMS excludes it
+        return {}
+
+
+def on(device: jax.Device) -> AbstractContextManager:
+    """Return a context in which this thread makes arrays on a device, and calls functions there."""
+    return nullcontext() if device == default_device() else jax.default_device(device)
 
 
 def default_threads(devices: list[jax.Device], qp: str) -> int:

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import jax
 
-from htcp_jax.device.batching import chunked, refilled
+from htcp_jax.clearance.obstacles.scene import own_scene
+from htcp_jax.device.batching import Loop, chunked, refilled
 from htcp_jax.device.tables import PORTION
 from htcp_jax.settings import Settings
 
@@ -57,8 +58,12 @@ SAMPLED = Load(cpu=ALONE, gpu=Table(256, 128))  # with hundreds of configuration
 class Kernel:
     """A function of one lane, function(*parts, settings, scene, lane, ...), and how it is compiled.
 
-    Executables are compiled for the values of the named settings only, so a new seed, for example, compiles nothing.
-    Reading a setting that is not named raises AttributeError when the function is compiled.
+    The robot of its scene has the lane's own tool. If it returns a `Loop`, its step is step(scene, state), with a scene
+    computed inside the loop: a robot that is carried into it is compiled to other instructions, which round
+    differently.
+
+    settings: names of those that it reads. Executables are compiled for these values only, so a new seed, for example,
+    compiles nothing. Reading a setting that is not named raises AttributeError when the kernel is compiled.
     """
 
     name: str
@@ -73,8 +78,16 @@ class Kernel:
         return tuple(getattr(settings, name) for name in self.settings)
 
     def of(self, settings: Settings) -> Callable:
-        """Return the function with its parts and settings bound: a function of (scene, lane, ...)."""
-        return partial(self.function, *self.parts, _NamedSettings.of(settings, self))
+        """Return the function with its parts and settings bound, as a function of (scene, lane, ...)."""
+        function = partial(self.function, *self.parts, _NamedSettings.of(settings, self))
+
+        def bound(scene, lane, *more):
+            found = function(own_scene(scene, lane.tool_extension_m), lane, *more)
+            if not isinstance(found, Loop):
+                return found
+            return found._replace(step=lambda state: found.step(own_scene(scene, lane.tool_extension_m), state))
+
+        return bound
 
     def program(self, settings: Settings, device: jax.Device) -> Callable:
         """Return the function to compile for that device: of (scene, number of lanes, tables...)."""

@@ -2,9 +2,10 @@
 
 Engines in one process take turns, as Python runs one thread at a time; engines in separate processes do not.
 
-The workers are loky's. They are started once and kept for the next call; they import this package and never their
-caller's main module, which may be a notebook or a script without a guard; and a worker that dies raises an error
-instead of blocking the others. The standard library's pools do neither, and Ray needs a server.
+The workers are loky's, which owns them: no more than the last call used, kept for the next call, ended after `IDLE_S`
+without work. Each keeps the shared objects of one call. They import this package and never their caller's main module,
+which may be a notebook or a script without a guard; and a worker that dies raises an error instead of blocking the
+others. The standard library's pools do neither, and Ray needs a server.
 """
 
 import importlib
@@ -30,24 +31,22 @@ from htcp_jax.unfinished import temporary_folder
 
 LOOK_S = 0.1  # interval at which progress is polled
 IDLE_S = 300  # idle time after which workers end
-START_PAYS = 10_000  # targets from which starting workers pays, which takes as long as some thousands of them
-EACH_PAYS = 8  # scenarios from which a running worker pays
+START_PAYS = 10_000  # targets that outweigh starting workers, which takes as long as some thousands of them
+EACH_PAYS = 8  # minimum number of scenarios per worker
 MOST_TOGETHER = 64  # scenarios per part: fewer make calls with fewer lanes, more make the last part take longer
-
-_workers: list[Any] = []  # the executor, once needed
-_asked: list[int] = []  # targets of the calls that were large enough
 
 
 def that_pay(cores: int, scenarios: int, targets: int) -> int:
-    """Return the number of processes for so many scenarios with so many targets in all.
+    """Return the number of processes for a number of scenarios on a number of cores.
 
-    Workers are started once the targets of all calls so far outweigh the start, so one large call or many small ones
-    start them.
+    It depends on this call alone, not on earlier ones.
+
+    Args:
+        cores: Number of cores.
+        scenarios: Number of scenarios of this call.
+        targets: Number of targets of this call and of those that belong together with it, as a sweep's shards do.
     """
-    if (most := min(cores, scenarios // EACH_PAYS)) < 2:
-        return 1
-    _asked.append(targets)
-    return most if _workers or sum(_asked) >= START_PAYS else 1
+    return max(1, min(cores, scenarios // EACH_PAYS)) if targets >= START_PAYS else 1
 
 
 def shares(count: int, processes: int) -> list[Int[np.ndarray, "_"]]:
@@ -112,7 +111,6 @@ def spread(
             return Spread([each.result() for each in asked], start_s)
         except BaseException as error:
             workers.shutdown(kill_workers=True)
-            _workers.clear()
             if isinstance(error, BrokenProcessPool):
                 raise Lost("a worker process is gone; it may have run out of memory") from None
             raise
@@ -133,8 +131,7 @@ def _executor(processes: int) -> Any:
 
     given = jax.config.jax_compilation_cache_dir, jax.config.jax_persistent_cache_min_compile_time_secs
     how = {"timeout": IDLE_S, "initializer": _begin, "initargs": given, "env": ENVIRONMENT}
-    _workers[:] = [get_reusable_executor(processes, **how)]
-    return _workers[0]
+    return get_reusable_executor(processes, **how)
 
 
 # Code that runs in a worker
@@ -143,7 +140,7 @@ BOARD = "board"
 # The calling process keeps the GPUs. Where psutil is installed, loky takes a worker that grows by 300 MB to leak and
 # replaces it; these keep executables.
 ENVIRONMENT = {"JAX_PLATFORMS": "cpu", "LOKY_MAX_MEMORY_LEAK_SIZE": "1e18"}
-_kept: dict[str, tuple] = {}  # the last shared objects, by their digest
+_kept: dict[str, tuple] = {}  # the last shared objects, by their digest: one entry, as long as the worker lives
 
 
 def _begin(cache: str | None, least_s: float) -> None:

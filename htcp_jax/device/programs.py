@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from htcp_jax.backend import Backend, compiled_for, default_device
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.device import compile_cache
 from htcp_jax.device.devices import cores
@@ -32,15 +33,16 @@ NOBODY = nullcontext()  # in place of a stopwatch for the time spent waiting
 
 
 class Programs:
-    """Cache of executables.
+    """Cache of executables, one per kernel, values of the settings that it reads, device, and argument shapes.
 
-    One per `Kernel`, values of the settings that it reads, device, and shapes of the arguments.
+    It holds at most `most` executables; beyond that the least recently used one is dropped.
     """
 
-    def __init__(self):
-        self._compiled: dict[tuple, jax.stages.Compiled] = {}
+    def __init__(self, most: int = 256):
+        self._most = most
+        self._compiled: dict[tuple, jax.stages.Compiled] = {}  # those last asked for at the end
         self._compiling: dict[tuple, threading.Lock] = {}  # one per executable: others can be compiled meanwhile
-        self._tracing = threading.Lock()
+        self._tracing, self._sorting = threading.Lock(), threading.Lock()
 
     def __len__(self) -> int:
         return len(self._compiled)
@@ -71,21 +73,35 @@ class Programs:
         leaves, structure = jax.tree.flatten(arguments)
         shapes = tuple((x.shape, x.dtype) for x in leaves)
         key = (kernel, kernel.values(settings), device, structure, shapes)
-        if key not in self._compiled:
+        if (found := self._kept(key)) is None:
             with waiting, self._compiling.setdefault(key, threading.Lock()):
-                if key not in self._compiled:
-                    with self._tracing:
+                if (found := self._kept(key)) is None:
+                    with self._tracing, compiled_for(Backend.of(device.platform)):
                         lowered = kernel.program(settings, device).lower(*arguments)
                     with compile_cache.alone(kernel.name):
-                        self._compiled[key] = lowered.compile(COMPILER.get(device.platform))
-        return self._compiled[key]
+                        found = lowered.compile(COMPILER.get(device.platform))
+                    self._keep(key, found)
+        return found
+
+    def _kept(self, key: tuple) -> jax.stages.Compiled | None:
+        with self._sorting:
+            if (found := self._compiled.pop(key, None)) is not None:
+                self._compiled[key] = found
+            return found
+
+    def _keep(self, key: tuple, compiled: jax.stages.Compiled) -> None:
+        with self._sorting:
+            self._compiled[key] = compiled
+            for oldest in list(self._compiled)[: -self._most]:
+                del self._compiled[oldest]
+                self._compiling.pop(oldest, None)
 
     def of(self, *kernels: Kernel) -> list[tuple[Kernel, jax.stages.Compiled]]:
         """Return the executables of some lane functions."""
         return [(kernel, self._compiled[key]) for kernel in kernels for key in self._compiled if key[0] == kernel]
 
 
-PROGRAMS = Programs()  # of this process
+PROGRAMS = Programs()  # owned by this process, for all its plans
 
 
 FEW = 4  # so few lanes are not shared among threads
@@ -133,7 +149,7 @@ class Kernels:
         programs: Programs = PROGRAMS,
         threads: int = 1,
     ):
-        self.device = device or jax.local_devices()[0]
+        self.device = device or default_device()
         self._scene, self._settings = jax.device_put(scene, self.device), settings
         self._programs, self._own = programs, {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.backend import backend
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.rotations import axis_angle_matrix
 from htcp_jax.numerics import of_shape, product
@@ -200,7 +201,7 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
 
     world = _Frames(jnp.eye(3, dtype=x.dtype), jnp.zeros(3, x.dtype))
     # A loop on the CPU, where it costs little: every executable contains the kinematics several times.
-    return jax.lax.scan(then, world, steps, unroll=1 if jax.default_backend() == "cpu" else len(slides))[1]
+    return jax.lax.scan(then, world, steps, unroll=1 if backend().is_cpu else len(slides))[1]
 
 
 def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:

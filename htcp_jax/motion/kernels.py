@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance.obstacles.linearisation import Linearisation, linearise
 from htcp_jax.clearance.obstacles.obstacle import in_workpiece
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.bisection import begun, of_proven
 from htcp_jax.clearance.proof.motion_proof import Tube, look_on, path_clear
 from htcp_jax.device.batching import Loop
@@ -53,7 +53,6 @@ def prepare(
         x_previous (Joints): The configuration at the previous target [rad or m].
         linear: Task and clearance at x_ref to first order.
     """
-    scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task.linear(*linear.task, lane.target)
     return step_qp.assemble(
         settings,
@@ -84,7 +83,6 @@ def advance(
         y: The step [rad or m]; x_ref + y is clipped to the limits exactly.
         smallest: See `linearise`.
     """
-    scene = own_scene(scene, lane.tool_extension_m)
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
     linear = linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
     residual = scene.task.residual(linear.task.value, lane.target)
@@ -146,7 +144,7 @@ def track(
         reached = here & (tracked.iteration > 0)
         return ~reached & (tracked.verdict == step_qp.QPStatus.SOLVED) & (tracked.iteration < most)
 
-    def step(tracked: Tracked) -> Tracked:
+    def step(scene: Scene, tracked: Tracked) -> Tracked:
         step_qp = prepare(settings, scene, lane, tracked.now.x, x_previous, tracked.now.linear)
         found = solve_step(step_qp, settings.qp_tolerance)
         now = advance(settings, scene, lane, tracked.now.x, found.y, settings.clearance_rows == "smallest")
@@ -160,19 +158,17 @@ def track(
 
 def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
     """Return True if the straight joint path from a to b is clear."""
-    scene = own_scene(scene, lane.tool_extension_m)
     return path_clear(scene, settings, lane, a, b)
 
 
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Move x onto its target, to a tenth of the tolerance that inverse kinematics has elsewhere."""
-    scene = own_scene(scene, lane.tool_extension_m)
     return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
 
 
 def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Return the tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
-    return in_workpiece(lane, tip_segment(own_scene(scene, lane.tool_extension_m).robot, x))
+    return in_workpiece(lane, tip_segment(scene.robot, x))
 
 
 class Closely(NamedTuple):
@@ -200,9 +196,9 @@ def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tu
     Returns:
         A loop whose result is a `Proof`, see `of_proven`.
     """
-    own = own_scene(scene, lane.tool_extension_m)
-    look = look_on(own, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
-    return Loop(jax.tree.map(jnp.asarray, begun()), lambda far: far.going, look, lambda far: of_proven(far.proof))
+    look = look_on(scene, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
+    start = jax.tree.map(jnp.asarray, begun())
+    return Loop(start, lambda far: far.going, lambda _, far: look(far), lambda far: of_proven(far.proof))
 
 
 def hold(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisation) -> TaskLinear:

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Int
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
+from htcp_jax.device.devices import on
 from htcp_jax.device.programs import Kernels
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.scenario import NOT_REFUSED, Scenario, off_their_lines
@@ -87,7 +88,9 @@ class Problem:
         checkers, threads = self.checkers, threads or self.threads  # checkers are made before there are threads
 
         def run(number: int) -> Found:
-            return work(checkers[number % len(checkers)], slice(number, None, threads))
+            checker = checkers[number % len(checkers)]
+            with on(checker.kernels.device):
+                return work(checker, slice(number, None, threads))
 
         if threads == 1:
             return [run(0)]

@@ -106,13 +106,13 @@ def place(
         Lost: As `runs.sweep.sweep`; finished plans are kept in the folder.
     """
     search, folder = load_search(spec, config, overrides, changes), Path(out)
-    _refuse(search)
+    targets = _targets(search) * (most_plans(search)["search"] or ROUND)
     with searching(folder, search):
-        tell = _Teller(search, progress)
+        tell, where = _Teller(search, progress), {"on": on, "device": device, "threads": threads}
 
         def plan(grid: Sweep, method: str, into: Path) -> Run:
             tell.begin(STAGES[into.relative_to(folder).parts[0]])
-            run = sweeps.sweep(grid, [method], into, progress=tell.sweep, on=on, device=device, threads=threads)
+            run = sweeps.sweep(grid, [method], into, progress=tell.sweep, targets_in_all=targets, **where)
             tell.planned(run)
             return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.spare else run
 
@@ -124,11 +124,15 @@ def place(
         return found
 
 
-def _refuse(search: Search) -> None:
-    """Raise InputError for an invalid feed, or for ranges whose ends the job refuses, before planning starts."""
+def _targets(search: Search) -> int:
+    """Return the largest number of targets of a scenario at the ranges' ends.
+
+    Raises:
+        InputError: Before planning starts, for an invalid feed, or for ranges whose ends the job refuses.
+    """
     feed_of(search.file.feed)
     ends = np.repeat([[0.0], [1.0]], len(search.ranges.axes), axis=1)
-    sweep_of(search, search.ranges.values(ends)).batch()
+    return int(sweep_of(search, search.ranges.values(ends)).batch().scenarios.count.max())
 
 
 def most_plans(search: Search) -> dict[str, int | None]:

@@ -16,13 +16,13 @@ from jaxtyping import Float
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.clearance.obstacles.obstacles import contacts, nearest_to
 from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision, refused_overlap
-from htcp_jax.device.devices import choose, default_threads
+from htcp_jax.device.devices import choose, default_threads, on
 from htcp_jax.device.processes import portable, shares, spread, that_pay
 from htcp_jax.device.tables import gather
 from htcp_jax.errors import InputError
-from htcp_jax.model.robot import Robot, capsule_in_words, mesh_note
+from htcp_jax.model.robot import Robot, capsule_in_words, lengthen_tool, mesh_note
 from htcp_jax.model.scenario import NOT_REFUSED, Scenario, stack
 from htcp_jax.model.task import Task
 from htcp_jax.model.workpiece import Workpiece
@@ -59,6 +59,7 @@ def plan(
     obstacles: Obstacles = (),
     check_starts: bool = False,
     processes: int | None = None,
+    targets_in_all: int | None = None,
 ) -> Plans:
     """Plan every scenario with one method.
 
@@ -72,6 +73,8 @@ def plan(
         settings: A mapping such as {"alpha_rad": 0.05} changes the defaults.
         progress: Called with the totals when they change.
         device: See `devices.choose`.
+        targets_in_all: Number of targets of all calls that belong together, as a sweep's shards do; by default this
+            call's. Processes are used if they pay for all of them.
         threads: Engines per process; None: one, or one per core if there are no other processes.
         check_paths: Afterwards check the straight joint path (`Plans.path_clear`) of every accepted step that the
             method did not check itself, verify the motion of every segment, and smooth the motions if `settings.smooth`
@@ -109,7 +112,7 @@ def plan(
     devices = choose(device)
     cores = default_threads(devices, settings.qp)
     if processes is None:
-        targets = int(scenarios.count.sum())
+        targets = targets_in_all or int(scenarios.count.sum())
         processes = 1 if threads else that_pay(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
@@ -120,19 +123,29 @@ def plan(
         if shared and portable(how):
             return _spread(processes, how, shared, scenarios, progress)
     began = time.perf_counter()
-    problem = Problem(
-        robot,
-        workpiece,
-        scenarios,
-        settings,
-        task,
-        all_obstacles(workpiece, obstacles),
-        devices,
-        threads or cores,
-        check_paths,
-        _counter(scenarios, progress),
-    )
-    # Imported here, as methods are: no lane functions are loaded before a method is looked up.
+    with on(devices[0]):
+        problem = Problem(
+            robot,
+            workpiece,
+            scenarios,
+            settings,
+            task,
+            all_obstacles(workpiece, obstacles),
+            devices,
+            threads or cores,
+            check_paths,
+            _counter(scenarios, progress),
+        )
+        plans = _planned_here(problem, chosen, method, obstacles, check_starts)
+    spent = time.perf_counter() - began
+    compile_s = plans.compile_s + max(each.kernels.compile_s for each in problem.checkers)
+    return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
+
+
+def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obstacles, check_starts: bool) -> Plans:
+    """Return `plan`'s result, except for the times, on the problem's devices."""
+    settings, check_paths = problem.settings, problem.check_paths
+    # Imported here, as methods are: no kernels are loaded before a method is looked up.
     from htcp_jax.motion.home import begin_at_home, leave_home
     from htcp_jax.motion.motion_check import check_remaining_paths, judge_motions, tighten
     from htcp_jax.planning.tracking.record import with_separate_errors
@@ -152,10 +165,7 @@ def plan(
                 from htcp_jax.motion.smoothing import smooth
 
                 plans = tighten(problem, judge_motions(problem, smooth(problem, plans)))
-        plans = with_separate_errors(problem, plans)
-    spent = time.perf_counter() - began
-    compile_s = plans.compile_s + max(each.kernels.compile_s for each in problem.checkers)
-    return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
+        return with_separate_errors(problem, plans)
 
 
 def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progress: Callable | None) -> Plans:
@@ -204,7 +214,7 @@ def start_clearance(
     """
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
-    scene = own_scene(Scene(robot, all_obstacles(workpiece, obstacles)), scenario.tool_extension_m)
+    scene = Scene(lengthen_tool(robot, scenario.tool_extension_m), all_obstacles(workpiece, obstacles))
     touch = jax.jit(contacts)(scene.robot, scene.obstacles, scenario, x)
     row = int(touch.distance.argmin())
     body = scene.rows.body[row]

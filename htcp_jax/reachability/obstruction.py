@@ -16,11 +16,11 @@ from jaxtyping import Float
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.clearance.obstacles.obstacles import contacts, nearest_to
 from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.device.kernel import DEEP, Kernel
 from htcp_jax.device.programs import Kernels
 from htcp_jax.model.inverse_kinematics import reanchor
-from htcp_jax.model.robot import Robot, capsule_in_words, mesh_note
+from htcp_jax.model.robot import Robot, capsule_in_words, lengthen_tool, mesh_note
 from htcp_jax.model.scenario import Scenario, stack
 from htcp_jax.model.task import Task
 from htcp_jax.model.workpiece import Workpiece
@@ -135,7 +135,7 @@ def obstructions(
     found = []
     for k, (row, point, surface, depth, off, x) in enumerate(zip(*measured, strict=True)):
         here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
-        own = own_scene(scene, here.tool_extension_m).robot
+        own = lengthen_tool(robot, here.tool_extension_m)
         other = nearest_to(own, obstacles, here, jnp.asarray(x), int(row))
         number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
         body = robot.capsule_names[number]
@@ -172,7 +172,7 @@ def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
         Row of the smallest clearance, nearest points on the obstacle and on the capsule's surface, depth [m], TCP error
             [m], and configuration.
     """
-    robot, obstacles, task = own_scene(scene, where.tool_extension_m)
+    robot, obstacles, task = scene
     x, residual = reanchor(robot, x_last, goal, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)
     row = jnp.argmin(touch.distance)

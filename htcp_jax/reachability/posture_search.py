@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from htcp_jax.clearance.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.device.kernel import Kernel
 from htcp_jax.device.tables import gather
 from htcp_jax.model.inverse_kinematics import damped_step, reanchor
@@ -77,7 +77,6 @@ def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> St
     Returns:
         The configuration and its residual; the clearance is not measured.
     """
-    scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     place, turned = task.tcp_place(lane.target), quaternion_matrix(quaternion)
 
@@ -94,7 +93,6 @@ def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> St
 
 def measure(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Return the clearance D at x (N,) [rad or m]."""
-    scene = own_scene(scene, lane.tool_extension_m)
     return clearance(scene.robot, scene.obstacles, lane, x)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.arm_exclusion import WRIST, Cell, arm_cell, has_wrist, tool_cell
 from htcp_jax.device.kernel import Kernel, Load, Table
 from htcp_jax.device.programs import Kernels
@@ -78,7 +78,6 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho) ->
         quaternion: Orientation of the last link (4,), w first.
         rho: Radius [rad].
     """
-    scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     cell = tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho)
     turn = task.least_turn(robot, quaternion_matrix(quaternion), lane.target)
@@ -104,7 +103,7 @@ def arm(settings: Settings, scene: Scene, lane: LaneInputs, cube, half) -> Cell:
     x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, WRIST)))
     turns = 0.5 * (upper - lower) * half
     place = scene.task.tcp_place(lane.target)
-    return arm_cell(own_scene(scene, lane.tool_extension_m), lane, lane.margin_m, place, x, turns)
+    return arm_cell(scene, lane, lane.margin_m, place, x, turns)
 
 
 TOOL, ARM = Kernel("tool", tool, MANY), Kernel("arm", arm, MANY)

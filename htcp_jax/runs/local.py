@@ -1,6 +1,6 @@
 """Planning of a sweep's shards in this process, one after the other."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -32,22 +32,24 @@ class Planned(NamedTuple):
 
 
 def plan_here(
-    batch: Batch, threads: int | None, device: str | None, shards: Iterable[Shard], report: Callable
+    batch: Batch,
+    threads: int | None,
+    device: str | None,
+    targets_in_all: int | None,
+    shards: Sequence[Shard],
+    report: Callable,
 ) -> Iterator[Planned]:
-    """Plan the shards one after the other.
+    """Plan the shards one by one.
 
-    Args:
-        batch: The scenarios.
-        threads: See `batch.plan`.
-        device: See `batch.plan`.
-        shards: The shards.
-        report: Called as report(method, batch.Progress of the current shard) as a shard advances; an exception in it
-            ends the work.
+    report(method, batch.Progress of the current shard) is called as a shard advances; an exception in it ends the work.
+    threads, device: see `batch.plan`. targets_in_all: Number of targets of all shards, by default of those given.
     """
     by = planned_by()
+    targets_in_all = targets_in_all or sum(int(scenarios_of(batch, each.span)[1].count.sum()) for each in shards)
     for shard in shards:
         block = scenarios_of(batch, shard.span)
-        yield Planned(shard, plan_cells(batch.cells, *block, shard.method, threads, report, device), by)
+        plans = plan_cells(batch.cells, *block, shard.method, threads, report, device, targets_in_all)
+        yield Planned(shard, plans, by)
 
 
 def scenarios_of(batch: Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
@@ -64,6 +66,7 @@ def plan_cells(
     threads: int | None,
     report: Callable | None = None,
     device: str | None = None,
+    targets_in_all: int | None = None,
 ) -> Plans:
     """Plan stacked scenarios, each with the robot, workpiece and settings of its cell; one planner call per cell.
 
@@ -75,6 +78,7 @@ def plan_cells(
         threads: See `batch.plan`.
         report: See `plan_here`.
         device: See `batch.plan`.
+        targets_in_all: See `batch.plan`.
     """
     parts: list[tuple[np.ndarray, Plans]] = []
     everything = len(cell), int(scenarios.count.sum())
@@ -91,6 +95,7 @@ def plan_cells(
             progress=report and partial(_add_up, report, method, [done for _, done in parts], *everything),
             threads=threads,
             device=device,
+            targets_in_all=targets_in_all,
             task=task,
             obstacles=obstacles,
         )

@@ -11,12 +11,13 @@ import jax
 import numpy as np
 
 import htcp_jax
+from htcp_jax.backend import default_device
 
 
 def provenance() -> dict:
-    """Return the versions, device and float width of this process."""
+    """Return the versions, default device and float width of this process."""
     packages = ("htcp_jax", "jax", "jaxlib", "numpy", "mujoco", "clarabel", "qpsolvers")
-    device = jax.devices()[0]
+    device = default_device()
     kind = _processor() if device.platform == "cpu" else device.device_kind
     return {
         "versions": {name: _version(name) for name in packages},

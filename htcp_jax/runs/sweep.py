@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.device.devices import choose
+from htcp_jax.device import devices
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
 from htcp_jax.jobs.grid_axes import FILE_KEYS, MOST, record
@@ -68,76 +68,65 @@ def sweep(
     shard_scenarios: int | None = None,
     on: str = "here",
     device: str | None = None,
+    targets_in_all: int | None = None,
 ) -> Run:
-    """Plan the grid of a sweep, and return the run.
+    """Plan the grid of a sweep file, or of a mapping in place of one, and return the run.
 
-    Args:
-        spec: A sweep file, the name of an example, or a mapping in place of a file, see `load_sweep`; or a loaded
-            sweep.
-        methods: "all", comma-separated names, or a list of names.
-        out: The run folder; None: a temporary folder that is deleted with the run.
-        config: See `load_sweep`.
-        overrides: See `load_sweep`.
-        limit: Plan only so many scenarios, the first of the grid.
-        seed: `settings.seed`.
-        progress: Called with the totals of a method when they change.
-        finished: Called with every written shard.
-        threads: Engines in this process, see `batch.plan`.
-        shard_scenarios: Scenarios per shard; an existing run folder keeps its own.
-        on: "here" plans on this machine, in several processes if that is faster, or with `threads` engines in this one,
-            see `batch.plan`; "ray" or "ray:<address>" sends the shards to Ray's workers, see `ray_`.
-        device: Device of this process, see `device_of`.
+    methods: "all", comma-separated names, or a list of names. out: the run folder; without one, a temporary folder that
+    is deleted with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
+    limit: plan only the first scenarios of the grid. shard_scenarios: scenarios per shard; a run folder keeps its first
+    choice. finished: called with every written shard. on: "here" plans on this machine, in several processes if that is
+    faster, or with `threads` engines in this one, see `batch.plan`; "ray" or "ray:<address>" sends the shards to Ray's
+    workers, see `ray_`. device: of this process, see `device_of`. targets_in_all: see
+    `batch.plan`, by default the targets of its own shards.
 
-    Raises:
-        InputError: For bad input, and for a folder that contains another sweep, is in use or cannot be written.
-        Interrupted: On SIGINT and SIGTERM; finished shards are kept in the folder.
-        Lost: If workers are lost; finished shards are kept in the folder.
+    Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
+    Interrupted on SIGINT and SIGTERM, and Lost if workers are lost. Finished shards are then kept in the folder.
     """
-    device_of(on, device)
-    choose(device)  # before anything is computed
-    chosen = method_names(methods)
-    if isinstance(spec, Sweep):
-        if config is not None or overrides or seed is not None:
-            raise InputError("config, overrides and seed belong to load_sweep when the sweep is loaded already")
-    else:
-        spec = load_sweep(spec, config, seeded(overrides, seed))
-    for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
-        if value is not None and not 1 <= value <= MOST:
-            raise InputError(f"{name} is {value}; it must be 1 or more, and {MOST:,} at most")
-    batch = spec.batch(limit)
-    asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
-    planned = _planner(on, chosen, batch, spec, threads, device)
-    with _folder(out) as (folder, keep, discard), locked(folder), planned as plan, signals() as came:
-        run = writer.begin(folder, asked, keep)
+    with devices.on(devices.choose(device_of(on, device))[0]):
+        chosen = method_names(methods)
+        if isinstance(spec, Sweep):
+            if config is not None or overrides or seed is not None:
+                raise InputError("config, overrides and seed belong to load_sweep when the sweep is loaded already")
+        else:
+            spec = load_sweep(spec, config, seeded(overrides, seed))
+        for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
+            if value is not None and not 1 <= value <= MOST:
+                raise InputError(f"{name} is {value}; it must be 1 or more, and {MOST:,} at most")
+        batch = spec.batch(limit)
+        asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
+        planned = _planner(on, chosen, batch, spec, threads, device, targets_in_all)
+        with _folder(out) as (folder, keep, discard), locked(folder), planned as plan, signals() as came:
+            run = writer.begin(folder, asked, keep)
 
-        def stopped() -> str:
-            discard()
-            return _how_to_go_on(run)
+            def stopped() -> str:
+                discard()
+                return _how_to_go_on(run)
 
-        def report_progress(method: str, shard: ShardProgress | None = None) -> None:
-            if came:
-                raise SignalCame
-            if progress is not None:
-                progress(_progress(run.manifest, method, shard))
+            def report_progress(method: str, shard: ShardProgress | None = None) -> None:
+                if came:
+                    raise SignalCame
+                if progress is not None:
+                    progress(_progress(run.manifest, method, shard))
 
-        try:
-            with stop_message(stopped):
-                shards = [Shard(method, span) for method in chosen for span in run.missing(method)]
-                for method in chosen:
-                    report_progress(method)
-                for (method, span), plans, by in plan(shards, report_progress):
-                    rows = tables(batch, method, span, plans)
-                    run = writer.add(run, method, span, rows, plans, by)
-                    if finished is not None:
-                        finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
-                    report_progress(method)
-        except SignalCame:
-            raise Interrupted(_how_to_go_on(run), came[0]) from None
-        except Lost as lost:
-            if came:  # the signal went to the workers, too
+            try:
+                with stop_message(stopped):
+                    shards = [Shard(method, span) for method in chosen for span in run.missing(method)]
+                    for method in chosen:
+                        report_progress(method)
+                    for (method, span), plans, by in plan(shards, report_progress):
+                        rows = tables(batch, method, span, plans)
+                        run = writer.add(run, method, span, rows, plans, by)
+                        if finished is not None:
+                            finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
+                        report_progress(method)
+            except SignalCame:
                 raise Interrupted(_how_to_go_on(run), came[0]) from None
-            raise Lost(f"{lost}; {_how_to_go_on(run)}") from None
-        return run
+            except Lost as lost:
+                if came:  # the signal went to the workers, too
+                    raise Interrupted(_how_to_go_on(run), came[0]) from None
+                raise Lost(f"{lost}; {_how_to_go_on(run)}") from None
+            return run
 
 
 def device_of(on: str, device: str | None) -> str | None:
@@ -253,10 +242,18 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
     )
 
 
-def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threads: int | None, device: str | None):
+def _planner(
+    on: str,
+    methods: tuple[str, ...],
+    batch: Batch,
+    spec: Sweep,
+    threads: int | None,
+    device: str | None,
+    targets_in_all: int | None,
+):
     """Return a context manager that yields plan(shards, report), an iterator of (shard, plans, provenance)."""
     if on == "here":
-        return contextlib.nullcontext(partial(plan_here, batch, threads, device))
+        return contextlib.nullcontext(partial(plan_here, batch, threads, device, targets_in_all))
     from htcp_jax.runs.ray_ import on_ray  # here, because it is an extra
 
     registry.refuse_own(methods)

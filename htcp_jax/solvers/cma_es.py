@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.gpu_kernel import has_gpu
+from htcp_jax.backend import backend
 from htcp_jax.numerics import product
 from htcp_jax.solvers import square_roots_gpu
 from htcp_jax.types import Array, Float, Scalar
@@ -113,7 +113,7 @@ def tell(
 
 def _square_roots(C):
     """Return B D with B D^2 B' = C, and C^(-1/2)."""
-    if has_gpu():
+    if backend().has_kernels:
         return square_roots_gpu.square_roots(C)
     square, B = jnp.linalg.eigh(C)
     D = jnp.sqrt(jnp.maximum(square, 1e-20))
@@ -125,11 +125,11 @@ def _square_roots(C):
 
 def _times(a, b):
     """Return a @ b."""
-    return product(a, b) if jax.default_backend() == "gpu" else a @ b
+    return product(a, b) if backend().platform == "gpu" else a @ b
 
 
 def _scatter(weights, steps):
     """Return the sum of weight * step step'."""
-    if jax.default_backend() == "gpu":
+    if backend().platform == "gpu":
         return product((weights[:, None] * steps).T, steps)
     return jnp.einsum("p,pi,pj->ij", weights, steps, steps)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.gpu_kernel import has_gpu
+from htcp_jax.backend import backend
 from htcp_jax.numerics import product, solve_spd
 from htcp_jax.solvers import interior_point_gpu
 from htcp_jax.types import Array, Float, Int, Scalar
@@ -58,7 +58,7 @@ def solve_dense(
     Returns:
         The iterate with the smallest error.
     """
-    if has_gpu():
+    if backend().has_kernels:
         return DenseSolution(*interior_point_gpu.solve(H, c, G, h, tolerance, iterations))
     m = len(h)
 

@@ -17,6 +17,7 @@ import numpy as np
 import optax
 from jaxtyping import PyTree
 
+from htcp_jax.backend import backend
 from htcp_jax.numerics import null_basis, product, safe_norm, solve_spd, value_and_jacobian
 from htcp_jax.solvers import cma_es
 from htcp_jax.solvers.interior_point import solve_dense
@@ -303,8 +304,8 @@ def _epigraph(values, mu):
         slope = jnp.sum(mu / gap**2)
         return t + (1 - total) * total / slope
 
-    # On a GPU every iteration of a loop is a launch or more, and the host waits for each.
-    return jax.lax.fori_loop(0, 8, newton, low, unroll=None if jax.default_backend() == "cpu" else 8)
+    # On a GPU every turn of a loop is a launch or more, and the host waits for each.
+    return jax.lax.fori_loop(0, 8, newton, low, unroll=None if backend().is_cpu else 8)
 
 
 def adam(

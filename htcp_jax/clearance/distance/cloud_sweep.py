@@ -15,12 +15,12 @@ away than the body's travel are skipped by the bounds of their clusters.
 import jax
 import jax.numpy as jnp
 
+from htcp_jax.backend import backend
 from htcp_jax.clearance.distance.bounding_discs import Segments, arm, as_segments, single, spread
 from htcp_jax.clearance.distance.cloud_index import CloudIndex
 from htcp_jax.clearance.distance.cloud_tree_gpu import least_in_reach
 from htcp_jax.clearance.distance.cloud_tree_walk import empty_lists, for_each_leaf, in_reach
 from htcp_jax.clearance.distance.sweep import Sweep, Wanted
-from htcp_jax.gpu_kernel import has_gpu
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float
 
@@ -56,7 +56,7 @@ def clear_along(
 @one_by_one
 def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach, asked, least, enough):
     seen, moving = jnp.where(asked, enough + travel + reach, -1.0), (p, q, p_moves, q_moves, bend, travel, reach)
-    if has_gpu():  # where bodies do not wait for each other's results
+    if backend().has_kernels:  # where bodies do not wait for each other's results
         return least_in_reach(index, p, q, seen, jnp.broadcast_to(enough, reach.shape), _stays_clear, *moving)
     segments, moving = as_segments(p, q), tuple(a.T for a in moving)
     top = in_reach(spread(single(segments), 1), index.levels[0][0][:, None, :], seen[:, None])

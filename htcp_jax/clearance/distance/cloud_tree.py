@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.backend import backend
 from htcp_jax.clearance.distance import branch_and_bound, cloud_tree_gpu, cloud_tree_walk
 from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, spread, squared_distance
 from htcp_jax.clearance.distance.branch_and_bound import FAN
 from htcp_jax.clearance.distance.cloud_index import CloudIndex
-from htcp_jax.gpu_kernel import has_gpu
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
 
@@ -116,7 +116,8 @@ def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
 
     With a shared limit only the body that is nearest of all gets a row.
     """
-    leaf = (cloud_tree_gpu if has_gpu() else cloud_tree_walk).nearest_leaves(index, p, q, radius, limit, shared)
+    search = cloud_tree_gpu if backend().has_kernels else cloud_tree_walk
+    leaf = search.nearest_leaves(index, p, q, radius, limit, shared)
     square = squared_distance(spread(as_segments(p, q), 1), index.points[leaf].transpose(1, 0, 2))
     return jnp.where(leaf < 0, -1, _row_of_least(square, index.rows[leaf]))
 

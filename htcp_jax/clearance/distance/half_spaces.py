@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from htcp_jax.backend import backend
 from htcp_jax.clearance.distance.half_spaces_gpu import highest
-from htcp_jax.gpu_kernel import has_gpu
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float, Int
 
@@ -91,9 +91,9 @@ def _depths(hull: HalfSpaces, points, asked):
 
 def _measured(hull: HalfSpaces, take, left, points, results):
     """Return `results`, replaced by take(highest facet) for the points in `left`."""
-    if has_gpu():
+    if backend().has_kernels:
         return jnp.where(left, take(_Highest(*highest(hull.table, points, left))), results)
-    if jax.default_backend() != "cpu":
+    if not backend().is_cpu:
         return jnp.where(left, take(jax.vmap(partial(_highest, hull))(points)), results)
     number = jnp.arange(left.shape[0])
 

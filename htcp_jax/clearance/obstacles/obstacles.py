@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from htcp_jax.backend import backend
 from htcp_jax.clearance.obstacles.obstacle import (
     Contacts,
     Obstacles,
@@ -98,7 +99,7 @@ def all_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Float[jax.Arr
     from there by less than its free radius; where they have moved further, it is tested for collision. Obstacle kinds
     without `per_body` are tested everywhere.
     """
-    if jax.default_backend() != "cpu":  # where a loop costs more than the measurements that it saves
+    if not backend().is_cpu:  # where a loop costs more than the measurements that it saves
         return jnp.all(jax.vmap(partial(is_clear, robot, obstacles, where))(x))
     middle = x.shape[0] // 2
     bodies = jax.vmap(partial(bodies_at, robot, where))(x)

@@ -1,7 +1,6 @@
 """Obstacles of a workpiece: the paper's O."""
 
-from functools import lru_cache
-
+from htcp_jax.caching import cached_for_last
 from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.half_spaces import half_spaces
 from htcp_jax.clearance.obstacles.interior import Interior
@@ -10,11 +9,11 @@ from htcp_jax.errors import InputError
 from htcp_jax.model.workpiece import Workpiece
 
 
-@lru_cache(maxsize=2)
+@cached_for_last(2)
 def make_obstacle(workpiece: Workpiece) -> Obstacles:
-    """Return a workpiece's obstacles: its points, and its interior rule. Without a cloud there are none.
+    """Return a workpiece's obstacles, on the device: its points, and its interior rule.
 
-    They are on the device, and cached for the next plan.
+    Without a cloud there are none. Those of the last two workpieces are kept for the next plan, as long as the workpiece lives.
     """
     if not len(workpiece.cloud):
         return ()

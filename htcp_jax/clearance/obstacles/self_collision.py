@@ -131,12 +131,15 @@ def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"])
 
 
 class _Hashable:
-    """A robot that compares equal to another one with the same numbers."""
+    """A robot that compares equal to another one with the same numbers.
+
+    The numbers are on the host, so that a cache of results for robots holds no memory of a device.
+    """
 
     def __init__(self, robot: Robot):
-        self.robot = robot
-        leaves, structure = jax.tree.flatten(robot)
-        self._key = structure, tuple(np.asarray(leaf).tobytes() for leaf in leaves)
+        self.robot = jax.tree.map(np.asarray, robot)
+        leaves, structure = jax.tree.flatten(self.robot)
+        self._key = structure, tuple(leaf.tobytes() for leaf in leaves)
 
     def __eq__(self, other: "_Hashable") -> bool:
         return self._key == other._key
@@ -147,13 +150,14 @@ class _Hashable:
 
 @lru_cache(maxsize=256)
 def _found(arm: _Hashable) -> tuple[Exclusion, ...]:
-    return find_exclusions(arm.robot)
+    return find_exclusions(jax.device_put(arm.robot))
 
 
 @lru_cache(maxsize=256)
 def _usual_depths(arm: _Hashable, pairs: Pairs) -> Float[np.ndarray, "R"]:
     """Return the depth that each pair exceeds in 1 - USUAL of the `samples` [m]: the same for every start."""
-    return np.quantile(-distances(arm.robot, pairs, samples(arm.robot)), USUAL, axis=0)
+    robot = jax.device_put(arm.robot)
+    return np.quantile(-distances(robot, pairs, samples(robot)), USUAL, axis=0)
 
 
 def _contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:

@@ -9,13 +9,13 @@ cut into samples of a grain at most: anything that a sample crosses has its midd
 sample's. The candidates from a tree of the middles are tested exactly.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from htcp_jax.caching import cached_for_last
 from htcp_jax.model.mesh_points import pieces
 from htcp_jax.model.surface import Surface, surface_of
 from htcp_jax.model.workpiece import Workpiece
@@ -94,7 +94,7 @@ class TipGuard:
         return through
 
 
-@lru_cache(maxsize=2)
+@cached_for_last(2)
 def make_tip_guard(workpiece: Workpiece) -> TipGuard | None:
     """Return the guard of a workpiece, cached for the next plan; None if its tip may touch anywhere."""
     if workpiece.tip_contact_m is None:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.device.batching import Loop
 from htcp_jax.device.kernel import TRACKED, Kernel
 from htcp_jax.model.inverse_kinematics import reanchor
@@ -52,18 +52,17 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
     Returns:
         A loop whose result is `Fed`.
     """
-    robot, task = own_scene(scene, lane.tool_extension_m).robot, scene.task
+    robot, task = scene.robot, scene.task
     above = jnp.array([settings.front_aim_m, settings.aim_above_m])
     aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
     look = jax.jit(partial(advance, settings))  # traced once, for the result and for the loop
-    measured = partial(look, scene, lane)
 
     def going(state):
         here, _, aim, count = state
         there = (here.residual <= task.fine_m) & (here.clearance >= enough[jnp.minimum(aim, 1)])
         return ~there & (aim < 2) & (count <= settings.max_step_qps)
 
-    def step(state):
+    def step(scene, state):
         here, straight, aim, count = state
         rows, held = here.linear.clearance, task.linear(*here.linear.task, lane.target)
         qp = assemble(
@@ -75,7 +74,7 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
         # First the result of inverse kinematics, then x, from which step QPs continue.
         goes_to = jnp.where(count < 0, straight, x)
         y = jnp.where(stuck | (count < 1), goes_to - here.x, found.y)
-        return measured(here.x, y), straight, jnp.where(stuck & (count > 0), aim + 1, aim), count + 1
+        return look(scene, lane, here.x, y), straight, jnp.where(stuck & (count > 0), aim + 1, aim), count + 1
 
     def fed(state) -> Fed:
         here, *_, count = state
@@ -84,7 +83,7 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
 
     straight, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
     zero = jnp.zeros((), jnp.int32)
-    start = nothing_known(measured, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
+    start = nothing_known(look, scene, lane, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
     return Loop((start, straight, zero, zero - 1), going, step, fed)
 
 
@@ -103,7 +102,6 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
     Returns:
         A loop whose result is `Walked`.
     """
-    scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     key = fold_keys(jax.random.PRNGKey(lane.seed), lane.number, lane.row, lane.round, walker)
     towards, length = jax.random.split(key)
@@ -113,7 +111,7 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
         good, *_, steps = state
         return good & (steps < longest)
 
-    def step(state):
+    def step(_, state):
         _, x, direction, path, steps = state
         basis = null_basis(task.linear_at(robot, x, lane.target).jacobian)
         within = jnp.where(steps == 0, direction[: basis.shape[1]], product(direction, basis))

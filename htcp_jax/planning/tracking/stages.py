@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.device.batching import Loop
 from htcp_jax.device.kernel import DEEP, SAMPLED, WALKED, Kernel
 from htcp_jax.model.inverse_kinematics import reanchor
@@ -107,15 +107,15 @@ def walk_null_space(
     Returns:
         A loop whose state is `Walked`.
     """
-    stuck, own = stuck_at(lane, x_previous, index), own_scene(scene, lane.tool_extension_m)
+    stuck = stuck_at(lane, x_previous, index)
 
     def going(there: Walked):
         here = scene.task.counts(there.now.clearance, there.now.residual, lane.margin_m)
         return ~(here & (there.walked > walked)) & (there.walked < most)
 
-    def step(there: Walked) -> Walked:
-        new = null_space_step(minimise, own, settings, lane, stuck, there.now.x, there.walked)
-        return Walked(measured(settings, scene, lane, new.x), there.walked + 1)
+    def step(here: Scene, there: Walked) -> Walked:
+        new = null_space_step(minimise, scene, settings, lane, stuck, there.now.x, there.walked)
+        return Walked(measured(settings, here, lane, new.x), there.walked + 1)
 
     now = nothing_known(partial(measured, settings, scene, lane), x_ref)._replace(x=x_ref)
     return Loop(Walked(now, walked), going, step)
@@ -134,7 +134,6 @@ def propose(
         lane: The lane's inputs.
         x_previous: Configuration at the target before (N,) [rad or m].
     """
-    scene = own_scene(scene, lane.tool_extension_m)
     return proposed(scene, settings, lane, stuck_at(lane, x_previous, index))
 
 
@@ -147,26 +146,23 @@ def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previ
         lane: The lane's inputs.
         x_previous: x_{t-1} [rad or m].
     """
-    own = own_scene(scene, lane.tool_extension_m)
-    x, _ = reanchor(own.robot, x_previous, lane.target, own.task.fine_m, task=own.task)
-    return measured(settings, scene, lane, anchor(own, settings, lane, x, lane.target).x)
+    x, _ = reanchor(scene.robot, x_previous, lane.target, scene.task.fine_m, task=scene.task)
+    return measured(settings, scene, lane, anchor(scene, settings, lane, x, lane.target).x)
 
 
 def push(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
     """Bring x (N,) [rad or m] onto the lane's target and push it clear."""
-    return push_clear(own_scene(scene, lane.tool_extension_m), settings, lane, x, lane.target)
+    return push_clear(scene, settings, lane, x, lane.target)
 
 
 def draw(settings: Settings, scene: Scene, lane: LaneInputs) -> State:
     """Return the best of a round of draws at the lane's target; the lane has the round's number."""
-    scene = own_scene(scene, lane.tool_extension_m)
     stuck = stuck_at(lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
     return draw_clear(scene, settings, lane, stuck, lane.round % SPREAD_EVERY == SPREAD_EVERY - 1)
 
 
 def ascend(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Ascend D in the null space from x (N,) [rad or m], at the target just reached."""
-    scene = own_scene(scene, lane.tool_extension_m)
     return keep_clear_ascent(scene, settings, lane, x, lane.target)
 
 

@@ -1,0 +1,106 @@
+"""Backend that functions are compiled for: chosen by the device, kept apart in JAX's caches."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+
+from htcp_jax.backend import Backend, backend, compiled_for
+from htcp_jax.device.kernel import STEP, Kernel
+from htcp_jax.device.programs import Kernels, Programs
+from htcp_jax.model.scenario import stack
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.numerics import fold_keys
+from htcp_jax.settings import Settings
+
+CPU, GPU = Backend.of("cpu"), Backend.of("gpu")
+ROOT = Path(__file__).parents[1]
+
+
+@jax.jit
+def inner(x):
+    return x + (1.0 if backend().is_cpu else 2.0)
+
+
+@jax.jit
+def outer(x):
+    return jax.lax.map(inner, x)
+
+
+def test_a_nested_function_is_traced_once_for_each_backend_and_never_mixed():
+    x, found = jnp.zeros(2), []
+    for each in (CPU, GPU, CPU, Backend("another"), GPU):
+        with compiled_for(each):
+            found.append(float(outer(x)[0]))
+    assert found == [1.0, 2.0, 1.0, 2.0, 2.0] and outer._cache_size() == 3
+
+
+def test_loops_of_the_mathematics_are_unrolled_for_a_gpu_alone():
+    def loops(each):
+        with compiled_for(each):
+            return str(jax.make_jaxpr(lambda k: fold_keys(jax.random.PRNGKey(0), k, k, k))(1)).count("unroll=1")
+
+    assert (loops(CPU), loops(GPU)) == (1, 0)
+
+
+class Lowered:
+    """A function that notes the backend of its trace, in place of one for a device that is not here."""
+
+    name, seen = "noted", ()
+
+    def values(self, settings):
+        return ()
+
+    def program(self, settings, device):
+        return self
+
+    def lower(self, *arguments):
+        self.seen = (*self.seen, backend())
+        return self
+
+    def compile(self, options):
+        return self
+
+
+class Device:
+    platform = "gpu"
+
+
+def test_a_function_compiled_for_a_gpu_takes_the_gpus_branch_and_one_for_a_cpu_the_cpus():
+    kernel, programs = Lowered(), Programs()
+    programs.get(kernel, Settings(), Device(), (np.zeros(1),))
+    with compiled_for(GPU):
+        programs.get(kernel, Settings(), jax.devices("cpu")[0], (np.zeros(1),))
+    assert kernel.seen == (GPU, CPU)
+
+
+def test_a_lane_function_gets_the_scene_with_the_lanes_own_tool():
+    kernel = Kernel("tool", lambda settings, scene, lane: scene.robot.T_link_tcp, STEP)
+    lanes = lane_inputs(jax.tree.map(np.asarray, stack([made_once.nominal()] * 3)), np.arange(3), np.zeros(3, int))
+    lanes = lanes._replace(tool_extension_m=np.array([0.0, 0.1, -0.02]))
+    found = Kernels(made_once.scene(), Settings())(kernel, lanes)
+    own = np.asarray(made_once.robot().T_link_tcp)
+    np.testing.assert_allclose(found[:, :3, 3] - own[:3, 3], lanes.tool_extension_m[:, None] * own[:3, 2], atol=1e-15)
+
+
+TWO_DEVICES = """
+import jax, jax.numpy as jnp
+from htcp_jax.backend import default_device
+from htcp_jax.device.devices import on
+first, second = jax.devices()
+with on(second):
+    assert jnp.zeros(1).device == default_device() == second
+    with on(first):
+        assert jnp.zeros(1).device == default_device() == first
+assert jnp.zeros(1).device == default_device() == first and jax.config.jax_default_device is None
+"""
+
+
+def test_arrays_are_made_on_the_chosen_device_as_long_as_it_is_chosen():
+    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-c", TWO_DEVICES], env=os.environ | flags, check=True)

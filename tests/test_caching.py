@@ -1,0 +1,75 @@
+"""Caches: who owns what they hold, and how much that is at most."""
+
+import gc
+import weakref
+
+import jax
+import numpy as np
+
+from htcp_jax.caching import cached_for_last
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.device.programs import Programs
+from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.settings import Settings
+
+
+class Owner:
+    """An object with a result of its own."""
+
+
+def test_results_are_kept_for_the_last_owners_and_freed_with_them():
+    made = []
+
+    @cached_for_last(2)
+    def result(owner):
+        made.append(Owner())
+        return made[-1]
+
+    a, b, c = Owner(), Owner(), Owner()
+    first = result(a)
+    assert result(b) is not first and result(a) is first  # a was used last
+    result(c)
+    assert result(a) is first and result(b) is not made[1] and len(made) == 4
+    gone = weakref.ref(made.pop())
+    assert gone() is result(b)
+    del b
+    gc.collect()
+    assert gone() is None
+
+
+def test_the_obstacles_of_a_workpiece_leave_the_device_with_it():
+    part = load_workpiece(source=GeneratedDuct(points=200))
+    cloud = make_obstacle(part)[0]
+    assert make_obstacle(part)[0] is cloud
+    points = weakref.ref(cloud.points)
+    del part, cloud
+    gc.collect()
+    assert points() is None
+
+
+class Compiled:
+    """A function that needs no compiling."""
+
+    def __init__(self, name):
+        self.name, self.count = name, 0
+
+    def values(self, settings):
+        return ()
+
+    def program(self, settings, device):
+        return self
+
+    def lower(self, *arguments):
+        return self
+
+    def compile(self, options):
+        self.count += 1
+        return self
+
+
+def test_executables_beyond_the_most_are_dropped_those_first_that_were_not_asked_for_the_longest():
+    programs, device = Programs(most=2), jax.devices()[0]
+    a, b, c = map(Compiled, "abc")
+    for each in (a, b, a, c, a, b):
+        assert programs.get(each, Settings(), device, (np.zeros(1),)) is each and len(programs) <= 2
+    assert (a.count, b.count, c.count) == (1, 2, 1)
