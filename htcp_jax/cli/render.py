@@ -40,7 +40,7 @@ Speed = Annotated[
     float | None,
     typer.Option(metavar="X", help="Playback speed with --feed; by default 1 (real time)."),
 ]
-Close = Annotated[bool, typer.Option("--close", help="Show the workpiece close up instead of the whole arm.")]
+Close = Annotated[bool, typer.Option("--close", help="Show the workpiece close up instead of the complete arm.")]
 Width = Annotated[int, typer.Option(metavar="PIXELS", help="Width of the picture; the movie has half of it.")]
 Out = Annotated[
     Path,

@@ -88,7 +88,7 @@ def robot(
         own = self_collision(made)
         title = f"{made.name}: {len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
         draw_arm(arm, text, title).savefig(folder / picture.name)
-    table, facts = _table(arm), _facts(arm) | {"self-collision": own.described(made) if own else "nothing to check"}
+    table, facts = _table(arm), _facts(arm) | {"self-collision": own.described(made) if own else "no pairs to check"}
     if as_json:
         print_json({"model": made.name, **facts, "bodies": table.records(), "files": [str(out), str(picture)]})
         return 0

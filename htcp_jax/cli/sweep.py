@@ -47,7 +47,7 @@ Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed.")]
 On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Run in this process or on a Ray cluster.")]
 Shard = Annotated[
     int | None,
-    typer.Option(metavar="N", help="Scenarios per work unit; a failed unit is planned again as a whole."),
+    typer.Option(metavar="N", help="Scenarios per work unit; a failed unit is planned again completely."),
 ]
 
 

@@ -37,7 +37,7 @@ from htcp_jax.runs.run_folder import open_run
 if TYPE_CHECKING:
     from htcp_jax.placement.judge import Judged
 
-NOTHING = "nothing was finished, nothing was written"
+NOTHING = "no plan was finished, and no file was written"
 
 
 class Placed(NamedTuple):

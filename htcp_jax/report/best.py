@@ -8,7 +8,7 @@ from htcp_jax.runs.labels import SHORT, split_unit, varying
 
 BEST = 3  # number of scenarios per method
 RANKED = (
-    "The best scenarios of each method: those with the most executable targets first, then by the smallest clearance, "
+    "The best scenarios of each method: those with the most executable targets first, then by the minimum clearance, "
     "then by the joint motion."
 )
 

@@ -26,8 +26,8 @@ MOST_SLICES = 9  # maps in a row
 UNITS = "rad", "m"
 OF_TASK = "task."  # parameters of the task, over which success is drawn next to reachability
 BLOCKED = (
-    "A joint step is blocked when the straight joint path from the configuration before collides on the way; not every "
-    "planner checks that. Tracked before it: the targets of each scenario up to its first blocked step."
+    "A joint step is blocked when the straight joint path from the configuration before collides; not every planner "
+    "checks that. Tracked before it: the targets of each scenario up to its first blocked step."
 )
 BUILT_IN = {BUILT_IN_ARM: "GP50", DUCT: "the generated duct", "weld": "its weld"}
 
@@ -86,7 +86,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         *_motion(part, prefix),
         *validation_section(part.validation, part.run_labels, level),
         Heading(level, "Time"),
-        f"Of the whole run, on {_device(part)}.",
+        f"For the complete run, on {_device(part)}.",
         made["times"],
     ]
 
@@ -272,8 +272,8 @@ def _notes_on_results(part: Part) -> list[str]:
     return [
         "Executable are the targets to which a proven motion leads: from the start that was given, the arm clear all "
         "along and the tool on its path. What lies beyond cannot be driven as it is planned. " + _unchecked(part),
-        "Means and the smallest clearance are over the tracked targets: a method that gets further also meets "
-        "tighter places. Time is run time by attempted targets, over the whole run.",
+        "Means and the minimum clearance are over the tracked targets: a method that gets further also passes "
+        "narrower places. Time is run time by attempted targets, over the complete run.",
     ]
 
 

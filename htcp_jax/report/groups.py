@@ -31,7 +31,13 @@ class SceneOfRun(Protocol):
         """Colliding bodies in the scenarios that a method failed, by their numbers."""
 
     def picture(self, number: int, method: str, title: str) -> Figure | None:
-        """Draw the arm in the workpiece of a scenario; None if there is no scene."""
+        """Draw the arm in the workpiece of a scenario; None if there is no scene.
+
+        Args:
+            number: The scenario.
+            method: The method.
+            title: The title of the figure.
+        """
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,11 +21,11 @@ MOTIONS = (
     Column("curvature_max_rad_m2", "largest", "rad/m2", ",.0f"),
 )
 MEANING = (
-    "Of the executable part alone. Dwells are targets of the path at which the arm changes its posture while the tool "
-    "stays. Cost is that of equation (3), the sum of the squared joint steps over all postures that are passed: its "
+    "For the executable part only. Dwells are targets of the path at which the arm changes its configuration while the "
+    "tool is at rest. Cost is that of equation (3), the sum of the squared joint steps over all configurations: its "
     "median over the scenarios whose motion leads to the end, and its geometric mean over {common}. The longest step "
-    "is between two postures on the path. Curvature is the largest |q''| of a scenario, over the arc length of the "
-    "path, where the arm does not dwell."
+    "is between two configurations on the path. Curvature is the largest |q''| of a scenario, over the arc length of "
+    "the path, where the arm does not dwell."
 )
 
 

@@ -68,8 +68,8 @@ def place_map(found: Searched, in_the_way: Mapping[str, int] | None = None) -> F
 
 def place_front(found: Searched) -> Figure:
     """Draw the ranked mountings by two objectives, numbered, and the Pareto front."""
-    note = "Numbers: the rank. Line: the front; no other mounting is better in both. Tails: when off by up to "
-    figure = new_figure(5.2, f"Two aims: {found.name}", f"{note}{found.disturbed}.")
+    note = "Numbers: the rank. Line: the Pareto front. Tails: the worst case when perturbed by up to "
+    figure = new_figure(5.2, f"Two objectives: {found.name}", f"{note}{found.disturbed}.")
     axes = figure.subplots()
     x, y = found.spare.T
     for start, end in zip(found.spare, found.off, strict=True):
@@ -87,7 +87,7 @@ def place_front(found: Searched) -> Figure:
 
 
 def _note(found: Searched) -> str:
-    told = f"{len(found.values):,} mountings; of those that are lost, the darker the more targets are executable."
+    told = f"{len(found.values):,} mountings. Incomplete ones are the darker, the more targets are executable."
     if len(found.ranked):
         told += " Ringed: proven motions; number: the rank."
     more = len(found.parameters) - MOST_PARAMETERS

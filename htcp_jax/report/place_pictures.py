@@ -90,7 +90,7 @@ def _blocking(run: Run, mountings: Int[np.ndarray, "m"], k: int) -> list[str]:
 
 def _title(found: Searched, rank: int, seam: str) -> str:
     left = [
-        f"{name} {spare:.3g} {UNITS[name][0]}" + (f", {off:.3g} when off" if np.isfinite(off) else "")
+        f"{name} {spare:.3g} {UNITS[name][0]}" + (f", {off:.3g} perturbed" if np.isfinite(off) else "")
         for name, spare, off in zip(found.aims, found.spare[rank - 1], found.off[rank - 1], strict=True)
     ]
     if np.isfinite(found.margin[rank - 1]):

@@ -82,7 +82,7 @@ def validation_section(found: dict[str, Any] | None, labels: dict[int, str], lev
     """
     if found is None:
         return []
-    about = f"By MuJoCo's kinematics and distances alone, of the whole run. {summary(found)}"
+    about = f"By MuJoCo's kinematics and distances alone, for the complete run. {summary(found)}"
     where = scenarios_named(found, labels)
     return [Heading(level, "Validation"), about, *validation_tables(found), *where, *notes(found)]
 

@@ -61,7 +61,13 @@ def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
 
 
 def touch_m(arm: Arm, pair: Pair, x: Float[np.ndarray, "N"]) -> float:
-    """Penetration depth of a pair's meshes at the configuration x [m]; 0 up to TOUCHING_M."""
+    """Penetration depth of a pair's meshes [m]; 0 up to TOUCHING_M.
+
+    Args:
+        arm: The arm, with meshes.
+        pair: The pair of capsules whose meshes are tested.
+        x: The configuration [rad or m].
+    """
     meshes: LinkMeshes = arm.meshes
     deep = meshes.deepest_m(*(arm.names[k] for k in pair), meshes.poses(x[None]))
     return deep if deep > TOUCHING_M else 0.0

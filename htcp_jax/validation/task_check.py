@@ -123,7 +123,13 @@ def hold_between(
 
 
 def follower(rows: Sequence[TaskRow], arm: Arm, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n 3"]:
-    """Position of the point that follows the path at configurations x [m]; the TCP if no row defines one."""
+    """Position of the point that follows the path [m]; the TCP if no row defines one.
+
+    Args:
+        rows: Rows of the task.
+        arm: The arm.
+        x: Configurations [rad or m].
+    """
     return _point(next((row for row in rows if row.on == "path"), HELD), arm, x)
 
 

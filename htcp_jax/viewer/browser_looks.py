@@ -31,7 +31,7 @@ class Looks:
         gui = server.gui
         closer = gui.add_button("Look at the smallest distance", icon=viser.Icon.ZOOM_IN)
         closer.on_click(self._look_closer)
-        back = gui.add_button("Look at everything", icon=viser.Icon.ZOOM_OUT)
+        back = gui.add_button("Show everything", icon=viser.Icon.ZOOM_OUT)
         back.on_click(self._look_back)
         with gui.add_folder("Workpiece"):
             self._side = gui.add_dropdown("Cut from", SIDES, initial_value=SIDES[0])
@@ -42,7 +42,7 @@ class Looks:
         with gui.add_folder("Arm"):
             self._opacity = gui.add_slider("Opacity [%]", 5, 100, 5, 100)
             self._pair = gui.add_checkbox("Smallest distance", True)
-            self._marks = gui.add_checkbox("Dwells, tightest place", True)
+            self._marks = gui.add_checkbox("Dwells, minimum clearance", True)
         self._opacity.on_update(lambda _: self._stage.fade(self._opacity.value / 100))
         self._marks.on_update(lambda _: self._stage.show_marks(self._marks.value))
         self._pair.on_update(lambda _: self._stage.show_smallest_distance(self._pair.value))

@@ -34,7 +34,7 @@ class Plots:
         if curves is not None:
             over = {"y": {"range": (0.0, curves.top_mm_s)}}, "time [s]"
             self.tcp = self._plot("TCP [mm/s]", _tcp(curves, 0), _tcp_series(curves), *over)
-            self._legend({kind.words: KINDS[kind] for kind in curves.tcp_mm_s} | {"feed asked for": INK})
+            self._legend({kind.words: KINDS[kind] for kind in curves.tcp_mm_s} | {"required feed": INK})
             over = {"y": {"distr": LOG, "range": BOUNDS}}, "time [s]"
             self.joints = self._plot("Joint speeds [% of the limit]", _joints(curves, 0), _joint_series(curves), *over)
             self._legend({name: joint_colour(k) for k, name in enumerate(curves.share_percent)})
@@ -97,7 +97,7 @@ def _joints(curves: Curves, row: int) -> Columns:
 
 
 def _tcp_series(curves: Curves) -> tuple[uplot.Series, ...]:
-    asked = {"label": "feed asked for", "stroke": INK, "width": 1, "dash": (4, 4)}
+    asked = {"label": "required feed", "stroke": INK, "width": 1, "dash": (4, 4)}
     return {"label": "time"}, asked, *(_line(kind.words, KINDS[kind]) for kind in curves.tcp_mm_s), _line("now", INK)
 
 

@@ -26,9 +26,9 @@ def facts(replay: Replay, target: int) -> str:
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
     if target == replay.failed and replay.obstruction is not None:
-        return f"{what}.\n\nBrought there all the same, as shown: {escaped(replay.obstruction.description)}."
+        return f"{what}.\n\nThe arm is shown there in collision: {escaped(replay.obstruction.description)}."
     if not status.tracked:
-        return f"{what}.\n\nThe arm is shown where it came to before."
+        return f"{what}.\n\nThe arm is shown at the last tracked target."
     clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]
     here = f"Clearance at the target **{clearance:.4g} mm** ({escaped(replay.witness.body[target])}). "
     here += f"TCP error {error:.2f} mm"
@@ -40,9 +40,9 @@ def facts(replay: Replay, target: int) -> str:
 def _motion(replay: Replay, target: int) -> str:
     """Describe the segment to a target, and a dwell there."""
     known = Way(int(replay.way[target]))
-    text = f"The way here: {known.message}"
+    text = f"Segment to this target: {known.message}"
     if known == Way.PROVEN:
-        text = f"The way here is proven: {1e3 * replay.way_clearance[target]:.3g} mm clear at least"
+        text = f"The segment to this target is proven: {1e3 * replay.way_clearance[target]:.3g} mm clear at least"
     tightest = " It is the tightest of the proof." if target == replay.summary.tightest else ""
     dwells = " **The arm changes its posture here.**" if target in replay.summary.dwells else ""
     return f"{text}.{tightest}{dwells}"

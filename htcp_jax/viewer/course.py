@@ -50,7 +50,13 @@ class ByTarget:
         return max(int(np.floor(place)), 0)
 
     def after(self, place: float, passed_s: float, rate: float) -> float:
-        """Place of the next configuration, independent of the time and the rate."""
+        """Place of the next configuration.
+
+        Args:
+            place: The current place.
+            passed_s: Time since the last frame; not used, so that no configuration is skipped.
+            rate: Playback rate; not used.
+        """
         del passed_s, rate
         return float(self._places[min(self._row(place) + 1, len(self._places) - 1)])
 
@@ -83,7 +89,13 @@ class ByTime:
         return round(place, 2)
 
     def after(self, place: float, passed_s: float, rate: float) -> float:
-        """Place after `passed_s` at a rate, from a place."""
+        """Place after a time.
+
+        Args:
+            place: The current place.
+            passed_s: Time since the last frame.
+            rate: Playback rate; 1 is real time.
+        """
         return min(place + rate * passed_s, self.last)
 
     def pause_s(self, place: float, rate: float) -> float:

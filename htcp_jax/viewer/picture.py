@@ -319,7 +319,7 @@ def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, in_the_
             axes.scatter(*points, label=style.name, edgecolors=PAPER, zorder=3, **look)
     if margin_m > 0:
         style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
-        axes.axhline(1e3 * margin_m, label="margin asked for", **style)
+        axes.axhline(1e3 * margin_m, label="required margin", **style)
     if (end := plans.outcome(row)).failed is not None:
         _draw_failure(axes, end, len(status), in_the_way)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -63,7 +63,7 @@ def shown_as(speed: float) -> str:
 def _draw_feed(axes: Axes, curves: Curves) -> None:
     for kind, speed in curves.tcp_mm_s.items():
         axes.plot(curves.time_s, speed, color=KINDS[kind], linewidth=1.2, label=kind.words)
-    axes.axhline(curves.feed_mm_s, color=INK, linewidth=0.9, linestyle="--", label="feed asked for", zorder=1)
+    axes.axhline(curves.feed_mm_s, color=INK, linewidth=0.9, linestyle="--", label="required feed", zorder=1)
     axes.set_ylim(0, curves.top_mm_s)
     _plain(axes, "TCP [mm/s]")
 
