@@ -114,7 +114,7 @@ class Plan:
     def _checked(self) -> dict[str, str]:
         """Return the self-collision pairs and the fixtures that are checked, as labelled text."""
         own = [each.described(self.robot) for each in self.obstacles if isinstance(each, SelfCollision)]
-        names = [name for each in self.obstacles for name in getattr(each, "names", ())]
+        names = [name for each in self.obstacles for name in each.names]
         facts = {"self-collision": own[0]} if own else {}
         return facts | ({"fixtures": ", ".join(names)} if names else {})
 

@@ -9,8 +9,16 @@
 
 import math
 from dataclasses import dataclass, fields
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.task_row_kind import PlacedPath, TaskRowKind
+from htcp_jax.model.task_rows import Row
+from htcp_jax.model.written_rows import goals_of_row, part_of_row
 from htcp_jax.types import Triple
 
 FRAMES = "world", "workpiece", "path"
@@ -25,7 +33,7 @@ NEEDED = {"path": (), "plane": ("through_m", "normal"), "line": ("through_m", "d
 
 
 @dataclass(frozen=True)
-class TaskRow:
+class TaskRow(TaskRowKind):
     """One row; `KINDS` lists which fields belong together. Raises InputError for others, for a place or a direction
     that is none, and for an angle out of its range.
 
@@ -33,6 +41,8 @@ class TaskRow:
     the workpiece's or the world's; for a point on the path, the frame of its axes, which may also be the path's own,
     with x along the tangent and z along the normal.
     """
+
+    name: ClassVar[str] = "built-in"
 
     point: str | None = None  # a name
     offset_m: Triple = (0.0, 0.0, 0.0)  # of the point, in the frame of that name
@@ -65,6 +75,23 @@ class TaskRow:
                 raise InputError(f"{name} is {value:g}; it must be 0 to 180")
         if self.within_m is not None and not 0 < self.within_m <= 1e3:
             raise InputError(f"within_m is {self.within_m:g}; it must be more than 0 and finite")
+
+    @property
+    def angular(self) -> bool:
+        """True for an axis and for an orientation."""
+        return self.point is None
+
+    def part(self, robot: Robot) -> Row:
+        """Return the row for a robot. Raises InputError for a name that the robot lacks."""
+        return part_of_row(self, robot)
+
+    def goals(self, part: Row, posed: PlacedPath) -> Float[np.ndarray, "T g"]:
+        """Return the goals of the row at the points of the path."""
+        return goals_of_row(self, part, posed)
+
+    def drawn(self, part: Row, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
+        """Return a random goal."""
+        return part.drawn(rng)
 
     @property
     def limit_deg(self) -> float | None:

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacle import Obstacle, Obstacles
+from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind, with_given
 from htcp_jax.clearance.obstacles.obstacles import contacts, nearest_to
 from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
 from htcp_jax.clearance.obstacles.scene import Scene, own_scene
@@ -56,7 +57,7 @@ def plan(
     threads: int | None = None,
     check_paths: bool = True,
     task: Task | None = None,
-    obstacles: Obstacles = (),
+    obstacles: Sequence[Obstacle | ObstacleKind] = (),
     check_starts: bool = False,
     processes: int | None = None,
 ) -> Plans:
@@ -70,10 +71,10 @@ def plan(
     step that the method did not check itself, whether its straight joint path is clear (`Plans.path_clear`), verify
     which segments are motions, and smooth these if `settings.smooth` or the method requires it. task: what the arm
     holds at every target, by default the TCP's position within `tolerance_m`. obstacles: further ones, see
-    `obstacle.Obstacle`. check_starts: refuse a start in collision, which otherwise is a status. Raises InputError for
-    an unknown method, device or setting, for weights of the wrong length, for no scenarios, for a task with more rows
-    than joints, or other ones than the targets have, for fewer than one process, and for checked starts that are in
-    collision; Lost if a process is ended from outside.
+    `ObstacleKind` and `obstacle.Obstacle`. check_starts: refuse a start in collision, which otherwise is a status.
+    Raises InputError for an unknown method, device or setting, for weights of the wrong length, for no scenarios, for a
+    task with more rows than joints, or other ones than the targets have, for fewer than one process, and for checked
+    starts that are in collision; Lost if a process is ended from outside.
     """
     chosen, settings = find(method), settings_of(settings)
     joints = len(robot.joint_names)
@@ -89,7 +90,8 @@ def plan(
         scenarios = stack(scenarios)
     elif scenarios.x_start.ndim == 1:
         scenarios = stack([scenarios])
-    scenarios = _with_refused(robot, obstacles, jax.tree.map(np.asarray, scenarios), check_starts)
+    obstacles, scenarios = with_given(obstacles, jax.tree.map(np.asarray, scenarios))
+    scenarios = _with_refused(robot, obstacles, scenarios, check_starts)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     _check_task(task, robot, scenarios)
     devices = choose(device)
@@ -134,7 +136,7 @@ def plan(
         plans = begin_at_home(problem, plans, ways)
         if check_paths:
             plans = judge_motions(problem, plans)
-            if getattr(chosen, "smooth", False) if settings.smooth is None else settings.smooth:
+            if chosen.smooth if settings.smooth is None else settings.smooth:
                 from htcp_jax.motion.smoothing import smooth
 
                 plans = tighten(problem, judge_motions(problem, smooth(problem, plans)))
@@ -215,10 +217,10 @@ def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
 @contextmanager
 def _preparing(problem: Problem, method: Method) -> Iterator[None]:
     """Compile the calls that a method announces, while the context is open."""
-    calls = getattr(method, "first_calls", None)
+    calls = method.first_calls(problem) if len(problem.to_plan) else ()
     with ExitStack() as stack:
-        for each in problem.checkers if calls is not None and len(problem.to_plan) else ():
-            stack.enter_context(each.kernels.preparing(calls(problem)))
+        for each in problem.checkers if calls else ():
+            stack.enter_context(each.kernels.preparing(calls))
         yield
 
 

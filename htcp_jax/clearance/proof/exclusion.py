@@ -16,8 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.distance.cloud import Cloud
-from htcp_jax.clearance.obstacles.interior import Interior
 from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
@@ -40,15 +38,12 @@ class Segments(NamedTuple):
 
 def surely_touches(obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies: Segments) -> Bool[jax.Array, ""]:
     """Return True if some body has clearance less than margin_m [m] wherever its points are within `moves` of the
-    segments, which are in the world. Obstacles other than points and the interior are ignored. By the triangle
-    inequality (docs/equations.md, section Exclusion)."""
+    segments, which are in the world. Obstacles that do not know that are ignored. By the triangle inequality
+    (docs/equations.md, section Exclusion)."""
     p, q, radius, moves = bodies
     moves, found = moves + ROUNDING_M, jnp.zeros((), bool)
     for each in obstacles:
-        if isinstance(each, Cloud):
-            found |= each.holds(where, p, q, radius + margin_m - moves)
-        if isinstance(each, Interior):
-            found |= each.holds(where, p, q, moves)
+        found |= each.surely_touches(where, margin_m, p, q, radius, moves)
     return found
 
 

@@ -1,0 +1,75 @@
+"""Obstacles and task rows of other packages in a job: {kind: NAME, KEY: VALUE, ...}, read and written."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES, ObstacleKind
+from htcp_jax.errors import InputError, described
+from htcp_jax.io.strict_model import KIND, refuse_unknown
+from htcp_jax.kinds import Kind
+from htcp_jax.registry import Registry
+
+
+def of_kind(registry: Registry, base: type[Kind]) -> Callable[[Any, Callable], Any]:
+    """Return a pydantic validator of what names a kind in `registry`, or is one already; all else goes to the built-in
+    model."""
+
+    def read(value: Any, built_in: Callable) -> Any:
+        if isinstance(value, dict) and KIND in value:
+            return _made(registry.find(str(value[KIND])), value)
+        return _checked(value) if _is_given(value) and isinstance(value, base) else built_in(value)
+
+    return read
+
+
+def needs_kind(value: Any) -> Any:
+    """Raise InputError for an obstacle of no kind."""
+    if not isinstance(value, ObstacleKind):
+        valid = ", ".join(OBSTACLES.names()) or "none is installed"
+        raise InputError(f"{value!r} is no obstacle; it is {{kind: NAME, ...}}; valid names: {valid}")
+    return value
+
+
+def record_of(value: Any, built_in: Callable) -> Any:
+    """Return the plain form of a kind for JSON and YAML."""
+    if not _is_given(value):
+        return built_in(value)
+    return {KIND: value.name, **{field.name: getattr(value, field.name) for field in dataclasses.fields(value)}}
+
+
+def _is_given(value: Any) -> bool:
+    return isinstance(value, Kind) and value.name != "built-in"
+
+
+def _made(kind: type[Kind], raw: dict) -> Kind:
+    """Return a kind from its keys. Raises InputError for an unknown key and a value of another type."""
+    given = {key: value for key, value in raw.items() if key != KIND}
+    refuse_unknown(given, kind, f"kind {kind.name}")
+    try:
+        return _finite(_adapter(kind).validate_python(given))
+    except ValidationError as error:
+        raise InputError(f"kind {kind.name}: {described(error.errors()[0])}") from None
+
+
+def _checked(value: Kind) -> Kind:
+    """Return a kind that was made in Python with its values in the types of its fields."""
+    return _made(type(value), {field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
+
+
+def _finite(value: Kind) -> Kind:
+    for field in dataclasses.fields(value):
+        numbers = getattr(value, field.name)
+        for number in numbers if isinstance(numbers, tuple) else [numbers]:
+            if isinstance(number, float) and not math.isfinite(number):
+                raise InputError(f"kind {value.name}: {field.name} is {number}; finite numbers are needed")
+    return value
+
+
+@cache
+def _adapter(kind: type[Kind]) -> TypeAdapter:
+    return TypeAdapter(kind)
