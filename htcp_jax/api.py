@@ -11,13 +11,15 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.device.devices import choose
 from htcp_jax.jobs.build import drawn_of, obstacles_of, scene, task_of_job
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.jobs.load_config import load_config, with_kinds
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.scenario import Scenario, interior_rule, with_own_tool
+from htcp_jax.model.task_row_kind import TaskRowKind
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.motion.motion import Motion, motion
 from htcp_jax.motion.plans import Outcome, Plans
@@ -226,20 +228,23 @@ def plan(
     method: str | None = None,
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
+    obstacles: Sequence[ObstacleKind | Mapping[str, Any]] = (),
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
 ) -> Plan:
     """Plan one job.
 
     config: a YAML file, or a mapping of its keys, {"workpiece": {"rotation_y_rad": 0.5}}; None is the default job.
     overrides: changes to it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
     "workpiece.rotation_y_rad": 0.5}. method: see `methods`. progress: called as targets are tracked. device:
-    see `device.devices`.
+    see `device.devices`. obstacles: further ones, see `ObstacleKind`; they are added to cell.obstacles. task: rows in
+    place of the job's, see `TaskRowKind`; both are values, or mappings as in a job file.
     Raises InputError for bad input and for a start in collision.
     """
     if method is not None:
         given = isinstance(overrides, Mapping)
         overrides = {**overrides, "method": method} if given else [*overrides, f"method={method}"]
     choose(device)  # before anything is computed
-    job = load_config(config, overrides)
+    job = with_kinds(load_config(config, overrides), obstacles, task)
     registry.find(job.method)
     robot, workpiece, scenario = scene(job)
     obstacles, task = obstacles_of(job.cell, robot), task_of_job(job, robot)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacle_kind import given_obstacles, shapes_in_world
+from htcp_jax.clearance.obstacles.obstacle_kind import given_obstacles
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures, placed_cloud
 from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.errors import InputError, Note
@@ -20,6 +20,7 @@ from htcp_jax.io.robot_file import load_robot
 from htcp_jax.io.units import check_tool
 from htcp_jax.io.workpiece_file import GeneratedDuct, NoCloud, WorkpieceSource, load_workpiece, read_source
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
+from htcp_jax.jobs.given_kinds import shapes_in_world
 from htcp_jax.kinds import numbers_of, template_of
 from htcp_jax.model.fixture import Fixture
 from htcp_jax.model.goals import follower, task_of, with_goals

@@ -2,17 +2,21 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES, ObstacleKind
 from htcp_jax.errors import InputError, described
 from htcp_jax.io.strict_model import KIND, refuse_unknown
-from htcp_jax.kinds import Kind
+from htcp_jax.kinds import Kind, with_arrays
+from htcp_jax.model.fixture import PRIMITIVES, Fixture
+from htcp_jax.model.tool import pose
 from htcp_jax.registry import Registry
+from htcp_jax.types import Triple
 
 
 def of_kind(registry: Registry, base: type[Kind]) -> Callable[[Any, Callable], Any]:
@@ -73,3 +77,22 @@ def _finite(value: Kind) -> Kind:
 @cache
 def _adapter(kind: type[Kind]) -> TypeAdapter:
     return TypeAdapter(kind)
+
+
+def shapes_in_world(kind: ObstacleKind) -> tuple[Fixture, ...]:
+    """Return a kind's shapes at their poses in the world; none if it knows none. Raises InputError for a shape that
+    MuJoCo lacks, naming the kind."""
+    found = []
+    for shape in with_arrays(kind).shapes():
+        wanted = PRIMITIVES.get(shape.type)
+        size = tuple(float(value) for value in np.ravel(shape.size_m))
+        if wanted is None or len(size) != wanted:
+            valid = ", ".join(f"{name} with {count} sizes" for name, count in PRIMITIVES.items())
+            raise InputError(f"{kind.name}: a shape of type {shape.type!r} with {len(size)} sizes; valid: {valid}")
+        T = pose(_triple(shape.position_m), _triple(shape.rpy_rad))
+        found.append(Fixture(kind.name, shape.type, T, np.array([*size, 0.0, 0.0, 0.0])[:3], np.empty((0, 3, 3))))
+    return tuple(found)
+
+
+def _triple(values: Sequence[float]) -> Triple:
+    return tuple(float(value) for value in np.ravel(values))

@@ -43,6 +43,7 @@ class TaskRow(TaskRowKind):
     """
 
     name: ClassVar[str] = "built-in"
+    sampled: ClassVar[bool] = False
 
     point: str | None = None  # a name
     offset_m: Triple = (0.0, 0.0, 0.0)  # of the point, in the frame of that name

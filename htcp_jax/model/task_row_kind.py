@@ -75,6 +75,11 @@ class TaskRowKind(Kind):
         return None
 
     @property
+    def sampled(self) -> bool:
+        """True if it has no bound between two configurations."""
+        return self.rate is None
+
+    @property
     def uses(self) -> set[str]:
         """Path frames that the row requires."""
         return {ON_PATH[name] for name in self.along} - {"places"}

@@ -108,7 +108,7 @@ class Run:
     def varied(self) -> tuple[str, ...]:
         """Keys of the configuration in which scenarios may differ (robots, workpieces, settings), except the parameters
         that have columns in every run."""
-        return varied_keys(name for group in self.manifest.grid for axis in group["axes"] for name in axis)
+        return varied_keys([name for group in self.manifest.grid for axis in group["axes"] for name in axis])
 
     def points(self) -> tuple[Point, ...]:
         """Return the scenarios with their complete configurations. Raises InputError for a manifest whose grid cannot

@@ -19,10 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES
 from htcp_jax.device.devices import choose
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
 from htcp_jax.jobs.grid_axes import FILE_KEYS, MOST, record
+from htcp_jax.model.task_row_kind import TASK_ROWS
 from htcp_jax.motion.plans import Plans
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import Progress as ShardProgress
@@ -233,6 +235,8 @@ def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threa
     from htcp_jax.runs.ray_ import on_ray  # here, because it is an extra
 
     registry.refuse_own(methods)
+    OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
+    TASK_ROWS.refuse_own(row.name for row in spec.config.task)
     return on_ray(batch, spec.config, on.partition(":")[2])
 
 

@@ -20,15 +20,14 @@ import numpy as np
 
 from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Obstacles, Posed, bodies_at
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import Kind, Template, fault_of, numbers_of, template_of, with_arrays
-from htcp_jax.model.fixture import PRIMITIVES, Fixture
+from htcp_jax.kinds import Kind, Template, fault_of, numbers_of, template_of
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.scenario import Scenario
-from htcp_jax.model.tool import ZERO, pose
+from htcp_jax.model.tool import ZERO
 from htcp_jax.numerics import safe_norm
 from htcp_jax.pytree import register_pytree
 from htcp_jax.registry import Registry
-from htcp_jax.types import Bool, Float, Scalar, Triple, Vector3
+from htcp_jax.types import Bool, Float, Scalar, Vector3
 
 PIECES, SECTIONS = 128, 48  # of an axis that is not searched by sections alone; golden sections
 GOLDEN = (np.sqrt(5) - 1) / 2
@@ -161,22 +160,3 @@ def with_given(obstacles: Sequence[Obstacle | ObstacleKind], scenarios: Scenario
     numbers = np.tile(numbers_of(kinds), (len(scenarios.number), 1))
     others = tuple(each for each in obstacles if not isinstance(each, ObstacleKind))
     return (*others, *given_obstacles(kinds)), replace(scenarios, obstacle_numbers=numbers)
-
-
-def shapes_in_world(kind: ObstacleKind) -> tuple[Fixture, ...]:
-    """Return a kind's shapes at their poses in the world; none if it knows none. Raises InputError for a shape that
-    MuJoCo lacks, naming the kind."""
-    found = []
-    for shape in with_arrays(kind).shapes():
-        wanted = PRIMITIVES.get(shape.type)
-        size = tuple(float(value) for value in np.ravel(shape.size_m))
-        if wanted is None or len(size) != wanted:
-            valid = ", ".join(f"{name} with {count} sizes" for name, count in PRIMITIVES.items())
-            raise InputError(f"{kind.name}: a shape of type {shape.type!r} with {len(size)} sizes; valid: {valid}")
-        T = pose(_triple(shape.position_m), _triple(shape.rpy_rad))
-        found.append(Fixture(kind.name, shape.type, T, np.array([*size, 0.0, 0.0, 0.0])[:3], np.empty((0, 3, 3))))
-    return tuple(found)
-
-
-def _triple(values: Sequence[float]) -> Triple:
-    return tuple(float(value) for value in np.ravel(values))
