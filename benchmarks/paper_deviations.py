@@ -346,7 +346,7 @@ def damped(runs: Runs) -> None:
 def registered(method) -> Iterator[str]:
     """Register a method; its name."""
     yield registry.register(method).name
-    registry.unregister(method.name)
+    registry.METHODS.unregister(method.name)
 
 
 def own_null_space(minimise: Callable, settings: tuple[str, ...] = ()):

@@ -257,6 +257,6 @@ def plan(
 def methods() -> "pandas.DataFrame":
     """Return the planners with their titles and descriptions. A method of another package that cannot be imported
     causes a UserWarning with the reason."""
-    known = registry.all_methods().items()
+    known = registry.METHODS.all().items()
     rows = [{"method": name, "title": method.title, "description": method.description} for name, method in known]
     return frame_of(pa.Table.from_pylist(rows)).set_index("method")

@@ -200,7 +200,7 @@ def planned_by(spy, scenarios):
     try:
         return plan(made_once.robot(), made_once.duct(), scenarios, "spy", SMALL, threads=1)
     finally:
-        registry.unregister("spy")
+        registry.METHODS.unregister("spy")
 
 
 @pytest.mark.parametrize("column", ["refused", "x_start", "targets"])

@@ -152,7 +152,7 @@ class Standstill:
 @pytest.fixture
 def standstill():
     yield htcp_jax.register(Standstill())
-    registry.unregister("standstill")
+    registry.METHODS.unregister("standstill")
 
 
 def test_a_method_of_this_process_plans_and_is_listed(standstill, tmp_path):

@@ -23,7 +23,7 @@ from htcp_jax.device.processes import portable, shares, that_pay
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.planning.batch import plan
-from htcp_jax.planning.registry import unregister
+from htcp_jax.planning.registry import METHODS
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
@@ -121,7 +121,7 @@ def test_a_method_of_this_process_plans_here():
     try:
         plan(*scene(), poses(), "here", PAPER, processes=2)
     finally:
-        unregister("here")
+        METHODS.unregister("here")
     assert Here.seen == (os.getpid(),)
 
 

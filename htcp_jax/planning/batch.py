@@ -101,7 +101,7 @@ def plan(
         processes = 1 if threads else that_pay(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
-    if processes > 1 and devices[0].platform == "cpu" and not registry.is_own(method):
+    if processes > 1 and devices[0].platform == "cpu" and not registry.METHODS.is_own(method):
         how = {"method": method, "settings": settings, "threads": threads or 1, "task": task}
         how |= {"check_paths": check_paths, "check_starts": check_starts}
         shared = portable(robot, workpiece, tuple(obstacles))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from htcp_jax.registry import NAME, Registry
+from htcp_jax.registry import Registry
 
 if TYPE_CHECKING:
     from htcp_jax.motion.plans import Plans
@@ -52,14 +52,18 @@ def _built_in() -> dict[str, Method]:
 
 
 METHODS = Registry("htcp_jax.methods", "method", _fault, _built_in)
-find, names, all_methods, is_own, refuse_own, unregister = (
-    METHODS.find,
-    METHODS.names,
-    METHODS.all,
-    METHODS.is_own,
-    METHODS.refuse_own,
-    METHODS.unregister,
-)
+
+
+def find(name: str) -> Method:
+    """Return the method with that name. Raises InputError for an unknown name, and for a method that cannot be
+    imported, naming its entry point and package."""
+    return METHODS.find(name)
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all methods: built-in ones in their order, then those of packages, then those of this
+    process."""
+    return METHODS.names()
 
 
 def register(value: Any) -> Any:
@@ -75,7 +79,3 @@ def register(value: Any) -> Any:
     kinds = {ObstacleKind: OBSTACLES, TaskRowKind: TASK_ROWS}
     known = (registry for kind, registry in kinds.items() if isinstance(value, type) and issubclass(value, kind))
     return next(known, METHODS).register(value)
-
-
-__all__ = ["METHODS", "NAME", "Method", "all_methods", "find", "is_own", "names", "refuse_own", "register",
-           "unregister"]  # fmt: skip

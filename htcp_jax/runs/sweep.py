@@ -170,7 +170,7 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
     """Return the methods named by "all", "a,b" or a list. Raises InputError for an empty list, and for a method that is
     unknown, cannot be imported, or is repeated."""
     if methods == "all":
-        return tuple(registry.all_methods())
+        return tuple(registry.METHODS.all())
     names = [name.strip() for name in methods.split(",")] if isinstance(methods, str) else list(methods)
     if not any(names):
         raise InputError(f"no methods; valid: all, {', '.join(registry.names())}")
@@ -234,7 +234,7 @@ def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threa
         return contextlib.nullcontext(partial(plan_here, batch, threads, device))
     from htcp_jax.runs.ray_ import on_ray  # here, because it is an extra
 
-    registry.refuse_own(methods)
+    registry.METHODS.refuse_own(methods)
     OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
     TASK_ROWS.refuse_own(row.name for row in spec.config.task)
     return on_ray(batch, spec.config, on.partition(":")[2])

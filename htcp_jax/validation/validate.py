@@ -244,10 +244,7 @@ def _unchecked(checked: Sequence[Checked], besides: Iterable[Beside]) -> tuple[s
     obstacles = sorted({name for beside in besides for name in beside.unmeasured})
     lines = [f"The obstacle {name!r} is not measured: it has no shapes for MuJoCo." for name in obstacles]
     rows = {f"task.{k} ({row.row})" for one in checked for k, row in enumerate(one.rows, 1) if row.unchecked}
-    return (
-        *lines,
-        *(f"The row {row} is not validated: it has no deviation from MuJoCo's poses." for row in sorted(rows)),
-    )
+    return *lines, *(f"The row {row} is not validated: its kind has no deviation." for row in sorted(rows))
 
 
 def _held(one: Checked, number: int) -> RowHeld:
