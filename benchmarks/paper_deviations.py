@@ -407,7 +407,7 @@ class HostKernels(Kernels):
 
 
 @dataclass(frozen=True)
-class OnHost:
+class OnHost(registry.Method):
     """A method whose null-space steps are minimised by a function of the host."""
 
     name: str

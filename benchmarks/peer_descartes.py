@@ -25,6 +25,7 @@ from tesseract_robotics import tesseract_motion_planners_descartes as descartes
 from benchmarks.peer_cell import Brought, Cell
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
+from htcp_jax.planning.registry import Method
 from htcp_jax.status import Status
 
 KEY, DRAWN, TRIED = 6, 100, 1024  # a key target every so many; clear postures drawn there, and draws to find them in
@@ -34,8 +35,8 @@ EDGE_RAD, APPROACH_RAD = 0.25, 0.4  # the longest edges, along the path and befo
 
 
 @dataclass(frozen=True)
-class LadderGraph:
-    """The planner. A `registry.Method`."""
+class LadderGraph(Method):
+    """The planner."""
 
     name: str = "descartes-ladder"
     title: str = "Descartes' ladder graph"

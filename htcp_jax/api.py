@@ -225,7 +225,7 @@ def plan(
     config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
     *,
-    method: str | None = None,
+    method: str | registry.Method | None = None,
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
     obstacles: Sequence[ObstacleKind | Mapping[str, Any]] = (),
@@ -235,21 +235,22 @@ def plan(
 
     config: a YAML file, or a mapping of its keys, {"workpiece": {"rotation_y_rad": 0.5}}; None is the default job.
     overrides: changes to it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
-    "workpiece.rotation_y_rad": 0.5}. method: see `methods`. progress: called as targets are tracked. device:
-    see `device.devices`. obstacles: further ones, see `ObstacleKind`; they are added to cell.obstacles. task: rows in
-    place of the job's, see `TaskRowKind`; both are values, or mappings as in a job file.
+    "workpiece.rotation_y_rad": 0.5}. method: a name, see `methods`, or a `Method`. progress: called as targets are
+    tracked. device: see `device.devices`. obstacles: further ones, see `ObstacleKind`; they are added to
+    cell.obstacles. task: rows in place of the job's, see `TaskRowKind`; both are values, or mappings as in a job file.
     Raises InputError for bad input and for a start in collision.
     """
     if method is not None:
         given = isinstance(overrides, Mapping)
-        overrides = {**overrides, "method": method} if given else [*overrides, f"method={method}"]
+        name = method if isinstance(method, str) else method.name
+        overrides = {**overrides, "method": name} if given else [*overrides, f"method={name}"]
     choose(device)  # before anything is computed
     job = with_kinds(load_config(config, overrides), obstacles, task)
-    registry.find(job.method)
+    chosen = registry.find(job.method) if method is None or isinstance(method, str) else method
     robot, workpiece, scenario = scene(job)
     obstacles, task = obstacles_of(job.cell, robot), task_of_job(job, robot)
     how = {"progress": progress, "device": device, "obstacles": obstacles, "task": task, "check_starts": True}
-    plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, **how)
+    plans = batch.plan(robot, workpiece, scenario, chosen, job.settings, **how)
     robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, obstacles)
 

@@ -23,7 +23,7 @@ from htcp_jax.device.processes import portable, shares, that_pay
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.planning.batch import plan
-from htcp_jax.planning.registry import METHODS
+from htcp_jax.planning.registry import METHODS, Method
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
@@ -105,7 +105,7 @@ def test_a_worker_that_is_killed_is_told_of():
     assert again().tracked.any()
 
 
-class Here:
+class Here(Method):
     """A planner that no other process can have."""
 
     name, title, description = "here", "Here", "says which process has planned"

@@ -21,7 +21,7 @@ row without a rate is sampled: at intervals no longer than SAMPLED, in their mid
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -43,7 +43,7 @@ class Left(NamedTuple):
     apart: Float[Array, "*P"]  # lower bound on the distance of the place that an axis points at [m]; inf: none
 
 
-class FeatureMotion(Protocol):
+class FeatureMotion:
     """Motion of a row's features on an interval of a joint path, about its middle; per unit of the path."""
 
     half: Scalar  # half the interval
@@ -52,19 +52,15 @@ class FeatureMotion(Protocol):
 
     def moving(self, k: int) -> tuple[Vector3, Vector3]:
         """Return feature k's position [m] or direction, and its velocity."""
+        raise NotImplementedError
 
     def bend(self, k: int) -> Scalar:
         """Return a bound on the acceleration of feature k, a point, on the interval [m]."""
+        raise NotImplementedError
 
     def velocity(self, function: Callable) -> tuple[Array, Array]:
         """Return function(feature 0, feature 1, ...) of the features' vectors, and its derivative."""
-
-
-class Region(Protocol):
-    """What a row allows between two targets."""
-
-    def left(self, motion: FeatureMotion) -> Left:
-        """Return the slack on an interval."""
+        raise NotImplementedError
 
 
 class Slabs(NamedTuple):
@@ -149,6 +145,9 @@ class Rated(NamedTuple):
         bends = [motion.turning**2 if turns else motion.bend(k) for k, turns in enumerate(self.is_direction)]
         moves = [half * safe_norm(v) + 0.5 * half * half * bend for (_, v), bend in zip(moving, bends, strict=True)]
         return Left(slack / self.rate - safe_norm(jnp.stack(moves)) - ROUNDING_M, slack < 0, jnp.inf)
+
+
+Region = Slabs | Chords | Look | Rated
 
 
 def towards(a: Vector3, b: Vector3, limit: Float[Array, "2"], tolerance_rad: float) -> Chords:

@@ -49,7 +49,7 @@ def plan(
     robot: Robot,
     workpiece: Workpiece,
     scenarios: Scenario | Sequence[Scenario],
-    method: str = "roadmap",
+    method: str | Method = "roadmap",
     settings: Settings | Mapping[str, Any] | None = None,
     *,
     progress: Callable[[Progress], None] | None = None,
@@ -61,7 +61,7 @@ def plan(
     check_starts: bool = False,
     processes: int | None = None,
 ) -> Plans:
-    """Plan every scenario with one method (its name, see `registry`).
+    """Plan every scenario with one method (its name, see `registry`, or the method itself).
 
     scenarios: from `make_scenario`, one or many, or stacked already. settings: a mapping, {"alpha_rad": 0.05}, changes
     the defaults. device: see `devices.choose`. processes: number of those that share the scenarios on a CPU, by default
@@ -76,7 +76,9 @@ def plan(
     task with more rows than joints, or other ones than the targets have, for fewer than one process, and for checked
     starts that are in collision; Lost if a process is ended from outside.
     """
-    chosen, settings = find(method), settings_of(settings)
+    chosen, settings = method if isinstance(method, Method) else find(method), settings_of(settings)
+    method = chosen.name
+    elsewhere = method in registry.names() and not registry.METHODS.is_own(method) and find(method) is chosen
     joints = len(robot.joint_names)
     for name in ("q_weights", "path_weights"):
         weights = getattr(settings, name)
@@ -101,7 +103,7 @@ def plan(
         processes = 1 if threads else that_pay(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
-    if processes > 1 and devices[0].platform == "cpu" and not registry.METHODS.is_own(method):
+    if processes > 1 and devices[0].platform == "cpu" and elsewhere:
         how = {"method": method, "settings": settings, "threads": threads or 1, "task": task}
         how |= {"check_paths": check_paths, "check_starts": check_starts}
         shared = portable(robot, workpiece, tuple(obstacles))

@@ -122,7 +122,7 @@ def _nearest(own: ObstacleKind, p: Vector3, q: Vector3) -> tuple[Vector3, Scalar
     def at(t: Scalar) -> Scalar:
         return jnp.asarray(own.distance(p + t * (q - p)), float).reshape(())
 
-    def section(_: int, ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+    def section(_, ends):
         low, high = ends
         a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
         left = at(a) < at(b)

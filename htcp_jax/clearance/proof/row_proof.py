@@ -6,8 +6,8 @@ still permits: a motion that stays that close to the joint path satisfies the ro
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ import numpy as np
 
 from htcp_jax.clearance.proof.motion_bound import point_bend_bound
 from htcp_jax.model.robot import Robot
-from htcp_jax.model.row_bounds import Left, Region
+from htcp_jax.model.row_bounds import FeatureMotion, Left, Region
 from htcp_jax.model.task import Task, feature_at
 from htcp_jax.model.task_rows import Feature, Row, TaskPoint
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
@@ -56,8 +56,9 @@ def rows_hold(
     return found.left >= 0, found.broken
 
 
-class _Moving(NamedTuple):
-    """A `FeatureMotion`: features on the joint path x + s rates with |s| <= half."""
+@dataclass(frozen=True)
+class _Moving(FeatureMotion):
+    """Features on the joint path x + s rates with |s| <= half."""
 
     robot: Robot
     features: tuple[Feature, ...]
