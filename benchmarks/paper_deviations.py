@@ -346,7 +346,7 @@ def damped(runs: Runs) -> None:
 def registered(method) -> Iterator[str]:
     """Register a method, and yield its name."""
     yield registry.register(method).name
-    registry.unregister(method.name)
+    registry.METHODS.unregister(method.name)
 
 
 def own_null_space(minimise: Callable, settings: tuple[str, ...] = ()):
@@ -406,7 +406,7 @@ class HostKernels(Kernels):
 
 
 @dataclass(frozen=True)
-class OnHost:
+class OnHost(registry.Method):
     """Method whose null-space steps are minimised by a function on the host."""
 
     name: str

@@ -24,6 +24,7 @@ from tesseract_robotics import tesseract_motion_planners_descartes as descartes
 from benchmarks.peer_cell import Brought, Cell
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
+from htcp_jax.planning.registry import Method
 from htcp_jax.status import Status
 
 KEY, DRAWN, TRIED = 6, 100, 1024  # interval of key targets; number of clear configurations there, and of draws for them
@@ -33,8 +34,8 @@ EDGE_RAD, APPROACH_RAD = 0.25, 0.4  # largest length of an edge, along the path 
 
 
 @dataclass(frozen=True)
-class LadderGraph:
-    """Descartes' planner as a `registry.Method`."""
+class LadderGraph(Method):
+    """The planner."""
 
     name: str = "descartes-ladder"
     title: str = "Descartes' ladder graph"

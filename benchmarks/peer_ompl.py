@@ -25,6 +25,7 @@ from htcp_jax.model.robot import GP50
 from htcp_jax.motion.knots import Knots
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
+from htcp_jax.planning.registry import Method
 from htcp_jax.status import Status
 
 DELTA_RAD = 0.05  # between the configurations that OMPL checks
@@ -62,8 +63,8 @@ class AtPoint(base.Constraint):
 
 
 @dataclass(frozen=True)
-class ProjectedRRTConnect:
-    """OMPL's planner as a `registry.Method`."""
+class ProjectedRRTConnect(Method):
+    """The planner."""
 
     limit_s: float  # for a scenario
     name: str = "ompl-projected"

@@ -11,13 +11,15 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.device.devices import choose, on
 from htcp_jax.jobs.build import drawn_of, obstacles_of, scene, task_of_job
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.jobs.load_config import load_config, with_kinds
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.scenario import Scenario, interior_rule, with_own_tool
+from htcp_jax.model.task_row_kind import TaskRowKind
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.motion.motion import Motion, motion
 from htcp_jax.motion.plans import Outcome, Plans
@@ -118,7 +120,7 @@ class Plan:
     def _checked(self) -> dict[str, str]:
         """Return the self-collision pairs and the fixtures that are checked, as labelled text."""
         own = [each.described(self.robot) for each in self.obstacles if isinstance(each, SelfCollision)]
-        names = [name for each in self.obstacles for name in getattr(each, "names", ())]
+        names = [name for each in self.obstacles for name in each.names]
         facts = {"self-collision": own[0]} if own else {}
         return facts | ({"fixtures": ", ".join(names)} if names else {})
 
@@ -238,9 +240,11 @@ def plan(
     config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
     *,
-    method: str | None = None,
+    method: str | registry.Method | None = None,
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
+    obstacles: Sequence[ObstacleKind | Mapping[str, Any]] = (),
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
 ) -> Plan:
     """Plan one job.
 
@@ -248,23 +252,26 @@ def plan(
         config: A YAML file, or a mapping of its keys, {"workpiece": {"rotation_y_rad": 0.5}}; None: the default job.
         overrides: Changes to it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
             "workpiece.rotation_y_rad": 0.5}.
-        method: See `methods`.
+        method: A name, see `methods`, or a `Method`.
         progress: Called as targets are tracked.
         device: See `device.devices`.
+        obstacles: `ObstacleKind` values, or mappings as in a job file, in addition to those of cell.obstacles.
+        task: `TaskRowKind` values, or mappings as in a job file, in place of the job's rows.
 
     Raises:
         InputError: For bad input and for a start in collision.
     """
     if method is not None:
         given = isinstance(overrides, Mapping)
-        overrides = {**overrides, "method": method} if given else [*overrides, f"method={method}"]
+        name = method if isinstance(method, str) else method.name
+        overrides = {**overrides, "method": name} if given else [*overrides, f"method={name}"]
     with on(choose(device)[0]):
-        job = load_config(config, overrides)
-        registry.find(job.method)
+        job = with_kinds(load_config(config, overrides), obstacles, task)
+        chosen = registry.find(job.method) if method is None or isinstance(method, str) else method
         robot, workpiece, scenario = scene(job)
         obstacles, task = obstacles_of(job.cell, robot), task_of_job(job, robot)
         how = {"progress": progress, "device": device, "obstacles": obstacles, "task": task, "check_starts": True}
-        plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, **how)
+        plans = batch.plan(robot, workpiece, scenario, chosen, job.settings, **how)
         robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, obstacles, device)
 
@@ -274,6 +281,6 @@ def methods() -> "pandas.DataFrame":
 
     A method of another package that cannot be imported causes a UserWarning with the reason.
     """
-    known = registry.all_methods().items()
+    known = registry.METHODS.all().items()
     rows = [{"method": name, "title": method.title, "description": method.description} for name, method in known]
     return frame_of(pa.Table.from_pylist(rows)).set_index("method")

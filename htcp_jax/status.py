@@ -24,6 +24,8 @@ class Status(enum.IntEnum):
     HOME_IN_COLLISION = 12
     HOME_NOT_JOINED = 13
     NO_START = 14
+    NO_SOLUTION = 15  # these two for methods of other packages
+    BUDGET_EXHAUSTED = 16
 
     @property
     def tracked(self) -> bool:
@@ -73,6 +75,8 @@ _MESSAGES = {
     Status.OUT_OF_REACH: "a target is farther away than the arm is long, so nothing was tried",
     Status.NO_NULL_SPACE: "the step QPs are stuck, and the task leaves no null space to escape in",
     Status.TIP_BLOCKED: "the arm is clear there, but the bare end of the tool passes through the wall",
+    Status.NO_SOLUTION: "the method found no configuration there, or no way to one",
+    Status.BUDGET_EXHAUSTED: "the method used up its time or its tries before it found a configuration",
 }
 
 
@@ -86,6 +90,12 @@ class Way(enum.IntEnum):
     TURNS_BACK = 3
     OPEN = 4
     ELSEWHERE = 5
+    SAMPLED = 6
+
+    @property
+    def is_motion(self) -> bool:
+        """True if the segment was verified: proven, or as far as it can be."""
+        return self in MOTION
 
     @property
     def words(self) -> str:
@@ -98,6 +108,8 @@ class Way(enum.IntEnum):
         return _WAYS[self]
 
 
+MOTION = Way.PROVEN, Way.SAMPLED
+
 _WAY_WORDS = {
     Way.UNKNOWN: "not checked",
     Way.PROVEN: "proven",
@@ -106,6 +118,7 @@ _WAY_WORDS = {
     Way.TURNS_BACK: "turns back",
     Way.OPEN: "undecided",
     Way.ELSEWHERE: "wrong start",
+    Way.SAMPLED: "sampled",
 }
 _WAYS = {
     Way.UNKNOWN: "nobody looked, because the motion ends before",
@@ -115,6 +128,7 @@ _WAYS = {
     Way.TURNS_BACK: "the tool turns back on the way there",
     Way.OPEN: "the way there is too close to call",
     Way.ELSEWHERE: "the plan does not begin at the start that was given",
+    Way.SAMPLED: "the arm is proven clear all along; a row of the task has no bound, and holds wherever it was sampled",
 }
 
 

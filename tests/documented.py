@@ -8,6 +8,7 @@ A block may have a comment before it, `<!-- runs: HOW -->`:
     slow, in a fresh copy    by a slow test, in a copy of the repository without a virtual environment
     in CI                    by .ci/run, which is made of such commands
     suite                    it is itself part of the tests
+    in an installed package  by `test_added_kinds`, which makes a package of the page's blocks
 
 Commands within sentences are checked against the existing commands and options, targets of make and extras. Those that
 name files also run, in a slow test.
@@ -22,8 +23,8 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 QUICK, SLOW, TWO, COPY = "quick", "slow", "slow, two scenarios", "slow, in a fresh copy"
-CI, SUITE = "in CI", "suite"
-WAYS = QUICK, SLOW, TWO, COPY, CI, SUITE
+CI, SUITE, INSTALLED = "in CI", "suite", "in an installed package"
+WAYS = QUICK, SLOW, TWO, COPY, CI, SUITE, INSTALLED
 FENCE = re.compile(
     r"(?:^<!-- runs: (?P<how>[^\n]*?) -->\n)?^```(?P<kind>[^\n`]*)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
 )

@@ -44,9 +44,11 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
     "errors": {"InputError": "how a bad file is refused"},
     "types": {"*": "types of arrays"},
     "status": {"*": "numbers in saved results"},
+    "kinds": {"with_arrays": "a job's row of another package, whose own check in numpy is called"},
     "settings": {"Settings": "tolerances of a job"},
     "model": {
-        "Tool ZERO TaskRow": "what a job's file states",
+        "Tool ZERO TaskRow TaskRowKind": "what a job's file states",
+        "PRIMITIVES": "names of MuJoCo's shapes",
         "TOUCHING_M": "overlap of meshes that a job's arm is allowed",
         "Workpiece": "type of what `workpiece_of` loads; its points, path and inlet are copied at once",
     },
@@ -59,6 +61,7 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
     "jobs": {
         "CellConfig PlanConfig RobotConfig WorkpieceConfig": "what a job's file states",
         "arm_of part_of shape_of": "keys of a job, to load each part once",
+        "shapes_in_world": "MuJoCo shapes that a job's obstacle of another package states",
         "robot_of workpiece_of": "loading of a workpiece; points on a mesh, which only normals are fitted to, are as "
         "close as the arm needs",
     },

@@ -181,7 +181,7 @@ def test_nothing_in_a_problem_can_be_written_into():
     given.refused[:] = 7  # what the problem was made of stays the caller's
 
 
-class Spy:
+class Spy(registry.Method):
     """A planner that keeps its problem, after `act`."""
 
     name, title, description = "spy", "Spy", "keeps its problem"
@@ -200,7 +200,7 @@ def planned_by(spy, scenarios):
     try:
         return plan(made_once.robot(), made_once.duct(), scenarios, "spy", SMALL, threads=1)
     finally:
-        registry.unregister("spy")
+        registry.METHODS.unregister("spy")
 
 
 @pytest.mark.parametrize("column", ["refused", "x_start", "targets"])

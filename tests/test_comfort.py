@@ -11,7 +11,7 @@ from htcp_jax.cli import self_test
 from htcp_jax.cli.main import app, main
 from htcp_jax.cli.methods import complete_methods
 from htcp_jax.errors import InputError
-from htcp_jax.planning.registry import all_methods
+from htcp_jax.planning.registry import METHODS
 from htcp_jax.viewer import offscreen
 
 SHORT = ["--set", "workpiece.path=path.csv", "--set", "method=baseline"]
@@ -73,8 +73,8 @@ def test_completion_scripts_are_printed(capsys):
 def test_methods_are_listed_with_their_sentences(capsys):
     assert main(["methods"]) == 0
     shown = " ".join(capsys.readouterr().out.split())  # sentences are wrapped at the terminal's width
-    assert all(name in shown and method.description in shown for name, method in all_methods().items())
-    assert [row["method"] for row in json_of(capsys, ["methods"])] == list(all_methods())
+    assert all(name in shown and method.description in shown for name, method in METHODS.all().items())
+    assert [row["method"] for row in json_of(capsys, ["methods"])] == list(METHODS.all())
 
 
 def test_plan_prints_its_summary_as_json(here, capsys):

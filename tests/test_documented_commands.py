@@ -47,7 +47,7 @@ def reader(tmp_path, monkeypatch):
     known = registry.names()
     yield tmp_path
     for name in set(registry.names()).difference(known):
-        registry.unregister(name)
+        registry.METHODS.unregister(name)
 
 
 def follow(page: str, how: str) -> None:

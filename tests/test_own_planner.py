@@ -5,10 +5,10 @@ import os
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
+import page_package
 import pytest
 
 import htcp_jax
@@ -19,8 +19,7 @@ from htcp_jax.planning import registry
 from htcp_jax.planning.tracking.step_qps import StepQPs
 
 ROOT = Path(__file__).parents[1]
-SOURCE = ROOT / "tests" / "data" / "own_planner"
-NAME = "random-restarts"
+NAME = "random-neighbours"
 HTCP = "from htcp_jax.cli.main import main; raise SystemExit(main())"
 TWO_WORKERS = "import ray; ray.init('local', num_cpus=2, include_dashboard=False, log_to_driver=False); "
 JOB = "workpiece: {path: path.csv}\n"
@@ -36,15 +35,8 @@ def install(target: Path, points: dict[str, str], package: str, *modules: Path) 
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
     lines = "\n".join(f"{name} = {value}" for name, value in points.items())
-    (info / "entry_points.txt").write_text(f"[{registry.GROUP}]\n{lines}\n")
+    (info / "entry_points.txt").write_text(f"[{registry.METHODS.group}]\n{lines}\n")
     return target
-
-
-def installed(target: Path) -> Path:
-    """The example package, installed as its pyproject.toml describes."""
-    project = tomllib.loads((SOURCE / "pyproject.toml").read_text())
-    modules = [SOURCE / f"{name}.py" for name in project["tool"]["setuptools"]["py-modules"]]
-    return install(target, project["project"]["entry-points"][registry.GROUP], project["project"]["name"], *modules)
 
 
 class Place:
@@ -72,7 +64,7 @@ class Place:
 @pytest.fixture(scope="module")
 def place(tmp_path_factory) -> Place:
     folder = tmp_path_factory.mktemp("own")
-    return Place(folder, installed(folder / "packages"))
+    return Place(folder, page_package.install("docs/add-a-planner.md", folder / "page"))
 
 
 @pytest.mark.slow
@@ -115,7 +107,7 @@ def test_it_sweeps_on_ray_as_it_does_here(place):
     code, _, err = place.run("validate", "ray")
     assert code == 0, err
     assert place.run("report", "ray", "--out", "report")[0] == 0
-    assert "Random restarts" in (place.folder / "report" / "report.html").read_text()
+    assert "Random neighbours" in (place.folder / "report" / "report.html").read_text()
     # Without the package, its plans can still be viewed.
     assert htcp_jax.open_run(place.folder / "ray").plans(NAME).status.shape[0] == 4
 
@@ -140,7 +132,7 @@ def test_what_cannot_be_imported_is_one_line_and_breaks_nothing_else(tmp_path):
 # Registered in this process
 
 
-class Standstill:
+class Standstill(htcp_jax.Method):
     """A planner that does not plan."""
 
     name, title, description = "standstill", "Standstill", "nothing at all"
@@ -152,7 +144,7 @@ class Standstill:
 @pytest.fixture
 def standstill():
     yield htcp_jax.register(Standstill())
-    registry.unregister("standstill")
+    registry.METHODS.unregister("standstill")
 
 
 def test_a_method_of_this_process_plans_and_is_listed(standstill, tmp_path):

@@ -24,7 +24,7 @@ from htcp_jax.errors import InputError, Lost
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.planning import batch
 from htcp_jax.planning.batch import plan
-from htcp_jax.planning.registry import unregister
+from htcp_jax.planning.registry import METHODS, Method
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
@@ -109,7 +109,7 @@ def test_a_worker_that_is_killed_is_told_of(monkeypatch):
     assert again().tracked.any()
 
 
-class Here:
+class Here(Method):
     """A planner that no other process can have."""
 
     name, title, description = "here", "Here", "says which process has planned"
@@ -125,7 +125,7 @@ def test_a_method_of_this_process_plans_here():
     try:
         plan(*scene(), poses(), "here", PAPER, processes=2)
     finally:
-        unregister("here")
+        METHODS.unregister("here")
     assert Here.seen == (os.getpid(),)
 
 

@@ -194,7 +194,8 @@ def _print_table(run: Run, running: RunningSummary) -> None:
         print_table(console, without_empty(Table("sweep", columns, tuple(rows))))
         console.print()
     print_timing(run, list(plans))
-    console.print(Text("Executable: tracked, and a proven motion leads there from the given start.", style="dim"))
+    kind = "sampled" if any(row.sampled for row in run.config.task) else "proven"
+    console.print(Text(f"Executable: tracked, and a {kind} motion leads there from the given start.", style="dim"))
     if plans:
         asked = _margins(running.margins_m(run, *plans))
         text = f"Tracked: reached with the required clearance of {asked} mm or more."

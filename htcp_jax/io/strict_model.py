@@ -12,6 +12,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from htcp_jax.errors import InputError, described
 
+KIND = "kind"  # key of what another package reads, see `jobs.given_kinds`
+
 
 class Section(BaseModel):
     """A mapping in a file. Values are immutable; numbers are finite."""
@@ -62,7 +64,7 @@ def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> Non
             if key.is_mapping and isinstance(value, dict):
                 items = value.items()
             for k, item in items:
-                if isinstance(item, dict):
+                if isinstance(item, dict) and KIND not in item:
                     refuse_unknown(item, section, source, f"{prefix}{name}." + ("" if k is None else f"{k}."))
         if not key.sections and not key.is_truth and any(isinstance(item, bool) for item in _items(value)):
             raise InputError(f"{source}: {prefix}{name} is {reprlib.repr(value)}: true and false are no numbers")
@@ -88,7 +90,8 @@ def _keys_of(model: type) -> dict[str, _Key]:
 
 
 def _key(kind: Any) -> _Key:
-    parts = kind, *get_args(kind)
+    items = get_args(kind)
+    parts = kind, *(part.__origin__ if hasattr(part, "__metadata__") else part for part in items)  # of Annotated
     sections = tuple(part for part in parts if _is_section(part))
     return _Key(_is_section(kind), sections, get_origin(kind) is dict, bool in parts)
 

@@ -1,6 +1,7 @@
 """Builders of the robot, workpiece, obstacles, task and scenario that a job describes; all raise InputError."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -8,9 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacle_kind import given_obstacles
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures, placed_cloud
 from htcp_jax.clearance.obstacles.self_collision import self_collision
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io.cell import load_cell
 from htcp_jax.io.duct_seams import SEAMS
 from htcp_jax.io.point_cloud import load_geometry
@@ -18,6 +20,8 @@ from htcp_jax.io.robot_file import load_robot
 from htcp_jax.io.units import check_tool
 from htcp_jax.io.workpiece_file import GeneratedDuct, NoCloud, WorkpieceSource, load_workpiece, read_source
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
+from htcp_jax.jobs.given_kinds import shapes_in_world
+from htcp_jax.kinds import numbers_of, template_of
 from htcp_jax.model.fixture import Fixture
 from htcp_jax.model.goals import follower, task_of, with_goals
 from htcp_jax.model.robot import Robot, lengthen_tool
@@ -136,6 +140,8 @@ def scenario_of(
         beyond_reach=beyond_reach,
         follows=_follower_at_start(job, robot) if follows is None else follows,
     )
+    if job.cell.obstacles:
+        scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
     return with_goals(scenario, job.task, task, robot, workpiece)
 
 
@@ -158,7 +164,12 @@ def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
 
 def drawn_of(cell: CellConfig) -> Drawn:
     """Load the triangles and clouds of the cell, for drawing."""
-    triangles = [NOTHING.triangles, *(each.surface for each in shapes_of(cell))]
+    given = [shapes_in_world(kind) for kind in cell.obstacles]
+    for kind, shapes in zip(cell.obstacles, given, strict=True):
+        if not shapes:
+            warnings.warn(f"the obstacle {kind.name!r} is not drawn: it has no shapes", Note, stacklevel=2)
+    shapes = *shapes_of(cell), *(shape for own in given for shape in own)
+    triangles = [NOTHING.triangles, *(each.surface for each in shapes)]
     surfaces = [NOTHING.clouds]
     for each in cell.clouds:
         points, mesh = load_geometry(each.cloud)
@@ -183,7 +194,8 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
         for each in cell.clouds
     )
     own = self_collision(robot) if cell.self_collision else None
-    return (*make_fixtures(robot, shapes_of(cell)), *clouds, *(() if own is None else (own,)))
+    given = given_obstacles(cell.obstacles)
+    return (*make_fixtures(robot, shapes_of(cell)), *clouds, *given, *(() if own is None else (own,)))
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}
@@ -198,6 +210,14 @@ def arm_of(job: PlanConfig) -> RobotConfig:
 def part_of(job: PlanConfig) -> WorkpieceConfig:
     """Return the keys that determine the workpiece."""
     return job.workpiece.model_copy(update=_POSE | _APPROACH)
+
+
+def beside_of(cell: CellConfig) -> tuple:
+    """Return the values that determine the planner's obstacles in addition to the workpiece.
+
+    The numbers of obstacles of other packages are excluded: they belong to the scenario.
+    """
+    return cell.model_copy(update={"obstacles": ()}), tuple(map(template_of, cell.obstacles))
 
 
 def shape_of(part: WorkpieceConfig) -> WorkpieceConfig:

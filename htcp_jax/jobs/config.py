@@ -9,17 +9,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PlainSerializer, WrapValidator, field_validator
+from pydantic import AfterValidator, Field, PlainSerializer, WrapSerializer, WrapValidator, field_validator
 
+from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES, ObstacleKind
 from htcp_jax.errors import InputError
 from htcp_jax.io.strict_model import Section
 from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
+from htcp_jax.jobs.given_kinds import needs_kind, of_kind, record_of
 from htcp_jax.model.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.model.robot import GP50
 from htcp_jax.model.task_list import TaskRow
+from htcp_jax.model.task_row_kind import TASK_ROWS, TaskRowKind
 from htcp_jax.model.tool import Tool
-from htcp_jax.planning.registry import NAME
+from htcp_jax.registry import NAME
 from htcp_jax.settings import Settings
 
 LARGEST = 1e6  # of lengths [m] and joint positions; beyond, rounding exceeds the tolerance
@@ -45,6 +48,12 @@ def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
 
 
 Start = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
+
+# What stands in a job as {kind: NAME, ...} is of another package; a row without a kind is a `TaskRow`.
+Row = Annotated[TaskRow, WrapValidator(of_kind(TASK_ROWS, TaskRowKind)), WrapSerializer(record_of)]
+Obstacle = Annotated[
+    Any, AfterValidator(needs_kind), WrapValidator(of_kind(OBSTACLES, ObstacleKind)), WrapSerializer(record_of)
+]
 
 SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of DEPENDENT
 DEPENDENT = (
@@ -135,6 +144,7 @@ class CellConfig(Section):
     shift_m: Point = (0.0, 0.0, 0.0)
     rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
     clouds: tuple[CloudConfig, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()  # of other packages
 
 
 class UserFrameConfig(Section):
@@ -190,7 +200,7 @@ class PlanConfig(Section):
     cell: CellConfig = CellConfig()
     start_rad: Start = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # or auto: chosen at the path's first point
     home_rad: tuple[Number, ...] | None = None  # first configuration of the motion; None: the start
-    task: tuple[TaskRow, ...] = ()  # none: the TCP on the path
+    task: tuple[Row, ...] = ()  # none: the TCP on the path
     margin_m: float = Field(5e-4, ge=0, le=1)  # required clearance at a target
     method: str = "roadmap"
     settings: Settings = Settings()

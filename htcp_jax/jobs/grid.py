@@ -27,6 +27,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.strict_model import Section, validate
 from htcp_jax.jobs.build import (
     arm_of,
+    beside_of,
     obstacles_of,
     part_of,
     robot_of,
@@ -35,7 +36,7 @@ from htcp_jax.jobs.build import (
     task_of_job,
     workpiece_of,
 )
-from htcp_jax.jobs.config import DEPENDENT, CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
+from htcp_jax.jobs.config import DEPENDENT, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import put
 from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
 from htcp_jax.jobs.examples import read_mapping
@@ -130,7 +131,7 @@ class Sweep:
         points = self.points(limit)
         arms = {arm_of(self.config): self.robot}
         parts: dict[tuple[RobotConfig, WorkpieceConfig], Workpiece] = {}
-        obstacles: dict[tuple[RobotConfig, CellConfig], Obstacles] = {}
+        obstacles: dict[tuple[RobotConfig, tuple], Obstacles] = {}
         follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # position at a start, see `make_scenario`
         cells: dict[tuple, tuple[int, Cell]] = {}
         scenarios, whose = [], []
@@ -140,9 +141,9 @@ class Sweep:
                 arms[arm] = _like(self.robot, robot_of(arm), f"{self.name}: scenario {point.number}")
             if (arm, part) not in parts:
                 parts[arm, part] = workpiece_of(part, arms[arm])
-            task, beside = _task(point, arms[arm]), point.config.cell
+            task, beside = _task(point, arms[arm]), beside_of(point.config.cell)
             if (arm, beside) not in obstacles:
-                obstacles[arm, beside] = obstacles_of(beside, arms[arm])
+                obstacles[arm, beside] = obstacles_of(point.config.cell, arms[arm])
             own = len(cells), Cell(arms[arm], parts[arm, part], settings, task, obstacles[arm, beside])
             whose.append(cells.setdefault((arm, shape_of(part), settings, task, beside), own)[0])
             begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
@@ -150,6 +151,7 @@ class Sweep:
             scenarios.append(_scenario(point, arms[arm], parts[arm, part], follows.get(begins), number))
             follows[begins] = scenarios[-1].targets[0]
             _check_alike(point, task, next(iter(cells.values()))[1].task)
+            _check_obstacles(point, scenarios[-1], scenarios[0])
         return Batch(tuple(cell for _, cell in cells.values()), np.array(whose, int), stack(scenarios), points)
 
 
@@ -250,6 +252,12 @@ def _check_alike(point: Point, task: Task, first: Task) -> None:
             f"scenario {point.number}: its task has other rows than the first one's; "
             "a cone of 0 degrees is no cone, and the TCP with an offset is another point than without"
         )
+
+
+def _check_obstacles(point: Point, scenario: Scenario, first: Scenario) -> None:
+    """Raise InputError if the obstacles have another count of numbers than the first scenario's."""
+    if np.shape(scenario.obstacle_numbers) != np.shape(first.obstacle_numbers):
+        raise InputError(f"scenario {point.number}: its cell.obstacles have other numbers than the first one's")
 
 
 def _scenario(

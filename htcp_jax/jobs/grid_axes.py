@@ -4,11 +4,13 @@ import difflib
 import itertools
 import math
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.strict_model import KIND
 from htcp_jax.jobs.config import AUTO, DEPENDENT, SOURCES, PlanConfig
 from htcp_jax.jobs.config_file import FILES
 
@@ -28,6 +30,7 @@ NO_AXIS = "method", "program", "ray"  # a sweep has its own list of methods; the
 MOST_ROWS = 8  # of a task that an axis may name
 OF_A_ROW = {"cone_deg": 0.0, "within_deg": 0.0, "within_m": 0.0, "offset_m": (0.0, 0.0, 0.0)}  # keys that may vary
 FILE_KEYS = {".".join(key): words for key, words in FILES.items()}
+OF_A_KIND = re.compile(r"((?:cell\.obstacles|task)\.[1-9]\d*\.[a-zA-Z_]\w*)(?:\.([xyz]))?")  # of other packages
 XYZ = "xyz"
 
 
@@ -39,7 +42,7 @@ def _keys() -> dict[str, Any]:
             found |= {f"task.{k}.{key}": default for k in range(1, MOST_ROWS + 1) for key, default in OF_A_ROW.items()}
         elif name not in NO_AXIS:
             found |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
-    del found["cell.clouds"]  # lists of files with poses
+    del found["cell.clouds"], found["cell.obstacles"]  # lists
     return found
 
 
@@ -132,6 +135,17 @@ def parameters(joints: Sequence[str]) -> dict[str, Parameter]:
     return known
 
 
+def of_kind(name: str) -> Parameter | None:
+    """Return the parameter of an obstacle or a row of another package; None if the name is of no such form.
+
+    Whether the kind has that key is checked by `put`.
+    """
+    if (found := OF_A_KIND.fullmatch(name)) is None:
+        return None
+    key, letter = found.groups()
+    return Parameter(name, key, None if letter is None else XYZ.index(letter))
+
+
 def put(raw: dict, column: Column, value: Any) -> None:
     """Set one parameter in a plain configuration.
 
@@ -140,7 +154,10 @@ def put(raw: dict, column: Column, value: Any) -> None:
     """
     parameter = column.parameter
     section, _, key = parameter.key.rpartition(".")
-    owner = _row(raw, parameter) if section.startswith("task.") else raw[section] if section else raw
+    owner = _row(raw, parameter) if section[-1:].isdecimal() else raw[section] if section else raw
+    if key not in owner or (parameter.key not in KEYS and KIND not in owner):
+        valid = ", ".join(name for name in owner if name != KIND) if KIND in owner else ", ".join(OF_A_ROW)
+        raise InputError(f"{parameter.name}: {section} has no key {key} that may vary; valid: {valid}")
     old = owner[key]
     if old is None and column.relative:
         raise InputError(f"{parameter.name} is not given, so nothing can be added to it")
@@ -157,12 +174,18 @@ def put(raw: dict, column: Column, value: Any) -> None:
 
 
 def _row(raw: dict, parameter: Parameter) -> dict:
-    """Return the row of the task to which a parameter belongs; the task in `raw` is replaced by a copy."""
-    rows, number = [dict(row) for row in raw["task"]], int(parameter.key.split(".")[1])
-    if number > len(rows):
-        raise InputError(f"{parameter.name}: the task has {len(rows)} rows")
-    raw["task"] = tuple(rows)
-    return rows[number - 1]
+    """Return the row of the task, or the obstacle, to which a parameter belongs.
+
+    The list in `raw` is replaced by a copy.
+    """
+    *sections, name, number, _ = parameter.key.split(".")
+    for section in sections:
+        raw = raw[section]
+    rows = raw[name] = tuple(dict(row) for row in raw[name])
+    if int(number) > len(rows):
+        what = f"the task has {len(rows)} rows" if name == "task" else f"the cell has {len(rows)} obstacles"
+        raise InputError(f"{parameter.name}: {what}")
+    return rows[int(number) - 1]
 
 
 def record(group: Group, stated: Collection[str]) -> dict[str, Any]:
@@ -189,7 +212,7 @@ def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
 
     def column(name: str, values: Mapping[str, list]) -> Column:
         ((kind, items),) = values.items()
-        return Column(known[name], kind == "offsets", tuple(map(_hashable, items)))
+        return Column(known.get(name) or of_kind(name), kind == "offsets", tuple(map(_hashable, items)))
 
     return Group(record["name"], tuple(tuple(column(*item) for item in axis.items()) for axis in record["axes"]))
 
@@ -204,12 +227,15 @@ def hangs(group: Group) -> bool:
     return bool(group.keys & {*SOURCES, "workpiece.neutral_translation_m"})
 
 
-def varied_keys(names: Iterable[str]) -> tuple[str, ...]:
+def varied_keys(names: Collection[str]) -> tuple[str, ...]:
     """Return the varied keys without a column of their own, given the names of all axes' parameters."""
+    given = {name: of_kind(name) for name in names if name not in KEYS}
+    names = [given[name].key if given.get(name) else name for name in names]
+    own = tuple(dict.fromkeys(name for name in names if OF_A_KIND.fullmatch(name) and name not in KEYS))
     keys = dict.fromkeys(name if name in KEYS else name.rpartition(".")[0] for name in names)
     if keys.keys() & SOURCES or "workpiece.neutral_translation_m" in keys:
         keys |= dict.fromkeys(DEPENDENT)
-    return tuple(key for key in KEYS if key in keys and key not in PARAMETERS)
+    return *(key for key in KEYS if key in keys and key not in PARAMETERS), *own
 
 
 def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, Parameter]) -> Axis:
@@ -224,7 +250,7 @@ def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, Parameter])
 
 
 def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str, Parameter]) -> Column:
-    if key not in known:
+    if (parameter := known.get(key) or of_kind(key)) is None:
         raise InputError(f"{where}: {_unknown(key, known)}")
     relative = isinstance(value, dict) and list(value) == ["offsets"]
     if isinstance(value, dict) and list(value) in (["offsets"], ["values"]):
@@ -234,11 +260,11 @@ def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str
     if not value:
         raise InputError(f"{where}: {key} has no values")
     for item in value:
-        _check_value(f"{where}: {key}", known[key], item, relative)
-    words = FILE_KEYS.get(known[key].key)
+        _check_value(f"{where}: {key}", parameter, item, relative)
+    words = FILE_KEYS.get(parameter.key)
     if words is not None:  # relative to the sweep file's folder
         value = [item if item in words else str(folder / item) for item in value]
-    return Column(known[key], relative, tuple(map(_hashable, value)))
+    return Column(parameter, relative, tuple(map(_hashable, value)))
 
 
 def _unknown(key: str, known: Collection[str]) -> str:
@@ -256,13 +282,15 @@ def _check_value(where: str, parameter: Parameter, item: Any, relative: bool) ->
     Raises:
         InputError: If it has not.
     """
-    default = KEYS[parameter.key]
+    default = KEYS.get(parameter.key)  # None: of a kind, which checks its values itself
     if parameter.key in FILE_KEYS:
         if relative or not (item in FILE_KEYS[parameter.key] or isinstance(item, str | os.PathLike)):
             raise InputError(f"{where} takes names of files, not {item!r}")
         return
     is_list = isinstance(default, tuple) and parameter.element is None
+    is_list |= parameter.key not in KEYS and relative and isinstance(item, list | tuple)
     is_number = is_list or parameter.element is not None or type(default) in (int, float)
+    is_number |= parameter.key not in KEYS and relative
     if not is_number:
         if relative:
             raise InputError(f"{where} takes values, not offsets")

@@ -26,7 +26,7 @@ def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Co
     """
     base = config.model_dump()
     columns = [column for group in groups for axis in group.axes for column in axis]
-    varied = varied_keys(column.parameter.name for column in columns)
+    varied = varied_keys([column.parameter.name for column in columns])
     short = {}
     for key, words in FILE_KEYS.items():
         files = [value for column in columns if column.parameter.key == key for value in column.values]

@@ -10,13 +10,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind
 from htcp_jax.errors import InputError
 from htcp_jax.io.strict_model import refuse_unknown, validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.config_file import layers, layers_of, merged, parse_override, put
 from htcp_jax.jobs.defaults import fill_in, keys_of
 from htcp_jax.jobs.examples import example_or_path
-from htcp_jax.planning.registry import NAME
+from htcp_jax.model.task_row_kind import TaskRowKind
+from htcp_jax.registry import NAME
 
 
 def load_config(
@@ -63,3 +65,20 @@ def read_config(
         put(raw, dotted, value)
     refuse_unknown(raw, PlanConfig, source)
     return raw, source
+
+
+def with_kinds(
+    job: PlanConfig,
+    obstacles: Sequence[ObstacleKind | Mapping[str, Any]],
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None,
+) -> PlanConfig:
+    """Return the job with further obstacles, and with another task unless it is None.
+
+    Raises InputError for values that a job file could not state.
+    """
+    if not obstacles and task is None:
+        return job
+    raw = job.model_dump()
+    raw["cell"]["obstacles"] = [*job.cell.obstacles, *obstacles]
+    raw["task"] = list(job.task if task is None else task)
+    return validate(raw, PlanConfig, "the arguments")

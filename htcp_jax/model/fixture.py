@@ -8,7 +8,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.model.mesh_points import area
 
-KINDS = "plane", "box", "sphere", "capsule", "cylinder", "mesh"
+PRIMITIVES = {"plane": 0, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}  # with the number of sizes
+KINDS = (*PRIMITIVES, "mesh")
 CONVEX = 1e-6  # tolerance of the convexity test, relative to the hull's size
 MOST_FACES = 400  # most faces of a mesh treated as a convex solid; larger ones are sampled
 

@@ -40,6 +40,7 @@ class Scenario:
     number: Int[Anywhere, "*S"]  # identity, from which the random keys are folded
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status of a scenario that is not planned
     goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
+    obstacle_numbers: Float[Anywhere, "*S P"] | None = None  # of the kinds of obstacles [m]; None: there are none
 
     @property
     def begins_anywhere(self) -> Bool[Anywhere, "*S"]:

@@ -76,6 +76,11 @@ class Task:
         return sum(part.numbers for part in self.parts)
 
     @property
+    def sampled(self) -> bool:
+        """True if a row has no bound between two configurations: its edges are sampled, not proven."""
+        return any(part.sampled for part in self.parts)
+
+    @property
     def is_points(self) -> bool:
         """True if all rows are world coordinates of points: then a goal is the value itself."""
         return all(isinstance(part, TaskPoint) for part in self.parts)
@@ -175,7 +180,7 @@ class Task:
         value, v = self.value(robot, x), 0
         lengths, angles = [jnp.zeros(0)], [jnp.zeros(())]
         for start, part in zip(self.starts, self.parts, strict=True):
-            size = sum(len(feature.rows) for feature in part.features)
+            size = part.size
             error = part.error(value[v : v + size], goal[start : start + part.numbers])
             (angles if part.angular else lengths).append(safe_norm(error) if part.angular else error)
             v += size
@@ -198,7 +203,7 @@ class Task:
         """
         found = [jnp.zeros(())]
         for start, part in zip(self.starts, self.parts, strict=True):
-            if all(_turns_with_last(robot, feature) for feature in part.features):
+            if part.turns and all(_turns_with_last(robot, feature) for feature in part.features):
                 axes = [product(rotation, _fixed(robot, feature)[0]) for feature in part.features]
                 value, own = jnp.concatenate(axes), goal[start : start + part.numbers]
                 found += [-part.room(value, own)[0]] if part.inequalities else []
@@ -234,7 +239,7 @@ class Task:
         """Return the quantity `what` of all parts, with angles as lengths."""
         found, v, g = [], 0, 0
         for part in self.parts:
-            size = sum(len(feature.rows) for feature in part.features)
+            size = part.size
             rows = getattr(part, what)(value[v : v + size], goal[g : g + part.numbers])
             found.append(rows * (self.tolerance_m / self.tolerance_rad) if part.angular else rows)
             v, g = v + size, g + part.numbers

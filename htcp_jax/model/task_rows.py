@@ -11,15 +11,19 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from htcp_jax.errors import InputError
-from htcp_jax.model.rotations import angle, axis_error, rotation_vector
+from htcp_jax.model.rotations import angle, axis_error, least_turn, rotation_vector
+from htcp_jax.model.row_bounds import Look, Region, Slabs, chord, towards, turned
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Float, Triple, Vector3
 
 XYZ = (0, 1, 2)
 AIM_RAD, AIM_M = 1e-3, 2e-4  # distance inside an inequality at which a step aims, as rows are linearised,
-AIM_SHARE = 0.25  # but at most this share of the tolerance
+AIM_SHARE = 0.25  # at most this share of it
+SLACK = 1e-6  # [rad]
 
 
 class Feature(NamedTuple):
@@ -31,8 +35,83 @@ class Feature(NamedTuple):
     rows: tuple[int, ...] = XYZ  # the coordinates in use
 
 
+class Row:
+    """Base class of all kinds of rows, at one target.
+
+    `value` are the coordinates of its features, one after another; `goal` are its numbers at the target. Errors and
+    slacks are in metres, if `angular` in radians.
+
+    turns: its errors and slacks change by no more than a turn of its features, directions. looks: the first feature is
+    an axis that points at a place, the second one its origin. sampled: it has no bound between two configurations.
+    """
+
+    angular: ClassVar[bool] = False
+    turns: ClassVar[bool] = False
+    looks: ClassVar[bool] = False
+    sampled: ClassVar[bool] = False
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """The features of the arm."""
+        raise NotImplementedError
+
+    @property
+    def equalities(self) -> int:
+        """Number of equations."""
+        return 0
+
+    @property
+    def inequalities(self) -> int:
+        """Number of inequalities."""
+        return 0
+
+    @property
+    def numbers(self) -> int:
+        """Number of coordinates of a goal."""
+        raise NotImplementedError
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates of the features."""
+        return sum(len(feature.rows) for feature in self.features)
+
+    def error(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
+        """Return what the equations are off."""
+        return jnp.zeros(0)
+
+    def room(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+        """Return the slack of the inequalities; violated below 0."""
+        return jnp.zeros(0)
+
+    def aim(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+        """Return how far inside the inequalities a step aims."""
+        return jnp.zeros(0)
+
+    def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Region:
+        """Return the region that is allowed between two targets."""
+        raise NotImplementedError
+
+    def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
+        """Return a random goal."""
+        return rng.normal(size=self.numbers)
+
+    def eased(
+        self,
+        start: Float[np.ndarray, "v"],
+        first: Float[np.ndarray, "g"],
+        share: Float[np.ndarray, "A"],
+        places: Float[np.ndarray, "A 3"] | None,
+    ) -> Float[np.ndarray, "A g"]:
+        """Return the goals before the path, of which the first holds at the start.
+
+        start: value at the start; first: goal at the path's first point; share: fraction of the interpolation at each
+        target; places: positions of the point that follows the path, if this row holds it.
+        """
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class TaskPoint:
+class TaskPoint(Row):
     """A point of the arm and its constrained world coordinates; a goal is these coordinates [m].
 
     Raises:
@@ -42,9 +121,6 @@ class TaskPoint:
     link: int | None = None  # to which it is fixed; None: the TCP
     offset_m: Triple = (0.0, 0.0, 0.0)  # in the frame of the link; the TCP has none
     axes: tuple[int, ...] = XYZ  # of the world: 0, 1, 2 are x, y, z
-
-    inequalities: ClassVar[int] = 0
-    angular: ClassVar[bool] = False
 
     def __post_init__(self):
         if not self.axes or sorted(set(self.axes)) != list(self.axes) or not set(self.axes) <= set(XYZ):
@@ -71,15 +147,19 @@ class TaskPoint:
         """Return the vector from the point to its goal [m]."""
         return goal - value
 
-    def room(self, value: Float[Array, "m"], goal: Float[Array, "m"]) -> Float[Array, "0"]:
-        """Return an empty array: there are no inequalities."""
-        return jnp.zeros(0)
+    def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Slabs:
+        """Return the places within the tolerance [m]."""
+        across = jnp.broadcast_to(jnp.eye(3)[jnp.array(self.axes)], (2, len(self.axes), 3))
+        return Slabs(across, goals, jnp.full(2, tolerance_m))
 
-    aim = room
+    def eased(self, start, first, share, places):
+        """Return the places that lead to the first goal."""
+        wanted = start + share[:, None] * (first - start)
+        return wanted if places is None else places[:, list(self.axes)]
 
 
 @dataclass(frozen=True)
-class PointAlong:
+class PointAlong(Row):
     """A point of the arm that is constrained in `count` directions u: u p = offset, or within a band about that.
 
     A goal is u and the offset [m] of each direction and, with a band, its half width [m].
@@ -89,8 +169,6 @@ class PointAlong:
     offset_m: Triple
     count: int
     band: bool = False
-
-    angular: ClassVar[bool] = False
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -127,13 +205,33 @@ class PointAlong:
         """Return the distance inside the band at which a step aims [m]."""
         return jnp.broadcast_to(jnp.minimum(AIM_M, AIM_SHARE * goal[-1]), (self.inequalities,))
 
+    def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Slabs:
+        """Return the places within the band and the tolerance [m]."""
+        each = goals[:, : 4 * self.count].reshape(2, self.count, 4)
+        within = goals[:, -1] if self.band else jnp.zeros(2)
+        return Slabs(each[..., :3], each[..., 3], within + tolerance_m)
+
+    def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
+        """Return random directions at right angles, and offsets."""
+        square = np.linalg.qr(rng.normal(size=(3, 3)))[0][: self.count]
+        return np.append(np.column_stack([square, rng.normal(size=self.count)]).ravel(), np.ones(int(self.band)))
+
+    def eased(self, start, first, share, places):
+        """Return offsets that lead to the first goal's."""
+        goals = np.tile(first, (len(share), 1))
+        across = first[: 4 * self.count].reshape(self.count, 4)
+        at_start = across[:, :3] @ start
+        eased = at_start + share[:, None] * (across[:, 3] - at_start)
+        goals[:, 3 : 4 * self.count : 4] = eased if places is None else places @ across[:, :3].T
+        return goals
+
     def _ahead(self, point: Vector3, goal: Float[Array, "g"]) -> Float[Array, "count"]:
         each = goal[: 4 * self.count].reshape(self.count, 4)
         return each[:, 3] - product(each[:, :3], point)
 
 
 @dataclass(frozen=True)
-class AxisTowards:
+class AxisTowards(Row):
     """An axis of the arm turned in a direction, or from `looks_from_m` towards a place: exactly, or within a cone.
 
     A goal is the direction, or the place [m], and with a cone its half angle [rad].
@@ -145,6 +243,12 @@ class AxisTowards:
     cone: bool = True
 
     angular: ClassVar[bool] = True
+    turns: ClassVar[bool] = True
+
+    @property
+    def looks(self) -> bool:
+        """True if it points at a place."""
+        return self.looks_from_m is not None
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -183,6 +287,28 @@ class AxisTowards:
         """Return the angle inside the cone at which a step aims [rad]."""
         return jnp.broadcast_to(jnp.minimum(AIM_RAD, AIM_SHARE * goal[-1]), (self.inequalities,))
 
+    def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Region:
+        """Return the directions within the cones and the tolerance [rad]."""
+        limit = goals[:, 3] if self.cone else jnp.zeros(2)
+        if self.looks_from_m is not None:
+            return Look(goals[1, :3], chord(limit[1] + tolerance_rad))
+        return towards(*goals[:, :3], limit, tolerance_rad)
+
+    def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
+        """Return a random direction."""
+        drawn = rng.normal(size=self.numbers)
+        return drawn / np.linalg.norm(drawn[:3])
+
+    def eased(self, start, first, share, places):
+        """Return directions that lead to the first goal's, or wider cones."""
+        if self.cone:
+            return _wider(self, start, first, share)
+        if self.looks_from_m is not None:
+            there = start[3:6] + np.linalg.norm(first - start[3:6]) * start[:3]
+            return there + share[:, None] * (first - there)
+        turn = least_turn(start[:3], first)
+        return Rotation.from_rotvec(share[:, None] * turn).apply(np.array(start[:3]))
+
     def _direction(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Vector3:
         if self.looks_from_m is None:
             return goal[:3]
@@ -191,7 +317,7 @@ class AxisTowards:
 
 
 @dataclass(frozen=True)
-class Turned:
+class Turned(Row):
     """A frame of the arm turned to a rotation: exactly, or within an angle.
 
     A goal is the rotation matrix, row by row, and with a tolerance the angle [rad].
@@ -202,6 +328,7 @@ class Turned:
     cone: bool = False
 
     angular: ClassVar[bool] = True
+    turns: ClassVar[bool] = True
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -235,8 +362,31 @@ class Turned:
         """Return the angle inside the tolerance at which a step aims [rad]."""
         return jnp.broadcast_to(jnp.minimum(AIM_RAD, AIM_SHARE * goal[-1]), (self.inequalities,))
 
+    def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Region:
+        """Return the frames within the angles and the tolerance [rad]."""
+        limit = goals[:, 9] if self.cone else jnp.zeros(2)
+        return turned(*goals[:, :9].reshape(2, 3, 3), limit, tolerance_rad)
+
+    def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
+        """Return a random rotation."""
+        return np.append(Rotation.random(rng=rng).as_matrix().ravel(), np.ones(int(self.cone)))
+
+    def eased(self, start, first, share, places):
+        """Return rotations that lead to the first goal's, or larger angles."""
+        if self.cone:
+            return _wider(self, start, first, share)
+        both = Rotation.from_matrix(np.stack([start.reshape(3, 3).T, first.reshape(3, 3)]))
+        return Slerp([0.0, 1.0], both)(share).as_matrix().reshape(-1, 9)
+
     def _to_go(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Vector3:
         return rotation_vector(product(goal[:9].reshape(3, 3), value.reshape(3, 3)))  # value: the axes are rows
 
 
-Row = TaskPoint | PointAlong | AxisTowards | Turned
+def _wider(
+    row: Row, start: Float[np.ndarray, "v"], first: Float[np.ndarray, "g"], share: Float[np.ndarray, "A"]
+) -> Float[np.ndarray, "A g"]:
+    """Return goals with the half angle that the start needs, narrowed to the first goal's."""
+    goals = np.tile(first, (len(share), 1))
+    short = max(float(-row.room(jnp.asarray(start), jnp.asarray(first))[0]), 0.0)
+    goals[:, -1] += (1.0 - share) * (short + 2 * AIM_RAD) + SLACK * (share < 1.0)
+    return goals

@@ -23,6 +23,7 @@ class LaneInputs(NamedTuple):
     row: jax.Array  # of the target
     round: jax.Array  # of draws
     seed: jax.Array
+    obstacle_numbers: jax.Array | None = None  # of kinds of obstacles, see `Scenario`
 
 
 def lane_inputs(
@@ -48,4 +49,5 @@ def lane_inputs(
         row=row,
         round=np.full(row.shape, round_, np.int32),
         seed=np.full(row.shape, seed, np.int64),
+        obstacle_numbers=None if (given := scenarios.obstacle_numbers) is None else given[scenario],
     )

@@ -104,6 +104,9 @@ def judge_motions(problem: Problem, plans: Plans) -> Plans:
         going = going[plans.executable[going, last]]
     ended = np.logical_or.accumulate(plans.way != Way.PROVEN, axis=1)[:, :-1]
     plans.way[:, 1:][ended], plans.way_clearance[:, 1:][ended] = Way.UNKNOWN, np.nan
+    if problem.task.sampled:
+        along = np.arange(plans.way.shape[1])[None, :] > scenarios.on_path[:, None]
+        plans.way[along & (plans.way == Way.PROVEN)] = Way.SAMPLED
     return plans
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from htcp_jax.motion.knots import Knots
-from htcp_jax.status import Status, Way
+from htcp_jax.status import MOTION, Status, Way
 
 NO_TARGET = -1  # status: the scenario has no such target, or is not planned yet
 UNKNOWN = -1  # of path_clear
@@ -35,7 +35,7 @@ class Outcome(NamedTuple):
     failed: int | None  # the first target that is not tracked
     status: Status | None  # status of that target
     blocked_paths: int  # tracked targets whose joint path from the row before is known to collide
-    way: Way  # of the segment behind the last executable target; PROVEN if that leads to no tracked one
+    way: Way  # of the segment behind the last executable target; PROVEN, or SAMPLED, if that leads to no tracked one
 
     @property
     def complete(self) -> bool:
@@ -180,7 +180,7 @@ class Plans(NamedTuple):
         This one and all before it are tracked, and on every segment, the first from the scenario's start, the arm is
         clear and the TCP keeps to its path.
         """
-        return np.logical_and.accumulate(self.tracked & (self.way == Way.PROVEN), axis=1)
+        return np.logical_and.accumulate(self.tracked & np.isin(self.way, MOTION), axis=1)
 
     @property
     def step_s(self) -> float:
@@ -280,8 +280,9 @@ def outcomes(
     failed = np.where(missed.any(axis=1), first, -1)
     ended = np.append(status, np.full((len(status), 1), NO_TARGET, status.dtype), axis=1)
     way = np.full_like(status, Way.UNKNOWN) if way is None else way
-    executable = np.logical_and.accumulate(tracked & (way == Way.PROVEN), axis=1).sum(axis=1)
-    after = np.append(np.where(tracked, way, Way.PROVEN), np.full((len(way), 1), Way.PROVEN, way.dtype), axis=1)
+    executable = np.logical_and.accumulate(tracked & np.isin(way, MOTION), axis=1).sum(axis=1)
+    best = np.where((way == Way.SAMPLED).any(axis=1), Way.SAMPLED, Way.PROVEN).astype(way.dtype)[:, None]
+    after = np.append(np.where(tracked, way, best), best, axis=1)
     return Outcomes(
         targets=exists.sum(axis=1),
         tracked=tracked.sum(axis=1),

@@ -20,6 +20,7 @@ from htcp_jax.model.scenario import NOT_REFUSED, Scenario, off_their_lines
 from htcp_jax.model.task import Task
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.settings import Settings
 
@@ -77,6 +78,10 @@ class Problem:
         refused = self.scenarios.refused != NOT_REFUSED
         plans.status[refused, 0] = self.scenarios.refused[refused]
         return plans
+
+    def inputs(self, scenario: int, target: int, count: int = 1) -> LaneInputs:
+        """Return what a checker needs of one target, in `count` equal rows."""
+        return lane_inputs(self.scenarios, np.full(count, scenario), np.full(count, target))
 
     def in_threads(self, work: Callable[[CollisionChecker, slice], Found], threads: int | None = None) -> list[Found]:
         """Return the results of work(checker, share), one per thread, each with the checker of its device.

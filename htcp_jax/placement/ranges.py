@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import LARGEST
-from htcp_jax.jobs.grid_axes import KEYS, NO_AXIS, XYZ, parameters
+from htcp_jax.jobs.grid_axes import KEYS, NO_AXIS, XYZ, of_kind, parameters
 
 PLANNERS_OWN = ("settings.", "margin_m", "workpiece.interior", "workpiece.mesh", "workpiece.tip_contact_m",
                 "workpiece.inlet", "workpiece.approach")  # fmt: skip
@@ -108,11 +108,14 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
     axes: list[Range] = []
     fixed: dict[str, tuple[float | None, ...]] = {}
     for name, value in raw.items():
-        _refuse(where, str(name), known)
+        if (own := of_kind(str(name))) is not None:
+            known.setdefault(str(name), own)
+        _refuse(where, str(name), known, base)
         key, element = known[name].key, known[name].element
-        if element is None and isinstance(KEYS[key], tuple):
-            if not isinstance(value, list | tuple) or len(value) != len(KEYS[key]):
-                raise InputError(f"{where}: {name} has {len(KEYS[key])} elements; each is a range or a number")
+        default = _default(key, base)
+        if element is None and isinstance(default, tuple):
+            if not isinstance(value, list | tuple) or len(value) != len(default):
+                raise InputError(f"{where}: {name} has {len(default)} elements; each is a range or a number")
             fixed[key] = tuple(float(item) if _is_number(item) else None for item in value)
             axes += [_range(where, key, k, item) for k, item in enumerate(value) if not _is_number(item)]
         elif element is None:
@@ -130,7 +133,7 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
     return Ranges(tuple(axes), fixed)
 
 
-def _refuse(where: str, name: str, known: Mapping[str, Any]) -> None:
+def _refuse(where: str, name: str, known: Mapping[str, Any], base: Mapping[str, Any]) -> None:
     """Raise InputError for a key that is unknown or cannot vary."""
     if name.partition(".")[0] in NO_AXIS or name.startswith(PLANNERS_OWN):
         kinds = "the workpiece's pose, the arm's, its tool, the start, the task and the cell can"
@@ -141,7 +144,7 @@ def _refuse(where: str, name: str, known: Mapping[str, Any]) -> None:
             f"did you mean {' or '.join(close)}?" if close else "valid: keys of the job, workpiece.shift_m for example"
         )
         raise InputError(f"{where}: unknown parameter {name}; {hint}")
-    default = KEYS[known[name].key]
+    default = _default(known[name].key, base)
     is_vector = isinstance(default, tuple) and all(map(_is_number, default))
     if not (isinstance(default, float) or is_vector) or (name == "start_rad" and known[name].element is None):
         raise InputError(f"{where}: {name} cannot vary in a search: it is no number that could lie between two others")
@@ -168,6 +171,16 @@ def _of(base: Mapping[str, Any], key: str) -> Any:
     for part in key.split("."):
         base = base[int(part) - 1] if isinstance(base, list | tuple) else base[part]
     return base
+
+
+def _default(key: str, base: Mapping[str, Any]) -> Any:
+    """Return the default of a key; of a kind of another package the job's own value, None if it has none."""
+    if key in KEYS:
+        return KEYS[key]
+    try:
+        return _of(base, key)
+    except LookupError:
+        return None
 
 
 def _element(key: str, element: int) -> str:

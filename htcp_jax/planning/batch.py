@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacle import Obstacle, Obstacles
+from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind, with_given
 from htcp_jax.clearance.obstacles.obstacles import contacts, nearest_to
 from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
 from htcp_jax.clearance.obstacles.scene import Scene
@@ -48,7 +49,7 @@ def plan(
     robot: Robot,
     workpiece: Workpiece,
     scenarios: Scenario | Sequence[Scenario],
-    method: str = "roadmap",
+    method: str | Method = "roadmap",
     settings: Settings | Mapping[str, Any] | None = None,
     *,
     progress: Callable[[Progress], None] | None = None,
@@ -56,7 +57,7 @@ def plan(
     threads: int | None = None,
     check_paths: bool = True,
     task: Task | None = None,
-    obstacles: Obstacles = (),
+    obstacles: Sequence[Obstacle | ObstacleKind] = (),
     check_starts: bool = False,
     processes: int | None = None,
     targets_in_all: int | None = None,
@@ -69,7 +70,7 @@ def plan(
         robot: The arm with its tool.
         workpiece: The part that the scenarios place.
         scenarios: From `make_scenario`: one, several, or already stacked.
-        method: Its name, see `registry`.
+        method: Its name, see `registry`, or the method itself.
         settings: A mapping such as {"alpha_rad": 0.05} changes the defaults.
         progress: Called with the totals when they change.
         device: See `devices.choose`.
@@ -92,7 +93,9 @@ def plan(
             a start in collision.
         Lost: If a process is ended from outside.
     """
-    chosen, settings = find(method), settings_of(settings)
+    chosen, settings = method if isinstance(method, Method) else find(method), settings_of(settings)
+    method = chosen.name
+    elsewhere = method in registry.names() and not registry.METHODS.is_own(method) and find(method) is chosen
     joints = len(robot.joint_names)
     for name in ("q_weights", "path_weights"):
         weights = getattr(settings, name)
@@ -106,7 +109,8 @@ def plan(
         scenarios = stack(scenarios)
     elif scenarios.x_start.ndim == 1:
         scenarios = stack([scenarios])
-    scenarios = _with_refused(robot, obstacles, jax.tree.map(np.asarray, scenarios), check_starts)
+    obstacles, scenarios = with_given(obstacles, jax.tree.map(np.asarray, scenarios))
+    scenarios = _with_refused(robot, obstacles, scenarios, check_starts)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     _check_task(task, robot, scenarios)
     devices = choose(device)
@@ -116,7 +120,7 @@ def plan(
         processes = 1 if threads else that_pay(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
-    if processes > 1 and devices[0].platform == "cpu" and not registry.is_own(method):
+    if processes > 1 and devices[0].platform == "cpu" and elsewhere:
         how = {"method": method, "settings": settings, "threads": threads or 1, "task": task}
         how |= {"check_paths": check_paths, "check_starts": check_starts}
         shared = portable(robot, workpiece, tuple(obstacles))
@@ -161,7 +165,7 @@ def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obst
         plans = begin_at_home(problem, plans, ways)
         if check_paths:
             plans = judge_motions(problem, plans)
-            if getattr(chosen, "smooth", False) if settings.smooth is None else settings.smooth:
+            if chosen.smooth if settings.smooth is None else settings.smooth:
                 from htcp_jax.motion.smoothing import smooth
 
                 plans = tighten(problem, judge_motions(problem, smooth(problem, plans)))
@@ -255,10 +259,10 @@ def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
 @contextmanager
 def _preparing(problem: Problem, method: Method) -> Iterator[None]:
     """Compile the calls that a method announces, while the context is open."""
-    calls = getattr(method, "first_calls", None)
+    calls = method.first_calls(problem) if len(problem.to_plan) else ()
     with ExitStack() as stack:
-        for each in problem.checkers if calls is not None and len(problem.to_plan) else ():
-            stack.enter_context(each.kernels.preparing(calls(problem)))
+        for each in problem.checkers if calls else ():
+            stack.enter_context(each.kernels.preparing(calls))
         yield
 
 

@@ -269,7 +269,10 @@ def _motion(part: Part, prefix: str) -> list[Picture]:
 
 
 def _notes_on_results(part: Part) -> list[str]:
+    names = ", ".join(dict.fromkeys(row.name for row in part.run.config.task if row.sampled))
+    sampled = f"The task row {names} states no rate: along the path, motions called proven in this report are sampled."
     return [
+        *([sampled] if names else []),
         "Executable are the targets to which a proven motion leads: from the start that was given, the arm clear all "
         "along and the tool on its path. What lies beyond cannot be driven as it is planned. " + _unchecked(part),
         "Means and the minimum clearance are over the tracked targets: a method that gets further also passes "

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from htcp_jax.errors import InputError
 from htcp_jax.io.files import write
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.planning.registry import all_methods
+from htcp_jax.planning.registry import METHODS
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, literal, markdown, png, write_csv
@@ -124,7 +124,7 @@ def slug(name: str) -> str:
 def _appendix(parts: Sequence[Part]) -> list[Block]:
     ran = {part.run_name: part.run.config for part in parts}
     methods = dict.fromkeys(method for part in parts for method in part.plans)
-    known = {name: method for name, method in all_methods().items() if name in methods}
+    known = {name: method for name, method in METHODS.all().items() if name in methods}
     about = Table(
         "methods",
         (Column("method", "method"), Column("title", "name"), Column("what", "what it does")),

@@ -125,6 +125,7 @@ def notes(found: dict[str, Any]) -> list[str]:
     lines = []
     if any(check.get("clearance_off_max_mm") is not None for check in found["methods"].values()):
         lines.append("Differs from plan: the largest difference between a clearance in the plan and MuJoCo's.")
+    lines += found.get("unchecked", ())
     if found.get("excluded"):
         lines.append(f"Deepest overlap of two capsules that are not checked against each other: {found['excluded']}.")
     if any(check.get("clearance_less_cover_min_mm") is not None for check in found["methods"].values()):

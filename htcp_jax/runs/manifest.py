@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from htcp_jax.io.strict_model import Section
 from htcp_jax.jobs.grid_axes import MOST
-from htcp_jax.planning.registry import NAME
+from htcp_jax.registry import NAME
 from htcp_jax.runs.identity import config_hash, identity
 
 MANIFEST, FORMAT = "manifest.json", 1

@@ -7,7 +7,7 @@ import numpy as np
 
 from htcp_jax.motion.motion import curvature, dwells, figures, motions, tightest
 from htcp_jax.motion.plans import Outcome, Plans
-from htcp_jax.status import Kind
+from htcp_jax.status import Kind, Way
 
 LEAST_MM = 0.01  # smaller bounds are reported as "more than 0 mm"
 
@@ -37,7 +37,8 @@ class MotionSummary(NamedTuple):
     def _can_be_run(self) -> str:
         end, n = self.end, self.end.executable
         if n == end.targets:
-            return f"yes: all {n} targets"
+            sampled = "; a row of the task is sampled on its path, not proven" if end.way == Way.SAMPLED else ""
+            return f"yes: all {n} targets{sampled}"
         if n < end.tracked:
             why = f"the segment to target {n} is {end.way.words}"
         else:

@@ -116,7 +116,7 @@ class Run:
 
         Except the parameters that have columns in every run.
         """
-        return varied_keys(name for group in self.manifest.grid for axis in group["axes"] for name in axis)
+        return varied_keys([name for group in self.manifest.grid for axis in group["axes"] for name in axis])
 
     def points(self) -> tuple[Point, ...]:
         """Return the scenarios with their complete configurations.

@@ -19,10 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES
 from htcp_jax.device import devices
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
 from htcp_jax.jobs.grid_axes import FILE_KEYS, MOST, record
+from htcp_jax.model.task_row_kind import TASK_ROWS
 from htcp_jax.motion.plans import Plans
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import Progress as ShardProgress
@@ -184,7 +186,7 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
         InputError: For an empty list, and for a method that is unknown, cannot be imported, or is repeated.
     """
     if methods == "all":
-        return tuple(registry.all_methods())
+        return tuple(registry.METHODS.all())
     names = [name.strip() for name in methods.split(",")] if isinstance(methods, str) else list(methods)
     if not any(names):
         raise InputError(f"no methods; valid: all, {', '.join(registry.names())}")
@@ -256,7 +258,9 @@ def _planner(
         return contextlib.nullcontext(partial(plan_here, batch, threads, device, targets_in_all))
     from htcp_jax.runs.ray_ import on_ray  # here, because it is an extra
 
-    registry.refuse_own(methods)
+    registry.METHODS.refuse_own(methods)
+    OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
+    TASK_ROWS.refuse_own(row.name for row in spec.config.task)
     return on_ray(batch, spec.config, on.partition(":")[2])
 
 

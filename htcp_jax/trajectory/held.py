@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import task_of_job
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.model.robot import Robot
@@ -17,14 +18,13 @@ def with_rows(left: Spare, job: PlanConfig, robot: Robot, motion: Motion, aims: 
 
     If the task does not constrain the TCP's position, the TCP has no tube.
 
-    Args:
-        left: Slack of the other constraints.
-        job: The job.
-        robot: With the job's tool.
-        motion: The motion.
-        aims: Goals of the task at each target, see `Scenario` [m, rad].
+    robot: with the job's tool; aims: goals of the task at each target, see `Scenario`. Raises InputError for a task
+    with a row that has no bound between two configurations.
     """
     task = task_of_job(job, robot)
+    if task.sampled:
+        names = ", ".join(row.name for row, part in zip(job.task, task.parts, strict=True) if part.sampled)
+        raise InputError(f"no program: the task row {names} states no rate, so it cannot be proven next to the motion")
     target, kind = motion.target[1:], motion.kind[1:]
     before = np.where(kind == Kind.DWELL, target, np.maximum(target - 1, 0))
     on = np.isin(kind, (Kind.FEED, Kind.DWELL))

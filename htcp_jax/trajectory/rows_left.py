@@ -57,7 +57,7 @@ class RowsLeft(NamedTuple):
         for k, row in enumerate(self.rows):
             own = moved[..., first : first + len(row.features)]
             first += len(row.features)
-            if _looks(row):
+            if row.looks:
                 axis, eye = own[..., 0], own[..., 1]
                 room = self.apart[:, k] - eye
                 found.append(axis + np.divide(eye, room, out=np.full_like(eye, np.inf), where=room > 0))
@@ -94,7 +94,3 @@ def _left(task: Task, robot: Robot, a, b, goals):
     places = (jnp.arange(PIECES, dtype=float) + 0.5) / PIECES
     found = jax.vmap(lambda place: rows_left(robot, task.parts, asked, a + place * (b - a), b - a, half))(places)
     return jnp.min(found.left, axis=0), jnp.min(found.apart, axis=0)
-
-
-def _looks(row: Row) -> bool:
-    return len(row.features) == 2

@@ -19,34 +19,37 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.point_cloud import load_geometry
 from htcp_jax.io.safe_xml import read_spec
 from htcp_jax.jobs.config import CellConfig
+from htcp_jax.jobs.given_kinds import shapes_in_world
+from htcp_jax.model.fixture import PRIMITIVES
 from htcp_jax.validation.mujoco_arm import FAR_M, Arm, Postures
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.own_pairs import OwnPairs, own_pairs, touch_m
 
 MOST_FACES = 400  # of a mesh that is treated as convex
+_TYPES = {kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}") for kind in PRIMITIVES}
 _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
 
 
 class Beside:
     """An arm and the obstacles in a job's cell.
 
-    `bound` is True if there are meshes that a planner may represent by points only. `deepest` is the largest overlap
-    of capsules that are not checked [m], and their names.
-
-    Args:
-        cell: The job's cell.
-        arm: The arm.
-        plain: The arm without an extension of its tool, as in the model.
-
-    Raises:
-        InputError: For a file that MuJoCo cannot read.
+    Raises InputError for a file that MuJoCo cannot read. plain: the arm without an extension of its tool, as in the
+    model. bound: True if there are meshes that a planner may represent by points only, or obstacles without shapes,
+    `unmeasured`.
     """
 
     def __init__(self, cell: CellConfig, arm: Arm, plain: Arm):
-        self._arm, self.walls, self.bound = arm, [], False
+        self._arm, self.walls = arm, []
         spec = mujoco.MjSpec() if cell.model is None else _spec(Path(cell.model))
         for k, radius in enumerate(arm.radius.tolist()):
             spec.worldbody.add_geom(name=f"body {k} of the arm", type=_CAPSULE, size=[radius, 1, 0])
+        given = [shapes_in_world(kind) for kind in cell.obstacles]
+        self.unmeasured = [kind.name for kind, shapes in zip(cell.obstacles, given, strict=True) if not shapes]
+        self.bound = bool(self.unmeasured)
+        shapes = [shape for own in given for shape in own]
+        for k, shape in enumerate(shapes):
+            size = [0, 0, 1] if shape.kind == "plane" else shape.size  # MuJoCo needs a grid
+            spec.worldbody.add_geom(name=f"shape {k} of the job", type=_TYPES[shape.kind], size=size)
         try:
             self._model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
@@ -56,6 +59,9 @@ class Beside:
         mujoco.mj_kinematics(self._model, self._data)
         if cell.model is not None:
             _move(self._model, self._data, cell)
+        for k, shape in enumerate(shapes):
+            geom = self._model.geom(f"shape {k} of the job").id
+            self._data.geom_xpos[geom], self._data.geom_xmat[geom] = shape.T_world[:3, 3], shape.T_world[:3, :3].ravel()
         solids = [g for g in range(self._model.ngeom) if g not in self._bodies and not self._is_hollow(g)]
         moving = arm.moving
         for cloud in cell.clouds:

@@ -11,7 +11,7 @@ from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.motion.plans import Plans
 from htcp_jax.runs.open import PlanSet, open_plans
-from htcp_jax.status import Way
+from htcp_jax.status import MOTION
 from htcp_jax.validation.scene_rules import Results, Track, WorkpieceData
 
 MOST_WORKPIECES = 8  # largest number of workpieces in memory
@@ -37,7 +37,7 @@ def _tracks(found: PlanSet) -> Iterator[Track]:
 
 def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
     there = plans.exists[number]
-    flags = plans.tracked, plans.path_clear == 0, plans.way == Way.PROVEN
+    flags = plans.tracked, plans.path_clear == 0, np.isin(plans.way, MOTION)
     columns = plans.x, plans.tcp, plans.target, plans.clearance
     return Track(
         method,

@@ -62,6 +62,7 @@ class Validation(NamedTuple):
     seconds: float
     files: dict[str, str]  # SHA-256 of what was validated
     excluded: str | None = None  # the unchecked capsules with the largest overlap, and its size
+    unchecked: tuple[str, ...] = ()  # sentences on obstacles and rows that are not checked
 
 
 ROUNDING_M = 1e-9  # two ways to compute a clearance differ by 1e-15; width of comparisons with 0 and the tolerance

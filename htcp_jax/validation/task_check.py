@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
+from htcp_jax.kinds import with_arrays
 from htcp_jax.model.task_list import TaskRow
+from htcp_jax.model.task_row_kind import TaskRowKind
 from htcp_jax.settings import Settings
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.result import ROUNDING_M
@@ -23,13 +25,13 @@ HELD = TaskRow(point="tcp", on="path")
 class RowCheck(NamedTuple):
     """Deviation from one row at n points of the path, in metres or degrees."""
 
-    row: TaskRow
-    off: Float[np.ndarray, "n"]
+    row: TaskRowKind
+    off: Float[np.ndarray, "n"]  # NaN: not checked
     most: float
 
     def reason(self, number: int, k: int) -> str | None:
         """Return a sentence on why the row does not hold at the k-th of the points; None if it holds."""
-        if self.off[k] <= self.most + ROUNDING_M:
+        if not self.off[k] > self.most + ROUNDING_M:
             return None
         off, most = self.factor * self.off[k], self.factor * self.most
         return f"task.{number} ({self.row}) is {off:.5g} {self.unit} off, {most:.4g} are allowed"
@@ -37,12 +39,17 @@ class RowCheck(NamedTuple):
     @property
     def unit(self) -> str:
         """Unit for display."""
-        return "mm" if self.row.point else "degrees"
+        return "degrees" if self.row.angular else "mm"
 
     @property
     def factor(self) -> float:
         """Factor that converts to that unit."""
-        return 1e3 if self.row.point else 1.0
+        return 1.0 if self.row.angular else 1e3
+
+    @property
+    def unchecked(self) -> bool:
+        """True if the row is of a kind without a check of its own."""
+        return bool(np.isnan(self.off).any())
 
 
 class Place(NamedTuple):
@@ -67,7 +74,7 @@ class Place(NamedTuple):
 
 
 def check_rows(
-    rows: Sequence[TaskRow],
+    rows: Sequence[TaskRowKind],
     arm: Arm,
     x: Float[np.ndarray, "n N"],
     place: Place,
@@ -88,7 +95,7 @@ def check_rows(
 
 
 def hold_between(
-    rows: Sequence[TaskRow],
+    rows: Sequence[TaskRowKind],
     arm: Arm,
     x: Float[np.ndarray, "n N"],
     before: Place,
@@ -110,7 +117,10 @@ def hold_between(
     """
     good = np.ones((len(rows), len(x)), bool)
     for own, row in zip(good, rows, strict=True):
-        if row.point is None:
+        if not isinstance(row, TaskRow):
+            most = settings.tolerance_rad if row.angular else settings.tolerance_m
+            own[:] = ~(_off_kind(row, arm, x, (before, here)) > most + ROUNDING_M)
+        elif row.point is None:
             own[:] = _turned_between(row, arm, x, (before, here), settings.tolerance_rad + ROUNDING_M)
         elif not _is_tcp_at_place(row):
             point, most = _point(row, arm, x), (row.within_m or 0.0) + settings.tolerance_m + ROUNDING_M
@@ -122,7 +132,7 @@ def hold_between(
     return good
 
 
-def follower(rows: Sequence[TaskRow], arm: Arm, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n 3"]:
+def follower(rows: Sequence[TaskRowKind], arm: Arm, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n 3"]:
     """Position of the point that follows the path [m]; the TCP if no row defines one.
 
     Args:
@@ -133,18 +143,21 @@ def follower(rows: Sequence[TaskRow], arm: Arm, x: Float[np.ndarray, "n N"]) -> 
     return _point(next((row for row in rows if row.on == "path"), HELD), arm, x)
 
 
-def holds_tcp(rows: Sequence[TaskRow]) -> bool:
+def holds_tcp(rows: Sequence[TaskRowKind]) -> bool:
     """True if a row of the task constrains the TCP to the path in all directions."""
-    return not rows or any(replace(row, frame=HELD.frame) == HELD for row in rows)
+    return not rows or any(isinstance(row, TaskRow) and replace(row, frame=HELD.frame) == HELD for row in rows)
 
 
-def follows_all(rows: Sequence[TaskRow]) -> bool:
+def follows_all(rows: Sequence[TaskRowKind]) -> bool:
     """True if the point that follows the path is constrained in all directions, exactly."""
     row = next((row for row in rows if row.on == "path"), None if rows else HELD)
     return row is not None and row.axes == "xyz" and row.within_m is None
 
 
-def _check(row: TaskRow, arm: Arm, x: np.ndarray, place: Place, most_m: float, most_deg: float) -> RowCheck:
+def _check(row: TaskRowKind, arm: Arm, x: np.ndarray, place: Place, most_m: float, most_deg: float) -> RowCheck:
+    if not isinstance(row, TaskRow):
+        off = _off_kind(row, arm, x, (place,))
+        return RowCheck(row, np.rad2deg(off) if row.angular else off, most_deg if row.angular else most_m)
     if row.point is not None:
         off = _off_place(row, _point(row, arm, x), place)
         exact = row.within_m is None
@@ -152,6 +165,33 @@ def _check(row: TaskRow, arm: Arm, x: np.ndarray, place: Place, most_m: float, m
     off = _off_axis(row, arm, x, place) if row.axis is not None else _off_turn(row, arm, x, place)
     allowed = max(row.cone_deg or 0.0, row.within_deg or 0.0)
     return RowCheck(row, np.rad2deg(off), allowed or most_deg)
+
+
+def _off_kind(row: TaskRowKind, arm: Arm, x: np.ndarray, places: tuple[Place, ...]) -> Float[np.ndarray, "n"]:
+    """Deviation from a row of another package by its own check [m or rad]; NaN if it has none.
+
+    The smallest of those by the goals of the two targets and by the goal half way between them.
+    """
+    given = [_along_path(row, place) for place in places]
+    if len(given) == 2:
+        given.append({name: 0.5 * (given[0][name] + given[1][name]) for name in row.along})
+    found = np.full(len(x), np.inf)
+    for values in given if row.along else given[:1]:
+        own = with_arrays(row)
+        vars(own).update(values)
+        if (off := own.deviation(lambda name: arm.frames(x, name))) is None:
+            return np.full(len(x), np.nan)
+        found = np.minimum(found, off)
+    return found
+
+
+def _along_path(row: TaskRowKind, place: Place) -> dict[str, Float[np.ndarray, "n 3"]]:
+    """Places, tangents and normals of the path that a kind uses, in the world."""
+    own, named = place.workpiece, {"place": "path", "tangent": "tangents", "normal": "normals"}
+    return {
+        name: getattr(own, named[name])[place.point] @ place.rotate.T + (place.translate if name == "place" else 0.0)
+        for name in row.along
+    }
 
 
 def _point(row: TaskRow, arm: Arm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:

@@ -13,7 +13,7 @@ refutes a target only if the segment to it is saved as proven. Otherwise it is c
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +81,8 @@ def validate(
     seconds = time.perf_counter() - began
     depth, pair = max((each.deepest for each in besides.values()), default=(0.0, ""))
     excluded = f"{pair}, {1e3 * depth:.3g} mm" if pair else None
-    return Validation(not refuted, methods, refuted, between, feed_mm_s, seconds, results.files, excluded)
+    found = not refuted, methods, refuted, between, feed_mm_s, seconds, results.files, excluded
+    return Validation(*found, _unchecked(checked, besides.values()))
 
 
 def record(found: Validation) -> dict[str, Any]:
@@ -177,7 +178,7 @@ def _compiled(arms: dict[RobotConfig, Arm], robot: RobotConfig) -> Arm:
 def _beside(besides: dict[tuple, Beside], arms: dict[RobotConfig, Arm], track: Track) -> Beside | None:
     """Obstacles of the track's arm other than the workpiece; None if there are none."""
     robot, cell = track.config.robot, track.config.cell
-    if not (cell.self_collision or cell.model or cell.clouds):
+    if not (cell.self_collision or cell.model or cell.clouds or cell.obstacles):
         return None
     if (robot, cell) not in besides:
         plain = _compiled(arms, robot.model_copy(update={"tool_extension_m": 0.0}))
@@ -242,8 +243,20 @@ def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float)
 
 def _rows(checked: Sequence[Checked]) -> tuple[RowHeld, ...]:
     """Every row of the task where it deviates by the largest share of its tolerance."""
-    found = [[_held(one, number) for number in range(len(one.rows))] for one in checked if len(one.on_path)]
+    found = [
+        [_held(one, number) for number, row in enumerate(one.rows) if not row.unchecked]
+        for one in checked
+        if len(one.on_path)
+    ]
     return tuple(max(rows, key=lambda row: row.off / row.most) for rows in zip(*found, strict=True))
+
+
+def _unchecked(checked: Sequence[Checked], besides: Iterable[Beside]) -> tuple[str, ...]:
+    """Sentences on obstacles without shapes, and on rows without a check of their own."""
+    obstacles = sorted({name for beside in besides for name in beside.unmeasured})
+    lines = [f"The obstacle {name!r} is not measured: it has no shapes for MuJoCo." for name in obstacles]
+    rows = {f"task.{k} ({row.row})" for one in checked for k, row in enumerate(one.rows, 1) if row.unchecked}
+    return *lines, *(f"The row {row} is not validated: its kind has no deviation." for row in sorted(rows))
 
 
 def _held(one: Checked, number: int) -> RowHeld:

@@ -41,8 +41,10 @@ def _motion(replay: Replay, target: int) -> str:
     """Describe the segment to a target, and a dwell there."""
     known = Way(int(replay.way[target]))
     text = f"Segment to this target: {known.message}"
-    if known == Way.PROVEN:
-        text = f"The segment to this target is proven: {1e3 * replay.way_clearance[target]:.3g} mm clear at least"
+    if known.is_motion:
+        text = (
+            f"The segment to this target is {known.words}: {1e3 * replay.way_clearance[target]:.3g} mm clear at least"
+        )
     tightest = " It is the tightest of the proof." if target == replay.summary.tightest else ""
     dwells = " **The arm changes its posture here.**" if target in replay.summary.dwells else ""
     return f"{text}.{tightest}{dwells}"

@@ -12,6 +12,7 @@ from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import arm_of, drawn_of, obstacles_of, part_of, robot_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.kinds import numbers_of
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.scenario import Scenario, interior_plane_of
 from htcp_jax.model.surface import Drawn, Surface, surface_of
@@ -29,6 +30,7 @@ class Placement(NamedTuple):
     T_world_workpiece: Float[np.ndarray, "4 4"]
     interior_plane: Float[np.ndarray, "4"]
     tool_extension_m: float
+    obstacle_numbers: Float[np.ndarray, "P"] | None = None
 
 
 class Workcell:
@@ -78,7 +80,10 @@ class RecordedCells:
     def placement(self, number: int) -> Placement:
         """Placement of a scenario in its workcell."""
         cell = self.cell(self.key(number))
-        return _placement(cell.robot, cell.workpiece, self._found.parameters[number])
+        found = self._found
+        kinds = (found.jobs[number] if found.mixed else found.config).cell.obstacles
+        placement = _placement(cell.robot, cell.workpiece, found.parameters[number])
+        return placement._replace(obstacle_numbers=numbers_of(kinds) if kinds else None)
 
     @cached_property
     def _keys(self) -> dict[int, Hashable]:
@@ -97,7 +102,10 @@ class GivenCell:
 
     def __init__(self, cell: Workcell, scenario: Scenario):
         T, plane = np.asarray(scenario.T_world_workpiece), np.asarray(scenario.interior_plane)
-        self._cell, self._placement = cell, Placement(T, plane, float(scenario.tool_extension_m))
+        self._cell, self._placement = (
+            cell,
+            Placement(T, plane, float(scenario.tool_extension_m), scenario.obstacle_numbers),
+        )
 
     def key(self, number: int) -> Hashable:
         """Key of every scenario: None."""

@@ -14,7 +14,7 @@ import numpy as np
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import CloudIndex, build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.distance.sweep import Sweep, Wanted
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Posed, Rows, in_workpiece
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, in_workpiece
 from htcp_jax.model.robot import Robot
 from htcp_jax.numerics import axis_contact, capsule_point_distance, product
 from htcp_jax.pytree import register_pytree
@@ -23,18 +23,15 @@ from htcp_jax.types import Bool, Float, Int, Scalar
 
 @register_pytree
 @dataclass(frozen=True)
-class Cloud:
+class Cloud(Obstacle):
     """P points in the workpiece frame, their index, and the covering radius [m], by which every body is thickened."""
 
     points: Float[jax.Array, "P 3"]
     index: CloudIndex
     cover: Float[jax.Array, ""]
 
-    per_body = True
-
-    def rows(self, robot: Robot) -> Rows:
-        """Return one row per body."""
-        return Rows.of_bodies(robot)
+    of_workpiece = True
+    sweeps = True
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         """Return the contact of every body with its nearest point."""
@@ -76,10 +73,6 @@ class Cloud:
         reach = robot.capsule_radius + self.cover
         return nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach, below=0.0).row >= 0
 
-    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
-        """Return the distance, which is a free radius."""
-        return self.contacts(robot, where, bodies).distance
-
     def clear_along(
         self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
     ) -> Float[jax.Array, "K"]:
@@ -101,6 +94,18 @@ class Cloud:
         """
         own = in_workpiece(where, p), in_workpiece(where, q)
         return nearest_body(self.index, *own, within + self.cover, below=0.0).row >= 0
+
+    def surely_touches(
+        self,
+        where: Posed,
+        margin_m: Scalar,
+        p: Float[jax.Array, "n 3"],
+        q: Float[jax.Array, "n 3"],
+        radius: Float[jax.Array, "n"],
+        moves: Float[jax.Array, "n"],
+    ) -> Bool[jax.Array, ""]:
+        """Return True if a capsule is certainly too near to a point."""
+        return self.holds(where, p, q, radius + margin_m - moves)
 
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Seen, Solid
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Exact, Posed, Rows
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import Robot
 from htcp_jax.numerics import one_by_one, safe_norm, segment_parameter
@@ -27,7 +27,7 @@ Ends = Float[Array, "K 3"]
 
 @register_pytree
 @dataclass(frozen=True)
-class Fixtures(Exact):
+class Fixtures(Obstacle):
     """Solids in the world, stacked by kind, and the mask of pairs of solid and body (K bodies) that are checked."""
 
     simple: tuple[HalfSpace | Rod | Box | Cylinder, ...]
@@ -35,12 +35,6 @@ class Fixtures(Exact):
     balls: Float[jax.Array, "P 4"]  # about the pieces: centre, radius [m]
     heeds: Bool[jax.Array, "G K"]  # True: the pair is checked; the simple solids first
     names: tuple[str, ...] = field(metadata={"static": True})
-
-    per_body = True
-
-    def rows(self, robot: Robot) -> Rows:
-        """Return one row per body."""
-        return Rows.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         """Return the contact of every body with its nearest solid."""

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.distance.half_spaces import HalfSpaces, crossed_facets, depths
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Posed, Rows, in_workpiece
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, in_workpiece
 from htcp_jax.model.robot import Robot
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
@@ -22,16 +22,12 @@ NEAR_M = 0.05  # distance before the interior within which the depth in the hull
 
 @register_pytree
 @dataclass(frozen=True)
-class Interior:
+class Interior(Obstacle):
     """The hull in the workpiece frame, F >= 1 facets; the plane where the interior begins is the scenario's."""
 
     hull: HalfSpaces
 
-    per_body = True
-
-    def rows(self, robot: Robot) -> Rows:
-        """Return one row per body."""
-        return Rows.of_bodies(robot)
+    of_workpiece = True
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         """Return, for every body, the facet that its furthest deep end has crossed, if any."""
@@ -78,6 +74,18 @@ class Interior:
         facet = crossed_facets(self.hull, own, _beyond(where, p, q) > moves)
         outside = jnp.sum(self.hull.normal[facet] * own, axis=1) - self.hull.offset[facet]
         return jnp.any((facet >= 0) & (outside > moves))
+
+    def surely_touches(
+        self,
+        where: Posed,
+        margin_m: Scalar,
+        p: Float[jax.Array, "n 3"],
+        q: Float[jax.Array, "n 3"],
+        radius: Float[jax.Array, "n"],
+        moves: Float[jax.Array, "n"],
+    ) -> Bool[jax.Array, ""]:
+        """Return True if an end of a capsule is certainly outside, and deep."""
+        return self.holds(where, p, q, moves)
 
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]

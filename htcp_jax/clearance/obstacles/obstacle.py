@@ -1,11 +1,13 @@
 """The obstacle protocol: rows of distances, and cheap queries about them.
 
-A kind of obstacle is a small pytree with the methods of `Obstacle`, in a file of its own. Its rows are distances [m]
-between a body of the arm and something: the surroundings, or another body. Kinds with `per_body`, `Surroundings`, have
-one row per body, which they share: its distance is the smallest one. Any other kind has its own rows.
+A kind of obstacle is a small pytree that derives from `Obstacle`, in a file of its own. Its rows are distances [m]
+between a body of the arm and something: the surroundings, or another body. Kinds with `per_body` have one row per body,
+which they share: the nearest counts. Any other kind has its own rows.
+
+`obstacle_kind` has the plainer protocol for obstacles of other packages.
 """
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -74,15 +76,24 @@ def in_workpiece(where: Posed, points: Float[jax.Array, "n 3"]) -> Float[jax.Arr
     return product(points - translate[None, :], rotate)
 
 
-@runtime_checkable
-class Obstacle(Protocol):
-    """A kind of obstacle. Distances are exact or lower bounds, in metres; `bodies` are those at one configuration."""
+class Obstacle:
+    """Base class of all kinds of obstacle.
 
-    per_body: bool  # True: its rows are the K bodies', shared with other such kinds
+    A kind defines `contacts`; it may define the others, where it has something better than the defaults. Distances are
+    exact or lower bounds, in metres; `bodies` are those at one configuration.
+
+    per_body: its rows are the K bodies', shared with other such kinds; a kind of its own rows defines `rows`, too.
+    of_workpiece: it is a part of the workpiece, in messages. sweeps: it defines `clear_along`. names: of its parts.
+    """
+
+    per_body: ClassVar[bool] = True
+    of_workpiece: ClassVar[bool] = False
+    sweeps: ClassVar[bool] = False
+    names: ClassVar[tuple[str, ...]] = ()
 
     def rows(self, robot: Robot) -> Rows:
         """Return the pairs that its rows are between."""
-        ...
+        return Rows.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         """Return every row's contact.
@@ -90,68 +101,14 @@ class Obstacle(Protocol):
         At other configurations, a fixed contact must never predict less than the true distance, see `contact_model`.
         For a kind with `per_body`, a body without a contact has infinite distance.
         """
-        ...
+        raise NotImplementedError
 
-    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
-        """Return the smallest distance of all rows."""
-        ...
+    def closest(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+        """Return contacts of which only the one with the smallest distance has to be exact.
 
-    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
-        """Return True if any distance is 0 or less."""
-        ...
-
-    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
-        """Return each row's free radius; at most 0 in collision.
-
-        It is a displacement of all points of the row's body, in any direction, as seen from the link of the row's
-        other, within which the body is proven to stay clear.
+        The others may be overestimated.
         """
-        ...
-
-
-@runtime_checkable
-class Surroundings(Obstacle, Protocol):
-    """An obstacle kind with `per_body`, around the arm."""
-
-    def touches_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
-    ) -> Bool[jax.Array, ""]:
-        """Return True if one body touches at any of the S configurations marked in `asked`.
-
-        Args:
-            robot: The robot.
-            where: Pose of the workpiece.
-            bodies: The bodies at all S configurations.
-            body: Number of the body.
-            asked: True for the configurations to test.
-        """
-        ...
-
-
-@runtime_checkable
-class Sweepable(Surroundings, Protocol):
-    """An obstacle with a bound on clearance along a motion that is tighter than distance minus travel."""
-
-    def clear_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
-    ) -> Float[jax.Array, "K"]:
-        """Return a lower bound on the clearance of each body in `asked` along the sweep.
-
-        Once one has less than `wanted.least`, the values of the others are arbitrary.
-
-        Args:
-            robot: The robot.
-            where: Pose of the workpiece.
-            bodies: The bodies in the middle of the sweep.
-            sweep: Their motion.
-            asked: True for the bodies to bound.
-            wanted: Clearance required, and the largest to compute.
-        """
-        ...
-
-
-class Exact:
-    """Base class of kinds with exact distances, whose contacts also serve the cheap queries."""
+        return self.contacts(robot, where, bodies)
 
     def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
         """Return the smallest distance of all rows."""
@@ -162,8 +119,52 @@ class Exact:
         return self.smallest(robot, where, bodies) <= 0
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
-        """Return the distance, which is a free radius."""
+        """Return each row's free radius; at most 0 in collision.
+
+        It is a displacement of all points of the row's body, in any direction, as seen from the link of the row's
+        other, within which the body is proven to stay clear.
+        """
         return self.contacts(robot, where, bodies).distance
+
+    def touches_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+    ) -> Bool[jax.Array, ""]:
+        """Return True if one body touches at any of the S configurations marked in `asked`.
+
+        `bodies` are those at all of them. For kinds with `per_body`.
+        """
+        distance = jax.vmap(lambda own: self.contacts(robot, where, own).distance)(bodies)
+        return jnp.any(asked & (distance[:, body] <= 0))
+
+    def clear_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
+    ) -> Float[jax.Array, "K"]:
+        """Return a lower bound on the clearance of each body in `asked` along the sweep.
+
+        It is tighter than distance minus travel. Once a body has less than `wanted.least`, the values of the others are
+        arbitrary. For kinds with `per_body`.
+        """
+        raise NotImplementedError
+
+    def surely_touches(
+        self,
+        where: Posed,
+        margin_m: Scalar,
+        p: Float[jax.Array, "n 3"],
+        q: Float[jax.Array, "n 3"],
+        radius: Float[jax.Array, "n"],
+        moves: Float[jax.Array, "n"],
+    ) -> Bool[jax.Array, ""]:
+        """Return True if one of n capsules surely has less clearance than a margin.
+
+        The capsules are in the world; their points may be anywhere within `moves` [m]. False where that is not known;
+        margin_m [m].
+        """
+        return jnp.zeros((), bool)
+
+    def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+        """Return the name of its part nearest to the body of a row, for messages."""
+        return f"the obstacle {type(self).__name__!r}"
 
 
 Obstacles = tuple[Obstacle, ...]

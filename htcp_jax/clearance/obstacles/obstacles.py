@@ -37,18 +37,13 @@ class ClearanceRows(NamedTuple):
 
 @partial(jax.jit, static_argnames="smallest")
 def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False) -> Contacts:
-    """Return the nearest contact of every row at configuration x.
+    """Return the nearest contact of every row at configuration x [rad]; the robot's tool is the scenario's.
 
-    Args:
-        robot: The robot, with the scenario's tool.
-        obstacles: The obstacles O.
-        where: A scenario, or another `Posed`.
-        x: The configuration [rad or m].
-        smallest: True: only the row of the smallest distance has to be exact, others may be overestimated; kinds with a
-            method `closest` compute that faster.
+    smallest: only the row of the smallest distance has to be exact, others may be overestimated, see
+    `Obstacle.closest`.
     """
     bodies = bodies_at(robot, where, x)
-    ask = lambda each: getattr(each, "closest", each.contacts) if smallest else each.contacts  # noqa: E731
+    ask = lambda each: each.closest if smallest else each.contacts  # noqa: E731
     groups = [[ask(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
     return _one_after_another([_nearest(own) for own in groups])
 
@@ -160,11 +155,8 @@ _clearances, _bodies_at = jax.jit(clearances), jax.jit(bodies_at)
 
 
 def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row: int) -> str:
-    """Return a description of the obstacle nearest to a row's body at x.
-
-    Kinds with a method `hit` describe themselves.
-    """
-    if not any(hasattr(each, "hit") for each in obstacles):
+    """Return a description of the obstacle nearest to a row's body at x."""
+    if all(each.of_workpiece for each in obstacles):
         return "the workpiece"
     rows = 0
     for own in grouped(obstacles):
@@ -172,8 +164,8 @@ def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row:
         if row < rows + count:
             break
         rows += count
-    named = [each for each in own if hasattr(each, "hit")]
-    others = tuple(each for each in own if not hasattr(each, "hit"))
+    named = [each for each in own if not each.of_workpiece]
+    others = tuple(each for each in own if each.of_workpiece)
     parts = [(each,) for each in named] + ([others] if named and others else [])
     distance = [float(_clearances(robot, part, where, x)[row - rows]) for part in parts] if len(parts) > 1 else [0.0]
     if not named or distance.index(min(distance)) == len(named):

@@ -19,7 +19,7 @@ from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Solid
 from htcp_jax.clearance.distance.sweep import Sweep, Wanted
 from htcp_jax.clearance.obstacles.fixtures import fixtures
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacles, Posed, Rows
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Obstacles, Posed
 from htcp_jax.model.fixture import Fixture
 from htcp_jax.model.mesh_points import Cover, area, cover
 from htcp_jax.model.robot import Robot
@@ -39,18 +39,14 @@ class _Place(NamedTuple):
 
 @register_pytree
 @dataclass(frozen=True)
-class PlacedCloud:
+class PlacedCloud(Obstacle):
     """A cloud fixed in the world. Bodies that are fixed in the world are not checked."""
 
     cloud: Cloud
     T_world: Pose
     name: str = field(metadata={"static": True})
 
-    per_body = True
-
-    def rows(self, robot: Robot) -> Rows:
-        """Return one row per body."""
-        return Rows.of_bodies(robot)
+    sweeps = True
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         """Return the contact of every body with its nearest point."""

@@ -13,8 +13,8 @@ from htcp_jax.model.workpiece import Workpiece
 def make_obstacle(workpiece: Workpiece) -> Obstacles:
     """Return a workpiece's obstacles, on the device: its points, and its interior rule.
 
-    Without a cloud there are none. Those of the last two workpieces are kept for the next plan, as long as the workpiece
-    lives.
+    Without a cloud there are none. Those of the last two workpieces are kept for the next plan, as long as the
+    workpiece lives.
     """
     if not len(workpiece.cloud):
         return ()

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.segments import nearest_points
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Exact, Posed, Rows
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, Rows
 from htcp_jax.clearance.obstacles.self_exclusions import (
     Pairs,
     candidates,
@@ -36,7 +36,7 @@ Ends = Float[jax.Array, "K 3"]
 
 @register_pytree
 @dataclass(frozen=True)
-class SelfCollision(Exact):
+class SelfCollision(Obstacle):
     """Pairs of bodies by their numbers, the one further out first: at least one checked pair, and the excluded ones."""
 
     pairs: Pairs = field(metadata={"static": True})

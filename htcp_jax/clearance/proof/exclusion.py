@@ -16,8 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.distance.cloud import Cloud
-from htcp_jax.clearance.obstacles.interior import Interior
 from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
@@ -39,24 +37,15 @@ class Segments(NamedTuple):
 
 
 def surely_touches(obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies: Segments) -> Bool[jax.Array, ""]:
-    """Return True if some body has clearance less than margin_m wherever its points are within `moves` of the segments.
+    """Return True if some body surely has less clearance than margin_m [m].
 
-    This follows from the triangle inequality (docs/equations.md, section Exclusion). Obstacles other than points and
-    the interior are ignored.
-
-    Args:
-        obstacles: The obstacles.
-        where: A scenario, or another `Posed`.
-        margin_m: Required clearance.
-        bodies: Segments in the world, with bounds on the displacement of their points [m].
+    The points of each body may be anywhere within `moves` of its segment, in the world. Obstacles that cannot decide
+    this are ignored. By the triangle inequality (docs/equations.md, section Exclusion).
     """
     p, q, radius, moves = bodies
     moves, found = moves + ROUNDING_M, jnp.zeros((), bool)
     for each in obstacles:
-        if isinstance(each, Cloud):
-            found |= each.holds(where, p, q, radius + margin_m - moves)
-        if isinstance(each, Interior):
-            found |= each.holds(where, p, q, moves)
+        found |= each.surely_touches(where, margin_m, p, q, radius, moves)
     return found
 
 

@@ -1,7 +1,7 @@
 """Lower bound on the clearance on an interval of a straight joint path, from its middle.
 
 First by each body's travel, in any direction. If that is too much, by the obstacle's own bound for moving bodies
-(`obstacle.Sweepable`), if it has one. Adaptive bisection by such bounds is Schwarzer, Saha and Latombe's (Adaptive
+(`Obstacle.clear_along`), if it has one. Adaptive bisection by such bounds is Schwarzer, Saha and Latombe's (Adaptive
 Dynamic Collision Checking for Single and Multiple Articulated Robots, T-RO 2005).
 """
 
@@ -19,7 +19,6 @@ from htcp_jax.clearance.obstacles.obstacle import (
     Obstacles,
     Posed,
     Rows,
-    Sweepable,
     bodies_at,
 )
 from htcp_jax.clearance.proof.motion_bound import sweep, travel_bound
@@ -71,7 +70,7 @@ def on_interval(
     for each, own in zip(obstacles, room, strict=True):
         rows = each.rows(robot)
         travel = moves.travel if rows == Rows.of_bodies(robot) else row_travel_bound(robot, rows, x, rates, half)
-        closer = isinstance(each, Sweepable)
+        closer = each.sweeps
         clear.append(_closer(each, robot, where, bodies, moves, own, good, wanted, asked) if closer else own - travel)
     clear = jnp.min(jnp.concatenate(clear))
     return Interval(middle, clear, clear >= wanted.least)

@@ -35,6 +35,7 @@ from htcp_jax.motion.transfers import other_postures
 from htcp_jax.planning.beam.functions import FEED, WALK
 from htcp_jax.planning.beam.record import Knotted, RoadmapRecord
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
+from htcp_jax.planning.registry import Method
 from htcp_jax.status import Status, Way
 
 MOST_TRANSFERS = 3  # searches from other configurations, each from new ones
@@ -42,8 +43,8 @@ IN_FLIGHT = 4  # scenarios planned together: the number of lanes divided by this
 
 
 @dataclass(frozen=True)
-class Roadmap:
-    """Beam search as a `registry.Method`."""
+class Roadmap(Method):
+    """Beam search."""
 
     name: str
     title: str

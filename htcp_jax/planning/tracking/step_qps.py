@@ -9,6 +9,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
+from htcp_jax.planning.registry import Method
 from htcp_jax.planning.tracking.candidates import Waiting
 from htcp_jax.planning.tracking.engine import Engine
 from htcp_jax.planning.tracking.first_calls import first_calls
@@ -21,8 +22,8 @@ from htcp_jax.solvers.step_qp import QPSolver, row_count
 
 
 @dataclass(frozen=True)
-class StepQPs(Escapes):
-    """Step QPs along the path, equation (9), with these recovery stages. A `registry.Method`."""
+class StepQPs(Escapes, Method):
+    """Step QPs along the path, equation (9), with these recovery stages."""
 
     name: str  # in files and on the command line
     title: str

@@ -1,0 +1,102 @@
+"""Obstacles and task rows of other packages in a job: {kind: NAME, KEY: VALUE, ...}, read and written."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES, ObstacleKind
+from htcp_jax.errors import InputError, described
+from htcp_jax.io.strict_model import KIND, refuse_unknown
+from htcp_jax.kinds import Kind, with_arrays
+from htcp_jax.model.fixture import PRIMITIVES, Fixture
+from htcp_jax.model.tool import pose
+from htcp_jax.registry import Registry
+from htcp_jax.types import Triple
+
+
+def of_kind(registry: Registry, base: type[Kind]) -> Callable[[Any, Callable], Any]:
+    """Return a pydantic validator for an entry that names a kind in `registry`, or is one already.
+
+    All other entries go to the built-in model.
+    """
+
+    def read(value: Any, built_in: Callable) -> Any:
+        if isinstance(value, dict) and KIND in value:
+            return _made(registry.find(str(value[KIND])), value)
+        return _checked(value) if _is_given(value) and isinstance(value, base) else built_in(value)
+
+    return read
+
+
+def needs_kind(value: Any) -> Any:
+    """Raise InputError for an obstacle of no kind."""
+    if not isinstance(value, ObstacleKind):
+        valid = ", ".join(OBSTACLES.names()) or "none is installed"
+        raise InputError(f"{value!r} is no obstacle; it is {{kind: NAME, ...}}; valid names: {valid}")
+    return value
+
+
+def record_of(value: Any, built_in: Callable) -> Any:
+    """Return the plain form of a kind for JSON and YAML."""
+    if not _is_given(value):
+        return built_in(value)
+    return {KIND: value.name, **{field.name: getattr(value, field.name) for field in dataclasses.fields(value)}}
+
+
+def _is_given(value: Any) -> bool:
+    return isinstance(value, Kind) and value.name != "built-in"
+
+
+def _made(kind: type[Kind], raw: dict) -> Kind:
+    """Return a kind from its keys. Raises InputError for an unknown key and a value of another type."""
+    given = {key: value for key, value in raw.items() if key != KIND}
+    refuse_unknown(given, kind, f"kind {kind.name}")
+    try:
+        return _finite(_adapter(kind).validate_python(given))
+    except ValidationError as error:
+        raise InputError(f"kind {kind.name}: {described(error.errors()[0])}") from None
+
+
+def _checked(value: Kind) -> Kind:
+    """Return a kind that was made in Python with its values in the types of its fields."""
+    return _made(type(value), {field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
+
+
+def _finite(value: Kind) -> Kind:
+    for field in dataclasses.fields(value):
+        numbers = getattr(value, field.name)
+        for number in numbers if isinstance(numbers, tuple) else [numbers]:
+            if isinstance(number, float) and not math.isfinite(number):
+                raise InputError(f"kind {value.name}: {field.name} is {number}; finite numbers are needed")
+    return value
+
+
+@cache
+def _adapter(kind: type[Kind]) -> TypeAdapter:
+    return TypeAdapter(kind)
+
+
+def shapes_in_world(kind: ObstacleKind) -> tuple[Fixture, ...]:
+    """Return a kind's shapes at their poses in the world; none if it knows none.
+
+    Raises InputError for a shape that MuJoCo lacks, naming the kind.
+    """
+    found = []
+    for shape in with_arrays(kind).shapes():
+        wanted = PRIMITIVES.get(shape.type)
+        size = tuple(float(value) for value in np.ravel(shape.size_m))
+        if wanted is None or len(size) != wanted:
+            valid = ", ".join(f"{name} with {count} sizes" for name, count in PRIMITIVES.items())
+            raise InputError(f"{kind.name}: a shape of type {shape.type!r} with {len(size)} sizes; valid: {valid}")
+        T = pose(_triple(shape.position_m), _triple(shape.rpy_rad))
+        found.append(Fixture(kind.name, shape.type, T, np.array([*size, 0.0, 0.0, 0.0])[:3], np.empty((0, 3, 3))))
+    return tuple(found)
+
+
+def _triple(values: Sequence[float]) -> Triple:
+    return tuple(float(value) for value in np.ravel(values))
