@@ -68,7 +68,7 @@ def scenario(number: int = 0, start=START, approach: tuple[int, int] = (2, 2), *
 
 @cache
 def scenarios() -> tuple[Scenario, ...]:
-    """Scenarios of different poses, lengths, margins and tools: the step QPs get stuck in some, at different targets."""
+    """Scenarios of different poses, lengths, margins and tools, in which step QPs get stuck at different targets."""
     return (
         scenario(0),
         scenario(1, shift=(0.0, 0.05, 0.03), margin_m=0.0),
