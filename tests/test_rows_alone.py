@@ -14,11 +14,14 @@ from htcp_jax.clearance.proof.motion_proof import Tube
 from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import gather
 from htcp_jax.model.scenario import stack
+from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion.joint_search import join
 from htcp_jax.motion.kernels import ADVANCE, CHECK_PATH, PREPARE, PROVE, SETTLE, TRACK_BURST, Closely
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.registry import find
 from htcp_jax.planning.tracking.stages import ENTER
+from htcp_jax.reachability.reachability import reachable_prefixes
 
 LANES = 150  # more than a table holds
 KERNELS = {kernel.name: kernel for kernel in (ADVANCE, PREPARE, TRACK_BURST, SETTLE, ENTER, CHECK_PATH, PROVE)}
@@ -86,6 +89,51 @@ def test_a_scenario_s_plan_does_not_depend_on_the_others_of_its_batch(case):
         count = int(one.count)
         toy.same(together, s, backwards, len(several) - 1 - s, count)
         toy.same(together, s, toy.planned(one, method, chosen, threads=1), 0, count)
+
+
+def test_a_motion_from_home_does_not_depend_on_the_others_of_its_batch():
+    """Scenarios that begin at home, some with a start to choose, next to those without a home."""
+    home = (0.5, -0.3, 1.2, 0.4)
+    several = (
+        toy.scenario(0, home=home),
+        toy.scenario(1, start=None, home=home),
+        toy.scenario(2, shift=(0.0, 0.05, 0.03)),
+        toy.scenario(3, start=None, rotation=(0.1, 0.3), home=home),
+    )
+    together, backwards = toy.planned(several, threads=1), toy.planned(several[::-1], threads=2)
+    assert (together.executable.sum(axis=1) > 5).all()
+    for s, one in enumerate(several):
+        toy.same(together, s, backwards, len(several) - 1 - s, int(one.count))
+        toy.same(together, s, toy.planned(one, threads=1), 0, int(one.count))
+
+
+def test_a_joint_path_does_not_depend_on_the_others_searched_for():
+    """Join pairs alone, in another order, repeatedly, and more of them than are searched for at a time."""
+    chosen = replace(toy.SETTINGS, search_rounds=30)
+    checker, scenarios = CollisionChecker(Kernels(toy.scene(), chosen), chosen), stack(toy.scenarios())
+    plans = toy.planned()
+
+    def joined(pairs):
+        which, a = np.array(pairs) % 5, np.tile(toy.START, (len(pairs), 1))
+        row = plans.tracked.sum(axis=1)[which] - 1 - np.array(pairs) // 5
+        return join(checker, scenarios, which, np.array(pairs), a, plans.x[which, row], chosen)
+
+    whole = joined(range(10))
+    assert sum(own is not None and len(own) > 0 for own in whole) >= 3
+    for pairs in ([9, 0, 3, 3, 8, 1], [4], [7], [*range(10)] * 4):
+        for pair, own in zip(pairs, joined(pairs), strict=True):
+            assert (own is None) == (whole[pair] is None)
+            assert own is None or np.array_equal(own, whole[pair])
+
+
+def test_reachability_does_not_depend_on_the_other_scenarios():
+    scenarios = toy.scenarios()
+    whole = reachable_prefixes(toy.robot(), toy.workpiece(), stack(scenarios), toy.SETTINGS, resolution_rad=0.9)
+    for s in (0, 2):
+        alone = reachable_prefixes(toy.robot(), toy.workpiece(), stack(scenarios[s : s + 1]), toy.SETTINGS, resolution_rad=0.9)
+        np.testing.assert_array_equal(alone.x[0], whole.x[s, : int(scenarios[s].count)])
+        assert alone.prefix[0] == whole.prefix[s] > 5 and alone.most[0] == whole.most[s]
+        np.testing.assert_array_equal(alone.best[0], whole.best[s])
 
 
 def test_the_scenarios_need_all_that_methods_do():
