@@ -130,7 +130,9 @@ def test_reachability_does_not_depend_on_the_other_scenarios():
     scenarios = toy.scenarios()
     whole = reachable_prefixes(toy.robot(), toy.workpiece(), stack(scenarios), toy.SETTINGS, resolution_rad=0.9)
     for s in (0, 2):
-        alone = reachable_prefixes(toy.robot(), toy.workpiece(), stack(scenarios[s : s + 1]), toy.SETTINGS, resolution_rad=0.9)
+        alone = reachable_prefixes(
+            toy.robot(), toy.workpiece(), stack(scenarios[s : s + 1]), toy.SETTINGS, resolution_rad=0.9
+        )
         np.testing.assert_array_equal(alone.x[0], whole.x[s, : int(scenarios[s].count)])
         assert alone.prefix[0] == whole.prefix[s] > 5 and alone.most[0] == whole.most[s]
         np.testing.assert_array_equal(alone.best[0], whole.best[s])
