@@ -74,15 +74,6 @@ def test_rows_say_that_the_arm_goes_from_home_to_another_posture_and_back():
         np.testing.assert_array_equal(there.x[-1], scenarios[s].x_home)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_who_else_begins_at_home_has_no_influence(threads):
-    scenarios, plans = begun()
-    backwards = roadmap(scenarios[::-1], threads=threads)
-    for s, one in enumerate(scenarios):
-        same(plans, s, backwards, 3 - s, int(one.count))
-    same(plans, 3, roadmap(scenarios[3:], threads=1), 0, int(scenarios[3].count))
-
-
 def test_any_method_begins_at_home():
     """Compare with a plan without home: only the segment to the first target differs."""
     one = at_home(0, start=made_once.START)

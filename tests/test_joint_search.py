@@ -133,16 +133,6 @@ def test_an_end_in_collision_is_joined_with_nothing():
     assert join(checker(), scenarios(), s, s, b[s], a[s], SETTINGS) == [None]
 
 
-def test_who_else_is_joined_has_no_influence():
-    """Compare paths found alone, in another order, and repeatedly: the same to the last bit."""
-    order = [6, 0, 3, 8, 3, 1, 5, 2, 7, 4]
-    for s, own in [*zip(order, joined(order), strict=True), *((s, joined([s])[0]) for s in (0, 5, 8))]:
-        assert (own is None) == (found()[s] is None)
-        assert own is None or np.array_equal(own, found()[s])
-    many = joined(order * 4)  # more than are searched at a time
-    assert all(one is other or np.array_equal(one, other) for one, other in zip(many[:10], many[-10:], strict=True))
-
-
 def test_another_pair_number_and_another_seed_are_other_searches():
     s = max(ways(), key=lambda way: len(way[1]))[0]
     others = [joined([s], pair=1)[0], joined([s], replace(SETTINGS, seed=5))[0]]

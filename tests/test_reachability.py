@@ -56,13 +56,6 @@ def test_every_configuration_found_is_clear_and_on_its_target(found):
         assert np.isnan(x[prefix:]).all()
 
 
-def test_a_scenario_reaches_as_far_alone(found):
-    robot, workpiece, scenarios, result = found
-    alone = reachable_prefixes(robot, workpiece, stack(scenarios[1:]), resolution_rad=COARSE)
-    np.testing.assert_array_equal(alone.x[0], result.x[1])
-    assert alone.best[0] == result.best[1] and alone.most[0] == result.most[1]
-
-
 def test_the_arm_behind_the_tool_proves_that_the_end_of_a_path_is_out_of_reach(found):
     """Proof that the end of a path is out of reach, by the bodies behind the tool."""
     _, _, scenarios, result = found

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+import toy
 from scipy.optimize import minimize
 from small_motions import (
     SMALL,
@@ -33,7 +34,6 @@ from htcp_jax.motion.motion_check import judge_motions
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.motion.problem import Problem
 from htcp_jax.planning.batch import plan
-from htcp_jax.status import Way
 
 SMOOTH = replace(SMALL, smooth=True)
 NARROW = replace(SMALL, path_tolerance_m=3e-4, path_check="none")  # with these, motions of step QPs end early
@@ -136,19 +136,6 @@ def test_a_scenario_without_a_motion_is_left_alone():
     assert not roadmap([lost], SMOOTH).tracked.any()
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_who_else_is_smoothed_has_no_influence(threads):
-    """Smoothing that does not depend on the other scenarios.
-
-    Alone, together, in another order, by two threads: all arrays, bitwise.
-    """
-    backwards = roadmap(poses()[::-1], SMOOTH, threads=threads)
-    for s, one in enumerate(poses()):
-        same(smoothed(), s, backwards, 2 - s, int(one.count))
-        if threads == 1:
-            same(smoothed(), s, roadmap(one, SMOOTH, threads=1), 0, int(one.count))
-
-
 def test_a_smooth_motion_has_next_to_nothing_left_to_gain():
     """Second smoothing: it reduces the cost by a few per cent at most, and never increases it."""
     again = smooth_again(poses(), smoothed())
@@ -199,28 +186,15 @@ def test_weights_of_another_arm_are_refused():
         roadmap(poses()[0], replace(SMOOTH, path_weights=(1.0, 1.0)))
 
 
-def test_ways_that_take_long_to_prove_do_not_hold_up_the_rest(monkeypatch):
-    """Segments with long proofs: they do not block the others.
-
-    No new segment may take more than one query; segments that did not move keep their result.
-    """
-    monkeypatch.setattr(smoothing, "GRAZES", 1)
-    after = smooth_again(poses(), planned())
-    assert (after.executable == planned().executable).all() and (after.way[after.executable] == Way.PROVEN).all()
-    assert all(cost(after, s) < cost(planned(), s) for s in (0, 2))
-
-
 def test_it_is_for_the_settings_to_say_and_for_the_method_to_wish():
     """Smoothing by the settings, else by the method's default.
 
     The `roadmap` method is smoothed by default, the baseline is not; without path checks there are no motions to
     smooth.
     """
-    one = first_of(scenario(2, (0.4, 0.0)), 6)
 
     def made(method, smooth, **more):
-        settings = replace(SMALL, smooth=smooth)
-        return plan(made_once.robot(), made_once.duct(), one, method, settings, **more).x
+        return toy.planned(method=method, settings=replace(toy.SETTINGS, smooth=smooth), **more).x
 
     for method, wishes in (("roadmap", True), ("baseline", False)):
         plain, smoothed = made(method, False), made(method, True)

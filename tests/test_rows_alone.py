@@ -1,0 +1,148 @@
+"""Rows of a batch: neither the other rows, their order nor the number of threads changes a row's result, bitwise."""
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import numpy as np
+import pytest
+import toy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from htcp_jax.clearance.proof.motion_proof import Tube
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import gather
+from htcp_jax.model.scenario import stack
+from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion.joint_search import join
+from htcp_jax.motion.kernels import ADVANCE, CHECK_PATH, PREPARE, PROVE, SETTLE, TRACK_BURST, Closely
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.planning.methods import BUILT_IN
+from htcp_jax.planning.registry import find
+from htcp_jax.planning.tracking.stages import ENTER
+from htcp_jax.reachability.reachability import reachable_prefixes
+
+LANES = 150  # more than a table holds
+KERNELS = {kernel.name: kernel for kernel in (ADVANCE, PREPARE, TRACK_BURST, SETTLE, ENTER, CHECK_PATH, PROVE)}
+
+
+@cache
+def calls() -> dict[str, tuple]:
+    """Tables of a call of each lane function, with lanes of different scenarios and targets."""
+    random = np.random.default_rng(0)
+    which, row = random.integers(0, len(toy.scenarios()), LANES), random.integers(0, 10, LANES)
+    inputs = lane_inputs(stack(toy.scenarios()), which, row)
+    a = np.array(toy.START) + random.normal(scale=0.2, size=(LANES, 4))
+    b = a + random.normal(scale=0.3, size=a.shape)
+    zero = np.zeros(LANES, np.int32)
+    state = Kernels(toy.scene(), toy.SETTINGS)(ADVANCE, inputs, a, np.zeros_like(a))
+    tube = Tube(np.zeros((LANES, 3)), np.zeros((LANES, 3)), np.full(LANES, np.inf))
+    closely = Closely(np.zeros(LANES), np.full(LANES, 1e-5), np.full(LANES, 20))
+    tables = {
+        ADVANCE: (a, b - a),
+        PREPARE: (state.x, a, state.linear),
+        TRACK_BURST: (state.x, a, state.linear, zero),
+        SETTLE: (a,),
+        ENTER: (a,),
+        CHECK_PATH: (a, b),
+        PROVE: (a, b, tube, closely),
+    }
+    return {kernel.name: (inputs, *own) for kernel, own in tables.items()}
+
+
+@cache
+def results(name: str):
+    return Kernels(toy.scene(), toy.SETTINGS)(KERNELS[name], *calls()[name])
+
+
+@pytest.mark.parametrize("name", KERNELS)
+@settings(max_examples=10)
+@given(rows=st.lists(st.integers(0, LANES - 1), min_size=1, max_size=2 * LANES), threads=st.integers(1, 3))
+def test_a_row_of_a_lane_function_does_not_depend_on_the_other_rows_of_its_batch(name, rows, threads):
+    """Call with any rows, repeated ones too, in any order: each has the result that it has in the first call."""
+    found = Kernels(toy.scene(), toy.SETTINGS, threads=threads)(KERNELS[name], *gather(calls()[name], np.array(rows)))
+    jax.tree.map(np.testing.assert_array_equal, found, gather(results(name), np.array(rows)))
+
+
+PAPER = {"path_check": "none", "cost_about": "previous", "clearance_rows": "smallest", "aim_above_m": 0.0}
+CASES = {
+    **{method.name: (method.name, {}) for method in BUILT_IN},
+    **{f"{name} of the paper": (name, PAPER) for name in ("baseline", "cspace-sample", "nspace-sample", "nspace-sqp")},
+    "nspace-sqp, tracked after it": ("nspace-sqp", {"path_check": "none", "after_escape": "track"}),
+    "nspace-sqp on the device": ("nspace-sqp", {"path_check": "none", "qp": "device"}),
+    "roadmap, not smoothed": ("roadmap", {"smooth": False}),
+    "roadmap with transfers": ("roadmap", {"transfers": True, "smooth": False}),
+    "baseline, smoothed": ("baseline", {"smooth": True}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_scenario_s_plan_does_not_depend_on_the_others_of_its_batch(case):
+    """Plan each scenario alone, all in the other order by two threads, and all of them by one."""
+    method, changes = CASES[case]
+    chosen, several = replace(toy.SETTINGS, **changes), toy.scenarios()
+    together = toy.planned(several, method, chosen, threads=1)
+    backwards = toy.planned(several[::-1], method, chosen, threads=2)
+    assert together.tracked.any()
+    for s, one in enumerate(several):
+        count = int(one.count)
+        toy.same(together, s, backwards, len(several) - 1 - s, count)
+        toy.same(together, s, toy.planned(one, method, chosen, threads=1), 0, count)
+
+
+def test_a_motion_from_home_does_not_depend_on_the_others_of_its_batch():
+    """Scenarios that begin at home, some with a start to choose, next to those without a home."""
+    home = (0.5, -0.3, 1.2, 0.4)
+    several = (
+        toy.scenario(0, home=home),
+        toy.scenario(1, start=None, home=home),
+        toy.scenario(2, shift=(0.0, 0.05, 0.03)),
+        toy.scenario(3, start=None, rotation=(0.1, 0.3), home=home),
+    )
+    together, backwards = toy.planned(several, threads=1), toy.planned(several[::-1], threads=2)
+    assert (together.executable.sum(axis=1) > 5).all()
+    for s, one in enumerate(several):
+        toy.same(together, s, backwards, len(several) - 1 - s, int(one.count))
+        toy.same(together, s, toy.planned(one, threads=1), 0, int(one.count))
+
+
+def test_a_joint_path_does_not_depend_on_the_others_searched_for():
+    """Join pairs alone, in another order, repeatedly, and more of them than are searched for at a time."""
+    chosen = replace(toy.SETTINGS, search_rounds=30)
+    checker, scenarios = CollisionChecker(Kernels(toy.scene(), chosen), chosen), stack(toy.scenarios())
+    plans = toy.planned()
+
+    def joined(pairs):
+        which, a = np.array(pairs) % 5, np.tile(toy.START, (len(pairs), 1))
+        row = plans.tracked.sum(axis=1)[which] - 1 - np.array(pairs) // 5
+        return join(checker, scenarios, which, np.array(pairs), a, plans.x[which, row], chosen)
+
+    whole = joined(range(10))
+    assert sum(own is not None and len(own) > 0 for own in whole) >= 3
+    for pairs in ([9, 0, 3, 3, 8, 1], [4], [7], [*range(10)] * 4):
+        for pair, own in zip(pairs, joined(pairs), strict=True):
+            assert (own is None) == (whole[pair] is None)
+            assert own is None or np.array_equal(own, whole[pair])
+
+
+def test_reachability_does_not_depend_on_the_other_scenarios():
+    scenarios = toy.scenarios()
+    whole = reachable_prefixes(toy.robot(), toy.workpiece(), stack(scenarios), toy.SETTINGS, resolution_rad=0.9)
+    for s in (0, 2):
+        alone = reachable_prefixes(
+            toy.robot(), toy.workpiece(), stack(scenarios[s : s + 1]), toy.SETTINGS, resolution_rad=0.9
+        )
+        np.testing.assert_array_equal(alone.x[0], whole.x[s, : int(scenarios[s].count)])
+        assert alone.prefix[0] == whole.prefix[s] > 5 and alone.most[0] == whole.most[s]
+        np.testing.assert_array_equal(alone.best[0], whole.best[s])
+
+
+def test_the_scenarios_need_all_that_methods_do():
+    """Check what makes the tests above count: recoveries, backward chains, via points, transfers, smoothed motions."""
+    plain, smooth = (toy.planned(settings=replace(toy.SETTINGS, smooth=smooth)) for smooth in (False, True))
+    assert len(plain.knots.x) > 10 and not np.array_equal(plain.x, smooth.x, equal_nan=True)
+    for method in ("nspace-sqp", "cspace-sample"):
+        assert toy.planned(method=method, settings=replace(toy.SETTINGS, path_check="none")).escape.any()
+    hybrid = toy.planned(method="hybrid")
+    assert (hybrid.escape == find("hybrid").backwards).any()

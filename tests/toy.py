@@ -1,0 +1,94 @@
+"""Toy arm of four joints and two capsules that reaches under a shelf of 200 points: a plan takes some 10 ms."""
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.io.robot_file import load_robot
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.scenario import Scenario, make_scenario
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.plans import ARRAYS, Plans
+from htcp_jax.planning.batch import plan
+from htcp_jax.settings import Settings
+
+ARM = """
+<mujoco model="toy"><worldbody>
+  <body pos="0 0 0.3"><joint name="j1" axis="0 0 1" range="-170 170"/>
+    <body><joint name="j2" axis="0 1 0" range="-120 120"/>
+      <body pos="0 0 0.4"><joint name="j3" axis="0 1 0" range="-150 150"/>
+        <geom name="forearm" type="capsule" size="0.03" fromto="0 0 0 0 0 0.36"/>
+        <body pos="0 0 0.4"><joint name="j4" axis="0 1 0" range="-150 150"/>
+          <geom name="tool" type="capsule" size="0.02" fromto="0 0 0 0 0 0.16"/><site name="tcp" pos="0 0 0.2"/>
+  </body></body></body></body>
+</worldbody></mujoco>
+"""
+START = tuple(np.radians([0.0, 0.0, 100.0, 30.0]).tolist())
+TARGETS = 10  # of the path
+SHELF_M = 0.36  # height above the floor; the path is 6 cm lower
+# A narrow beam and few samples: the search is as short as it can be.
+SETTINGS = Settings(
+    q_weights=(1.0,) * 4, front=6, thin_front=6, walks=6, walk_rounds=2, samples=8, sample_steps=20, population=8,
+    generations=5,
+)  # fmt: skip
+
+
+@cache
+def robot() -> Robot:
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "toy.xml"
+        file.write_text(ARM)
+        return load_robot(file)
+
+
+@cache
+def workpiece() -> Workpiece:
+    along, across = np.linspace(0.42, 0.8, 20), np.linspace(-0.2, 0.2, 10)
+    shelf = np.stack(np.meshgrid(along, across, [SHELF_M]), axis=-1).reshape(-1, 3)
+    x = np.linspace(0.42, 0.66, TARGETS)
+    path = np.stack([x, 0.04 * np.sin(6 * x), np.full(TARGETS, SHELF_M - 0.06)], axis=1)
+    home = (0.0, 0.0, 0.0)
+    return Workpiece("shelf", shelf, path, interior="none", pivot=home, neutral_translation=home)
+
+
+@cache
+def scene() -> Scene:
+    return Scene(robot(), make_obstacle(workpiece()))
+
+
+def scenario(number: int = 0, start=START, approach: tuple[int, int] = (2, 2), **changes) -> Scenario:
+    """Scenario with 2 targets before the path."""
+    choices = {"rotation": (0.0, 0.0), "approach": approach, "number": number} | changes
+    return make_scenario(robot(), workpiece(), start, **choices)
+
+
+@cache
+def scenarios() -> tuple[Scenario, ...]:
+    """Scenarios of different poses, lengths, margins and tools, in which step QPs get stuck at different targets."""
+    return (
+        scenario(0),
+        scenario(1, shift=(0.0, 0.05, 0.03), margin_m=0.0),
+        scenario(2, shift=(0.03, 0.0, -0.05), approach=(4, 2)),
+        scenario(3, rotation=(0.1, 0.3), tool_extension_m=0.02),
+        scenario(4, rotation=(-0.1, -0.3)),
+    )
+
+
+def planned(of=None, method: str = "roadmap", settings: Settings = SETTINGS, **choices) -> Plans:
+    """Plans of scenarios, by default of all."""
+    return plan(robot(), workpiece(), scenarios() if of is None else of, method, settings, **choices)
+
+
+def same(one: Plans, row: int, other: Plans, other_row: int, count: int) -> None:
+    """Check that two plans of a scenario are equal to the last bit, via points included."""
+    for name in ARRAYS:
+        here, there = (getattr(plans, name)[r] for plans, r in ((one, row), (other, other_row)))
+        if name != "start":
+            here, there = here[:count], there[:count]
+        np.testing.assert_array_equal(here, there, err_msg=name)
+    for t in range(count):
+        np.testing.assert_array_equal(one.knots.on_the_way(row, t), other.knots.on_the_way(other_row, t))
