@@ -25,7 +25,7 @@ from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.own_pairs import OwnPairs, own_pairs, touch_m
 
 MOST_FACES = 400  # of a mesh that counts as convex
-_TYPES = {kind: mujoco.mjtGeom[f"mjGEOM_{kind.upper()}"] for kind in PRIMITIVES}
+_TYPES = {kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}") for kind in PRIMITIVES}
 _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
 
 
