@@ -121,7 +121,7 @@ def test_distances_are_those_of_a_dense_look_and_gradients_those_of_differences(
     t = np.linspace(0, 1, 4001)[:, None]
     moving = np.array(robot.capsule_link) > 0
     for k in np.flatnonzero(moving):
-        points = bodies.p[k] + t * (bodies.q[k] - bodies.p[k])
+        points = bodies.p[k][None] + t * (bodies.q[k] - bodies.p[k])[None]
         dense = float(jax.vmap(own.distance)(points).min()) - float(robot.capsule_radius[k])
         found = float(clearances(robot, obstacles, scenario, x)[k])
         assert found <= dense + 1e-9 and found >= dense - 1e-3
@@ -225,7 +225,7 @@ def test_a_row_may_use_the_path_at_every_target():
     tangents = scenario.goals[int(scenario.on_path) :, 3:6]
     np.testing.assert_allclose(tangents, workpiece.tangents @ scenario.T_world_workpiece[:3, :3].T)
     value = task.value(robot, jnp.asarray(scenario.x_start))
-    assert abs(float(task.error(value, scenario.goals[0])[3])) < 1e-12  # the start satisfies its goal
+    assert abs(float(task.error(value, jnp.asarray(scenario.goals[0]))[3])) < 1e-12  # the start satisfies its goal
 
 
 def test_values_and_keys_of_a_job_plan_alike(kinds):
