@@ -22,7 +22,7 @@ NAME = re.compile(r"[a-z0-9-]+")  # used in names of files and folders
 
 
 class Registry:
-    """What is known by name, of one group of entry points.
+    """Objects by name: built-in ones, those of installed packages, and those of this process.
 
     Args:
         group: The entry points' group.

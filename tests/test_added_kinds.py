@@ -25,6 +25,8 @@ from htcp_jax.planning import batch
 from htcp_jax.report.validation import notes
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.status import Status, Way
+from htcp_jax.trajectory.held import with_rows
+from htcp_jax.trajectory.stretches import Spare
 
 PAGES = "docs/add-an-obstacle.md", "docs/add-a-task-row.md", "docs/add-a-planner.md"
 
@@ -202,9 +204,9 @@ def test_a_row_without_a_rate_is_sampled_and_nowhere_called_proven():
     assert there.any() and (plan.plans.way[0, on_path + 1 :][there[on_path + 1 :]] == Way.SAMPLED).all()
     assert "proven" not in set(plan.frame()["way"])
     with pytest.raises(htcp_jax.InputError, match="stays-above-sampled states no rate"):
-        from htcp_jax.trajectory.held import with_rows
-
-        with_rows(None, plan.job, plan.robot, plan.motion(), plan.scenario.aims)
+        motion = plan.motion()
+        left = Spare(*np.zeros((2, len(motion.x) - 1)))
+        with_rows(left, plan.job, plan.robot, motion, np.asarray(plan.scenario.aims))
 
 
 def test_a_row_holds_where_it_is_planned_and_its_proof_is_one(kinds):

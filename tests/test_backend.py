@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -48,35 +49,30 @@ def test_loops_of_the_mathematics_are_unrolled_for_a_gpu_alone():
     assert (loops(CPU), loops(GPU)) == (1, 0)
 
 
-class Lowered:
+class Lowered(Kernel):
     """A function that notes the backend of its trace, in place of one for a device that is not here."""
-
-    name, seen = "noted", ()
-
-    def values(self, settings):
-        return ()
 
     def program(self, settings, device):
         return self
 
     def lower(self, *arguments):
-        self.seen = (*self.seen, backend())
+        SEEN.append(backend())
         return self
 
     def compile(self, options):
-        return self
+        return mock.Mock(spec=jax.stages.Compiled)
 
 
-class Device:
-    platform = "gpu"
+SEEN = []
 
 
 def test_a_function_compiled_for_a_gpu_takes_the_gpus_branch_and_one_for_a_cpu_the_cpus():
-    kernel, programs = Lowered(), Programs()
-    programs.get(kernel, Settings(), Device(), (np.zeros(1),))
+    kernel, programs = Lowered("noted", abs, STEP), Programs()
+    gpu = mock.Mock(spec=jax.Device, platform="gpu")  # none is here
+    programs.get(kernel, Settings(), gpu, (np.zeros(1),))
     with compiled_for(GPU):
         programs.get(kernel, Settings(), jax.devices("cpu")[0], (np.zeros(1),))
-    assert kernel.seen == (GPU, CPU)
+    assert SEEN == [GPU, CPU]
 
 
 def test_a_lane_function_gets_the_scene_with_the_lanes_own_tool():

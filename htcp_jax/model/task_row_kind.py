@@ -140,7 +140,7 @@ class GivenRow(Row):
 
     @property
     def kind(self) -> type[TaskRowKind]:
-        """Its kind."""
+        """The kind of a row."""
         return self.template.kind
 
     @property

@@ -37,6 +37,8 @@ REASONS = {
     Status.HOME_IN_COLLISION: ("#8c564b", "<"),
     Status.HOME_NOT_JOINED: ("#f0e442", "p"),
     Status.NO_START: ("#332288", "d"),
+    Status.NO_SOLUTION: ("#66a61e", ">"),
+    Status.BUDGET_EXHAUSTED: ("#a6761d", "H"),
 }
 
 
