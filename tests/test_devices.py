@@ -1,5 +1,7 @@
 """Choice of the device: the default, `--device`, and the message for one that is not here."""
 
+from unittest import mock
+
 import jax
 import pytest
 
@@ -36,12 +38,8 @@ def test_choosing_the_cpu_leaves_jaxs_configuration_as_it_was():
     assert dict(jax.config.values) == before
 
 
-class Gpu:
-    platform = "gpu"
-
-
 def test_with_gpus_the_cpu_some_and_all_of_them_can_be_chosen(monkeypatch):
-    gpus, cpu = [Gpu(), Gpu()], jax.devices("cpu")
+    gpus, cpu = [mock.Mock(spec=jax.Device, platform="gpu") for _ in range(2)], jax.devices("cpu")
     monkeypatch.setattr(jax, "local_devices", lambda backend=None: cpu if backend == "cpu" else gpus)
     assert choose() == choose("gpu") == choose("gpu:2") == gpus and choose("gpu:1") == gpus[:1]
     assert choose("cpu") == cpu[:1]
