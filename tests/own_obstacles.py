@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Posed, Rows
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, Rows
 from htcp_jax.model.robot import Robot
 from htcp_jax.pytree import register_pytree
 
 
 @register_pytree
 @dataclass(frozen=True)
-class Floor:
+class Floor(Obstacle):
     """Floor at a height in the world that all moving bodies stay above; one shared row per body."""
 
     height_m: jax.Array
