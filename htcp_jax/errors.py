@@ -29,7 +29,7 @@ class Lost(Exception):
 
 def described(error: dict[str, Any]) -> str:
     """Return one of pydantic's errors as a line that names the key, its value and what is needed."""
-    rows = error["loc"][:1] == ("task",)  # counted from 1, as in --set
+    rows = error["loc"][:1] == ("task",) or error["loc"][:2] == ("cell", "obstacles")  # counted from 1, as in --set
     where = ".".join(str(part + 1 if rows and isinstance(part, int) else part) for part in error["loc"])
     known = error.get("ctx", {})
     if isinstance(known.get("error"), InputError):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, Rows
 from htcp_jax.model.robot import Robot
 from htcp_jax.pytree import register_pytree
 
@@ -16,6 +16,11 @@ class Floor(Obstacle):
     """Floor at a height in the world that all moving bodies stay above; one shared row per body."""
 
     height_m: jax.Array
+
+    per_body = True
+
+    def rows(self, robot: Robot) -> Rows:
+        return Rows.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         lower = jnp.where((bodies.p[:, 2] < bodies.q[:, 2])[:, None], bodies.p, bodies.q)

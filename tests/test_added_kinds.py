@@ -21,6 +21,7 @@ from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.kinds import numbers_of
 from htcp_jax.model.task_row_kind import TASK_ROWS
+from htcp_jax.placement.ranges import read_ranges
 from htcp_jax.planning import batch
 from htcp_jax.report.validation import notes
 from htcp_jax.runs.identity import config_hash, identity
@@ -45,7 +46,7 @@ def test_a_page_is_true_from_its_package_to_its_report(place):
     code, out, err = place.python("from_python.py")
     assert code == 0, err
     report = (place.folder / "report" / "report.html").read_text()
-    swept = {"docs/add-an-obstacle.md": "cell.obstacles.1.centre_m", "docs/add-a-task-row.md": "task.2.height_m"}
+    swept = {"docs/add-an-obstacle.md": "cell.obstacles.1.centre", "docs/add-a-task-row.md": "task.2.height"}
     assert swept.get(place.page, "Random neighbours") in report
     assert json.loads((place.folder / "plan" / "validation.json").read_text())["validated"]
 
@@ -244,7 +245,7 @@ def test_values_and_keys_of_a_job_plan_alike(kinds):
 @pytest.mark.parametrize(
     ("job", "line"),
     [
-        ({"cell.obstacles": [{"kind": "bal"}]}, "'bal' is no kind of obstacle; valid: .*ball"),
+        ({"cell.obstacles": [{"kind": "bal"}]}, "cell.obstacles.1: 'bal' is no kind of obstacle; valid: .*ball"),
         ({"cell.obstacles": [{"centre_m": [0, 0, 0]}]}, "is no obstacle; it is {kind: NAME"),
         ({"cell.obstacles": [BALL | {"radius": 1}]}, "unknown key radius; did you mean radius_m"),
         ({"cell.obstacles": [BALL | {"radius_m": "x"}]}, "kind ball: radius_m is 'x'"),
@@ -315,3 +316,16 @@ def test_scenarios_of_a_job_take_no_further_kinds(kinds):
 def test_saved_numbers_of_statuses_stay():
     assert (Status.NO_START, Status.NO_SOLUTION, Status.BUDGET_EXHAUSTED, Way.SAMPLED) == (14, 15, 16, 6)
     assert all(status.message and status.words for status in Status)
+
+
+def test_numbers_of_kinds_are_ranges_of_a_search():
+    base = load_config({"cell.obstacles": [BALL], "task": [TRACK, ABOVE]}).model_dump()
+    raw = {"cell.obstacles.1.centre_m.y": [0.1, 0.4], "cell.obstacles.1.radius_m": [0.05, 0.1]}
+    raw["task.2.height_m"] = [1.2, 1.3]
+    found = read_ranges("ranges", raw, ("a",), base)
+    low = {name: values[0] for name, values in found.columns(found.low[None]).items()}
+    assert low == {
+        "cell.obstacles.1.centre_m": [0.9, 0.1, 0.9], "cell.obstacles.1.radius_m": 0.05, "task.2.height_m": 1.2
+    }  # fmt: skip
+    with pytest.raises(htcp_jax.InputError, match="cannot vary in a search"):
+        read_ranges("ranges", {"task.2.link": [0, 1]}, ("a",), base)

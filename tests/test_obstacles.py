@@ -9,11 +9,10 @@ import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
-import pytest
 from own_obstacles import Floor
 
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles.obstacle import Obstacle, rows_of
+from htcp_jax.clearance.obstacles.obstacle import Obstacle, bodies_at, rows_of
 from htcp_jax.clearance.obstacles.obstacles import (
     all_clear,
     clearance,
@@ -129,7 +128,14 @@ def test_paths_are_clear_where_no_place_of_them_touches_any_kind():
     assert 5 <= sum(verdicts) <= len(verdicts) - 5
 
 
-@pytest.mark.parametrize("missing", ["rows", "contacts", "smallest", "touches", "room"])
-def test_what_lacks_an_answer_is_no_obstacle(missing):
-    kind = type("Kind", (), {name: None for name in {*dir(Floor)} - {missing} if not name.startswith("__")})
-    assert not isinstance(kind(), Obstacle)
+def test_contacts_alone_answer_every_query():
+    robot, where, floor = made_once.robot(), made_once.nominal(), Floor(jnp.asarray(0.0))
+    for x in postures()[:20]:
+        bodies = bodies_at(robot, where, jnp.asarray(x))
+        for query in ("smallest", "touches", "room"):
+            by_contacts = getattr(Obstacle, query)(floor, robot, where, bodies)
+            np.testing.assert_array_equal(by_contacts, getattr(floor, query)(robot, where, bodies))
+    along = jax.vmap(lambda x: bodies_at(robot, where, x))(jnp.asarray(postures()[:20]))
+    for body in range(len(robot.capsule_link)):
+        asked = robot, where, along, jnp.asarray(body), jnp.ones(20, bool)
+        assert bool(Obstacle.touches_along(floor, *asked)) == bool(floor.touches_along(*asked))
