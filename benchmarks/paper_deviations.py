@@ -140,7 +140,7 @@ def cmaes(runs: Runs) -> None:
             best = jnp.where(merit[top] > value, w[top], best)
             return cma_es.tell(distribution, samples, -merit, strategy), best, jnp.maximum(merit[top], value)
 
-        first = sphere.first_guess(problem, seen)
+        first = sphere.first_direction(problem, seen)
         if is_random:
             draw = jax.random.normal(jax.random.fold_in(key, settings.generations), (dimension,))
             first = draw / jnp.linalg.norm(draw)
@@ -370,7 +370,7 @@ def J2(scene, settings, lane, x_ref, w):
 def best_of_64(scene, settings, lane, x_ref):
     """Return the planners' first direction."""
     problem, seen, _ = sphere_problem(scene, settings, lane, x_ref, lane.target)
-    return sphere.first_guess(problem, seen)
+    return sphere.first_direction(problem, seen)
 
 
 @partial(jax.jit, static_argnames="settings")
