@@ -22,7 +22,7 @@ import numpy as np
 import trimesh
 
 from benchmarks import hardware
-from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision, self_collision
 from htcp_jax.device import compile_cache
@@ -30,8 +30,9 @@ from htcp_jax.io.cell import load_cell
 from htcp_jax.io.robot_file import load_robot
 from htcp_jax.io.robot_import import import_robot
 from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.model import Robot
 from htcp_jax.model.kinematics import capsule_segments
-from htcp_jax.model.robot import GP50, Robot
+from htcp_jax.model.robot import GP50
 from htcp_jax.validation.mujoco_arm import Arm
 
 WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"

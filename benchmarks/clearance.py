@@ -17,14 +17,14 @@ import numpy as np
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
+from htcp_jax.clearance import Obstacles, clearance
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.obstacles.linearisation import linearise
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance
+from htcp_jax.clearance.obstacles.obstacles import all_clear
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.device import compile_cache
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
-from htcp_jax.jobs.load_config import load_config
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.planning.batch import plan
 

@@ -26,7 +26,7 @@ from htcp_jax.placement.judge import judge_raised
 from htcp_jax.placement.place_file import Search, load_search
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, Evolution, Known, even
 from htcp_jax.report.chart_style import new_figure
-from htcp_jax.runs.run_folder import Run
+from htcp_jax.runs import Run
 from htcp_jax.runs.sweep import sweep
 
 Judge = Callable[[Float[np.ndarray, "n d"]], Known]  # evaluates mountings in the unit cube

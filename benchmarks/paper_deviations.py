@@ -21,24 +21,21 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
-from htcp_jax.clearance.obstacles.scene import Scene, own_scene
-from htcp_jax.device import compile_cache
+from htcp_jax.clearance import Scene, own_scene
+from htcp_jax.device import Kernels, compile_cache
 from htcp_jax.device.kernel import WALKED, Kernel
-from htcp_jax.device.programs import PROGRAMS, Kernels
+from htcp_jax.device.programs import PROGRAMS
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.kinematics import point_jacobians, tcp_position
-from htcp_jax.motion import kernels
-from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion import CollisionChecker, Plans, Problem, kernels
 from htcp_jax.motion.kernels import MEASURED as READS_OF_MEASURED
 from htcp_jax.motion.kernels import measured
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.problem import Problem
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import plan
+from htcp_jax.planning.tracking import StepQPs
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.null_space import READS, anchor, null_space_step, sphere_problem, stuck_at
 from htcp_jax.planning.tracking.stages import NullSpace, Walked, walk_null_space
-from htcp_jax.planning.tracking.step_qps import StepQPs
 from htcp_jax.solvers import cma_es, sphere
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -9,15 +9,13 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax.clearance.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance import Scene, clearance
 from htcp_jax.device.kernel import DEEP, Kernel
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import tcp_position
+from htcp_jax.motion import Plans, Problem
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.motion_check import tubes
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.problem import Problem
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
 

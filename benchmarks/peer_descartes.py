@@ -22,9 +22,8 @@ from tesseract_robotics import tesseract_motion_planners as planners
 from tesseract_robotics import tesseract_motion_planners_descartes as descartes
 
 from benchmarks.peer_cell import Brought, Cell
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.problem import Problem
-from htcp_jax.planning.registry import Method
+from htcp_jax.motion import Plans, Problem
+from htcp_jax.planning import Method
 from htcp_jax.status import Status
 
 KEY, DRAWN, TRIED = 6, 100, 1024  # interval of key targets; number of clear configurations there, and of draws for them

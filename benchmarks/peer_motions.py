@@ -15,7 +15,7 @@ import numpy as np
 
 import htcp_jax
 from htcp_jax.jobs.grid import Batch
-from htcp_jax.motion.plans import Plans
+from htcp_jax.motion import Plans
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import plan
 from htcp_jax.status import Way

@@ -20,12 +20,10 @@ import numpy as np
 from ompl import base, geometric, util
 
 from benchmarks.peer_cell import Brought, Cell
-from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance import clearance
 from htcp_jax.model.robot import GP50
-from htcp_jax.motion.knots import Knots
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.problem import Problem
-from htcp_jax.planning.registry import Method
+from htcp_jax.motion import Knots, Plans, Problem
+from htcp_jax.planning import Method
 from htcp_jax.status import Status
 
 DELTA_RAD = 0.05  # between the configurations that OMPL checks

@@ -23,13 +23,15 @@ from jaxtyping import Float
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
 from htcp_jax.jobs.build import scene
-from htcp_jax.runs.open import open_plans
+from htcp_jax.jobs.feed import feed_of
+from htcp_jax.runs import open_plans
+from htcp_jax.trajectory import OfPlan
 from htcp_jax.trajectory.figures import Figures, figures
 from htcp_jax.trajectory.held import with_rows
-from htcp_jax.trajectory.of_plan import OfPlan, feed_of, program_of
+from htcp_jax.trajectory.of_plan import program_of
 from htcp_jax.trajectory.program import program
 from htcp_jax.trajectory.stretches import Spare, spare
-from htcp_jax.validation.timed_check import check_timed
+from htcp_jax.validation import check_timed
 
 HELD, STEP_S = 0.99, 1e-3
 

@@ -34,7 +34,7 @@ from benchmarks.speed_cases import CASES, Asked, Broken, Checkout, lacking
 from benchmarks.speed_table import Measured, counts_differ, head, medians, rows, sources
 from htcp_jax.errors import InputError
 from htcp_jax.io.strict_yaml import read_yaml
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.jobs import load_config
 from htcp_jax.planning import registry
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -21,8 +21,8 @@ from htcp_jax.device import compile_cache
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.tracking import step_qps
+from htcp_jax.solvers import ClarabelSolver
 from htcp_jax.solvers.active_set import solve_step
-from htcp_jax.solvers.clarabel_ import ClarabelSolver
 from htcp_jax.solvers.step_qp import StepQP
 
 ROOT = Path(__file__).resolve().parents[1]

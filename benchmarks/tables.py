@@ -17,12 +17,11 @@ import numpy as np
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
 from htcp_jax.cli.output import claim
-from htcp_jax.device import compile_cache
-from htcp_jax.device.programs import Kernels
+from htcp_jax.device import Kernels, compile_cache
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.summary import summarise
-from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.solvers import ClarabelSolver
 
 ROOT = Path(__file__).resolve().parents[1]
 SIX = "baseline,cspace-sample,nspace-sample,nspace-sqp,nspace-ip,nspace-cmaes"

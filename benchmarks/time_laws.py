@@ -20,7 +20,7 @@ from benchmarks import hardware
 from htcp_jax.jobs.build import scene
 from htcp_jax.model.scenario import with_own_tool
 from htcp_jax.motion.motion import motion
-from htcp_jax.runs.open import open_plans
+from htcp_jax.runs import open_plans
 from htcp_jax.trajectory.limits import Limits, joint_limits
 from htcp_jax.trajectory.path import Path, path_of
 from htcp_jax.trajectory.stretches import spare, stretches

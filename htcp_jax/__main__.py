@@ -7,7 +7,7 @@ from htcp_jax.process_exit import run
 
 
 def _command() -> int:
-    from htcp_jax.cli.main import main  # here, as it takes a second
+    from htcp_jax.cli import main  # here, as it takes a second
 
     return main()
 

@@ -10,38 +10,23 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind
-from htcp_jax.clearance.obstacles.self_collision import SelfCollision
-from htcp_jax.device.devices import choose, on
-from htcp_jax.jobs.build import drawn_of, obstacles_of, scene, task_of_job
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.load_config import load_config, with_kinds
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import Scenario, interior_rule, with_own_tool
-from htcp_jax.model.task_row_kind import TaskRowKind
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.motion.motion import Motion, motion
-from htcp_jax.motion.plans import Outcome, Plans
+from htcp_jax.clearance import Obstacles
+from htcp_jax.clearance.obstacles import obstacle_kind, self_collision
+from htcp_jax.device import devices
+from htcp_jax.jobs import PlanConfig, build, load_config, with_kinds
+from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
+from htcp_jax.model import scenario as scenarios
+from htcp_jax.motion import Motion, Plans
+from htcp_jax.motion import motion as motions
+from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.notebook import html_facts
 from htcp_jax.planning import batch, registry
-from htcp_jax.reachability.obstruction import Obstruction, blocked_target, obstruction
-from htcp_jax.runs.input_files import anchor_files, file_hashes
-from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
-from htcp_jax.runs.plan_folder import (
-    VALIDATION,
-    summary_record,
-    write_json,
-    write_motion_csv,
-    write_trajectory_csv,
-    write_trajectory_npz,
-    written_whole,
-)
-from htcp_jax.runs.provenance import provenance
-from htcp_jax.runs.summary import Summary, summarise
-from htcp_jax.runs.tables import frame_of, joint_columns, target_table
-from htcp_jax.viewer.needles import needles
-from htcp_jax.viewer.picture import draw_plan
+from htcp_jax.reachability import Obstruction
+from htcp_jax.reachability import obstruction as obstructions
+from htcp_jax.runs import input_files, plan_folder, provenance, tables
+from htcp_jax.runs import motion_summary as motion_summaries
+from htcp_jax.runs import summary as summaries
+from htcp_jax.viewer import draw_plan, needles
 
 if TYPE_CHECKING:
     import pandas
@@ -63,14 +48,14 @@ class Plan:
     device: str | None = None  # see `device.devices`
 
     @cached_property
-    def summary(self) -> Summary:
+    def summary(self) -> summaries.Summary:
         """Counts, times and distances of the plan."""
-        return summarise(self.plans)
+        return summaries.summarise(self.plans)
 
     @cached_property
-    def motion_summary(self) -> MotionSummary:
+    def motion_summary(self) -> motion_summaries.MotionSummary:
         """Length of the proven motion, its minimum clearance, its dwells and its smoothness."""
-        return summarise_motion(self.plans, int(self.scenario.on_path))
+        return motion_summaries.summarise_motion(self.plans, int(self.scenario.on_path))
 
     def motion(self, *, retract: bool = False) -> Motion:
         """Return the configurations of the motion, from home or the start to the last executable target.
@@ -78,7 +63,7 @@ class Plan:
         Args:
             retract: Append the motion back.
         """
-        return motion(self.plans, 0, int(self.scenario.on_path), retract=retract)
+        return motions.motion(self.plans, 0, int(self.scenario.on_path), retract=retract)
 
     @property
     def complete(self) -> bool:
@@ -86,7 +71,7 @@ class Plan:
         return self.outcome.can_be_driven
 
     @property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> plan_arrays.Outcome:
         """The scenario's outcome."""
         return self.plans.outcome(0)
 
@@ -119,7 +104,7 @@ class Plan:
 
     def _checked(self) -> dict[str, str]:
         """Return the self-collision pairs and the fixtures that are checked, as labelled text."""
-        own = [each.described(self.robot) for each in self.obstacles if isinstance(each, SelfCollision)]
+        own = [each.described(self.robot) for each in self.obstacles if isinstance(each, self_collision.SelfCollision)]
         names = [name for each in self.obstacles for name in each.names]
         facts = {"self-collision": own[0]} if own else {}
         return facts | ({"fixtures": ", ".join(names)} if names else {})
@@ -130,7 +115,7 @@ class Plan:
             **self.motion_summary.details(),
             "straight joint paths": f"{end.blocked_paths} of {end.tracked} between consecutive targets collide",
             "clearance is to": self.workpiece.walls,
-            "interior rule": f"{interior_rule(self.workpiece, self.scenario)} "
+            "interior rule": f"{scenarios.interior_rule(self.workpiece, self.scenario)} "
             "(deep inside the part, bodies must stay within its convex hull)",
         }
 
@@ -154,13 +139,13 @@ class Plan:
     @cached_property
     def obstruction(self) -> Obstruction | None:
         """The colliding body and obstacle at the failed target; None if there is none, see `blocked_target`."""
-        if (failed := blocked_target(self.plans, 0)) is None:
+        if (failed := obstructions.blocked_target(self.plans, 0)) is None:
             return None
         x_last = self.plans.before(0, failed)
         known = self.robot, self.workpiece, self.scenario
-        with on(choose(self.device)[0]):
-            task = task_of_job(self.job, self.robot)
-            return obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
+        with devices.on(devices.choose(self.device)[0]):
+            task = build.task_of_job(self.job, self.robot)
+            return obstructions.obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
 
     def failure(self) -> dict[str, str]:
         """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
@@ -174,13 +159,15 @@ class Plan:
 
     def frame(self) -> "pandas.DataFrame":
         """Return a table with one row per target; the columns are those of a sweep's `targets` table."""
-        return frame_of(target_table(self.job.method, np.zeros(1, int), self.plans, joint_columns(self.robot)))
+        return tables.frame_of(
+            tables.target_table(self.job.method, np.zeros(1, int), self.plans, tables.joint_columns(self.robot))
+        )
 
     def figure(self) -> Figure:
         """Draw the arm in the workpiece, cut open, and the clearance along the path."""
         title = f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets"
         blocked = self.obstruction
-        more = {"obstruction": blocked, "fixtures": drawn_of(self.job.cell)}
+        more = {"obstruction": blocked, "fixtures": build.drawn_of(self.job.cell)}
         more["normals"] = needles(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece))
         return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, **more)
 
@@ -190,13 +177,13 @@ class Plan:
         The summary, a description of the failed target, versions, the complete configuration, and the SHA-256 of the
         files that it names, whose paths are absolute.
         """
-        known = {"method": self.job.method, "validated": None, **summary_record(self.summary)}
+        known = {"method": self.job.method, "validated": None, **plan_folder.summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
         known["in_the_way"] = self.obstruction and self.obstruction.record()
         config = self.job.model_dump()
-        files = file_hashes(anchor_files(config))
-        with on(choose(self.device)[0]):
-            return {**known, **provenance(), "config": config, "files": files}
+        files = input_files.file_hashes(input_files.anchor_files(config))
+        with devices.on(devices.choose(self.device)[0]):
+            return {**known, **provenance.provenance(), "config": config, "files": files}
 
     def write(self, folder: Path, *, retract: bool = False) -> None:
         """Write motion.csv, trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder.
@@ -205,10 +192,10 @@ class Plan:
             folder: The folder.
             retract: Append the motion back to home or the start to motion.csv.
         """
-        write_motion_csv(folder / "motion.csv", self.robot, self.motion(retract=retract))
-        write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans)
-        write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)
-        write_json(folder / "summary.json", self.record())
+        plan_folder.write_motion_csv(folder / "motion.csv", self.robot, self.motion(retract=retract))
+        plan_folder.write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans)
+        plan_folder.write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)
+        plan_folder.write_json(folder / "summary.json", self.record())
         self.figure().savefig(folder / "plan.png")
 
     def save(self, folder: str | Path, *, retract: bool = False) -> None:
@@ -217,7 +204,7 @@ class Plan:
         Raises:
             InputError: If that fails.
         """
-        with written_whole(Path(folder)) as scratch:
+        with plan_folder.written_whole(Path(folder)) as scratch:
             self.write(scratch, retract=retract)
         forget_validation(Path(folder))
 
@@ -233,7 +220,7 @@ class Plan:
 
 def forget_validation(folder: Path) -> None:
     """Remove the `htcp validate` results of the plan that was in the folder before."""
-    (folder / VALIDATION).unlink(missing_ok=True)
+    (folder / plan_folder.VALIDATION).unlink(missing_ok=True)
 
 
 def plan(
@@ -243,8 +230,8 @@ def plan(
     method: str | registry.Method | None = None,
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
-    obstacles: Sequence[ObstacleKind | Mapping[str, Any]] = (),
-    task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
+    obstacles: Sequence[obstacle_kind.ObstacleKind | Mapping[str, Any]] = (),
+    task: Sequence[task_row_kind.TaskRowKind | Mapping[str, Any]] | None = None,
 ) -> Plan:
     """Plan one job.
 
@@ -265,14 +252,14 @@ def plan(
         given = isinstance(overrides, Mapping)
         name = method if isinstance(method, str) else method.name
         overrides = {**overrides, "method": name} if given else [*overrides, f"method={name}"]
-    with on(choose(device)[0]):
+    with devices.on(devices.choose(device)[0]):
         job = with_kinds(load_config(config, overrides), obstacles, task)
         chosen = registry.find(job.method) if method is None or isinstance(method, str) else method
-        robot, workpiece, scenario = scene(job)
-        obstacles, task = obstacles_of(job.cell, robot), task_of_job(job, robot)
+        robot, workpiece, scenario = build.scene(job)
+        obstacles, task = build.obstacles_of(job.cell, robot), build.task_of_job(job, robot)
         how = {"progress": progress, "device": device, "obstacles": obstacles, "task": task, "check_starts": True}
         plans = batch.plan(robot, workpiece, scenario, chosen, job.settings, **how)
-        robot, scenario = with_own_tool(robot, scenario)
+        robot, scenario = scenarios.with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, obstacles, device)
 
 
@@ -283,4 +270,4 @@ def methods() -> "pandas.DataFrame":
     """
     known = registry.METHODS.all().items()
     rows = [{"method": name, "title": method.title, "description": method.description} for name, method in known]
-    return frame_of(pa.Table.from_pylist(rows)).set_index("method")
+    return tables.frame_of(pa.Table.from_pylist(rows)).set_index("method")

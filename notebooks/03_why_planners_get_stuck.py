@@ -27,9 +27,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import htcp_jax
-from htcp_jax.clearance.obstacles.obstacles import clearances
+from htcp_jax.clearance import Scene, clearances
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.numerics import null_basis

@@ -27,19 +27,19 @@ from hypothesis import strategies as st
 from sweep_process import make_sweep
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.point_cloud import load_cloud, load_geometry
+from htcp_jax.io import load_geometry
+from htcp_jax.io.point_cloud import load_cloud
 from htcp_jax.io.robot_file import gp50
 from htcp_jax.io.robot_model import RobotFields, read_robot_file
 from htcp_jax.io.workpiece_file import read_path
+from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.jobs.build import scenario_of
-from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model import Workpiece
 from htcp_jax.model.mesh_points import cover
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs import open_run
 from htcp_jax.runs.sweep import sweep
-from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.solvers import ClarabelSolver
 from htcp_jax.solvers.step_qp import QPStatus, StepQP
 from htcp_jax.validation.records import read_results
 

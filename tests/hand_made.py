@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from htcp_jax.motion.knots import Knots
-from htcp_jax.motion.plans import Plans, is_tracked
+from htcp_jax.motion import Knots, Plans
+from htcp_jax.motion.plans import is_tracked
 from htcp_jax.status import Status, Way
 
 

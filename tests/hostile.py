@@ -231,7 +231,7 @@ def commands(kind: str, folder: Path, place: Path) -> dict[str, list[str]]:
 
 def run(words: list[str]) -> dict:
     """Run a command; return its exit code, its stderr output, and its peak memory [bytes]."""
-    from htcp_jax.cli.main import main
+    from htcp_jax.cli import main
 
     said = io.StringIO()
     with redirect_stderr(said), redirect_stdout(io.StringIO()):

@@ -3,14 +3,20 @@
 **Imports.** A package imports from itself and from the packages before it in PACKAGES, at the top of a file or inside a
 function; no import cycles. Each folder is one of these packages.
 
+**Public names.** The stub of a package, `__init__.pyi`, lists its public names: types, functions, and modules of
+functions. Other packages import these and nothing deeper; modules of one package import each other. Each name exists,
+and a package has 5 to 15 of them, except those in SIZES.
+
 **Validation.** `validation` imports nothing of the planner's mathematics: from other packages only the names in
-TO_VALIDATION, which are data, files and constants.
+TO_VALIDATION, which are data, files and constants. A module that it imports counts by the names that it uses of it.
+
+**The core.** CORE imports none of the libraries in OUTSIDE_CORE.
 
 **Files.** `io/files.py` alone opens, reads and writes files: its readers take regular files of a bounded size and
 follow no link out of a folder, its writer replaces a file completely or not at all. Other modules make none of the
 calls in OPENS, except those that OWN_FILES lists with the reason.
 
-**Docstrings and shapes of public names.** Public is every function and class in `htcp_jax.__all__`, and every one
+**Docstrings and shapes of public names.** Public is every function and class in `htcp_jax/__init__.pyi`, and every one
 without an underscore that a page under docs shows: `::: htcp_jax.x.y` shows y or, if y is a module, all of it except
 what `members` excludes. A function is complete when
 
@@ -30,6 +36,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
@@ -39,6 +46,15 @@ PACKAGES = [  # from the bottom up
     *("model", "solvers", "clearance", "device", "motion", "planning", "reachability"),
     *("io", "jobs", "runs", "trajectory", "placement", "validation", "viewer", "report", "cli"),
 ]
+CORE = PACKAGES[:7]
+OUTSIDE_CORE = {"yaml", "pyarrow", "matplotlib", "rich", "mujoco"}  # files, charts, tables, simulation
+SIZES = {  # packages with fewer than 5 or more than 15 public names, and why
+    "": "all that a user needs, and the mathematics for jax.grad",
+    "model": "terms that every other package shares",
+    "motion": "plans, their checks and the functions of one lane, which two families of methods are made of",
+    "runs": "each file of a run's folder has a module",
+    "cli": "the command alone",
+}
 ABOVE = {"api": "viewer", "__main__": "cli"}  # modules at the root that import from this package and those before it
 TO_VALIDATION = {  # package or module at the root -> names that `validation` imports from it ("*": any) -> reason
     "errors": {"InputError": "how a bad file is refused"},
@@ -68,7 +84,7 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
     "runs": {"*": "files of runs"},
 }
 OPENS = re.compile(  # calls that access a file by its path, by the end of their names
-    r"(^|\.)open$|\.(read_text|write_text|read_bytes|write_bytes|touch)$"
+    r"(^|\.)open$|(?<!^plan_folder)\.(read_text|write_text|read_bytes|write_bytes|touch)$"
     r"|^(np|pq|pa|json|trimesh|pickle)\.(load|loadtxt|genfromtxt|fromfile|save|savez|savez_compressed|savetxt|memmap|dump"
     r"|read_table|read_schema|write_table|ParquetFile|ParquetWriter|OSFile|memory_map)$"
     r"|^tempfile\.|^shutil\.(copy|copyfile|copy2|move)$|\.savefig$"
@@ -110,29 +126,115 @@ def faults(root: Path) -> list[str]:
     """Faults of a checkout, one line each."""
     incomplete_names = (f"{name}: {'; '.join(why)}" for name, why in incomplete(root).items() if why)
     package = root / PACKAGE
-    return [*import_faults(package), *validation_faults(package), *file_faults(package), *incomplete_names]
+    imports = *import_faults(package), *public_faults(package), *validation_faults(package), *core_faults(package)
+    return [*imports, *file_faults(package), *incomplete_names]
+
+
+def public_faults(package: Path) -> Iterator[str]:
+    """Imports across packages that bypass the public names, public names that do not exist, and packages with too many
+    or too few of them."""
+    for file in sorted(package.rglob("__init__.pyi")):
+        unit = ".".join(file.parent.relative_to(package).parts)
+        for name, target in _public_names(package, unit).items():
+            if not _exists(package, target, unit):
+                yield f"{unit or PACKAGE}: {target} does not exist, but {name} is public"
+        count = len(_public_names(package, unit))
+        if not 5 <= count <= 15 and unit not in SIZES:
+            yield f"{unit}: {count} public names; 5 to 15 are allowed, or a reason in SIZES"
+    for file in sorted(package.rglob("*.py")):
+        name = _dotted(file.relative_to(package))
+        if file.stem == "__init__" and name in PACKAGES and not file.with_suffix(".pyi").is_file():
+            yield f"{name}: no __init__.pyi with its public names"
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            for home, imported in _imports(node):
+                other = home.partition(".")[0]
+                foreign = other in PACKAGES and other != name.partition(".")[0]
+                if foreign and (package / other / "__init__.pyi").is_file():
+                    if imported not in _public_names(package, home):
+                        yield f"{name} imports {imported or 'all'} of {home}, which is not public there"
+
+
+def core_faults(package: Path) -> Iterator[str]:
+    """Imports of CORE that are in OUTSIDE_CORE."""
+    for file in sorted(file for folder in CORE for file in (package / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            modules += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+            for library in sorted({module.partition(".")[0] for module in modules} & OUTSIDE_CORE):
+                yield f"{_dotted(file.relative_to(package))} imports {library}, which is not for the core"
 
 
 def validation_faults(package: Path) -> Iterator[str]:
     """Imports of `validation` that TO_VALIDATION does not list."""
     for file in sorted((package / "validation").rglob("*.py")):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            for home, name in _imported_names(node):
-                known = {each for names in TO_VALIDATION.get(home, {}) for each in names.split()}
-                if home != "validation" and not known & {name, "*"}:
-                    here = _dotted(file.relative_to(package))
-                    yield f"{here} imports {name} of {home}, which is not in TO_VALIDATION"
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for home, name in sorted(set(_used(tree, package))):
+            known = {each for names in TO_VALIDATION.get(home, {}) for each in names.split()}
+            if home != "validation" and not known & {name, "*"}:
+                here = _dotted(file.relative_to(package))
+                yield f"{here} imports {name} of {home}, which is not in TO_VALIDATION"
 
 
-def _imported_names(node: ast.AST) -> Iterator[tuple[str, str]]:
-    """Names that a statement imports from the package, each with the folder, or the module at the root."""
+def _used(tree: ast.Module, package: Path) -> Iterator[tuple[str, str]]:
+    """Names that a module imports from other packages, each with the folder, or the module at the root. A public module
+    counts by the names that are used of it; by its own name if it is used in any other way."""
+    names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
+    attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
+    for node in ast.walk(tree):
+        local = {
+            alias.name: alias.asname or alias.name for alias in getattr(node, "names", []) if hasattr(alias, "name")
+        }
+        for module, name in _imports(node):
+            home = (module or name).partition(".")[0]
+            if _file(package.parent, _public_names(package, module).get(name, "no such module")) is None:
+                yield home, name or module.rpartition(".")[2]
+                continue
+            of_it = [one for one in attributes if isinstance(one.value, ast.Name) and one.value.id == local[name]]
+            yield from ((home, one.attr) for one in of_it)
+            if not of_it or len(of_it) < sum(one.id == local[name] for one in names):
+                yield home, name
+
+
+def _imports(node: ast.AST) -> Iterator[tuple[str, str]]:
+    """Names that a statement imports from the package, each with the dotted module within it. "" is the package itself,
+    or the name of a module that is imported as a whole."""
     if isinstance(node, ast.Import):
-        modules = [alias.name.split(".") for alias in node.names]
+        modules = [(alias.name, "") for alias in node.names]
     elif isinstance(node, ast.ImportFrom):
-        modules = [[*str(node.module).split("."), alias.name] for alias in node.names]
+        modules = [(str(node.module), alias.name) for alias in node.names]
     else:
         return
-    yield from ((parts[1], parts[-1]) for parts in modules if parts[0] == PACKAGE and len(parts) > 1)
+    for module, name in modules:
+        if module.partition(".")[0] == PACKAGE and (name or module != PACKAGE):
+            yield module.removeprefix(PACKAGE).removeprefix("."), name
+
+
+def _public_names(package: Path, unit: str) -> dict[str, str]:
+    """Public names of a package, each with its dotted name within the whole: of the module, or module and name."""
+    stub = package / unit.replace(".", "/") / "__init__.pyi"
+    return _listed(stub.read_text(encoding="utf-8"), unit) if stub.is_file() else {}
+
+
+@cache
+def _listed(stub: str, unit: str) -> dict[str, str]:
+    imports = [node for node in ast.parse(stub).body if isinstance(node, ast.ImportFrom)]
+    return {
+        alias.name: ".".join(part for part in (unit, node.module, alias.name) if part)
+        for node in imports
+        for alias in node.names
+    }
+
+
+def _exists(package: Path, target: str, unit: str) -> bool:
+    """True if there is a module of a dotted name, a module that binds the name, or another unit that lists it."""
+    module, _, name = target.rpartition(".")
+    if _file(package.parent, target) is not None or (module != unit and name in _public_names(package, module)):
+        return True
+    file = _file(package.parent, module)
+    body = ast.parse(file.read_text(encoding="utf-8")).body if file else []
+    bound = {getattr(node, "name", "") for node in body}
+    targets = [one for node in body for one in getattr(node, "targets", [getattr(node, "target", None)]) if one]
+    return name in bound | {one.id for each in targets for one in ast.walk(each) if isinstance(one, ast.Name)}
 
 
 def file_faults(package: Path) -> Iterator[str]:
@@ -147,7 +249,7 @@ def file_faults(package: Path) -> Iterator[str]:
 def import_faults(package: Path) -> Iterator[str]:
     """Upward imports and import cycles in a package, and folders that are missing in PACKAGES."""
     files = {_dotted(file.relative_to(package)): file for file in sorted(package.rglob("*.py"))}
-    graph = {name: _imported(file, files.keys()) - {name} for name, file in files.items()}
+    graph = {name: _imported(file, package, files.keys()) - {name} for name, file in files.items()}
     for folder in sorted({name.partition(".")[0] for name in files if "." in name} - set(PACKAGES)):
         yield f"{folder}: no package in PACKAGES of {Path(__file__).name}"
     for name, others in graph.items():
@@ -164,15 +266,14 @@ def _dotted(file: Path) -> str:
     return ".".join(file.with_suffix("").parts).removesuffix(".__init__")
 
 
-def _imported(file: Path, known: set[str]) -> set[str]:
-    """The `known` modules that a file imports."""
+def _imported(file: Path, package: Path, known: set[str]) -> set[str]:
+    """The `known` modules that a file imports; a public name counts as its module."""
     found = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            found |= {f"{node.module}.{alias.name}" for alias in node.names} | {str(node.module)}
-    return {name.removeprefix(f"{PACKAGE}.") for name in found if name.startswith(f"{PACKAGE}.")} & known
+        for module, name in _imports(node):
+            target = _public_names(package, module).get(name, "") if module else ""
+            found |= {module, f"{module}.{name}".strip("."), target, target.rpartition(".")[0]}
+    return found & known
 
 
 def _level(module: str) -> float:
@@ -194,7 +295,7 @@ class Public(NamedTuple):
 
 def incomplete(root: Path) -> dict[str, list[str]]:
     """Missing documentation of each public name of a checkout; an empty list if it is complete."""
-    lost = {name: ["is not where a page or `__all__` says"] for name in _named(root).keys() - public(root).keys()}
+    lost = {name: ["is not where a page or a stub says"] for name in _named(root).keys() - public(root).keys()}
     return lost | {name: list(_lacks(one)) for name, one in public(root).items()}
 
 
@@ -213,24 +314,15 @@ def public(root: Path) -> dict[str, Public]:
 
 
 def _named(root: Path) -> dict[str, bool]:
-    """Names that `__all__` or a page makes public -> True if documented as mathematics.
+    """Names that the stub of the whole package or a page makes public -> True if documented as mathematics.
 
-    A name in `__all__` that equals its module's name stands for the module as a whole and is excluded.
+    Modules and packages in the stub are excluded: pages show what is public of them.
     """
-    named = {f"{home}.{name}": False for name, home in _homes(root).items() if name != home.rpartition(".")[2]}
+    named = {each: False for each in _public_names(root / PACKAGE, "").values() if _file(root, each) is None}
     for page in sorted((root / "docs").rglob("*.md")):
         for name in _shown(page.read_text(encoding="utf-8"), root):
             named[name] = named.get(name, False) or page.stem in MATHEMATICS
     return named
-
-
-def _homes(root: Path) -> dict[str, str]:
-    """Names in `__all__` -> the module of each."""
-    tree = ast.parse((root / PACKAGE / "__init__.py").read_text(encoding="utf-8"))
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_HOME":
-            return ast.literal_eval(node.value)
-    return {}
 
 
 def _shown(page: str, root: Path) -> Iterator[str]:

@@ -8,13 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.io.robot_file import gp50, load_robot
 from htcp_jax.io.workpiece_file import load_workpiece
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import Scenario, make_scenario
-from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.model import Robot, Scenario, Workpiece
+from htcp_jax.model.scenario import make_scenario
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 MEASURED = Path(__file__).parents[2] / "shared" / "data" / "duct"

@@ -8,12 +8,10 @@ from made_once import START, robot
 
 from htcp_jax import api
 from htcp_jax.io.workpiece_file import load_workpiece
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.model.duct import duct_cloud, weld
 from htcp_jax.model.scenario import make_scenario
-from htcp_jax.motion.knots import Knots
-from htcp_jax.motion.plans import Plans
+from htcp_jax.motion import Knots, Plans
 from htcp_jax.status import Status, Way
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, Rows
-from htcp_jax.model.robot import Robot
+from htcp_jax.clearance import Obstacle, Posed
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Rows
+from htcp_jax.model import Robot
 from htcp_jax.pytree import register_pytree
 
 

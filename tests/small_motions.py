@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 
-from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance import clearance
 from htcp_jax.model.kinematics import tcp_position
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.model.scenario import make_scenario

@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from htcp_jax.model import duct
+from htcp_jax.runs import open_run
 from htcp_jax.runs.manifest import MANIFEST
-from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status
 

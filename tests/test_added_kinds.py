@@ -11,14 +11,14 @@ import pytest
 from page_package import Place, files
 
 import htcp_jax
+from htcp_jax.clearance import clearances
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES, GivenObstacle, given_obstacles, with_given
-from htcp_jax.clearance.obstacles.obstacles import clearances
 from htcp_jax.clearance.proof.row_proof import between, rows_left
 from htcp_jax.device.programs import PROGRAMS
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.jobs.load_config import load_config
 from htcp_jax.kinds import numbers_of
 from htcp_jax.model.task_row_kind import TASK_ROWS
 from htcp_jax.placement.ranges import read_ranges

@@ -13,12 +13,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import htcp_jax
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.planning import batch, registry
-from htcp_jax.planning.tracking.step_qps import StepQPs
+from htcp_jax.planning.tracking import StepQPs
 from htcp_jax.runs.tables import frame_of
-from htcp_jax.viewer.picture import draw_plan
+from htcp_jax.viewer import draw_plan
 from htcp_jax.viewer.replay import open_replays, replays_of
 
 TURNS = {"grid": [{"workpiece.rotation_z_rad": [0.1, 0.2]}]}

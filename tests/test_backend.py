@@ -12,8 +12,9 @@ import made_once
 import numpy as np
 
 from htcp_jax.backend import Backend, backend, compiled_for
+from htcp_jax.device import Kernels
 from htcp_jax.device.kernel import STEP, Kernel
-from htcp_jax.device.programs import Kernels, Programs
+from htcp_jax.device.programs import Programs
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.numerics import fold_keys

@@ -6,12 +6,13 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.device.programs import Kernels
+from htcp_jax.device import Kernels
 from htcp_jax.device.tables import concatenate, gather
 from htcp_jax.model.scenario import make_scenario
+from htcp_jax.motion import Plans
 from htcp_jax.motion.kernels import State
 from htcp_jax.motion.motion import transfers
-from htcp_jax.motion.plans import Plans, is_tracked
+from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.tracking.backwards import BackwardPlans

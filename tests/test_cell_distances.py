@@ -11,13 +11,13 @@ import pytest
 from published import MODELS, path_of
 
 from benchmarks import cell_distances
+from htcp_jax.clearance import Scene, clearances, contacts, is_clear, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.obstacles.fixtures import Fixtures
-from htcp_jax.clearance.obstacles.obstacle import rows_of
-from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance_rows, clearances, contacts, is_clear
+from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance_rows
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures, solid_of
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof.motion_proof import Verdict, prove
+from htcp_jax.clearance.proof.bisection import Verdict
+from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.io.cell import load_cell
 from htcp_jax.io.robot_import import import_robot
 from htcp_jax.io.robot_xml import arm_xml

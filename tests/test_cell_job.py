@@ -19,21 +19,21 @@ from small_cell import small_job
 from test_self_collision import CHAIN
 
 import htcp_jax
+from htcp_jax.clearance import clearance
 from htcp_jax.clearance.distance.solids import Box
-from htcp_jax.clearance.obstacles.obstacles import clearance
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures, solid_of
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.cell import load_cell
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import obstacles_of
 from htcp_jax.jobs.config import CellConfig
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.jobs.load_config import load_config
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import GP50
 from htcp_jax.runs.identity import config_hash, differences, identity, refuse_changed
 from htcp_jax.runs.input_files import anchor_files, file_hashes
-from htcp_jax.validation.validate import validate
+from htcp_jax.validation import validate
 from htcp_jax.viewer.colours import FIXTURE
 
 CELL = """<mujoco><worldbody>

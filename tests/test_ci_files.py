@@ -8,7 +8,7 @@ import pytest
 import yaml
 from documented import ROOT
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 
 WORKFLOW = (ROOT / ".github" / "workflows" / "ci.yml").read_text()
 DOCUMENTED = re.search(r"^```yaml\n(name: gate\n.*?)^```$", (ROOT / "docs" / "gate.md").read_text(), re.M | re.S)[1]

@@ -11,20 +11,14 @@ import numpy as np
 import pytest
 
 from htcp_jax.backend import Backend, compiled_for
+from htcp_jax.clearance import clearance, clearances, contacts, is_clear
 from htcp_jax.clearance.obstacles.linearisation import linearise
-from htcp_jax.clearance.obstacles.obstacles import (
-    all_clear,
-    clearance,
-    clearance_rows,
-    clearances,
-    contacts,
-    is_clear,
-)
+from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance_rows
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import GP50, lengthen_tool
 from htcp_jax.model.scenario import make_scenario
-from htcp_jax.model.workpiece import Workpiece
 
 
 class Where(NamedTuple):

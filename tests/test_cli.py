@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.planning import batch
 from htcp_jax.process_exit import INTERRUPTED
 

@@ -9,7 +9,8 @@ import pytest
 import trimesh
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.point_cloud import CLOUDS, load_cloud, load_geometry
+from htcp_jax.io import load_geometry
+from htcp_jax.io.point_cloud import CLOUDS, load_cloud
 from htcp_jax.io.scan import PARTS, SCANS
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3))

@@ -13,17 +13,17 @@ from test_cloud_index import cloud
 from test_motion_proof import motions
 
 from htcp_jax.backend import Backend, compiled_for
+from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.distance import cloud_sweep, cloud_tree_gpu, half_spaces
 from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.distance.sweep import Sweep, Wanted
-from htcp_jax.clearance.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof import interval
+from htcp_jax.clearance.proof.bisection import Verdict
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import travel_bound
-from htcp_jax.clearance.proof.motion_proof import Verdict, prove
+from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.gpu_kernel import HAS_KERNEL
 
 BODIES = 6

@@ -12,22 +12,22 @@ import pytest
 from small_motions import SMALL, D_everywhere, off_line, planned, poses
 from sphere_references import place
 
-from htcp_jax.clearance.obstacles.obstacle import in_workpiece
+from htcp_jax.clearance import in_workpiece
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.clearance.proof.motion_proof import Tube
+from htcp_jax.device import Kernels
 from htcp_jax.device.devices import choose
-from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import gather
 from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.model import Task
 from htcp_jax.model.kinematics import tcp_position, tip_segment
 from htcp_jax.model.scenario import make_scenario, stack
-from htcp_jax.model.task import Task
-from htcp_jax.motion.collision_checker import PLACES, CollisionChecker
+from htcp_jax.motion import CollisionChecker, Problem
+from htcp_jax.motion.collision_checker import PLACES
 from htcp_jax.motion.home import begin_at_home, leave_home
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.motion_check import check_remaining_paths, judge_motions, tighten
 from htcp_jax.motion.plans import ARRAYS
-from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.smoothing import smooth
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import plan

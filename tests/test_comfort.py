@@ -7,8 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-from htcp_jax.cli import self_test
-from htcp_jax.cli.main import app, main
+from htcp_jax.cli import main, self_test
+from htcp_jax.cli.main import app
 from htcp_jax.cli.methods import complete_methods
 from htcp_jax.errors import InputError
 from htcp_jax.planning.registry import METHODS

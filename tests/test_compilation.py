@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from htcp_jax.clearance.proof.motion_proof import proven_clear
-from htcp_jax.device.batching import Loop, chunked, refilled
+from htcp_jax.device import Kernels, Loop
+from htcp_jax.device.batching import chunked, refilled
 from htcp_jax.device.kernel import STEP, Kernel
-from htcp_jax.device.programs import COMPILER, Kernels, Programs, Stopwatch
+from htcp_jax.device.programs import COMPILER, Programs, Stopwatch
 from htcp_jax.model.scenario import stack
-from htcp_jax.motion.collision_checker import CollisionChecker, prove_call
+from htcp_jax.motion import CollisionChecker
+from htcp_jax.motion.collision_checker import prove_call
 from htcp_jax.motion.kernels import PROVE
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.numerics import fold_keys

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.jobs import PlanConfig, load_config
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 SWEEPS = Path(__file__).parents[1] / "sweeps"

@@ -6,7 +6,7 @@ import jax
 import pytest
 
 from htcp_jax.backend import default_device
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.device.devices import choose, default_threads, on
 from htcp_jax.errors import InputError
 

@@ -28,7 +28,7 @@ from documented import (
     runs,
 )
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.planning import registry
 
 DEMO_S = 180  # from a clone to a picture

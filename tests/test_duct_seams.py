@@ -10,11 +10,11 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.duct_seams import BEADS, SEAMS, seam
 from htcp_jax.io.robot_file import gp50
 from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import workpiece_of
 from htcp_jax.jobs.config import WorkpieceConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.grid_axes import from_record, record
-from htcp_jax.jobs.load_config import load_config
 from htcp_jax.model import duct
 from htcp_jax.runs.input_files import anchor_files
 

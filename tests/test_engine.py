@@ -10,24 +10,24 @@ import numpy as np
 import pytest
 import toy
 
+from htcp_jax.device import Kernels
 from htcp_jax.device.devices import choose
 from htcp_jax.device.kernel import STEP, Kernel
-from htcp_jax.device.programs import PROGRAMS, Kernels, Programs
+from htcp_jax.device.programs import PROGRAMS, Programs
 from htcp_jax.device.tables import gather_from
+from htcp_jax.model import Task
 from htcp_jax.model.scenario import stack
-from htcp_jax.model.task import Task
-from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion import CollisionChecker, Problem
 from htcp_jax.motion.kernels import ADVANCE, STEPS_A_BURST
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.problem import Problem
 from htcp_jax.planning.registry import find
+from htcp_jax.planning.tracking import Engine
 from htcp_jax.planning.tracking.candidates import Waiting, nearest
-from htcp_jax.planning.tracking.engine import Engine
 from htcp_jax.planning.tracking.lane_table import LaneTable
 from htcp_jax.planning.tracking.lanes import DRAWING, NEW, TRACK, Lanes
 from htcp_jax.planning.tracking.stages import ENTER
 from htcp_jax.planning.tracking.work import Work
-from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.solvers import ClarabelSolver
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus
 from htcp_jax.status import Status
 

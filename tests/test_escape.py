@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from sphere_references import place
 
-from htcp_jax.clearance.obstacles.obstacles import clearance, clearances, contacts, is_clear
+from htcp_jax.clearance import clearance, clearances, contacts, is_clear
 from htcp_jax.device.batching import finished
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.planning.methods import BUILT_IN
+from htcp_jax.planning.tracking import StepQPs
 from htcp_jax.planning.tracking.null_space import (
     Stuck,
     anchor,
@@ -26,7 +27,6 @@ from htcp_jax.planning.tracking.null_space import (
 )
 from htcp_jax.planning.tracking.sampling import cspace_samples, nspace_samples
 from htcp_jax.planning.tracking.stages import ENTER, NullSpace
-from htcp_jax.planning.tracking.step_qps import StepQPs
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere
 

@@ -15,12 +15,12 @@ import sweep_process
 from rich.progress import Progress
 from test_place import make
 
-from htcp_jax.cli import output
-from htcp_jax.cli.main import COMMANDS, main
+from htcp_jax.cli import main, output
+from htcp_jax.cli.main import COMMANDS
 from htcp_jax.errors import Note
 from htcp_jax.model.robot import GP50
+from htcp_jax.runs import open_run
 from htcp_jax.runs.reachability_file import read_reachability
-from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="phases are seen in /proc")

@@ -18,8 +18,8 @@ from sweep_process import COLD, HALF, SHARDS, make_sweep, plan_half, rows, start
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning import batch
+from htcp_jax.runs import open_run
 from htcp_jax.runs.manifest import MANIFEST
-from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.summary import summarise
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status

@@ -7,13 +7,13 @@ import pytest
 import yaml
 from small_run import LONGER, end_early, rewrite, spoil
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.provenance import provenance
 from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.status import Status
-from htcp_jax.validation.baseline import Baseline, read_baseline
+from htcp_jax.validation import Baseline, read_baseline
 
 PASSED, REGRESSION, BAD_INPUT = 0, 1, 2
 TARGETS = 19  # per scenario, in all four scenarios

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import htcp_jax
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.jobs.examples import examples
 
 GRID = f"""

@@ -12,16 +12,17 @@ from junitparser import Failure, JUnitXml, Skipped
 from markdown_it import MarkdownIt
 from small_run import end_early
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.markup import printable
-from htcp_jax.report.document import Column, Table, markdown
+from htcp_jax.report import Column, Table
+from htcp_jax.report.document import markdown
 from htcp_jax.report.gate import annotations, junit, summary
+from htcp_jax.runs import open_run
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import append_text
-from htcp_jax.runs.run_folder import open_run
 from htcp_jax.status import Status
-from htcp_jax.validation.baseline import read_baseline
+from htcp_jax.validation import read_baseline
 from htcp_jax.validation.gate import CHECKS, judge
 
 PASSED, REGRESSION, BAD_INPUT = 0, 1, 2

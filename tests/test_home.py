@@ -16,7 +16,7 @@ import htcp_jax
 from htcp_jax.motion.motion import figures, motion, transfers
 from htcp_jax.planning.batch import check_start, plan
 from htcp_jax.status import Kind, Status, Way
-from htcp_jax.validation.validate import validate
+from htcp_jax.validation import validate
 
 HOME = (0.9, -2.0, 0.2, 0.3, 0.9, -1.0)
 TOUCHES = (0.0, -1.2, -0.5, 0.0, 0.5, -2.0)

@@ -13,11 +13,11 @@ from hostile import KINDS, SHARD, commands
 from made_plan import made_plan
 from sweep_process import environment
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io import files
 from htcp_jax.runs.lock import locked
-from htcp_jax.trajectory.whole_run import TIMING
+from htcp_jax.runs.timing_file import TIMING
 from htcp_jax.unfinished import SCRATCH, clear, temporary_folder
 
 PEAK = 10**9  # bytes

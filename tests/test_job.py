@@ -8,12 +8,11 @@ import pytest
 from hand_made import plans_with
 
 from htcp_jax import api
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.jobs.build import robot_of, scene
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.load_config import load_config
 from htcp_jax.status import Status
 from htcp_jax.validation.records import read_results
 from htcp_jax.viewer.replay import open_replays

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from sphere_references import place
 
-from htcp_jax.clearance.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.proof.motion_bound import motion_bound, travel_bound
 from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M, path_clear, proven_clear
 from htcp_jax.io.robot_file import load_robot

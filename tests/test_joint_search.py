@@ -10,17 +10,17 @@ import pytest
 from sphere_references import place
 from test_clearance import few_points
 
+from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
-from htcp_jax.clearance.proof.motion_proof import Verdict
-from htcp_jax.device.programs import Kernels
+from htcp_jax.clearance.proof.bisection import Verdict
+from htcp_jax.device import Kernels
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_file import load_robot
 from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import make_scenario, stack
-from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.joint_search import join
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.settings import Settings, settings_of

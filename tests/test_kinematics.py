@@ -11,8 +11,8 @@ import pytest
 from mujoco import mjx
 
 from htcp_jax.io.robot_file import gp50, load_robot
-from htcp_jax.model import kinematics
-from htcp_jax.model.robot import GP50, Robot
+from htcp_jax.model import Robot, kinematics
+from htcp_jax.model.robot import GP50
 
 DUCT = Path(__file__).parents[2] / "shared" / "data" / "duct"
 

@@ -6,9 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.motion.knots import Knots
+from htcp_jax.motion import Knots, Plans
 from htcp_jax.motion.motion_check import segments_of
-from htcp_jax.motion.plans import Plans
 
 SCENARIOS, TARGETS, JOINTS = 4, 5, 2
 

@@ -13,7 +13,7 @@ def package(tmp_path):
     """Checkout with `made.f` as public name, but without the module."""
     (tmp_path / "htcp_jax").mkdir()
     (tmp_path / "docs").mkdir()
-    (tmp_path / "htcp_jax/__init__.py").write_text('_HOME = {"f": "made"}\n')
+    (tmp_path / "htcp_jax/__init__.pyi").write_text("from .made import f\n")
     return tmp_path
 
 
@@ -70,6 +70,83 @@ def test_validation_that_imports_the_planners_mathematics_is_found(package, line
 
 
 @pytest.mark.parametrize(
+    ("source", "refused"),
+    [
+        ("from htcp_jax.io import files\nfiles.read_json('a')", []),
+        ("from htcp_jax.io import files as io_files\nio_files.read_json('a')", []),
+        ("from htcp_jax.model import robot\nrobot.TOUCHING_M", []),
+        ("from htcp_jax.model import robot\nrobot.TOUCHING_M, robot.lengthen_tool", ["lengthen_tool of model"]),
+        ("from htcp_jax.model import robot as r\ndef f(): return r.kinematics.tcp_pose", ["kinematics of model"]),
+        ("from htcp_jax.model import robot\nf(robot, robot.TOUCHING_M)", ["robot of model"]),
+        ("from htcp_jax.model import robot", ["robot of model"]),
+    ],
+)
+def test_of_a_module_validation_uses_only_the_names_that_are_listed(package, source, refused):
+    (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
+    for folder, module in (("io", "files"), ("model", "robot"), ("validation", "a")):
+        (package / "htcp_jax" / folder).mkdir()
+        (package / "htcp_jax" / folder / f"{module}.py").write_text("")
+        (package / "htcp_jax" / folder / "__init__.pyi").write_text(f"from . import {module}\n")
+    (package / "htcp_jax/validation/a.py").write_text(source)
+    found = [fault for fault in faults(package) if "TO_VALIDATION" in fault]
+    assert found == [f"validation.a imports {name}, which is not in TO_VALIDATION" for name in refused]
+
+
+NAMES = "a = b = c = 0\nD: int = 1\nclass E: ...\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("from htcp_jax.model import x\nfrom htcp_jax.model import a", ""),
+        ("from htcp_jax.solvers.deep import anything", ""),
+        ("from htcp_jax.model.x import a", "solvers.y imports a of model.x, which is not public there"),
+        ("def f():\n    from htcp_jax.model.x import a", "solvers.y imports a of model.x, which is not public there"),
+        ("from htcp_jax.model import other", "solvers.y imports other of model, which is not public there"),
+        ("import htcp_jax.model.x", "solvers.y imports all of model.x, which is not public there"),
+    ],
+)
+def test_an_import_across_packages_takes_public_names(package, line, message):
+    (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
+    (package / "htcp_jax/solvers").mkdir()
+    (package / "htcp_jax/solvers/y.py").write_text(line)
+    (package / "htcp_jax/model").mkdir()
+    (package / "htcp_jax/model/x.py").write_text(NAMES)
+    (package / "htcp_jax/model/__init__.pyi").write_text("from . import x\nfrom .x import D, E, a, b\n")
+    assert faults(package) == ([message] if message else [])
+
+
+@pytest.mark.parametrize(
+    ("stub", "message"),
+    [
+        ("from . import x\nfrom .x import D, E, a, b", ""),
+        ("from . import x\nfrom .x import E, F, a, b, c", "solvers: solvers.x.F does not exist, but F is public"),
+        ("from . import y\nfrom .x import D, E, a, b, c", "solvers: solvers.y does not exist, but y is public"),
+        ("from .x import D, E, a, b", "solvers: 4 public names; 5 to 15 are allowed, or a reason in SIZES"),
+    ],
+)
+def test_public_names_exist_and_are_not_too_many(package, stub, message):
+    (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
+    (package / "htcp_jax/solvers").mkdir()
+    (package / "htcp_jax/solvers/__init__.py").write_text("")
+    (package / "htcp_jax/solvers/x.py").write_text(NAMES)
+    assert faults(package) == ["solvers: no __init__.pyi with its public names"]
+    (package / "htcp_jax/solvers/__init__.pyi").write_text(stub + "\n")
+    assert faults(package) == ([message] if message else [])
+
+
+@pytest.mark.parametrize(
+    "line", ["import yaml", "def f():\n    from matplotlib.figure import Figure", "import rich.text"]
+)
+def test_the_core_imports_no_library_of_files_or_charts(package, line):
+    (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
+    for folder in ("motion", "viewer"):
+        (package / "htcp_jax" / folder).mkdir()
+        (package / "htcp_jax" / folder / "a.py").write_text(line)
+    assert [fault.startswith("motion.a imports ") for fault in faults(package)] == [True]
+
+
+@pytest.mark.parametrize(
     "call",
     ["open('a')", "a.read_text()", "a.write_bytes(b'')", "np.load('a')", "pq.read_table('a')", "a.open('w')"],
 )
@@ -89,7 +166,6 @@ def test_a_file_opened_by_other_means_than_the_one_reader_is_found(package, call
         ("def f(length) -> int:\n    '''The count of a length [m].'''", "length has no type"),
         ("def f(x: Joints) -> Pose:\n    '''The pose.'''", ""),
         ("def f(x: Joints) -> Pose:\n    pass", "no docstring"),
-        ("def g(x: Joints) -> Pose:\n    pass", "is not where a page or `__all__` says"),
         ("def f(n: np.ndarray) -> None:\n    '''Of n.'''", "n has no shape"),
         ("def f(n: np.ndarray) -> None:\n    '''Of n (S,).'''", ""),
         ("def f() -> Float[Array, 'N']:\n    '''A number.'''", "return has no unit"),
@@ -106,6 +182,12 @@ def test_a_file_opened_by_other_means_than_the_one_reader_is_found(package, call
 def test_a_public_name_that_lacks_something_is_found(package, source, lacks):
     (package / "htcp_jax/made.py").write_text(source + "\n")
     assert faults(package) == ([f"made.f: {lacks}"] if lacks else [])
+
+
+def test_a_name_that_a_page_shows_exists(package):
+    (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
+    (package / "docs/page.md").write_text("::: htcp_jax.made.g\n")
+    assert faults(package) == ["made.g: is not where a page or a stub says"]
 
 
 @pytest.mark.parametrize("text", ["The tool.", "The tool, equation (7)."])

@@ -8,8 +8,8 @@ import pytest
 from published import path_of
 
 from htcp_jax.jobs.config import RobotConfig
+from htcp_jax.trajectory import Timed
 from htcp_jax.trajectory.loads import load, loads_of, model_of, torques
-from htcp_jax.trajectory.timed import Timed
 
 ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody>
 <body name="a"><inertial pos="0.5 0 0" mass="2" diaginertia=".01 .01 .01"/><joint name="j1" axis="0 1 0"/>

@@ -16,11 +16,11 @@ from htcp_jax.model.task import TCP_POSITION
 from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.registry import names
-from htcp_jax.reachability.reachability import reachable_prefixes
+from htcp_jax.reachability import reachable_prefixes
 from htcp_jax.runs.summary import summarise
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
-from htcp_jax.validation.validate import validate
+from htcp_jax.validation import validate
 
 SLOW = {"nspace-ip", "nspace-cmaes", "nspace-adam", "hybrid", "nspace-sample"}
 

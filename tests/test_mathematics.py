@@ -14,8 +14,9 @@ import pytest
 from sphere_references import place
 
 import htcp_jax
-from htcp_jax.clearance.obstacles.obstacle import rows_of, slopes
-from htcp_jax.clearance.obstacles.obstacles import clearance_rows, contacts
+from htcp_jax.clearance import contacts, rows_of
+from htcp_jax.clearance.obstacles.obstacle import slopes
+from htcp_jax.clearance.obstacles.obstacles import clearance_rows
 from htcp_jax.errors import InputError
 from htcp_jax.planning.tracking.null_space import sphere_problem
 from htcp_jax.settings import Settings
@@ -208,7 +209,7 @@ def test_lists_are_taken_and_a_batch_is_refused_in_one_line_that_names_vmap():
 def test_the_mathematics_is_there_by_name_and_clearance_is_in_its_room():
     for name in ("tcp_position", "tcp_pose", "jacobian", "capsule_segments", "clearances", "linearise", "null_basis"):
         assert callable(getattr(htcp_jax, name)) and name in htcp_jax.__all__
-    from htcp_jax.clearance.obstacles.obstacles import clearance
+    from htcp_jax.clearance import clearance
 
     assert htcp_jax.clearance.clearance is clearance
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import obstacles_of, robot_of, scene
 from htcp_jax.jobs.grid import load_sweep
@@ -16,7 +16,7 @@ from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning import batch
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.groups import read_parts
-from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.viewer.replay import open_replays
 

@@ -8,7 +8,7 @@ from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.motion.knots import Knots
+from htcp_jax.motion import Knots, Plans
 from htcp_jax.motion.motion import (
     ONE_POINT_M,
     cost,
@@ -20,7 +20,6 @@ from htcp_jax.motion.motion import (
     motions,
     tightest,
 )
-from htcp_jax.motion.plans import Plans
 from htcp_jax.status import Kind, Status, Way
 
 TARGETS, ON_PATH, JOINTS = 8, 3, 2

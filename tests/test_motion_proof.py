@@ -10,10 +10,10 @@ import pytest
 from sphere_references import Where, place
 from test_joint_path import rail
 
-from htcp_jax.clearance.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof.motion_bound import tcp_sweep
-from htcp_jax.clearance.proof.motion_proof import ROUNDING_M, Proof, Tube, Verdict, prove
+from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance.proof.bisection import Proof, Verdict
+from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
+from htcp_jax.clearance.proof.motion_proof import Tube, prove
 from htcp_jax.io.robot_file import load_robot
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.model.robot import GP50

@@ -8,11 +8,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.report.place_charts import MARKS, place_front, place_map
 from htcp_jax.report.place_tables import parameter, read_search
-from htcp_jax.runs.open import open_plans
+from htcp_jax.runs import open_plans
 
 NAMES = [
     *("workpiece.rotation_y_rad", "workpiece.shift_m.x", "workpiece.shift_m.y", "robot.tool_extension_m"),

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from htcp_jax.model.task_list import TaskRow
-from htcp_jax.viewer.needles import LENGTH_M, needles
+from htcp_jax.model import TaskRow
+from htcp_jax.viewer import needles
+from htcp_jax.viewer.needles import LENGTH_M
 
 ON_PATH = TaskRow(point="tcp", on="path")
 T = np.asarray(made_once.duct().T_world(0.4, 0.1))

@@ -11,19 +11,11 @@ import made_once
 import numpy as np
 from own_obstacles import Floor
 
+from htcp_jax.clearance import Obstacle, Scene, clearance, clearances, contacts, is_clear, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles.obstacle import Obstacle, bodies_at, rows_of
-from htcp_jax.clearance.obstacles.obstacles import (
-    all_clear,
-    clearance,
-    clearance_rows,
-    clearances,
-    contacts,
-    is_clear,
-    room,
-)
+from htcp_jax.clearance.obstacles.obstacle import bodies_at
+from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance_rows, room
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.motion_proof import proven_clear
 from htcp_jax.model.kinematics import capsule_segments

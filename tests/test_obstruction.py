@@ -11,12 +11,12 @@ from made_once import START, robot
 from made_plan import made_plan
 
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model import Workpiece
 from htcp_jax.model.duct import duct_cloud, weld
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.scenario import make_scenario, stack
-from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.reachability.obstruction import blocked_target, obstruction, obstructions
 from htcp_jax.settings import Settings

@@ -9,11 +9,9 @@ from made_plan import made_plan
 
 from htcp_jax.errors import InputError
 from htcp_jax.motion.plans import ARRAYS
-from htcp_jax.runs import parameters
+from htcp_jax.runs import open_plans, open_run, parameters
 from htcp_jax.runs.manifest import MANIFEST
-from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY
-from htcp_jax.runs.run_folder import open_run
 from htcp_jax.validation.records import read_results
 from htcp_jax.viewer.replay import open_replays
 

@@ -13,10 +13,9 @@ import pytest
 
 import htcp_jax
 from htcp_jax.errors import InputError
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.problem import Problem
+from htcp_jax.motion import Plans, Problem
 from htcp_jax.planning import registry
-from htcp_jax.planning.tracking.step_qps import StepQPs
+from htcp_jax.planning.tracking import StepQPs
 
 ROOT = Path(__file__).parents[1]
 NAME = "random-neighbours"

@@ -16,8 +16,8 @@ from benchmarks.peer_planners import Task
 from benchmarks.peers import chosen_scenarios, main
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.device.devices import choose
-from htcp_jax.model.task import Task as Constraint
-from htcp_jax.motion.problem import Problem
+from htcp_jax.model import Task as Constraint
+from htcp_jax.motion import Problem
 from htcp_jax.planning.batch import plan
 
 

@@ -12,7 +12,8 @@ from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.model.kinematics import ArmShape, capsule_segments, capsules_and_tcp, tip_segment
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.status import Status
-from htcp_jax.viewer.picture import draw_plan, poses, stadium
+from htcp_jax.viewer import draw_plan
+from htcp_jax.viewer.picture import poses, stadium
 
 COORDINATE = st.floats(-3, 3)
 POINT = st.tuples(COORDINATE, COORDINATE).map(np.array)

@@ -20,19 +20,17 @@ from stranger_jobs import box_job
 from sweep_process import JOB, environment, make_sweep
 
 import htcp_jax
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import Interrupted
+from htcp_jax.placement import Placed, place
 from htcp_jax.placement.judge import Judged, sweep_of
-from htcp_jax.placement.place import place
 from htcp_jax.placement.place_file import load_search
-from htcp_jax.placement.placed import Placed
 from htcp_jax.report.place_tables import read_search
-from htcp_jax.runs.open import open_plans
-from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Way
+from htcp_jax.trajectory import time_run
 from htcp_jax.trajectory.of_plan import program_of
-from htcp_jax.trajectory.whole_run import time_run
 
 FILE = """
 config: job.yaml

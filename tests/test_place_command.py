@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sweep_process import JOB, make_sweep
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 
 HEAD = "config: job.yaml\nwithin: {scenarios: 4}\n"
 PLACE = "place: {workpiece.shift_m: [[-1.25, -0.8], 0.02, 0.0]}\n"

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.jobs.load_config import load_config
 from htcp_jax.placement.place import _front
 from htcp_jax.placement.place_file import load_search
 from htcp_jax.placement.ranges import Ranges, read_ranges

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 import toy
 
-from htcp_jax.clearance.obstacles.obstacles import is_clear
+from htcp_jax.clearance import is_clear
 from htcp_jax.device.programs import PROGRAMS
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.motion.kernels import ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, PREPARE
-from htcp_jax.planning.batch import check_start, plan, start_clearance
+from htcp_jax.planning import start_clearance
+from htcp_jax.planning.batch import check_start, plan
 from htcp_jax.planning.registry import find, names
+from htcp_jax.planning.tracking import StepQPs
 from htcp_jax.planning.tracking.stages import ENTER
-from htcp_jax.planning.tracking.step_qps import StepQPs
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.status import Status
 

@@ -6,7 +6,8 @@ from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.motion.plans import ARRAYS, NO_TARGET, Outcome, Plans, is_tracked, outcomes
+from htcp_jax.motion import Plans
+from htcp_jax.motion.plans import ARRAYS, NO_TARGET, Outcome, is_tracked, outcomes
 from htcp_jax.status import Status, Way
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED

@@ -14,9 +14,9 @@ import htcp_jax
 from benchmarks.path_check import check, clearance
 from benchmarks.path_problems import CHECKED, arm_xml, made, poses, problems, read_problem
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.jobs import load_config
 from htcp_jax.model.kinematics import tcp_pose
-from htcp_jax.validation.validate import validate
+from htcp_jax.validation import validate
 
 DATA = Path(__file__).parents[2] / "shared/data/paths"
 TASK = [{"point": "tcp", "on": "path"}, {"orientation": "path"}]

@@ -20,7 +20,8 @@ from htcp_jax.device import compile_cache, processes
 from htcp_jax.device.processes import shares, that_pay
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.model.scenario import stack
-from htcp_jax.planning.registry import METHODS, Method
+from htcp_jax.planning import Method
+from htcp_jax.planning.registry import METHODS
 from htcp_jax.status import Status
 
 pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="GPUs are not shared out among processes")

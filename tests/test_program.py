@@ -17,20 +17,21 @@ from test_joint_path import rail
 
 from htcp_jax import api
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_file import GP50, load_robot
+from htcp_jax.io.robot_file import load_robot
 from htcp_jax.jobs.config import ProgramConfig
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.model.kinematics import capsules_and_tcp
-from htcp_jax.motion.motion import Motion
+from htcp_jax.model.robot import GP50
+from htcp_jax.motion import Motion
 from htcp_jax.motion.motion import motion as motion_of
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.curve import FARTHEST, Curve
+from htcp_jax.trajectory.curve import FARTHEST, Curve, Stretch
 from htcp_jax.trajectory.figures import figures
 from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.nudge import arm_at, nudge_bound
 from htcp_jax.trajectory.path import path_of
 from htcp_jax.trajectory.program import program
-from htcp_jax.trajectory.stretches import SHARE, Spare, Stretch, spare
+from htcp_jax.trajectory.stretches import SHARE, Spare, spare
 from htcp_jax.trajectory.time_law import law_of
 
 _, A, F, D, R = Kind

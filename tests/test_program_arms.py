@@ -8,15 +8,15 @@ from scipy.spatial.transform import Rotation
 from small_cell import small_job
 
 import htcp_jax
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of
-from htcp_jax.jobs.load_config import load_config
 from htcp_jax.model.kinematics import tcp_pose
-from htcp_jax.runs.open import open_plans
+from htcp_jax.runs import open_plans
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.of_plan import program_of
+from htcp_jax.validation import check_timed
 from htcp_jax.validation.records import read_results
-from htcp_jax.validation.timed_check import check_timed
 from htcp_jax.validation.validate import parts_of
 
 STEP_S = 1e-3

@@ -11,17 +11,17 @@ import pytest
 from made_plan import made_plan
 
 import htcp_jax
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.io.robot_file import gp50
 from htcp_jax.model.kinematics import capsules_and_tcp, tcp_pose
-from htcp_jax.runs.open import open_plans
+from htcp_jax.runs import open_plans
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, write_json
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.formats.writers import FORMATS
+from htcp_jax.trajectory import FORMATS
 from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.of_plan import program_of
+from htcp_jax.validation import check_timed
 from htcp_jax.validation.records import read_results
-from htcp_jax.validation.timed_check import check_timed
 from htcp_jax.validation.track import scene_of
 from htcp_jax.validation.validate import parts_of
 

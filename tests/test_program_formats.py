@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from htcp_jax.errors import InputError
 from htcp_jax.model.robot import GP50
 from htcp_jax.status import Kind
+from htcp_jax.trajectory import FORMATS, Timed
 from htcp_jax.trajectory.beside import Beside, Pulses, UserFrame
-from htcp_jax.trajectory.formats.writers import FORMATS, program_text
-from htcp_jax.trajectory.timed import Timed
+from htcp_jax.trajectory.formats.writers import program_text
 
 STEP_S = 0.002
 FULL_SPEED = 1e4  # [rad/s], so high that no motion of these tests exceeds it

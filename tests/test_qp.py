@@ -11,9 +11,8 @@ from scipy.optimize import nnls
 from htcp_jax.errors import InputError
 from htcp_jax.planning.tracking.step_qps import make_solver
 from htcp_jax.settings import Settings
-from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.solvers import ClarabelSolver, QPSolversSolver
 from htcp_jax.solvers.interior_point import solve_dense
-from htcp_jax.solvers.qpsolvers_ import QPSolversSolver
 from htcp_jax.solvers.step_qp import QPStatus, StepQP, assemble, row_count
 
 WEIGHTS = 2 * np.array(Settings().q_weights)

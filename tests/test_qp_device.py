@@ -14,8 +14,8 @@ from htcp_jax.planning.batch import plan
 from htcp_jax.planning.tracking import step_qps
 from htcp_jax.planning.tracking.step_qps import make_solver
 from htcp_jax.settings import Settings
+from htcp_jax.solvers import ClarabelSolver
 from htcp_jax.solvers.active_set import solve_step
-from htcp_jax.solvers.clarabel_ import ClarabelSolver
 from htcp_jax.solvers.step_qp import QPStatus, StepQP
 from htcp_jax.status import Status
 

@@ -8,20 +8,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.arm_exclusion import arm_cell, has_wrist, tool_cell, wrist
 from htcp_jax.clearance.proof.exclusion import tool_collides
-from htcp_jax.cli.main import main
-from htcp_jax.device.programs import Kernels
+from htcp_jax.cli import main
+from htcp_jax.device import Kernels
 from htcp_jax.io.robot_file import gp50
 from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import link_poses, point_positions, tcp_position
 from htcp_jax.model.scenario import make_scenario, stack
-from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.reachability.reachability import reachable_prefixes
+from htcp_jax.reachability import reachable_prefixes
 from htcp_jax.reachability.tool_cells import tool_cells
 from htcp_jax.settings import Settings
 

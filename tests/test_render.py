@@ -13,16 +13,15 @@ from made_once import seven_joints
 from made_plan import STATUSES, made_plan, with_a_dwell
 from PIL import Image
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.status import Kind
-from htcp_jax.viewer import offscreen
+from htcp_jax.viewer import Studio, offscreen
 from htcp_jax.viewer.camera import fitted, kept, open_side
 from htcp_jax.viewer.colours import DWELL, FAILED, NEAREST, TargetStyle, rgb, target_styles
 from htcp_jax.viewer.movie import HELD, RATE, Film, write_movie
 from htcp_jax.viewer.playback import STRIDE_M, way
-from htcp_jax.viewer.render import Studio
 from htcp_jax.viewer.replay import replays_of
 
 SIZE = 320, 220

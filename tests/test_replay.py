@@ -10,9 +10,9 @@ from made_once import seven_joints
 
 from htcp_jax import api
 from htcp_jax.errors import InputError
+from htcp_jax.model import Workpiece
 from htcp_jax.model.duct import duct_cloud
 from htcp_jax.model.scenario import make_scenario
-from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status
 from htcp_jax.viewer.replay import Replays, open_replays, replays_of

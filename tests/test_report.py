@@ -12,22 +12,22 @@ import yaml
 from hand_made import plans_with
 from markdown_it import MarkdownIt
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.examples import examples
 from htcp_jax.motion.motion import MotionFigures
 from htcp_jax.planning import batch
-from htcp_jax.reachability.obstruction import Obstruction
-from htcp_jax.report import paper, tables
+from htcp_jax.reachability import Obstruction
+from htcp_jax.report import Column, Table, make_report, paper, tables, write_report
 from htcp_jax.report.best import best
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chapter import chapter, choice, facts, label, tables_of
-from htcp_jax.report.document import Column, Heading, Table, html, markdown
+from htcp_jax.report.document import Heading, html, markdown
 from htcp_jax.report.groups import read_parts
 from htcp_jax.report.motions import meaning, motions
-from htcp_jax.report.report import make_report, overview, write_report
+from htcp_jax.report.report import overview
+from htcp_jax.runs import open_run
 from htcp_jax.runs.reachability_file import REACHABILITY
-from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status, Way
 

@@ -23,15 +23,14 @@ from small_motions import (
 )
 
 from htcp_jax.device.devices import choose
+from htcp_jax.model import Task
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.scenario import stack
-from htcp_jax.model.task import Task
-from htcp_jax.motion.knots import Knots
+from htcp_jax.motion import Knots, Plans, Problem
 from htcp_jax.motion.motion import motion, transfers
 from htcp_jax.motion.motion_check import judge_motions
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.problem import Problem
-from htcp_jax.planning.batch import plan, start_clearance
+from htcp_jax.planning import start_clearance
+from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
 from htcp_jax.status import Kind, Status, Way
 

@@ -10,8 +10,8 @@ import pytest
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_file import gp50, load_robot
-from htcp_jax.model import kinematics
-from htcp_jax.model.robot import Robot, lengthen_tool
+from htcp_jax.model import Robot, kinematics
+from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.validation.mujoco_arm import Arm
 
 # Standard DH of the GP50: d, a, alpha; and its capsules: frame, p, q, radius.

@@ -11,7 +11,7 @@ import trimesh
 from held import are_held
 
 import htcp_jax
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_import import Cover, import_robot
 from htcp_jax.model.kinematics import tcp_pose

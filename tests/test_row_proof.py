@@ -8,17 +8,15 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof.motion_proof import Tube, Verdict, prove
+from htcp_jax.clearance import Scene
+from htcp_jax.clearance.proof.bisection import Verdict
+from htcp_jax.clearance.proof.motion_proof import Tube, prove
 from htcp_jax.clearance.proof.row_proof import between, rows_hold
+from htcp_jax.model import PathFrames, Task, TaskRow, Workpiece
 from htcp_jax.model.goals import task_of, with_goals
 from htcp_jax.model.kinematics import link_poses, tcp_pose
-from htcp_jax.model.path_frames import PathFrames
 from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import make_scenario
-from htcp_jax.model.task import Task
-from htcp_jax.model.task_list import TaskRow
-from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.settings import Settings
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.records import data_of

@@ -11,17 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from htcp_jax.clearance.proof.motion_proof import Tube
-from htcp_jax.device.programs import Kernels
+from htcp_jax.device import Kernels
 from htcp_jax.device.tables import gather
 from htcp_jax.model.scenario import stack
-from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.joint_search import join
 from htcp_jax.motion.kernels import ADVANCE, CHECK_PATH, PREPARE, PROVE, SETTLE, TRACK_BURST, Closely
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.registry import find
 from htcp_jax.planning.tracking.stages import ENTER
-from htcp_jax.reachability.reachability import reachable_prefixes
+from htcp_jax.reachability import reachable_prefixes
 
 LANES = 150  # more than a table holds
 KERNELS = {kernel.name: kernel for kernel in (ADVANCE, PREPARE, TRACK_BURST, SETTLE, ENTER, CHECK_PATH, PROVE)}

@@ -14,16 +14,14 @@ from hand_made import plans_with
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_file import gp50
-from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.jobs.grid_axes import Point
-from htcp_jax.jobs.load_config import load_config
 from htcp_jax.motion.plans import ARRAYS, NO_TARGET
-from htcp_jax.runs import tables, writer
+from htcp_jax.runs import Run, open_run, tables, writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.lock import locked
 from htcp_jax.runs.manifest import Manifest, Span
 from htcp_jax.runs.provenance import planned_by
-from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.status import Status
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED

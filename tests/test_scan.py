@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import scan
 from htcp_jax.io.point_cloud import load_cloud, read_points

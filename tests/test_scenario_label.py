@@ -3,8 +3,8 @@
 import pyarrow as pa
 from small_run import LONGER
 
+from htcp_jax.runs import open_run
 from htcp_jax.runs.labels import labels_of, parameter_names, part
-from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.tables import empty_tables
 from htcp_jax.viewer.replay import open_replays
 

@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 from test_joint_path import rail
 
+from htcp_jax.clearance import Scene, clearances
 from htcp_jax.clearance.distance.segments import nearest_points
-from htcp_jax.clearance.obstacles.obstacles import clearance_rows, clearances
-from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.obstacles import clearance_rows
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision, self_collision
+from htcp_jax.clearance.proof.bisection import Verdict
 from htcp_jax.clearance.proof.interval import row_travel_bound
 from htcp_jax.clearance.proof.motion_bound import travel_bound
-from htcp_jax.clearance.proof.motion_proof import Verdict, prove
+from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.io.robot_file import load_robot
 from htcp_jax.io.robot_import import import_robot
 from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.model import Robot
 from htcp_jax.model.kinematics import capsule_segments, link_poses
-from htcp_jax.model.robot import GP50, Robot
+from htcp_jax.model.robot import GP50
 
 PLACES = 1000
 

@@ -12,9 +12,9 @@ from published import path_of
 import htcp_jax
 from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import distances, samples
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.link_meshes import LinkMeshes
+from htcp_jax.io import LinkMeshes
 from htcp_jax.io.robot_file import load_robot
 from htcp_jax.io.robot_import import import_robot
 
@@ -148,8 +148,8 @@ def test_a_start_deeper_in_an_excluded_pair_than_random_configurations_is_refuse
 
 
 def test_a_sweep_records_such_a_start_and_goes_on(imported, tmp_path):
+    from htcp_jax.jobs import load_config
     from htcp_jax.jobs.build import obstacles_of, scene
-    from htcp_jax.jobs.load_config import load_config
     from htcp_jax.planning import batch
     from htcp_jax.status import Status
 

@@ -25,14 +25,12 @@ from small_motions import (
 
 from htcp_jax.device.devices import choose
 from htcp_jax.errors import InputError
+from htcp_jax.model import Task
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.model.scenario import stack
-from htcp_jax.model.task import Task
-from htcp_jax.motion import smoothing
-from htcp_jax.motion.knots import Knots
+from htcp_jax.motion import Knots, Problem, smoothing
 from htcp_jax.motion.motion_check import judge_motions
 from htcp_jax.motion.plans import ARRAYS
-from htcp_jax.motion.problem import Problem
 from htcp_jax.planning.batch import plan
 
 SMOOTH = replace(SMALL, smooth=True)

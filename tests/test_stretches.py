@@ -12,13 +12,13 @@ from test_motion_proof import motions
 
 from htcp_jax.clearance.proof.bisection import Bisection, Proof, Verdict, begun, of_proven
 from htcp_jax.clearance.proof.motion_proof import Tube, _next_interval
-from htcp_jax.device.batching import Loop, chunked
+from htcp_jax.device import Kernels, Loop, by_stretches
+from htcp_jax.device.batching import chunked
 from htcp_jax.device.kernel import Load, Table
-from htcp_jax.device.programs import Kernels, Programs
-from htcp_jax.device.stretches import by_stretches
+from htcp_jax.device.programs import Programs
 from htcp_jax.device.tables import gather
 from htcp_jax.model.scenario import stack
-from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.kernels import Closely
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.settings import Settings

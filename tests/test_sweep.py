@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 from sweep_process import JOB, PLATE
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning import batch
-from htcp_jax.runs import run_folder
-from htcp_jax.runs.run_folder import Run, open_run
-from htcp_jax.runs.running import RunningSummary
+from htcp_jax.runs import Run, RunningSummary, open_run, run_folder
 from htcp_jax.runs.summary import Summary, summarise
 from htcp_jax.runs.sweep import sweep
 

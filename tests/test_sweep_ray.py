@@ -14,10 +14,10 @@ import pytest
 import trimesh
 from sweep_process import COLD, HALF, SHARDS, finish, make_sweep, plan_half, rows, start, without_progress
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
+from htcp_jax.runs import open_run
 from htcp_jax.runs.provenance import planned_by
-from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import device_of, sweep
 
 ray = pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.point_cloud import load_cloud, read_points
 from htcp_jax.io.workpiece_file import read_path

@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.cli.output import print_table, stdout
-from htcp_jax.report.document import Column, Table
+from htcp_jax.report import Column, Table
 
 WIDE = Table(
     "wide",

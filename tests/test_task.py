@@ -11,16 +11,17 @@ from own_obstacles import Floor
 
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.errors import InputError
+from htcp_jax.model import Scenario, Task
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import link_poses, tcp_position
-from htcp_jax.model.scenario import Scenario, make_scenario
-from htcp_jax.model.task import TCP_POSITION, Task, TaskPoint
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.task import TCP_POSITION
+from htcp_jax.model.task_rows import TaskPoint
 from htcp_jax.numerics import null_basis
 from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
-from htcp_jax.solvers import step_qp
+from htcp_jax.solvers import ClarabelSolver, step_qp
 from htcp_jax.solvers.active_set import solve_step
-from htcp_jax.solvers.clarabel_ import ClarabelSolver
 from htcp_jax.status import Status
 
 ELBOW = TaskPoint(link=2, offset_m=(0.1, -0.2, 0.3))

@@ -10,11 +10,11 @@ from small_cell import small_job
 import htcp_jax
 from htcp_jax.io.robot_import import import_robot
 from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
-from htcp_jax.jobs.load_config import load_config
 from htcp_jax.model.kinematics import link_poses, tcp_pose
-from htcp_jax.runs.open import open_plans
-from htcp_jax.validation.validate import validate
+from htcp_jax.runs import open_plans
+from htcp_jax.validation import validate
 
 ON_PATH = {"point": "tcp", "on": "path"}
 

@@ -10,18 +10,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from htcp_jax import api
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import link_poses, tcp_pose
 from htcp_jax.model.robot import GP50
-from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.plan_folder import SUMMARY, write_json
+from htcp_jax.validation import validate
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import Place, check_rows
-from htcp_jax.validation.validate import validate
 
 ON_PATH = {"point": "tcp", "on": "path"}
 CONE = {"axis": "tcp.z", "towards": "-path.normal", "cone_deg": 60}

@@ -8,16 +8,16 @@ from small_motions import SMALL, check_way, first_of, ways
 
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.device.devices import choose
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
-from htcp_jax.jobs.load_config import load_config
 from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import stack
+from htcp_jax.motion import Problem
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.transfers import other_postures
 from htcp_jax.planning.batch import plan
+from htcp_jax.reachability import reachable_prefixes
 from htcp_jax.reachability.posture_search import known_postures, search
-from htcp_jax.reachability.reachability import reachable_prefixes
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import Place, check_rows

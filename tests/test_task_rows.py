@@ -8,10 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
+from htcp_jax.model import Task
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import link_poses, tcp_pose
 from htcp_jax.model.rotations import axis_error, rotation_vector
-from htcp_jax.model.task import Task
 from htcp_jax.model.task_rows import AxisTowards, PointAlong, TaskPoint, Turned
 from htcp_jax.numerics import null_basis
 

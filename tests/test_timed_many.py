@@ -9,9 +9,8 @@ import pytest
 from published import MODELS, path_of
 from small_cell import small_job
 
-from htcp_jax.cli.main import main
-from htcp_jax.runs.open import open_plans
-from htcp_jax.runs.run_folder import open_run
+from htcp_jax.cli import main
+from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.trajectory.of_plan import program_of
 

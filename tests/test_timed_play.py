@@ -9,14 +9,14 @@ import pytest
 from made_plan import STATUSES, driven, made_plan, made_plans
 from PIL import Image
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.model.kinematics import capsules_and_tcp
-from htcp_jax.runs.open import open_plans
+from htcp_jax.runs import open_plans
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.of_plan import program_of
+from htcp_jax.viewer import Studio
 from htcp_jax.viewer.course import ByTarget, ByTime
 from htcp_jax.viewer.movie import RATE
-from htcp_jax.viewer.render import Studio
 from htcp_jax.viewer.replay import open_replays
 from htcp_jax.viewer.strip import Strip
 from htcp_jax.viewer.timed_play import Curves, arms_of, frame_times, played

@@ -11,17 +11,15 @@ import pytest
 import yaml
 from small_run import rewrite
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.report.report import make_report
-from htcp_jax.runs.open import open_plans
-from htcp_jax.runs.run_folder import open_run
+from htcp_jax.report import make_report
+from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.runs.timing_file import COLUMNS, timing_file
-from htcp_jax.trajectory import whole_run
+from htcp_jax.trajectory import time_run, whole_run
 from htcp_jax.trajectory.figures import figures
 from htcp_jax.trajectory.of_plan import program_of
-from htcp_jax.trajectory.whole_run import time_run
 
 WELD = "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n0.195,-0.1739,0.1703\n"
 METHOD, LOST = "baseline", 3  # the scenario that has no motion

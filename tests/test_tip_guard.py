@@ -10,11 +10,11 @@ import trimesh
 
 from htcp_jax.clearance.obstacles.tip_guard import TipGuard, Triangles, make_tip_guard
 from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of, workpiece_of
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import capsule_segments, tcp_position, tip_segment
 from htcp_jax.model.robot import lengthen_tool
-from htcp_jax.model.workpiece import Workpiece
 
 MESHES = {
     "box": trimesh.creation.box((0.4, 0.36, 0.02)),

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io import units
 from htcp_jax.io.robot_file import gp50
 from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import reach, tcp_position
 from htcp_jax.model.scenario import make_scenario
-from htcp_jax.model.workpiece import Workpiece
 
 UNITS = {"millimetres": 1e3, "inches": 1 / 0.0254, "centimetres": 1e2, "kilometres": 1e-3}
 SEAM = np.linspace((0.02, 0.01, 0.015), (0.38, 0.015, 0.01), 41)

@@ -13,27 +13,27 @@ from small_run import LONGER, spoil
 from stranger_jobs import box_job
 
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.duct_seams import SEAMS
 from htcp_jax.io.robot_file import gp50, load_robot
 from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import part_of, robot_of, workpiece_of
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model import Robot
 from htcp_jax.model.duct import POINTS
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
-from htcp_jax.model.robot import GP50, Robot, lengthen_tool
+from htcp_jax.model.robot import GP50, lengthen_tool
+from htcp_jax.report import make_report
 from htcp_jax.report.document import markdown
-from htcp_jax.report.report import make_report
 from htcp_jax.report.validation import notes, read_validation, validated, verdict
+from htcp_jax.runs import open_run
 from htcp_jax.runs.plan_folder import VALIDATION
-from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
+from htcp_jax.validation import STEP_RAD, validate
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.records import data_of
-from htcp_jax.validation.result import STEP_RAD
-from htcp_jax.validation.validate import validate
 
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "job.yaml"
 

@@ -24,7 +24,7 @@ from conftest import REBOUND
 from made_plan import STATUSES, driven, made_plan, made_plans, with_a_dwell
 from PIL import Image
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import capsules_and_tcp
 from htcp_jax.process_exit import INTERRUPTED
@@ -43,8 +43,7 @@ import viser
 import websockets.sync.client
 import websockets.sync.server
 
-from htcp_jax.viewer import access
-from htcp_jax.viewer.browser import Viewer
+from htcp_jax.viewer import Viewer, access
 from htcp_jax.viewer.browser_looks import grazing
 from htcp_jax.viewer.browser_scene import lit, side_by_side, turned_to
 

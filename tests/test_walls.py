@@ -10,18 +10,17 @@ import pytest
 import stranger_jobs
 import trimesh
 
+from htcp_jax.clearance import clearance, clearances, contacts, is_clear, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles.obstacle import rows_of
-from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance, clearances, contacts, is_clear
+from htcp_jax.clearance.obstacles.obstacles import all_clear
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model.kinematics import capsule_segments, tip_segment
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import Scenario, interior_rule
-from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.model.scenario import interior_rule
 from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning.registry import names
 from htcp_jax.runs.parameters import Parameters

@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from htcp_jax.errors import InputError
 from htcp_jax.io.point_cloud import load_cloud
 from htcp_jax.io.workpiece_file import GeneratedDuct, PointCloud, TriangleMesh, load_workpiece, read_path, read_source
-from htcp_jax.model import duct
+from htcp_jax.model import Workpiece, duct
 from htcp_jax.model.duct import NEUTRAL_TRANSLATION, PIVOT
-from htcp_jax.model.workpiece import Workpiece
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "duct"
 needs_real_duct = pytest.mark.skipif(

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import pytest
 
-from htcp_jax.cli.main import main
+from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs import PlanConfig
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.viewer import offscreen
 

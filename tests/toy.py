@@ -6,13 +6,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.io.robot_file import load_robot
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import Scenario, make_scenario
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.motion.plans import ARRAYS, Plans
+from htcp_jax.model import Robot, Scenario, Workpiece
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.motion import Plans
+from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
 

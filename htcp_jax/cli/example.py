@@ -10,16 +10,16 @@ import typer
 
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.examples import command, description, examples, files_of
-from htcp_jax.report.document import Column, Table
-from htcp_jax.runs.plan_folder import written_whole
+from htcp_jax.jobs import examples
+from htcp_jax.report import Column, Table
+from htcp_jax.runs import plan_folder
 
 COLUMNS = Column("name", "name"), Column("command", "run by"), Column("description", "what it is")
 
 
 def complete_example(start: str) -> list[str]:
     """Names of examples that begin with `start`."""
-    return [name for name in examples() if name.startswith(start)]
+    return [name for name in examples.examples() if name.startswith(start)]
 
 
 Name = Annotated[
@@ -45,9 +45,9 @@ def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> 
       htcp plan my-job/job.yaml --set settings.seed=1
       htcp plan pipe                            the example itself
     """
-    known = examples()
+    known = examples.examples()
     if name is None:
-        rows = tuple((each, command(each), description(file)) for each, file in known.items())
+        rows = tuple((each, examples.command(each), examples.description(file)) for each, file in known.items())
         table = Table("examples", COLUMNS, rows)
         print_json(table.records()) if as_json else print_table(stdout(), table)
         return 0
@@ -57,9 +57,9 @@ def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> 
         raise InputError(f"a folder to write to is missing: htcp example {name} DIR")
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"{folder} is not empty; an example is written to a new or an empty folder")
-    files = sorted(files_of(known[name]))
+    files = sorted(examples.files_of(known[name]))
     root = os.path.commonpath([file.parent for file in files])
-    with written_whole(folder) as scratch:
+    with plan_folder.written_whole(folder) as scratch:
         for file in files:
             copy = scratch / file.relative_to(root)
             copy.parent.mkdir(parents=True, exist_ok=True)
@@ -69,5 +69,5 @@ def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> 
     if as_json:
         print_json({"example": name, "file": main, "files": written})
     else:
-        print_facts(name, {"files": ", ".join(written), "run it by": f"{command(name)} {shlex.quote(main)}"})
+        print_facts(name, {"files": ", ".join(written), "run it by": f"{examples.command(name)} {shlex.quote(main)}"})
     return 0

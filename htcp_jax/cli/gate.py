@@ -12,15 +12,12 @@ from rich.text import Text
 
 from htcp_jax.cli.output import LEAST_TEXT, Json, print_json, print_table, progress_bar, stdout, width
 from htcp_jax.errors import InputError
-from htcp_jax.report.document import Column, Table
-from htcp_jax.report.gate import annotations, junit, named_origins, summary
-from htcp_jax.runs.labels import counted
-from htcp_jax.runs.manifest import MANIFEST
-from htcp_jax.runs.plan_folder import append_text, writable_file, write_text
-from htcp_jax.runs.run_folder import open_run
-from htcp_jax.validation.baseline import Baseline, read_baseline
-from htcp_jax.validation.baseline import bless as write_baseline
-from htcp_jax.validation.gate import ChangedOutcome, Verdict, judge, unreadable
+from htcp_jax.report import Column, Table
+from htcp_jax.report import gate as gates
+from htcp_jax.runs import labels, manifest, open_run, plan_folder
+from htcp_jax.validation import Baseline, read_baseline
+from htcp_jax.validation import bless as write_baseline
+from htcp_jax.validation import gate as regression
 
 PASSED, REGRESSION = 0, 1
 LISTED, INDENT = 20, 12  # scenarios, and columns for a name, on the terminal
@@ -101,31 +98,31 @@ def gate(
         raise InputError(f"{twice[-1]} is named twice; the baseline, --junit and --markdown are different files")
     with ExitStack() as reserved:
         for file in files:
-            reserved.enter_context(writable_file(file))
+            reserved.enter_context(plan_folder.writable_file(file))
         verdict = _judge(run, known)
         if junit_file:
-            write_text(junit_file, junit(verdict))
+            plan_folder.write_text(junit_file, gates.junit(verdict))
         if markdown_file:
-            append_text(markdown_file, summary(verdict))
+            plan_folder.append_text(markdown_file, gates.summary(verdict))
     print_json(_record(verdict)) if as_json else _print(verdict)
     if os.environ.get("GITHUB_ACTIONS") == "true":
-        for line in annotations(verdict):
+        for line in gates.annotations(verdict):
             print(line, file=sys.stderr if as_json else sys.stdout)
     return PASSED if verdict.passed else REGRESSION
 
 
-def _judge(folder: Path, baseline: Baseline) -> Verdict:
+def _judge(folder: Path, baseline: Baseline) -> regression.Verdict:
     try:
         run = open_run(folder)
     except InputError as error:
-        if not (folder / MANIFEST).exists():
+        if not (folder / manifest.MANIFEST).exists():
             raise
-        return unreadable(baseline, str(error))
+        return regression.unreadable(baseline, str(error))
     with progress_bar("plans", time_left=True) as progress:
-        return judge(run, baseline, progress)
+        return regression.judge(run, baseline, progress)
 
 
-def _record(verdict: Verdict) -> dict:
+def _record(verdict: regression.Verdict) -> dict:
     changed = [one._asdict() | {"target": one.target, "reason": one.reason} for one in verdict.changed]
     changed = [one | {"was": one["was"]._asdict(), "now": one["now"]._asdict()} for one in changed]
     rows = [row._asdict() for row in verdict.rows]
@@ -135,10 +132,10 @@ def _record(verdict: Verdict) -> dict:
     return verdict._asdict() | now
 
 
-def _print(verdict: Verdict) -> None:
+def _print(verdict: regression.Verdict) -> None:
     console = stdout()
     console.print(Text(verdict.sweep, style="bold"))
-    for name, origin in named_origins(verdict):
+    for name, origin in gates.named_origins(verdict):
         first, *others = textwrap.wrap(str(origin), max(LEAST_TEXT, width() - INDENT))
         console.print(Text.assemble((f"{name:<{INDENT}}", "cyan"), first))
         for line in others:
@@ -153,7 +150,7 @@ def _print(verdict: Verdict) -> None:
     for changed in verdict.changed[:LISTED]:
         console.print(_describe(changed))
     if (more := len(verdict.changed) - LISTED) > 0:
-        console.print(f"and {counted(more, 'scenario')} more that flipped")
+        console.print(f"and {labels.counted(more, 'scenario')} more that flipped")
     if verdict.elsewhere:
         console.print(Text("On another device or with other versions than the baseline: see allow.elsewhere.", "dim"))
     for line in verdict.improvements:
@@ -161,10 +158,10 @@ def _print(verdict: Verdict) -> None:
     for line in verdict.failures[:LISTED]:
         console.print(Text.assemble(("failed  ", "bold red"), line))
     if (more := len(verdict.failures) - LISTED) > 0:
-        console.print(f"and {counted(more, 'failure')} more")
+        console.print(f"and {labels.counted(more, 'failure')} more")
     console.print(Text("passed", "bold green") if verdict.passed else Text("FAILED", "bold red"))
 
 
-def _describe(changed: ChangedOutcome) -> Text:
+def _describe(changed: regression.ChangedOutcome) -> Text:
     where, rest = str(changed).split(": first", 1)
     return Text.assemble((where, "red" if changed.worse else "green" if changed.better else "dim"), f": first{rest}")

@@ -2,7 +2,7 @@
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
 from htcp_jax.planning import registry
-from htcp_jax.report.document import Column, Table
+from htcp_jax.report import Column, Table
 
 COLUMNS = Column("method", "method"), Column("title", "name"), Column("description", "what it does")
 

@@ -28,9 +28,9 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from htcp_jax.device.devices import choose
-from htcp_jax.report.document import Table
-from htcp_jax.runs.plan_folder import json_text
+from htcp_jax.device import devices
+from htcp_jax.report import Table
+from htcp_jax.runs import plan_folder
 
 WIDEST = 100_000  # characters; wider than any table, as tables are folded before
 LINE_S = 10.0  # between lines of progress
@@ -61,7 +61,7 @@ def claim(device: str | None) -> None:
     """
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
-    choose(device)
+    devices.choose(device)
 
 
 def stdout() -> Console:
@@ -71,7 +71,7 @@ def stdout() -> Console:
 
 def print_json(record: Any) -> None:
     """Print `record` to stdout; NaN and infinities become null."""
-    print(json_text(record))
+    print(plan_folder.json_text(record))
 
 
 def print_facts(title: str, facts: Mapping[str, str]) -> None:

@@ -12,13 +12,9 @@ from rich.text import Text
 
 from htcp_jax.cli.output import Device, Json, claim, print_facts, print_json, print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.placement.mounting import UNITS
-from htcp_jax.placement.place import PlaceProgress
-from htcp_jax.placement.place import place as search_places
-from htcp_jax.placement.placed import Placed
-from htcp_jax.placement.tolerance import LEVELS
-from htcp_jax.report.document import Column, Table
-from htcp_jax.report.place_pictures import draw_search
+from htcp_jax.placement import Placed, PlaceProgress, mounting, tolerance
+from htcp_jax.placement import place as search_places
+from htcp_jax.report import Column, Table, draw_search
 from htcp_jax.runs import sweep as sweeps
 
 NONE_FOUND = 3
@@ -168,8 +164,8 @@ def _table(found: Placed) -> Table:
                        axis.unit[0], ".4g") for axis in axes]  # fmt: skip
     for name in aims:
         columns += [
-            Column(name, name, UNITS[name][0], ".3g"),
-            Column(f"{name} off", "perturbed", UNITS[name][0], ".3g"),
+            Column(name, name, mounting.UNITS[name][0], ".3g"),
+            Column(f"{name} off", "perturbed", mounting.UNITS[name][0], ".3g"),
         ]
     columns += [Column("margin_mm", "margin", "mm", ".4g"), Column("tolerates", "tolerates")]
     rows = [
@@ -190,7 +186,7 @@ def _short(name: str) -> str:
 
 
 def _told(aim: str, value: float) -> float:
-    return UNITS[aim][1] * float(value) if math.isfinite(value) else math.nan
+    return mounting.UNITS[aim][1] * float(value) if math.isfinite(value) else math.nan
 
 
 def _tolerated(found: Placed, one) -> str:
@@ -198,5 +194,5 @@ def _tolerated(found: Placed, one) -> str:
         return f"{100 * one.held:.0f} % of the perturbed mountings are complete" if one.held < 1 else ""
     off = found.search.file.off
     if not one.tolerance.together:
-        return f"less than {LEVELS[0] * off.mm:g} mm and {LEVELS[0] * off.deg:g}°"
+        return f"less than {tolerance.LEVELS[0] * off.mm:g} mm and {tolerance.LEVELS[0] * off.deg:g}°"
     return f"{one.tolerance.together * off.mm:g} mm and {one.tolerance.together * off.deg:g}°"

@@ -10,7 +10,7 @@ from htcp_jax import api
 from htcp_jax.api import Plan, forget_validation
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Device, Json, Overrides, claim, print_facts, print_json, progress_bar, stdout
-from htcp_jax.runs.plan_folder import written_whole
+from htcp_jax.runs import plan_folder
 
 COMPLETE, INCOMPLETE = 0, 3
 
@@ -57,7 +57,7 @@ def plan(
     """
     claim(device)  # before anything is read
     overrides = [*(overrides or ()), *([] if seed is None else [f"settings.seed={seed}"])]
-    with written_whole(out) as folder:
+    with plan_folder.written_whole(out) as folder:
         made = plan_with_progress(config, overrides, method, device)
         made.write(folder, retract=retract)
     forget_validation(out)

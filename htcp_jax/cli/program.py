@@ -13,17 +13,11 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.feed import feed_of
-from htcp_jax.report.document import Column, Table
-from htcp_jax.runs.open import open_plans
-from htcp_jax.runs.plan_folder import SUMMARY, made_folder, write_text
-from htcp_jax.runs.run_folder import open_run
-from htcp_jax.runs.timing_file import TIMING
-from htcp_jax.trajectory.figures import Figures, Share, figures
-from htcp_jax.trajectory.formats.writers import FORMATS, format_of
-from htcp_jax.trajectory.loads import Load
-from htcp_jax.trajectory.of_plan import OfPlan, asked_feed, program_of, with_program
-from htcp_jax.validation.timed_check import check_timed
+from htcp_jax.jobs import feed as feeds
+from htcp_jax.report import Column, Table
+from htcp_jax.runs import open_plans, open_run, plan_folder, timing_file
+from htcp_jax.trajectory import FORMATS, Load, OfPlan, figures, format_of, of_plan
+from htcp_jax.validation import check_timed
 
 REFUTED, OVERLOADED = 1, 3  # exit codes
 STOP = "stop"  # reason of a feed drop to 0
@@ -103,14 +97,14 @@ def program(
     format, scenario = format or "csv", scenario or 0
     format_of(format)
     if feed is not None:
-        feed_of(feed)  # before anything is opened
+        feeds.feed_of(feed)  # before anything is opened
     found, step_s = open_plans(run), _seconds(step_ms)
-    feed_m_s = asked_feed(feed, with_program(found.config, overrides or ()))
-    made = program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())
+    feed_m_s = of_plan.asked_feed(feed, of_plan.with_program(found.config, overrides or ()))
+    made = of_plan.program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())
     load = made.load
-    text, found = made.text(format, out.stem, step_s), figures(made.program, made.limits)
-    with made_folder(out.parent):
-        write_text(out, text)
+    text, found = made.text(format, out.stem, step_s), figures.figures(made.program, made.limits)
+    with plan_folder.made_folder(out.parent):
+        plan_folder.write_text(out, text)
     checked = _check(run, made, scenario) if check else {}
     if overloaded := load is not None and load.share > 1:
         warnings.warn(f"torque is {_torque(load)}; --allow-effort accepts that", stacklevel=1)
@@ -134,7 +128,7 @@ def program(
 
 
 def _time_all(folder: Path, feed: str | None, method: str | None, overrides: Sequence[str], as_json: bool) -> int:
-    if (folder / SUMMARY).exists():
+    if (folder / plan_folder.SUMMARY).exists():
         raise InputError(f"{folder} holds one plan of htcp plan; --all is for a run of htcp sweep")
     run = open_run(folder)
     run = timed(run, feed, None if method is None else (method,), overrides)
@@ -145,7 +139,7 @@ def _time_all(folder: Path, feed: str | None, method: str | None, overrides: Seq
         return 0
     stdout().print(Text(run.manifest.name, style="bold"))
     print_timing(run, methods)
-    stdout().print(Text.assemble(("files  ", "cyan"), str(run.folder / TIMING)))
+    stdout().print(Text.assemble(("files  ", "cyan"), str(run.folder / timing_file.TIMING)))
     return 0
 
 
@@ -163,12 +157,12 @@ def _seconds(step_ms: float | None) -> float | None:
     return None if step_ms is None else 1e-3 * step_ms
 
 
-def _table(found: Figures) -> Table:
+def _table(found: figures.Figures) -> Table:
     rows = [(1e3 * dip.begin_m, 1e3 * dip.end_m, 1e3 * dip.feed_m_s, dip.reason) for dip in found.dips]
     return Table("dips", COLUMNS, tuple(rows))
 
 
-def _shares(found: list[Share]) -> dict[str, dict]:
+def _shares(found: list[figures.Share]) -> dict[str, dict]:
     return {each.limit: {"share": each.share, "joint": each.joint, "time_s": each.time_s} for each in found}
 
 
@@ -179,7 +173,7 @@ def _torque(load: Load | None) -> str:
     return f"{100 * load.share:.1f} % of the effort limit, {at}" if load.share else f"{at}; no effort limit"
 
 
-def _facts(found: Figures) -> dict[str, str]:
+def _facts(found: figures.Figures) -> dict[str, str]:
     parts = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in found.seconds.items())
     held = f"held within 1 % over {100 * found.held_share:.2f} % of {1e3 * found.path_m:.1f} mm"
     if found.reason is not None:

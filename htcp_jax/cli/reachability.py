@@ -22,22 +22,12 @@ from htcp_jax.cli.output import (
     progress_bars,
     stdout,
 )
-from htcp_jax.device.tables import concatenate, gather
+from htcp_jax.device import tables
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.model.scenario import Scenario
-from htcp_jax.reachability.reachability import (
-    PROOF_CELLS,
-    RESOLUTION_RAD,
-    Reachability,
-    Stopped,
-    nothing_found,
-    reachable_prefixes,
-)
-from htcp_jax.runs.manifest import MANIFEST
-from htcp_jax.runs.plan_folder import write_json, written_whole
-from htcp_jax.runs.reachability_file import REACHABILITY
-from htcp_jax.runs.run_folder import Run, open_run
+from htcp_jax.jobs import grid
+from htcp_jax.model import Scenario
+from htcp_jax.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, Stopped, nothing_found, reachable_prefixes
+from htcp_jax.runs import Run, manifest, open_run, plan_folder, reachability_file
 
 Resolution = Annotated[
     float,
@@ -74,8 +64,8 @@ def reachability(
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
-    batch = (spec := load_sweep(file, config, overrides or ())).batch(limit)
-    run = open_run(out) if (out / MANIFEST).exists() else None
+    batch = (spec := grid.load_sweep(file, config, overrides or ())).batch(limit)
+    run = open_run(out) if (out / manifest.MANIFEST).exists() else None
 
     def record_of(found: Reachability) -> dict:
         return {
@@ -90,17 +80,19 @@ def reachability(
         }
 
     try:
-        with written_whole(out) as folder:
+        with plan_folder.written_whole(out) as folder:
             found = _search(batch, resolution, proof_cells)
             record = record_of(found)
-            write_json(folder / REACHABILITY, record)
+            plan_folder.write_json(folder / reachability_file.REACHABILITY, record)
     except Stopped as stop:
-        if not stop.found.prefix.any() or (out / REACHABILITY).exists():
+        if not stop.found.prefix.any() or (out / reachability_file.REACHABILITY).exists():
             raise
-        with written_whole(out) as folder:
-            write_json(folder / REACHABILITY, {"complete": False, **record_of(stop.found)})
+        with plan_folder.written_whole(out) as folder:
+            plan_folder.write_json(
+                folder / reachability_file.REACHABILITY, {"complete": False, **record_of(stop.found)}
+            )
         raise Interrupted(
-            f"stopped; {out / REACHABILITY} has what was found, and is incomplete", signal.SIGINT
+            f"stopped; {out / reachability_file.REACHABILITY} has what was found, and is incomplete", signal.SIGINT
         ) from None
     if as_json:
         print_json(record)
@@ -109,7 +101,7 @@ def reachability(
     return 0
 
 
-def _search(batch: Batch, resolution_rad: float, proof_cells: int) -> Reachability:
+def _search(batch: grid.Batch, resolution_rad: float, proof_cells: int) -> Reachability:
     with progress_bars() as bars:
         parts = []
         for number, cell in enumerate(batch.cells):
@@ -137,17 +129,17 @@ def _search(batch: Batch, resolution_rad: float, proof_cells: int) -> Reachabili
 
 def _in_order(parts: Sequence[tuple[np.ndarray, Reachability]]) -> Reachability:
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
-    return gather(concatenate([found for _, found in parts]), order)
+    return tables.gather(tables.concatenate([found for _, found in parts]), order)
 
 
-def _resolution(batch: Batch, found: Reachability, asked_rad: float) -> float | None:
+def _resolution(batch: grid.Batch, found: Reachability, asked_rad: float) -> float | None:
     """Coarsest angular resolution of the search [rad]; None if a task does not hold the TCP."""
     if not all(cell.task.holds_tcp for cell in batch.cells):
         return None
     return max(asked_rad, float(found.resolution_rad.max()))
 
 
-def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]:
+def _beaten(run: Run, batch: grid.Batch, found: Reachability) -> dict[str, list[int]]:
     """Return the scenarios in which a method of the run got further, by method.
 
     Raises:
@@ -157,7 +149,7 @@ def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]
     for method in run.methods:
         plans = run.plans(method)
         both = min(len(plans.target), len(found.prefix))
-        here, there = gather(batch.scenarios, slice(both)), plans.target[:both]
+        here, there = tables.gather(batch.scenarios, slice(both)), plans.target[:both]
         if here.targets.shape != there.shape or np.nanmax(_away(here, there), initial=0.0) > 1e-9:
             raise InputError(f"{run.folder} holds a run with other targets; name another folder with --out")
         further = np.flatnonzero(plans.outcomes.tracked[:both] > found.prefix[:both])
@@ -177,7 +169,7 @@ def _away(scenarios: Scenario, targets: np.ndarray) -> np.ndarray:
     return np.where(left[..., None], 0.0, np.abs(targets - scenarios.targets))
 
 
-def _print(name: str, batch: Batch, found: Reachability, record: dict, out: Path) -> None:
+def _print(name: str, batch: grid.Batch, found: Reachability, record: dict, out: Path) -> None:
     targets, reachable, most = record["targets"], int(found.prefix.sum()), int(found.most.sum())
     complete = int((found.prefix == batch.scenarios.count).sum())
     rows = {

@@ -10,15 +10,11 @@ from htcp_jax.cli.feed import OneWay, PlayedFeed, ProgramKeys, played_feed
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
-from htcp_jax.runs.open import open_plans
-from htcp_jax.runs.plan_folder import written_whole
-from htcp_jax.trajectory.of_plan import OfPlan, program_of
-from htcp_jax.viewer import offscreen
-from htcp_jax.viewer.movie import KINDS, Film, check_kind, write_movie
-from htcp_jax.viewer.render import Studio
-from htcp_jax.viewer.replay import Replay, recorded_replays
-from htcp_jax.viewer.strip import Strip, shown_as
-from htcp_jax.viewer.timed_play import arms_of, frame_times, played
+from htcp_jax.runs import open_plans, plan_folder
+from htcp_jax.trajectory import OfPlan, of_plan
+from htcp_jax.viewer import Studio, offscreen, strip, timed_play
+from htcp_jax.viewer import movie as movies
+from htcp_jax.viewer import replay as recordings
 
 LEAST, MOST = 160, 3840  # pixels across
 ASPECT = 11 / 16
@@ -34,7 +30,8 @@ Target = Annotated[
     int | None, typer.Option(metavar="T", help="Target at which the arm is drawn; by default the last tracked.")
 ]
 Movie = Annotated[
-    str | None, typer.Option(metavar="KIND", help=f"Kind of movie: {', '.join(KINDS)}, none; by default {KINDS[0]}.")
+    str | None,
+    typer.Option(metavar="KIND", help=f"Kind of movie: {', '.join(movies.KINDS)}, none; by default {movies.KINDS[0]}."),
 ]
 Speed = Annotated[
     float | None,
@@ -94,7 +91,7 @@ def render(
       htcp render out/workpiece --scenario 24 --method nspace-sqp  one of a sweep
     """
     if movie not in (None, "none"):
-        check_kind(movie)
+        movies.check_kind(movie)
     feed_m_s = played_feed(feed, speed=speed is not None, one_way=one_way, set=overrides)
     if speed is not None and not SLOWEST <= speed <= FASTEST:
         raise InputError(f"--speed is {speed:g}; from {SLOWEST:g} to {FASTEST:g} are possible")
@@ -104,7 +101,7 @@ def render(
         raise InputError(f"--width is {width}; from {LEAST} to {MOST} pixels are possible")
     offscreen.platform()  # before anything is read
     found = open_plans(run)
-    replays = recorded_replays(found)
+    replays = recordings.recorded_replays(found)
     replay = replays.replay(scenario, method or replays.methods[0])
     last = len(replay.target) - 1
     if target is not None and not 0 <= target <= last:
@@ -112,9 +109,11 @@ def render(
     shown = max(replay.tracked - 1, 0) if target is None else target
     made = None
     if feed_m_s is not None:
-        made = program_of(found, feed_m_s, replay.method, scenario, retract=not one_way, overrides=overrides or ())
+        made = of_plan.program_of(
+            found, feed_m_s, replay.method, scenario, retract=not one_way, overrides=overrides or ()
+        )
     files = _files(out, movie, f"scenario-{scenario}-{replay.method}")
-    with written_whole(files.folder) as folder:
+    with plan_folder.written_whole(files.folder) as folder:
         if files.picture:
             with Studio(replay, width, _height(width), close) as studio:
                 Image.fromarray(studio.still(shown)).save(folder / files.picture, optimize=True)
@@ -122,7 +121,7 @@ def render(
             half = 2 * (width // 4)
             with Studio(replay, half, _height(half), close, fine=False) as studio, progress_bar("frames") as told:
                 film = studio.movie() if made is None else _film(studio, made, speed or 1.0)
-                write_movie(folder / files.movie, film, told)
+                movies.write_movie(folder / files.movie, film, told)
     _print(replay, shown if files.picture else None, files.names, made, speed or 1.0, as_json)
     return 0
 
@@ -133,18 +132,18 @@ def _files(out: Path, movie: str | None, name: str) -> _Files:
     Raises:
         InputError: For a movie file whose suffix is of another kind.
     """
-    if (kind := out.suffix[1:].lower()) in KINDS:
+    if (kind := out.suffix[1:].lower()) in movies.KINDS:
         if movie not in (None, kind):
             raise InputError(f"--out {out} is the name of one {kind}, --movie {movie} asks for something else")
-        check_kind(kind)
+        movies.check_kind(kind)
         return _Files(out.parent, None, out.name)
-    return _Files(out, f"{name}.png", None if movie == "none" else f"{name}.{movie or KINDS[0]}")
+    return _Files(out, f"{name}.png", None if movie == "none" else f"{name}.{movie or movies.KINDS[0]}")
 
 
-def _film(studio: Studio, made: OfPlan, speed: float) -> Film:
+def _film(studio: Studio, made: OfPlan, speed: float) -> movies.Film:
     """Film of a robot program at `speed` times real time, above its plot strip."""
-    play = played(made, frame_times(made.program.duration_s, speed))
-    return studio.film(arms_of(made, play)).over(Strip(made, play, studio.width, speed).at)
+    play = timed_play.played(made, timed_play.frame_times(made.program.duration_s, speed))
+    return studio.film(timed_play.arms_of(made, play)).over(strip.Strip(made, play, studio.width, speed).at)
 
 
 def _height(width: int) -> int:
@@ -152,7 +151,7 @@ def _height(width: int) -> int:
 
 
 def _print(
-    replay: Replay, shown: int | None, files: list[str], made: OfPlan | None, speed: float, as_json: bool
+    replay: recordings.Replay, shown: int | None, files: list[str], made: OfPlan | None, speed: float, as_json: bool
 ) -> None:
     tracked = f"{replay.tracked} of {len(replay.target)}"
     if as_json:
@@ -171,7 +170,7 @@ def _print(
         facts[replay.obstruction.heading] = replay.obstruction.description
     if made is not None:
         facts["program"] = "{duration_s:.2f} s at {feed_mm_s:g} mm/s, shown {how}".format(
-            **_lasts(made), how=shown_as(speed)
+            **_lasts(made), how=strip.shown_as(speed)
         )
     print_facts(f"{replay.method}, scenario {replay.label}", facts | {"files": ", ".join(files)})
 

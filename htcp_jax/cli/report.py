@@ -7,9 +7,8 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
-from htcp_jax.report.chapter import facts
-from htcp_jax.report.report import make_report, record, write_report
-from htcp_jax.runs.plan_folder import written_whole
+from htcp_jax.report import chapter, make_report, record, write_report
+from htcp_jax.runs import plan_folder
 
 Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Output folders of htcp sweep.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
@@ -31,7 +30,7 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
       htcp report out/workpiece out/workpiece-paper   several runs
     """
     made = make_report(runs)
-    with written_whole(out) as folder:
+    with plan_folder.written_whole(out) as folder:
         write_report(made, folder)
     if as_json:
         print_json(record(made))
@@ -39,7 +38,7 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
     console = stdout()
     for part, tables in zip(made.parts, made.part_tables, strict=True):
         console.print(Text(part.name, style="bold"))
-        for line in facts(part):
+        for line in chapter.facts(part):
             console.print(Text(line, style="dim"))
         print_table(console, tables["results"])
         for name in ("paper", "reachability", "timing"):

@@ -10,18 +10,13 @@ import numpy as np
 import typer
 from jaxtyping import Bool
 
-from htcp_jax.clearance.obstacles.self_collision import self_collision
-from htcp_jax.clearance.obstacles.self_exclusions import candidates, find_exclusions, samples
+from htcp_jax.clearance.obstacles import self_collision, self_exclusions
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.io.capsule_fit import MOST
-from htcp_jax.io.link_meshes import LinkMeshes
-from htcp_jax.io.robot_file import load_robot
-from htcp_jax.io.robot_import import ImportedArm, body_name, import_robot
-from htcp_jax.io.robot_xml import Listed, arm_xml, in_words
-from htcp_jax.model.robot import Robot
-from htcp_jax.report.document import Column, Table
-from htcp_jax.runs.plan_folder import write_text, written_whole
+from htcp_jax.io import LinkMeshes, capsule_fit, robot_file, robot_import, robot_xml
+from htcp_jax.model import Robot
+from htcp_jax.report import Column, Table
+from htcp_jax.runs import plan_folder
 
 COLUMNS = (
     Column("body", "body"),
@@ -45,7 +40,7 @@ def robot(
     model: Model,
     out: Out,
     tcp: Tcp = None,
-    most: Most = MOST,
+    most: Most = capsule_fit.MOST,
     visual: Visual = False,
     srdf: Srdf = None,
     replace: Replace = False,
@@ -74,18 +69,18 @@ def robot(
         if file.exists() and not replace:
             raise InputError(f"{file} is there already; --replace writes over it, with what was corrected by hand")
     with progress_bar("bodies") as progress:
-        arm = import_robot(model, tcp, most=most, visual=visual, srdf=srdf, progress=progress)
+        arm = robot_import.import_robot(model, tcp, most=most, visual=visual, srdf=srdf, progress=progress)
     source = os.path.relpath(model, out.parent)
-    from htcp_jax.viewer.arm_picture import draw_arm  # here, because bad input is refused before matplotlib is loaded
+    from htcp_jax.viewer import draw_arm  # here, because bad input is refused before matplotlib is loaded
 
-    with written_whole(out.parent) as folder:
-        write_text(folder / out.name, arm_xml(arm, source))
+    with plan_folder.written_whole(out.parent) as folder:
+        plan_folder.write_text(folder / out.name, robot_xml.arm_xml(arm, source))
         with progress_bar("pairs of capsules") as progress:
-            listed = _listed(arm, load_robot(folder / out.name), progress)
-        text = arm_xml(arm, source, listed)
-        write_text(folder / out.name, text)
-        made = load_robot(folder / out.name)
-        own = self_collision(made)
+            listed = _listed(arm, robot_file.load_robot(folder / out.name), progress)
+        text = robot_xml.arm_xml(arm, source, listed)
+        plan_folder.write_text(folder / out.name, text)
+        made = robot_file.load_robot(folder / out.name)
+        own = self_collision.self_collision(made)
         title = f"{made.name}: {len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
         draw_arm(arm, text, title).savefig(folder / picture.name)
     table, facts = _table(arm), _facts(arm) | {"self-collision": own.described(made) if own else "no pairs to check"}
@@ -98,29 +93,37 @@ def robot(
     return 0
 
 
-def _listed(arm: ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[Listed]:
+def _listed(arm: robot_import.ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[robot_xml.Listed]:
     """Pairs of capsules that need no check by the arm's meshes, except those that the model excludes."""
     meshes, names = LinkMeshes.of(arm), made.capsule_names
-    x, tried = samples(made), itertools.count(1)
+    x, tried = self_exclusions.samples(made), itertools.count(1)
     at = meshes.poses(x)
 
     def touch(pair: tuple[int, int], overlap: Bool[np.ndarray, "n"]) -> bool:
-        progress(next(tried), len(candidates(made)))
+        progress(next(tried), len(self_exclusions.candidates(made)))
         one, other = (names[k] for k in pair)
         return meshes.touch(one, other, x, at, np.flatnonzero(overlap))
 
-    return [(names[a], names[b], rule, share) for a, b, rule, share in find_exclusions(made, touch)]
+    return [(names[a], names[b], rule, share) for a, b, rule, share in self_exclusions.find_exclusions(made, touch)]
 
 
-def _table(arm: ImportedArm) -> Table:
+def _table(arm: robot_import.ImportedArm) -> Table:
     rows = []
     for b, cover in arm.covers.items():
         counts = len(cover.own), len(cover.fitted)
-        rows.append((body_name(arm.model, b), *counts, cover.ratio, 1e3 * cover.outside_m, in_words(cover)))
+        rows.append(
+            (
+                robot_import.body_name(arm.model, b),
+                *counts,
+                cover.ratio,
+                1e3 * cover.outside_m,
+                robot_xml.in_words(cover),
+            )
+        )
     return Table("robot", COLUMNS, tuple(rows))
 
 
-def _facts(arm: ImportedArm) -> dict[str, str | tuple[str, ...]]:
+def _facts(arm: robot_import.ImportedArm) -> dict[str, str | tuple[str, ...]]:
     return {
         "TCP": arm.tip.name,
         "joints": arm.joint_names,

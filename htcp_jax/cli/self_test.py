@@ -12,11 +12,10 @@ import numpy as np
 
 from htcp_jax.device import compile_cache
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_file import gp50
-from htcp_jax.io.workpiece_file import load_workpiece
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.io import robot_file, workpiece_file
+from htcp_jax.model import scenario as scenarios
 from htcp_jax.planning import batch
-from htcp_jax.runs.provenance import provenance
+from htcp_jax.runs import provenance
 from htcp_jax.viewer import offscreen
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
@@ -45,7 +44,7 @@ def examine() -> dict[str, Any]:
         "sound": test.passed,
         "python": platform.python_version(),
         "system": platform.platform(),
-        **provenance(),
+        **provenance.provenance(),
         "devices": [f"{device.platform}: {device.device_kind}" for device in jax.devices()],
         "cores": {"of_machine": os.cpu_count(), "usable": _usable_cores()},
         "rendering": _rendering(),
@@ -57,9 +56,9 @@ def examine() -> dict[str, Any]:
 def self_test() -> SelfTest:
     """Plan a short path by the baseline and compare the result with the known one."""
     began = time.perf_counter()
-    robot, part = gp50(), load_workpiece()
+    robot, part = robot_file.gp50(), workpiece_file.load_workpiece()
     count = 11 + POINTS  # the start, the approach, the path's first points
-    scenario = make_scenario(robot, part, START)
+    scenario = scenarios.make_scenario(robot, part, START)
     scenario = dataclasses.replace(scenario, targets=scenario.targets[:count], count=np.asarray(count, np.int32))
     plans = batch.plan(robot, part, scenario, "baseline", threads=1, check_paths=False)
     off_rad = float(np.abs(plans.x[0, -1] - KNOWN_RAD).max())

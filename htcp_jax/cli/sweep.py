@@ -26,14 +26,10 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
-from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.report.document import Column, Table
-from htcp_jax.report.tables import without_empty
+from htcp_jax.jobs import grid
+from htcp_jax.report import Column, Table, tables
+from htcp_jax.runs import Run, RunningSummary, plan_folder, summary
 from htcp_jax.runs import sweep as sweeps
-from htcp_jax.runs.plan_folder import summary_record
-from htcp_jax.runs.run_folder import Run
-from htcp_jax.runs.running import RunningSummary
-from htcp_jax.runs.summary import summarise
 from htcp_jax.status import NOT_TRIED
 
 Methods = Annotated[
@@ -86,7 +82,7 @@ def sweep(
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     running, chosen = RunningSummary(), sweeps.method_names(methods)
     claim(sweeps.device_of(on, device))  # before anything is read
-    spec = load_sweep(file, config, sweeps.seeded(overrides or (), seed))
+    spec = grid.load_sweep(file, config, sweeps.seeded(overrides or (), seed))
     feed = spec.config.program.feed if feed is None else feed
     if feed is not None:
         check_feed(spec, feed)  # before anything is planned
@@ -113,7 +109,9 @@ def sweep(
 
 def _record(run: Run, running: RunningSummary) -> dict:
     """Output of --json: the run folder, and the summary of every method that is finished."""
-    found = {method: summary_record(summarise(running.plans(run, method))) for method in _finished(run)}
+    found = {
+        method: plan_folder.summary_record(summary.summarise(running.plans(run, method))) for method in _finished(run)
+    }
     for method, record in timing_records(run, list(found)).items():
         found[method]["timing"] = record
     known = {"run": str(run.folder), "name": run.manifest.name, "complete": run.complete}
@@ -179,7 +177,7 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     )
     console.print(Text(f"{run.manifest.name}{limit}", style="bold"))
     plans = {method: running.plans(run, method) for method in _finished(run)}
-    found = {method: summarise(whole) for method, whole in plans.items()}
+    found = {method: summary.summarise(whole) for method, whole in plans.items()}
     counts = [
         (m, 100 * s.success_rate, s.tracked, s.targets, int(plans[m].executable.sum()), s.complete, s.scenarios,
          s.blocked_paths)
@@ -191,7 +189,7 @@ def _print_table(run: Run, running: RunningSummary) -> None:
         for m, s in found.items()
     ]  # fmt: skip
     for columns, rows in ((COUNTS, counts), (FIGURES, figures)):
-        print_table(console, without_empty(Table("sweep", columns, tuple(rows))))
+        print_table(console, tables.without_empty(Table("sweep", columns, tuple(rows))))
         console.print()
     print_timing(run, list(plans))
     kind = "sampled" if any(row.sampled for row in run.config.task) else "proven"

@@ -7,12 +7,11 @@ from rich.text import Text
 
 from htcp_jax.cli.output import print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.feed import feed_of
-from htcp_jax.jobs.grid import Sweep
-from htcp_jax.report.timing import MEANING, timing_row, timing_table
-from htcp_jax.runs.run_folder import Run
-from htcp_jax.runs.timing_file import Timing
-from htcp_jax.trajectory.whole_run import check_limits, time_run
+from htcp_jax.jobs import feed as feeds
+from htcp_jax.jobs import grid
+from htcp_jax.report import timing as timings
+from htcp_jax.runs import Run, timing_file
+from htcp_jax.trajectory import check_limits, time_run
 
 
 def timed(run: Run, feed: str | None, methods: Sequence[str] | None, overrides: Sequence[str] = ()) -> Run:
@@ -44,13 +43,13 @@ def _bars() -> Iterator[Callable[[str, int, int], None]]:
         yield show
 
 
-def check_feed(spec: Sweep, feed: str) -> None:
+def check_feed(spec: grid.Sweep, feed: str) -> None:
     """Check that a sweep can be timed.
 
     Raises:
         InputError: For an invalid feed rate, and for an arm of the sweep without velocity limits.
     """
-    feed_of(feed)
+    feeds.feed_of(feed)
     check_limits(point.config for point in spec.points())
 
 
@@ -58,7 +57,7 @@ def timing_records(run: Run, methods: Sequence[str]) -> dict[str, dict]:
     """Summary of each method's times, for --json; methods without times are omitted."""
     known = _known(run, methods)
     return {
-        method: {"feed_m_s": timing.feed_m_s, "limits": timing.limits} | timing_row(method, timing.rows)
+        method: {"feed_m_s": timing.feed_m_s, "limits": timing.limits} | timings.timing_row(method, timing.rows)
         for method, timing in known.items()
     }
 
@@ -68,11 +67,11 @@ def print_timing(run: Run, methods: Sequence[str]) -> None:
     known = _known(run, methods)
     if not known:
         return
-    rows = [timing_row(method, timing.rows) for method, timing in known.items()]
-    print_table(stdout(), timing_table(rows))
+    rows = [timings.timing_row(method, timing.rows) for method, timing in known.items()]
+    print_table(stdout(), timings.timing_table(rows))
     stdout().print()
     for words in dict.fromkeys(timing.words for timing in known.values()):
-        stdout().print(Text(f"Timed at {words}. {MEANING}", style="dim"))
+        stdout().print(Text(f"Timed at {words}. {timings.MEANING}", style="dim"))
 
 
 def refuse_untimed(run: Run, methods: Sequence[str]) -> None:
@@ -86,6 +85,6 @@ def refuse_untimed(run: Run, methods: Sequence[str]) -> None:
         raise InputError(f"{run.folder}: {what}; there is nothing to time")
 
 
-def _known(run: Run, methods: Sequence[str]) -> dict[str, Timing]:
+def _known(run: Run, methods: Sequence[str]) -> dict[str, timing_file.Timing]:
     """Times of the methods that are timed."""
     return {method: timing for method in methods if (timing := run.timing(method)) is not None}

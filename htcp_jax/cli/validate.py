@@ -9,16 +9,13 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
-from htcp_jax.jobs.feed import feed_of
-from htcp_jax.report.validation import notes, scenarios_named, validation_tables
-from htcp_jax.runs.labels import named
-from htcp_jax.runs.manifest import MANIFEST
-from htcp_jax.runs.open import run_folder
-from htcp_jax.runs.plan_folder import VALIDATION
-from htcp_jax.runs.run_folder import open_run
-from htcp_jax.validation.result import Validation
-from htcp_jax.validation.validate import record, write_validation
-from htcp_jax.validation.validate import validate as check
+from htcp_jax.jobs import feed as feeds
+from htcp_jax.report import validation
+from htcp_jax.runs import labels as run_labels
+from htcp_jax.runs import manifest, open_run, plan_folder
+from htcp_jax.runs import open as plan_sets
+from htcp_jax.validation import Validation, record, write_validation
+from htcp_jax.validation import validate as check
 
 VALIDATED, REFUTED = 0, 1
 WORTH_SAYING_S = 60  # longer checks are announced
@@ -51,8 +48,8 @@ def validate(
       htcp validate out/workpiece                 every method of a sweep
       htcp validate out/workpiece --between 0 --json  only the targets, for another program
     """
-    feed_mm_s = feed_mm_s if feed is None else 1e3 * feed_of(feed)
-    run = run_folder(run)
+    feed_mm_s = feed_mm_s if feed is None else 1e3 * feeds.feed_of(feed)
+    run = plan_sets.run_folder(run)
     began = time.perf_counter()
     with progress_bar("plans", time_left=True) as progress:
 
@@ -75,18 +72,18 @@ def validate(
 def _print(run: Path, found: Validation) -> None:
     console = stdout()
     recorded = record(found)
-    for table in validation_tables(recorded):
+    for table in validation.validation_tables(recorded):
         print_table(console, table)
         console.print()
-    labels = open_run(run).labels() if (run / MANIFEST).exists() else {}
-    for line in (*scenarios_named(recorded, labels), *notes(recorded)):
+    labels = open_run(run).labels() if (run / manifest.MANIFEST).exists() else {}
+    for line in (*validation.scenarios_named(recorded, labels), *validation.notes(recorded)):
         console.print(Text(line, style="dim"))
     for one in found.refuted[:LISTED]:
-        where = f"{one.method}, scenario {named(one.scenario, labels)}, target {one.target}: "
+        where = f"{one.method}, scenario {run_labels.named(one.scenario, labels)}, target {one.target}: "
         console.print(Text.assemble((where, "red"), one.reason))
     if len(found.refuted) > LISTED:
         console.print(f"and {len(found.refuted) - LISTED:,} more")
     verdict = ("validated", "bold green") if found.validated else (f"refuted: {len(found.refuted):,}", "bold red")
     checked = sum(one.checked for one in found.methods.values())
     console.print(Text.assemble(verdict, f"  {checked:,} tracked targets in {found.seconds:.1f} s"))
-    console.print(Text.assemble(("files  ", "cyan"), str(run / VALIDATION)))
+    console.print(Text.assemble(("files  ", "cyan"), str(run / plan_folder.VALIDATION)))

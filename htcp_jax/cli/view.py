@@ -14,11 +14,11 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Overrides, stdout
 from htcp_jax.cli.plan import plan_with_progress
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.jobs.examples import example_or_path
+from htcp_jax.jobs import examples
 from htcp_jax.process_exit import stop_message
-from htcp_jax.runs.open import open_plans
-from htcp_jax.trajectory.of_plan import OfPlan, program_of, program_of_plans
-from htcp_jax.viewer.replay import Replays, recorded_replays, replays_of
+from htcp_jax.runs import open_plans
+from htcp_jax.trajectory import OfPlan, of_plan
+from htcp_jax.viewer import replay
 
 CLOSED = "closed"
 What = Annotated[
@@ -68,7 +68,7 @@ def view(
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     feed_m_s = played_feed(feed, one_way=one_way)
     replays, programs = _looked_at(what, method, overrides or [], feed_m_s, not one_way)
-    from htcp_jax.viewer.browser import Viewer  # viser is an extra
+    from htcp_jax.viewer import Viewer  # viser is an extra
 
     viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
     try:
@@ -84,20 +84,22 @@ def view(
 
 def _looked_at(
     what: Path | None, method: str | None, overrides: list[str], feed_m_s: float | None, retract: bool
-) -> tuple[Replays, Callable[[int, str], OfPlan]]:
+) -> tuple[replay.Replays, Callable[[int, str], OfPlan]]:
     """Open the plans to show; a job is planned.
 
     Returns:
         The plans, and a function for the robot program of a scenario and method at the feed rate.
     """
-    what = what and example_or_path(what)
+    what = what and examples.example_or_path(what)
     if what is not None and not what.exists():
         raise InputError(f"{what}: no such run folder, and no such job")
     if what is not None and what.is_dir():
         if overrides and feed_m_s is None:
             raise InputError("--set changes a job; a run folder is shown as it is")
         found, how = open_plans(what), {"retract": retract, "overrides": overrides}
-        return recorded_replays(found), lambda scenario, by: program_of(found, feed_m_s, by, scenario, **how)
+        return replay.recorded_replays(found), lambda scenario, by: of_plan.program_of(
+            found, feed_m_s, by, scenario, **how
+        )
     name, plan = str(what or "the default job"), plan_with_progress(what, overrides, method)
     of_job = name, plan.plans, 0, plan.job, feed_m_s
-    return replays_of(name, plan), lambda _, by: program_of_plans(*of_job, by, retract=retract)
+    return replay.replays_of(name, plan), lambda _, by: of_plan.program_of_plans(*of_job, by, retract=retract)

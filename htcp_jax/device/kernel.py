@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from htcp_jax.clearance.obstacles.scene import own_scene
+from htcp_jax.clearance import own_scene
 from htcp_jax.device.batching import Loop, chunked, refilled
 from htcp_jax.device.tables import PORTION
 from htcp_jax.settings import Settings

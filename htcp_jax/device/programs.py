@@ -11,12 +11,12 @@ import jax
 import numpy as np
 
 from htcp_jax.backend import Backend, compiled_for, default_device
-from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance import Scene
 from htcp_jax.device import compile_cache
 from htcp_jax.device.devices import cores
 from htcp_jax.device.kernel import TRACKED, Kernel
 from htcp_jax.device.tables import concatenate, gather, pad
-from htcp_jax.model.task import Task
+from htcp_jax.model import Task
 from htcp_jax.settings import Settings
 
 # XLA hoists loop invariants before it merges common subexpressions, which then no longer match: the arm's

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.proof.bisection import WHOLE, WHOLE_DEPTH, Bisection, Proof, Verdict, begun, of_proven
+from htcp_jax.clearance.proof import bisection
 from htcp_jax.device.batching import next_rows
 from htcp_jax.types import Bool, Int
 
@@ -22,14 +22,14 @@ class Slots(NamedTuple):
     """Chunks computed side by side, one per slot, and the state of their proofs; initial states in free slots."""
 
     row: Int[jax.Array, "width"]  # the path's row in the tables; their length if the slot is free
-    far: Bisection
+    far: bisection.Bisection
 
 
 class Known(NamedTuple):
     """Result for every path, combined from its chunks."""
 
     ends: Int[jax.Array, "capacity"]  # start of the first interval that is refuted or undecided, in units of 1 / WHOLE
-    proof: Proof
+    proof: bisection.Proof
 
 
 def by_stretches(function: Callable, width: int) -> Callable:
@@ -38,11 +38,11 @@ def by_stretches(function: Callable, width: int) -> Callable:
     Its state is a `Bisection` that has not begun, every step one clearance query, and its result `of_proven`.
     """
 
-    def run(scene, lanes, *tables) -> Proof:
+    def run(scene, lanes, *tables) -> bisection.Proof:
         capacity = jax.tree.leaves(tables)[0].shape[0]
 
         @jax.vmap
-        def look(row, far: Bisection) -> Bisection:
+        def look(row, far: bisection.Bisection) -> bisection.Bisection:
             lane = jax.tree.map(lambda table: table[row], tables)
             return function(scene, *lane).step(far)
 
@@ -58,10 +58,10 @@ def by_stretches(function: Callable, width: int) -> Callable:
             slots, following, _ = now
             return (following < lanes) | jnp.any(slots.row < capacity)
 
-        slots = Slots(jnp.full(width, capacity, jnp.int32), _table(begun(), width))
-        known = Known(jnp.full(capacity, WHOLE), _table(begun().proof, capacity))
+        slots = Slots(jnp.full(width, capacity, jnp.int32), _table(bisection.begun(), width))
+        known = Known(jnp.full(capacity, bisection.WHOLE), _table(bisection.begun().proof, capacity))
         *_, known = jax.lax.while_loop(more, turn, (slots, jnp.zeros((), jnp.int32), known))
-        return jax.vmap(of_proven)(known.proof)
+        return jax.vmap(bisection.of_proven)(known.proof)
 
     return jax.jit(run)
 
@@ -69,7 +69,7 @@ def by_stretches(function: Callable, width: int) -> Callable:
 def _shared_out(slots: Slots, capacity: int) -> Slots:
     """Return the slots after free ones took over the far ends of others' chunks, one from each."""
     row, far = slots
-    rest = far.end - far.place - (1 << (WHOLE_DEPTH - far.depth))  # beyond the next interval
+    rest = far.end - far.place - (1 << (bisection.WHOLE_DEPTH - far.depth))  # beyond the next interval
     free, gives = row == capacity, (row < capacity) & (rest > 0)
     nth_free, nth_giver = (jnp.cumsum(which, dtype=jnp.int32) - 1 for which in (free, gives))
     gives &= nth_giver < jnp.sum(free, dtype=jnp.int32)
@@ -78,13 +78,15 @@ def _shared_out(slots: Slots, capacity: int) -> Slots:
     # The longest interval at the end that bisection comes to: as long as the largest power of two in the rest.
     level = 63 - jax.lax.clz(jnp.maximum(rest, 1))
     start = far.end - (1 << level)
-    new = begun()._replace(index=start[giver] >> level[giver], depth=WHOLE_DEPTH - level[giver], end=far.end[giver])
+    new = bisection.begun()._replace(
+        index=start[giver] >> level[giver], depth=bisection.WHOLE_DEPTH - level[giver], end=far.end[giver]
+    )
     left = far._replace(end=jnp.where(gives, start, far.end))
     far = jax.tree.map(lambda fresh, own: jnp.where(takes, fresh, own), new, left)
     return Slots(jnp.where(takes, row[giver], row), far)
 
 
-def _put_together(slots: Slots, looked: Bisection, known: Known, capacity: int) -> tuple[Slots, Known]:
+def _put_together(slots: Slots, looked: bisection.Bisection, known: Known, capacity: int) -> tuple[Slots, Known]:
     """Return the results after a clearance query, and the slots that continue."""
     row, here = slots.row, slots.far.place  # start of the interval that was examined
     whole, found = known.proof, looked.proof
@@ -92,19 +94,19 @@ def _put_together(slots: Slots, looked: Bisection, known: Known, capacity: int) 
     def rows(which: Bool[jax.Array, "width"]) -> jax.Array:
         return jnp.where(which, row, capacity)  # writes to that row are dropped
 
-    fails = (row < capacity) & (found.verdict != Verdict.PROVEN)
+    fails = (row < capacity) & (found.verdict != bisection.Verdict.PROVEN)
     ends = known.ends.at[rows(fails)].min(here, mode="drop")
     end = ends[jnp.minimum(row, capacity - 1)]
     foremost, goes_on = rows(fails & (here == end)), looked.going & (looked.place < end)
     through = rows(~goes_on)
-    whole = Proof(
+    whole = bisection.Proof(
         whole.verdict.at[foremost].set(found.verdict, mode="drop"),
         whole.place.at[foremost].set(found.place, mode="drop"),
         whole.clearance.at[through].min(found.clearance, mode="drop"),
         whole.queries.at[through].add(found.queries, mode="drop"),
         whole.depth.at[through].max(found.depth, mode="drop"),
     )
-    far = jax.tree.map(lambda fresh, own: jnp.where(goes_on, own, fresh), begun(), looked)
+    far = jax.tree.map(lambda fresh, own: jnp.where(goes_on, own, fresh), bisection.begun(), looked)
     return Slots(rows(goes_on), far), Known(ends, whole)
 
 

@@ -14,13 +14,12 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robot_model import compile_spec, no_log, upwards
 from htcp_jax.io.robot_shapes import Geom, Shapes
 from htcp_jax.io.safe_xml import files_of, read_spec
-from htcp_jax.model.fixture import KINDS, Fixture
-from htcp_jax.model.tool import ZERO, pose
+from htcp_jax.model import Fixture, fixture, tool
 from htcp_jax.types import Triple
 
 
 def load_cell(
-    path: str | Path, *, moved: str | None = None, shift_m: Triple = ZERO, rpy_rad: Triple = ZERO
+    path: str | Path, *, moved: str | None = None, shift_m: Triple = tool.ZERO, rpy_rad: Triple = tool.ZERO
 ) -> tuple[Fixture, ...]:
     """Read the shapes in an MJCF file.
 
@@ -47,7 +46,7 @@ def load_cell(
     if not geoms:
         raise InputError(f"{path}: no geoms for contact, so nothing that an arm could touch")
     origin = np.zeros(3) if moved is None else data.xpos[model.body(moved).id]
-    move = pose(tuple(np.array(shift_m) + origin), rpy_rad) @ pose(tuple(-origin), ZERO)
+    move = tool.pose(tuple(np.array(shift_m) + origin), rpy_rad) @ tool.pose(tuple(-origin), tool.ZERO)
     return tuple(
         _fixture(geom, shapes, model, data, path, move if own[model.geom_bodyid[geom.at]] else np.eye(4))
         for geom in sorted(geoms, key=lambda geom: geom.at)
@@ -82,9 +81,9 @@ def _fixture(
 ) -> Fixture:
     body = model.body(model.geom_bodyid[geom.at]).name if model.geom_bodyid[geom.at] else ""
     name = model.geom(geom.at).name or body or f"{geom.kind} {geom.at}"
-    if geom.kind not in KINDS or (geom.mesh and geom.kind != "mesh"):
+    if geom.kind not in fixture.KINDS or (geom.mesh and geom.kind != "mesh"):
         kind = f"a {geom.kind} fitted to a mesh" if geom.mesh else f"a geom of type {geom.kind}"
-        raise InputError(f"{path}: {name} is {kind}; a cell is made of {', '.join(KINDS)}")
+        raise InputError(f"{path}: {name} is {kind}; a cell is made of {', '.join(fixture.KINDS)}")
     T, none = np.eye(4), np.empty((0, 3, 3))
     if geom.kind != "mesh":
         T[:3, :3], T[:3, 3] = data.geom_xmat[geom.at].reshape(3, 3), data.geom_xpos[geom.at]

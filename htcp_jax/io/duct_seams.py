@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.model.duct import equal_steps, surface, weld
+from htcp_jax.model import duct
 
 
 class Bead(NamedTuple):
@@ -45,12 +45,12 @@ SEAMS = ("weld", *BEADS)
 
 def seam(name: str) -> Float[np.ndarray, "P 3"]:
     """Return the P points [m] of a seam in SEAMS, in the duct's frame."""
-    return weld() if name == "weld" else _points(BEADS[name])
+    return duct.weld() if name == "weld" else _points(BEADS[name])
 
 
 def _points(bead: Bead) -> Float[np.ndarray, "P 3"]:
     def on_the_wall(share: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
         x, angle = (first + share * (last - first) for first, last in (bead.x_m, np.deg2rad(bead.angle_deg)))
-        return surface(x, angle)
+        return duct.surface(x, angle)
 
-    return equal_steps(on_the_wall, 1.0, bead.points, bead.closed)
+    return duct.equal_steps(on_the_wall, 1.0, bead.points, bead.closed)

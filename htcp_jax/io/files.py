@@ -30,7 +30,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError
-from htcp_jax.unfinished import NO_LINK, PART, READ, hold
+from htcp_jax.process_exit import PART
+from htcp_jax.unfinished import NO_LINK, READ, hold
 
 LARGEST_NAMED = 2 * 2**30  # of a file that a job names, and of a Parquet file [bytes]
 LARGEST = 64 * 2**20  # of any other file in a folder, and of any decompressed file [bytes]

@@ -18,7 +18,8 @@ from htcp_jax.io.capsule_fit import Capsule, Cut, Triangles, clip
 from htcp_jax.io.robot_import import ImportedArm, held_triangles
 from htcp_jax.io.robot_model import compile_spec, link_frames, no_log
 from htcp_jax.io.safe_xml import read_spec
-from htcp_jax.model.robot import TOUCHING_M, Robot
+from htcp_jax.model import Robot
+from htcp_jax.model import robot as robots
 
 MADE_FROM, CUTS = "made from", "cuts of "  # names of an arm's <text>s: the vendor's model; the cuts of a capsule
 VISUAL = " --visual"  # suffix of the first if the capsules enclose visual geometry
@@ -139,7 +140,7 @@ class LinkMeshes:
             at: Poses of the bodies at x.
             rows: Rows of x to look at.
         """
-        if self.deepest_m(one, other, at, rows, TOUCHING_M) > TOUCHING_M:
+        if self.deepest_m(one, other, at, rows, robots.TOUCHING_M) > robots.TOUCHING_M:
             return True
         some = rows[:: max(1, len(rows) // LOOKED_AT)]
         order = np.argsort([self._distance_m(one, other, at, k) for k in some], kind="stable")
@@ -152,7 +153,7 @@ class LinkMeshes:
                 there = self.poses(tried[None])
                 if (found := self._distance_m(one, other, there, 0)) < best:
                     best, now = found, tried
-                    if best < -TOUCHING_M:
+                    if best < -robots.TOUCHING_M:
                         return True
         return False
 

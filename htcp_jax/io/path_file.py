@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.table import read_named
-from htcp_jax.model.path_frames import PathFrames
+from htcp_jax.model import PathFrames
 
 NORMALS, TANGENTS, QUATERNIONS = ("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz")
 NEARLY_UNIT = 0.01

@@ -18,8 +18,7 @@ from htcp_jax.io.columns import Points
 from htcp_jax.io.files import known_ending, one_line, quiet, read_bytes
 from htcp_jax.io.scan import PARTS, SCANS, read_part, read_scan
 from htcp_jax.io.table import read_npy, read_table
-from htcp_jax.model.arrays import LARGEST_COORDINATE, check_points
-from htcp_jax.model.mesh_points import cover
+from htcp_jax.model import arrays, mesh_points
 
 TEXT = (".xyz", ".csv", ".txt")
 TABLES = (*TEXT, ".npy")
@@ -53,7 +52,7 @@ def load_geometry(path: str | Path) -> Geometry:
         found = _read_mesh(path, ending)
     else:
         found = Geometry(read_points(path).xyz, np.empty((0, 3, 3)))
-    check_points(found.points, str(path), at_least=1 if len(found.triangles) else 4)
+    arrays.check_points(found.points, str(path), at_least=1 if len(found.triangles) else 4)
     return found
 
 
@@ -71,7 +70,11 @@ def load_cloud(
         InputError: As `load_geometry` does.
     """
     found = load_geometry(path)
-    return cover(found.triangles, str(path), spacing, thinnest_m).points if len(found.triangles) else found.points
+    return (
+        mesh_points.cover(found.triangles, str(path), spacing, thinnest_m).points
+        if len(found.triangles)
+        else found.points
+    )
 
 
 def read_points(path: str | Path) -> Points:
@@ -92,7 +95,7 @@ def read_points(path: str | Path) -> Points:
 def _read_mesh(path: Path, ending: str) -> Geometry:
     vertices, triangles = _geometry(path, ending)
     corners = triangles.reshape(-1, 3)
-    if not np.isfinite(corners).all() or np.abs(corners).max(initial=0.0) > LARGEST_COORDINATE:
+    if not np.isfinite(corners).all() or np.abs(corners).max(initial=0.0) > arrays.LARGEST_COORDINATE:
         raise InputError(f"{path}: a vertex of the mesh is NaN, infinite or absurdly far away")
     return Geometry(corners if len(corners) else vertices, triangles)
 

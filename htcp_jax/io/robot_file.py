@@ -6,18 +6,18 @@ import jax
 
 from htcp_jax.io.link_meshes import MeshesInFile
 from htcp_jax.io.robot_model import read_robot_file
-from htcp_jax.model.robot import GP50, Robot
-from htcp_jax.model.tool import ZERO, Tool, pose
+from htcp_jax.model import Robot, Tool, robot
+from htcp_jax.model import tool as tools
 from htcp_jax.types import Triple
 
 
 def load_robot(
-    path: str | Path = GP50,
+    path: str | Path = robot.GP50,
     *,
     tcp_site: str = "tcp",
     limits: str = "model",
-    base_m: Triple = ZERO,
-    base_rpy_rad: Triple = ZERO,
+    base_m: Triple = tools.ZERO,
+    base_rpy_rad: Triple = tools.ZERO,
     tool: Tool | None = None,
 ) -> Robot:
     """Read the serial chain from the world to the TCP out of an MJCF or URDF file, through MuJoCo.
@@ -40,7 +40,7 @@ def load_robot(
             no TCP, no capsules, a radius that is not positive, a number that is not finite, a profile that the model
             does not have, and a body of the tool with the name of a body in the model.
     """
-    fields = read_robot_file(Path(path), tcp_site, limits, pose(base_m, base_rpy_rad), tool)
+    fields = read_robot_file(Path(path), tcp_site, limits, tools.pose(base_m, base_rpy_rad), tool)
     meshes = MeshesInFile(Path(path).resolve()) if fields.facts["listed"] else None
     return Robot(**jax.device_put(fields.arrays), **fields.facts, meshes=meshes)
 
@@ -54,4 +54,4 @@ def gp50(limits: str = "simulation") -> Robot:
     Raises:
         InputError: For other limits.
     """
-    return load_robot(GP50, limits=limits)
+    return load_robot(robot.GP50, limits=limits)

@@ -16,9 +16,9 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.safe_xml import read_spec, unreadable
-from htcp_jax.model.arrays import LARGEST_COORDINATE
-from htcp_jax.model.robot import ArmFrame, Exclusion
-from htcp_jax.model.tool import Tool, pose
+from htcp_jax.model import Tool, robot
+from htcp_jax.model import arrays as coordinates
+from htcp_jax.model import tool as tools
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
@@ -83,7 +83,7 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     arrays = {
         "T_parent_joint": T_parent_joint,
         "axis": model.jnt_axis.copy(),
-        "T_link_tcp": T_link_flange if tool is None else T_link_flange @ pose(tool.tip_m, tool.tip_rpy_rad),
+        "T_link_tcp": T_link_flange if tool is None else T_link_flange @ tools.pose(tool.tip_m, tool.tip_rpy_rad),
         "capsule_p": np.array([capsule.p for capsule in capsules]),
         "capsule_q": np.array([capsule.q for capsule in capsules]),
         "capsule_radius": np.array([capsule.radius for capsule in capsules]),
@@ -92,8 +92,10 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     for name, numbers in arrays.items():
         if not np.isfinite(numbers).all():
             raise InputError(f"{path}: a number of the model is not finite ({name})")
-        if (largest := np.abs(numbers).max(initial=0.0)) > LARGEST_COORDINATE:
-            raise InputError(f"{path}: a number of the model is {largest:g} ({name}); at most {LARGEST_COORDINATE:g} m")
+        if (largest := np.abs(numbers).max(initial=0.0)) > coordinates.LARGEST_COORDINATE:
+            raise InputError(
+                f"{path}: a number of the model is {largest:g} ({name}); at most {coordinates.LARGEST_COORDINATE:g} m"
+            )
     arrays |= {"lower": lower, "upper": upper, "effort": _effort(model)}
     for name in ("speed", "acceleration"):
         arrays[name] = joint_numbers(model, path, name, default=math.inf)
@@ -352,18 +354,18 @@ def _limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray
     return lower, upper
 
 
-def _named_frames(model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]]) -> tuple[ArmFrame, ...]:
+def _named_frames(model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]]) -> tuple[robot.ArmFrame, ...]:
     """Return the moving sites, then bodies; the first of two with the same name."""
     bodies = [(model.body(body).name, *frames[body]) for body in range(1, model.nbody)]
     sites = []
     for site in range(model.nsite):
         link, T_link_body = frames[model.site_bodyid[site]]
         sites.append((model.site(site).name, link, T_link_body @ frame(model.site_pos[site], model.site_quat[site])))
-    found: dict[str, ArmFrame] = {}
+    found: dict[str, robot.ArmFrame] = {}
     for name, link, T in [*sites, *bodies]:
         if name and link >= 0:
             columns = tuple(map(tuple, T[:3, :3].T.tolist()))
-            found.setdefault(name, ArmFrame(name, link, tuple(T[:3, 3].tolist()), columns))
+            found.setdefault(name, robot.ArmFrame(name, link, tuple(T[:3, 3].tolist()), columns))
     return tuple(found.values())
 
 
@@ -393,7 +395,7 @@ def excluded_bodies(model: mujoco.MjModel) -> set[tuple[int, int]]:
     return {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature}
 
 
-def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[Exclusion]:
+def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[robot.Exclusion]:
     """Yield the pairs of capsules whose bodies are in an <exclude> of the file."""
     bodies = excluded_bodies(model)
     for a, b in itertools.combinations(range(len(capsules)), 2):
@@ -402,7 +404,7 @@ def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[Exclu
             yield _exclusion(capsules, a, b, "a", 0.0)
 
 
-def _listed(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Iterator[Exclusion]:
+def _listed(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Iterator[robot.Exclusion]:
     """Yield the pairs in the arm's own list.
 
     Raises:
@@ -424,8 +426,8 @@ def _listed(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Ite
         yield _exclusion(capsules, *(numbers[each] for each in pair), rule[1], share)
 
 
-def _exclusion(capsules: list[_Capsule], a: int, b: int, rule: str, share: float) -> Exclusion:
-    return Exclusion(*sorted((a, b), key=lambda k: -capsules[k].link), rule, share)
+def _exclusion(capsules: list[_Capsule], a: int, b: int, rule: str, share: float) -> robot.Exclusion:
+    return robot.Exclusion(*sorted((a, b), key=lambda k: -capsules[k].link), rule, share)
 
 
 def _mounted(

@@ -12,8 +12,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.model.kinematics import reach
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot, kinematics
 
 METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometres": 1e3}  # the likely ones first
 LARGE = 2.0  # times the reach
@@ -35,7 +34,7 @@ def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.nd
     Raises:
         InputError: For an implausible size.
     """
-    extent, longest, thinnest = _extent(part), reach(robot), 2.0 * float(np.min(robot.capsule_radius))
+    extent, longest, thinnest = _extent(part), kinematics.reach(robot), 2.0 * float(np.min(robot.capsule_radius))
     fitting = [unit for unit, metres in METRES.items() if 2.0 * thinnest <= metres * extent <= LARGE * longest]
     if extent > LARGE * longest:
         text = f"{name} extends over {extent:.3g} m, {robot.name} reaches {longest:.3g} m"
@@ -52,7 +51,11 @@ def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
         InputError: For a tool that is longer than all the links of its arm, and for a body that is thicker.
     """
     tip = float(np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
-    links, length, thickest = reach(robot) - tip, tip + abs(extension_m), float(np.asarray(robot.capsule_radius).max())
+    links, length, thickest = (
+        kinematics.reach(robot) - tip,
+        tip + abs(extension_m),
+        float(np.asarray(robot.capsule_radius).max()),
+    )
     measured = f"the links of {robot.name} measure {links:.3g} m"
     if length > links:
         raise InputError(f"{measured}, and the TCP lies {length:.3g} m beyond the last joint; metres are needed")

@@ -17,11 +17,7 @@ from htcp_jax.io.path_file import read_frames
 from htcp_jax.io.point_cloud import TEXT, load_geometry
 from htcp_jax.io.table import read_table
 from htcp_jax.io.units import check_extent, check_path
-from htcp_jax.model import arrays, duct
-from htcp_jax.model.mesh_points import Cover, cover
-from htcp_jax.model.path_frames import PathFrames
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.workpiece import InletDirection, Workpiece
+from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
 from htcp_jax.types import Anywhere
 
 MOST_POINTS = 10_000_000  # of the generated duct
@@ -40,11 +36,11 @@ class GeneratedDuct(NamedTuple):
     @property
     def defaults(self) -> dict[str, Any]:
         """Fields of `Workpiece` for this kind."""
-        along = InletDirection.WORLD_X
+        along = workpiece.InletDirection.WORLD_X
         tolerance_m = DUCT_HULL_TOLERANCE_M
         return {"name": "duct", "inlet": duct.INLET, "hull_tolerance_m": tolerance_m, "inlet_direction": along}
 
-    def walls(self, thinnest_m: float) -> Cover:
+    def walls(self, thinnest_m: float) -> mesh_points.Cover:
         """Return the points on the duct [m].
 
         Raises:
@@ -54,7 +50,7 @@ class GeneratedDuct(NamedTuple):
             raise InputError(f"seed is {self.seed}; it must be 0 or more")
         if not 4 <= self.points <= MOST_POINTS:
             raise InputError(f"points is {self.points}; valid are 4 to {MOST_POINTS}")
-        return Cover(duct.duct_cloud(self.points, self.seed), 0.0)
+        return mesh_points.Cover(duct.duct_cloud(self.points, self.seed), 0.0)
 
     def path(self) -> Float[np.ndarray, "T 3"]:
         """Return the points of the seam [m].
@@ -79,11 +75,11 @@ class PointCloud(NamedTuple):
     @property
     def defaults(self) -> dict[str, Any]:
         """Fields of `Workpiece` for this kind."""
-        return {"name": Path(self.label).stem, "inlet_direction": InletDirection.HULL_FACET}
+        return {"name": Path(self.label).stem, "inlet_direction": workpiece.InletDirection.HULL_FACET}
 
-    def walls(self, thinnest_m: float) -> Cover:
+    def walls(self, thinnest_m: float) -> mesh_points.Cover:
         """Return the points [m]."""
-        return Cover(self.points, 0.0)
+        return mesh_points.Cover(self.points, 0.0)
 
 
 class TriangleMesh(NamedTuple):
@@ -101,16 +97,16 @@ class TriangleMesh(NamedTuple):
     @property
     def defaults(self) -> dict[str, Any]:
         """Fields of `Workpiece` for this kind."""
-        direction = InletDirection.HULL_FACET
+        direction = workpiece.InletDirection.HULL_FACET
         return {"name": Path(self.label).stem, "inlet_direction": direction, "triangles": self.triangles}
 
-    def walls(self, thinnest_m: float) -> Cover:
+    def walls(self, thinnest_m: float) -> mesh_points.Cover:
         """Return points that cover the mesh [m].
 
         Raises:
             InputError: If the thinnest body fits between them; see `mesh_points.cover` for others.
         """
-        surface = cover(self.triangles, self.label, self.spacing_m, thinnest_m)
+        surface = mesh_points.cover(self.triangles, self.label, self.spacing_m, thinnest_m)
         if surface.radius_m >= thinnest_m:
             raise InputError(
                 f"{self.label}: the mesh is up to {1e3 * surface.radius_m:.4g} mm from its points, and the thinnest "
@@ -125,11 +121,11 @@ class NoCloud(NamedTuple):
     @property
     def defaults(self) -> dict[str, Any]:
         """Fields of `Workpiece` for this kind."""
-        return {"inlet_direction": InletDirection.HULL_FACET}
+        return {"inlet_direction": workpiece.InletDirection.HULL_FACET}
 
-    def walls(self, thinnest_m: float) -> Cover:
+    def walls(self, thinnest_m: float) -> mesh_points.Cover:
         """Return no points."""
-        return Cover(np.empty((0, 3)), 0.0)
+        return mesh_points.Cover(np.empty((0, 3)), 0.0)
 
 
 WorkpieceSource = GeneratedDuct | PointCloud | TriangleMesh | NoCloud

@@ -8,28 +8,18 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacle_kind import given_obstacles
-from htcp_jax.clearance.obstacles.of_cell import make_fixtures, placed_cloud
-from htcp_jax.clearance.obstacles.self_collision import self_collision
+from htcp_jax.clearance import Obstacles
+from htcp_jax.clearance.obstacles import obstacle_kind, of_cell, self_collision
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.cell import load_cell
-from htcp_jax.io.duct_seams import SEAMS
-from htcp_jax.io.point_cloud import load_geometry
-from htcp_jax.io.robot_file import load_robot
-from htcp_jax.io.units import check_tool
-from htcp_jax.io.workpiece_file import GeneratedDuct, NoCloud, WorkpieceSource, load_workpiece, read_source
+from htcp_jax.io import cell as cells
+from htcp_jax.io import duct_seams, load_geometry, robot_file, units, workpiece_file
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.given_kinds import shapes_in_world
 from htcp_jax.kinds import numbers_of, template_of
-from htcp_jax.model.fixture import Fixture
-from htcp_jax.model.goals import follower, task_of, with_goals
-from htcp_jax.model.robot import Robot, lengthen_tool
-from htcp_jax.model.scenario import Scenario, make_scenario
-from htcp_jax.model.surface import NOTHING, Drawn, Surface, surface_of
-from htcp_jax.model.task import Task
-from htcp_jax.model.tool import pose
-from htcp_jax.model.workpiece import InletDirection, Workpiece
+from htcp_jax.model import Fixture, Robot, Scenario, Task, Workpiece, goals, surface, tool
+from htcp_jax.model import robot as robots
+from htcp_jax.model import scenario as scenarios
+from htcp_jax.model import workpiece as workpieces
 
 
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
@@ -41,7 +31,7 @@ def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
 
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:
     """Build the task: the constraints on the path."""
-    return task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
+    return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
 def robot_of(arm: RobotConfig) -> Robot:
@@ -50,7 +40,7 @@ def robot_of(arm: RobotConfig) -> Robot:
     Raises:
         InputError: As `load_robot` does, and for a tool that is longer than the arm.
     """
-    robot = load_robot(
+    robot = robot_file.load_robot(
         arm.file,
         tcp_site="tcp" if arm.tcp is None else arm.tcp,
         limits=arm.limits,
@@ -58,7 +48,7 @@ def robot_of(arm: RobotConfig) -> Robot:
         base_rpy_rad=arm.base_rpy_rad,
         tool=arm.tool,
     )
-    check_tool(robot, arm.tool_extension_m)
+    units.check_tool(robot, arm.tool_extension_m)
     return robot
 
 
@@ -68,9 +58,9 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     Points on a mesh are as dense as the robot's thinnest body requires; a UserWarning reports a cloud between whose
     points that body fits.
     """
-    direction = InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
+    direction = workpieces.InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
     stated = {"inlet": part.inlet_m, "inlet_direction": direction}
-    workpiece = load_workpiece(
+    workpiece = workpiece_file.load_workpiece(
         source_of(part),
         path_of(part),
         interior=part.interior,
@@ -93,16 +83,16 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     return workpiece
 
 
-def source_of(part: WorkpieceConfig) -> WorkpieceSource:
+def source_of(part: WorkpieceConfig) -> workpiece_file.WorkpieceSource:
     """Return the source of the workpiece's walls; a file is read."""
     if part.is_duct:
-        return GeneratedDuct(seam=part.path) if path_of(part) is None else GeneratedDuct()
-    return read_source(part.cloud, part.mesh_spacing_m) if part.has_cloud else NoCloud()
+        return workpiece_file.GeneratedDuct(seam=part.path) if path_of(part) is None else workpiece_file.GeneratedDuct()
+    return workpiece_file.read_source(part.cloud, part.mesh_spacing_m) if part.has_cloud else workpiece_file.NoCloud()
 
 
 def path_of(part: WorkpieceConfig) -> str | None:
     """Return the path's file; None if a seam of the generated duct is named."""
-    is_seam = part.path in SEAMS or (part.is_duct and not Path(part.path).suffix)
+    is_seam = part.path in duct_seams.SEAMS or (part.is_duct and not Path(part.path).suffix)
     return None if is_seam else part.path
 
 
@@ -125,7 +115,7 @@ def scenario_of(
         follows: Position at the start of the point that follows the path, world [m], if known.
     """
     part, task = job.workpiece, task_of_job(job, robot)
-    scenario = make_scenario(
+    scenario = scenarios.make_scenario(
         robot,
         workpiece,
         job.start,
@@ -142,14 +132,14 @@ def scenario_of(
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    return with_goals(scenario, job.task, task, robot, workpiece)
+    return goals.with_goals(scenario, job.task, task, robot, workpiece)
 
 
 def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] | None:
     """Return the position at a given start of the point that follows the path, world [m]; None if unknown."""
     if not job.task or job.start is None:
         return None
-    return follower(job.task, lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
+    return goals.follower(job.task, robots.lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
 
 
 def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
@@ -159,43 +149,43 @@ def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
             if getattr(cell, key) != getattr(CellConfig(), key):
                 raise InputError(f"cell.{key} is given, and no cell.model that could be moved")
         return ()
-    return load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
+    return cells.load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
 
 
-def drawn_of(cell: CellConfig) -> Drawn:
+def drawn_of(cell: CellConfig) -> surface.Drawn:
     """Load the triangles and clouds of the cell, for drawing."""
     given = [shapes_in_world(kind) for kind in cell.obstacles]
     for kind, shapes in zip(cell.obstacles, given, strict=True):
         if not shapes:
             warnings.warn(f"the obstacle {kind.name!r} is not drawn: it has no shapes", Note, stacklevel=2)
     shapes = *shapes_of(cell), *(shape for own in given for shape in own)
-    triangles = [NOTHING.triangles, *(each.surface for each in shapes)]
-    surfaces = [NOTHING.clouds]
+    triangles = [surface.NOTHING.triangles, *(each.surface for each in shapes)]
+    surfaces = [surface.NOTHING.clouds]
     for each in cell.clouds:
         points, mesh = load_geometry(each.cloud)
-        T = pose(each.base_m, each.base_rpy_rad)
+        T = tool.pose(each.base_m, each.base_rpy_rad)
         if len(mesh):
             triangles.append(mesh @ T[:3, :3].T + T[:3, 3])
         else:
-            surfaces.append(surface_of(points).placed(T))
-    return Drawn(np.concatenate(triangles), Surface(*map(np.concatenate, zip(*surfaces, strict=True))))
+            surfaces.append(surface.surface_of(points).placed(T))
+    return surface.Drawn(np.concatenate(triangles), surface.Surface(*map(np.concatenate, zip(*surfaces, strict=True))))
 
 
 def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
     """Build the collision objects in addition to the workpiece."""
     clouds = tuple(
-        placed_cloud(
+        of_cell.placed_cloud(
             robot,
             *load_geometry(each.cloud),
-            pose(each.base_m, each.base_rpy_rad),
+            tool.pose(each.base_m, each.base_rpy_rad),
             source=each.cloud,
             name=Path(each.cloud).stem,
         )
         for each in cell.clouds
     )
-    own = self_collision(robot) if cell.self_collision else None
-    given = given_obstacles(cell.obstacles)
-    return (*make_fixtures(robot, shapes_of(cell)), *clouds, *given, *(() if own is None else (own,)))
+    own = self_collision.self_collision(robot) if cell.self_collision else None
+    given = obstacle_kind.given_obstacles(cell.obstacles)
+    return (*of_cell.make_fixtures(robot, shapes_of(cell)), *clouds, *given, *(() if own is None else (own,)))
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}

@@ -11,17 +11,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, PlainSerializer, WrapSerializer, WrapValidator, field_validator
 
-from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES, ObstacleKind
+from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
-from htcp_jax.io.strict_model import Section
+from htcp_jax.io import strict_model
 from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.given_kinds import needs_kind, of_kind, record_of
-from htcp_jax.model.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
-from htcp_jax.model.robot import GP50
-from htcp_jax.model.task_list import TaskRow
-from htcp_jax.model.task_row_kind import TASK_ROWS, TaskRowKind
-from htcp_jax.model.tool import Tool
+from htcp_jax.model import TaskRow, Tool, duct, task_row_kind
+from htcp_jax.model import robot as robots
 from htcp_jax.registry import NAME
 from htcp_jax.settings import Settings
 
@@ -50,9 +47,14 @@ def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
 Start = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
 # What stands in a job as {kind: NAME, ...} is of another package; a row without a kind is a `TaskRow`.
-Row = Annotated[TaskRow, WrapValidator(of_kind(TASK_ROWS, TaskRowKind)), WrapSerializer(record_of)]
+Row = Annotated[
+    TaskRow, WrapValidator(of_kind(task_row_kind.TASK_ROWS, task_row_kind.TaskRowKind)), WrapSerializer(record_of)
+]
 Obstacle = Annotated[
-    Any, AfterValidator(needs_kind), WrapValidator(of_kind(OBSTACLES, ObstacleKind)), WrapSerializer(record_of)
+    Any,
+    AfterValidator(needs_kind),
+    WrapValidator(of_kind(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
+    WrapSerializer(record_of),
 ]
 
 SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of DEPENDENT
@@ -69,7 +71,7 @@ DEPENDENT = (
 )
 
 
-class RobotConfig(Section):
+class RobotConfig(strict_model.Section):
     """The arm, its pose, and its tool."""
 
     model: str = BUILT_IN_ARM  # or an MJCF or URDF file
@@ -88,22 +90,22 @@ class RobotConfig(Section):
     @property
     def file(self) -> Path:
         """The model's file."""
-        return GP50 if self.is_gp50 else Path(self.model)
+        return robots.GP50 if self.is_gp50 else Path(self.model)
 
 
-class WorkpieceConfig(Section):
+class WorkpieceConfig(strict_model.Section):
     """The cloud, the tool path in its frame, its pose, and the approach to the path."""
 
     cloud: str = DUCT  # the generated duct, a file of points or a mesh, or none
     path: str = "weld"  # a seam of the generated duct, see `duct_seams`, or a CSV file of x,y,z [m]
     inlet_m: Point | None = None  # centre of the inlet; None: the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # boundary of the interior deeper than interior_depth_m
-    interior_depth_m: float = Field(INTERIOR_DEPTH_M, ge=0, le=LARGEST)
+    interior_depth_m: float = Field(duct.INTERIOR_DEPTH_M, ge=0, le=LARGEST)
     inlet_direction: Point | Literal["world-x"] | None = "world-x"  # into the part; see `InletDirection`
     mesh_spacing_m: Annotated[float, Field(ge=1e-5, le=LARGEST)] | None = None  # widest gap of the points on a mesh
     tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None  # of the bare tip, from the TCP; null: all
-    pivot_m: Point = PIVOT  # world point that the rotations turn about
-    neutral_translation_m: Point = NEUTRAL_TRANSLATION  # of the workpiece frame, before the rotations
+    pivot_m: Point = duct.PIVOT  # world point that the rotations turn about
+    neutral_translation_m: Point = duct.NEUTRAL_TRANSLATION  # of the workpiece frame, before the rotations
     rotation_x_rad: float = 0.0  # about world x first, then y, then z
     rotation_y_rad: float = 0.4
     rotation_z_rad: float = 0.1
@@ -127,7 +129,7 @@ class WorkpieceConfig(Section):
         return self.inlet_direction == "world-x" or (self.is_duct and self.inlet_direction is None)
 
 
-class CloudConfig(Section):
+class CloudConfig(strict_model.Section):
     """A further cloud or mesh, fixed in the world."""
 
     cloud: str  # a file of points or a mesh
@@ -135,7 +137,7 @@ class CloudConfig(Section):
     base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
 
 
-class CellConfig(Section):
+class CellConfig(strict_model.Section):
     """Collision objects in addition to the workpiece: the arm itself, and the work cell."""
 
     self_collision: bool = False
@@ -147,14 +149,14 @@ class CellConfig(Section):
     obstacles: tuple[Obstacle, ...] = ()  # of other packages
 
 
-class UserFrameConfig(Section):
+class UserFrameConfig(strict_model.Section):
     """A frame with a number at the controller; RECTAN positions are in it."""
 
     number: int = Field(ge=1, le=63)
     on: Literal["workpiece", "world"] = "workpiece"  # the object to which it is fixed
 
 
-class PulsesConfig(Section):
+class PulsesConfig(strict_model.Section):
     """Encoder scale of a controller."""
 
     per_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...]  # or per m; negative: opposite direction
@@ -162,7 +164,7 @@ class PulsesConfig(Section):
     source: str = Field(min_length=1, max_length=200)  # of these numbers
 
 
-class ProgramConfig(Section):
+class ProgramConfig(strict_model.Section):
     """Section `program` of a job; it has no influence on plans."""
 
     feed: str | None = None  # of the TCP on the path, with its unit: 20mm/s
@@ -184,7 +186,7 @@ class ProgramConfig(Section):
         return feed
 
 
-class RayConfig(Section):
+class RayConfig(strict_model.Section):
     """Ray resources per shard of a sweep; no influence on results."""
 
     num_cpus: float = Field(1.0, gt=0)
@@ -192,7 +194,7 @@ class RayConfig(Section):
     retries: int = Field(3, ge=0)  # of a shard after its worker or node died
 
 
-class PlanConfig(Section):
+class PlanConfig(strict_model.Section):
     """One plan; the defaults are the default job."""
 
     robot: RobotConfig = RobotConfig()

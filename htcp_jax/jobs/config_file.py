@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.duct_seams import SEAMS
-from htcp_jax.io.strict_yaml import parse_yaml, read_yaml
+from htcp_jax.io import duct_seams, strict_yaml
 
 BASE = "config"  # the key for the base file
 BUILT_IN_ARM, DUCT, NO_CLOUD = "gp50", "duct", "none"  # words of a job, which `config` resolves
@@ -21,7 +20,7 @@ BUILT_IN_ARM, DUCT, NO_CLOUD = "gp50", "duct", "none"  # words of a job, which `
 FILES = {
     ("robot", "model"): (BUILT_IN_ARM,),
     ("workpiece", "cloud"): (DUCT, NO_CLOUD),
-    ("workpiece", "path"): SEAMS,
+    ("workpiece", "path"): duct_seams.SEAMS,
     ("cell", "model"): (None,),
 }
 
@@ -32,7 +31,7 @@ def layers(path: Path) -> list[tuple[str, dict]]:
     Raises:
         InputError: For a file that cannot be read, and for a cycle of base files.
     """
-    return _below(read_yaml(path), str(path), path.parent, [path])
+    return _below(strict_yaml.read_yaml(path), str(path), path.parent, [path])
 
 
 def layers_of(mapping: Mapping[str, Any], name: str) -> list[tuple[str, dict]]:
@@ -94,7 +93,7 @@ def parse_override(override: str) -> tuple[str, Any]:
     dotted, equals, text = override.partition("=")
     if not equals or not dotted:
         raise InputError(f"--set expects key=value, not {override!r}")
-    return dotted, parse_yaml(text, f"--set {override}")
+    return dotted, strict_yaml.parse_yaml(text, f"--set {override}")
 
 
 def _below(raw: dict, name: str, folder: Path, on_the_way: list[Path]) -> list[tuple[str, dict]]:
@@ -107,7 +106,7 @@ def _below(raw: dict, name: str, folder: Path, on_the_way: list[Path]) -> list[t
     file = folder / base
     if any(_same(file, other) for other in on_the_way):
         raise InputError(f"{name}: configurations in a circle: {' -> '.join(map(str, [*on_the_way, file]))}")
-    return [*_below(read_yaml(file), str(file), file.parent, [*on_the_way, file]), (name, raw)]
+    return [*_below(strict_yaml.read_yaml(file), str(file), file.parent, [*on_the_way, file]), (name, raw)]
 
 
 def _same(one: Path, other: Path) -> bool:

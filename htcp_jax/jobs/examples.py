@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from htcp_jax.io.strict_yaml import read_yaml
+from htcp_jax.io import strict_yaml
 
 _PACKAGE = Path(__file__).parents[1]
 ROOT = _PACKAGE / "examples" if (_PACKAGE / "examples").is_dir() else _PACKAGE.parent  # of a wheel, or of a checkout
@@ -41,7 +41,7 @@ def read_mapping(spec: str | Path | Mapping[str, Any], name: str) -> tuple[Path,
     if isinstance(spec, Mapping):
         return Path(name), dict(spec)
     path = example_or_path(spec)
-    return path, read_yaml(path)
+    return path, strict_yaml.read_yaml(path)
 
 
 def description(file: Path) -> str:

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES, ObstacleKind
+from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError, described
-from htcp_jax.io.strict_model import KIND, refuse_unknown
+from htcp_jax.io import strict_model
 from htcp_jax.kinds import Kind, with_arrays
-from htcp_jax.model.fixture import PRIMITIVES, Fixture
-from htcp_jax.model.tool import pose
+from htcp_jax.model import Fixture, fixture, tool
 from htcp_jax.registry import Registry
 from htcp_jax.types import Triple
 
@@ -26,8 +25,8 @@ def of_kind(registry: Registry, base: type[Kind]) -> Callable[[Any, Callable], A
     """
 
     def read(value: Any, built_in: Callable) -> Any:
-        if isinstance(value, dict) and KIND in value:
-            return _made(registry.find(str(value[KIND])), value)
+        if isinstance(value, dict) and strict_model.KIND in value:
+            return _made(registry.find(str(value[strict_model.KIND])), value)
         return _checked(value) if _is_given(value) and isinstance(value, base) else built_in(value)
 
     return read
@@ -35,8 +34,8 @@ def of_kind(registry: Registry, base: type[Kind]) -> Callable[[Any, Callable], A
 
 def needs_kind(value: Any) -> Any:
     """Raise InputError for an obstacle of no kind."""
-    if not isinstance(value, ObstacleKind):
-        valid = ", ".join(OBSTACLES.names()) or "none is installed"
+    if not isinstance(value, obstacle_kind.ObstacleKind):
+        valid = ", ".join(obstacle_kind.OBSTACLES.names()) or "none is installed"
         raise InputError(f"{value!r} is no obstacle; it is {{kind: NAME, ...}}; valid names: {valid}")
     return value
 
@@ -45,7 +44,10 @@ def record_of(value: Any, built_in: Callable) -> Any:
     """Return the plain form of a kind for JSON and YAML."""
     if not _is_given(value):
         return built_in(value)
-    return {KIND: value.name, **{field.name: getattr(value, field.name) for field in dataclasses.fields(value)}}
+    return {
+        strict_model.KIND: value.name,
+        **{field.name: getattr(value, field.name) for field in dataclasses.fields(value)},
+    }
 
 
 def _is_given(value: Any) -> bool:
@@ -54,8 +56,8 @@ def _is_given(value: Any) -> bool:
 
 def _made(kind: type[Kind], raw: dict) -> Kind:
     """Return a kind from its keys. Raises InputError for an unknown key and a value of another type."""
-    given = {key: value for key, value in raw.items() if key != KIND}
-    refuse_unknown(given, kind, f"kind {kind.name}")
+    given = {key: value for key, value in raw.items() if key != strict_model.KIND}
+    strict_model.refuse_unknown(given, kind, f"kind {kind.name}")
     try:
         return _finite(_adapter(kind).validate_python(given))
     except ValidationError as error:
@@ -81,19 +83,19 @@ def _adapter(kind: type[Kind]) -> TypeAdapter:
     return TypeAdapter(kind)
 
 
-def shapes_in_world(kind: ObstacleKind) -> tuple[Fixture, ...]:
+def shapes_in_world(kind: obstacle_kind.ObstacleKind) -> tuple[Fixture, ...]:
     """Return a kind's shapes at their poses in the world; none if it knows none.
 
     Raises InputError for a shape that MuJoCo lacks, naming the kind.
     """
     found = []
     for shape in with_arrays(kind).shapes():
-        wanted = PRIMITIVES.get(shape.type)
+        wanted = fixture.PRIMITIVES.get(shape.type)
         size = tuple(float(value) for value in np.ravel(shape.size_m))
         if wanted is None or len(size) != wanted:
-            valid = ", ".join(f"{name} with {count} sizes" for name, count in PRIMITIVES.items())
+            valid = ", ".join(f"{name} with {count} sizes" for name, count in fixture.PRIMITIVES.items())
             raise InputError(f"{kind.name}: a shape of type {shape.type!r} with {len(size)} sizes; valid: {valid}")
-        T = pose(_triple(shape.position_m), _triple(shape.rpy_rad))
+        T = tool.pose(_triple(shape.position_m), _triple(shape.rpy_rad))
         found.append(Fixture(kind.name, shape.type, T, np.array([*size, 0.0, 0.0, 0.0])[:3], np.empty((0, 3, 3))))
     return tuple(found)
 

@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance import Obstacles
 from htcp_jax.errors import InputError
-from htcp_jax.io.strict_model import Section, validate
+from htcp_jax.io import strict_model
 from htcp_jax.jobs.build import (
     arm_of,
     beside_of,
@@ -43,14 +43,12 @@ from htcp_jax.jobs.examples import read_mapping
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, Point, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import read_config
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import Scenario, stack
-from htcp_jax.model.task import Task
-from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.model import Robot, Scenario, Task, Workpiece
+from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
 
 
-class SweepFile(Section):
+class SweepFile(strict_model.Section):
     """Content of a sweep file; `grid_axes` checks the axes."""
 
     config: str | None = None
@@ -152,7 +150,9 @@ class Sweep:
             follows[begins] = scenarios[-1].targets[0]
             _check_alike(point, task, next(iter(cells.values()))[1].task)
             _check_obstacles(point, scenarios[-1], scenarios[0])
-        return Batch(tuple(cell for _, cell in cells.values()), np.array(whose, int), stack(scenarios), points)
+        return Batch(
+            tuple(cell for _, cell in cells.values()), np.array(whose, int), scenario_functions.stack(scenarios), points
+        )
 
 
 def load_sweep(
@@ -172,7 +172,7 @@ def load_sweep(
         InputError: For an invalid file, for an unknown parameter and for an empty grid.
     """
     path, raw = read_mapping(spec, "sweep")
-    file: SweepFile = validate(raw, SweepFile, str(path))
+    file: SweepFile = strict_model.validate(raw, SweepFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config
     if (file.grid is None) == (file.groups is None):
@@ -186,7 +186,7 @@ def load_sweep(
     for key, value in first.items():
         put(raw, key, value)
     fill_in(raw, keys_of(raw), source)
-    base: PlanConfig = validate(raw, PlanConfig, source)
+    base: PlanConfig = strict_model.validate(raw, PlanConfig, source)
     robot = robot_of(base.robot)
     groups = []
     for name, axes in grids.items():

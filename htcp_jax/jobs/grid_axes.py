@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.strict_model import KIND
+from htcp_jax.io import strict_model
 from htcp_jax.jobs.config import AUTO, DEPENDENT, SOURCES, PlanConfig
 from htcp_jax.jobs.config_file import FILES
 
@@ -155,8 +155,12 @@ def put(raw: dict, column: Column, value: Any) -> None:
     parameter = column.parameter
     section, _, key = parameter.key.rpartition(".")
     owner = _row(raw, parameter) if section[-1:].isdecimal() else raw[section] if section else raw
-    if key not in owner or (parameter.key not in KEYS and KIND not in owner):
-        valid = ", ".join(name for name in owner if name != KIND) if KIND in owner else ", ".join(OF_A_ROW)
+    if key not in owner or (parameter.key not in KEYS and strict_model.KIND not in owner):
+        valid = (
+            ", ".join(name for name in owner if name != strict_model.KIND)
+            if strict_model.KIND in owner
+            else ", ".join(OF_A_ROW)
+        )
         raise InputError(f"{parameter.name}: {section} has no key {key} that may vary; valid: {valid}")
     old = owner[key]
     if old is None and column.relative:

@@ -5,7 +5,7 @@ import json
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from htcp_jax.io.strict_model import validate
+from htcp_jax.io import strict_model
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.defaults import fill_in, value_at
 from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, Point, hangs, put, varied_keys
@@ -42,7 +42,7 @@ def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Co
             source = f"{name}: scenario {k}"
             if hanging:
                 fill_in(raw, known, source)
-            own = validate(raw, PlanConfig, source)
+            own = strict_model.validate(raw, PlanConfig, source)
             yield Point(k, group.name, own, _words_of(own, varied, short))
 
 

@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind
+from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
-from htcp_jax.io.strict_model import refuse_unknown, validate
+from htcp_jax.io import strict_model
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.config_file import layers, layers_of, merged, parse_override, put
 from htcp_jax.jobs.defaults import fill_in, keys_of
 from htcp_jax.jobs.examples import example_or_path
-from htcp_jax.model.task_row_kind import TaskRowKind
+from htcp_jax.model import task_row_kind
 from htcp_jax.registry import NAME
 
 
@@ -37,7 +37,7 @@ def load_config(
     """
     raw, source = read_config(config, overrides)
     fill_in(raw, stated=keys_of(raw), source=source)
-    return validate(raw, PlanConfig, source)
+    return strict_model.validate(raw, PlanConfig, source)
 
 
 def read_config(
@@ -56,21 +56,21 @@ def read_config(
         source = str(config)
         found = layers(example_or_path(config))
     for name, raw in found:
-        refuse_unknown(raw, PlanConfig, name)
+        strict_model.refuse_unknown(raw, PlanConfig, name)
     raw = merged(raw for _, raw in found)
     if "method" in raw and not NAME.fullmatch(str(raw["method"])):  # also if an override replaces it
         raise InputError(f"{source}: method is {raw['method']!r}; names are small letters, digits and hyphens")
     pairs = overrides.items() if isinstance(overrides, Mapping) else map(parse_override, overrides)
     for dotted, value in pairs:
         put(raw, dotted, value)
-    refuse_unknown(raw, PlanConfig, source)
+    strict_model.refuse_unknown(raw, PlanConfig, source)
     return raw, source
 
 
 def with_kinds(
     job: PlanConfig,
-    obstacles: Sequence[ObstacleKind | Mapping[str, Any]],
-    task: Sequence[TaskRowKind | Mapping[str, Any]] | None,
+    obstacles: Sequence[obstacle_kind.ObstacleKind | Mapping[str, Any]],
+    task: Sequence[task_row_kind.TaskRowKind | Mapping[str, Any]] | None,
 ) -> PlanConfig:
     """Return the job with further obstacles, and with another task unless it is None.
 
@@ -81,4 +81,4 @@ def with_kinds(
     raw = job.model_dump()
     raw["cell"]["obstacles"] = [*job.cell.obstacles, *obstacles]
     raw["task"] = list(job.task if task is None else task)
-    return validate(raw, PlanConfig, "the arguments")
+    return strict_model.validate(raw, PlanConfig, "the arguments")

@@ -13,13 +13,11 @@ it. The tip is not a collision body: it has to come near the wall, and the job d
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles.tip_guard import TipGuard
-from htcp_jax.clearance.proof.bisection import Proof
-from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
-from htcp_jax.clearance.proof.motion_proof import DEEPEST, RESOLUTION_M, Tube
-from htcp_jax.device.programs import Kernels
-from htcp_jax.device.tables import gather
-from htcp_jax.model.task import TCP_POSITION, Task
+from htcp_jax.clearance.obstacles import tip_guard
+from htcp_jax.clearance.proof import bisection, motion_bound, motion_proof
+from htcp_jax.device import Kernels, tables
+from htcp_jax.model import Task
+from htcp_jax.model import task as tasks
 from htcp_jax.motion.kernels import ADVANCE, CHECK_PATH, PROVE, SETTLE, TIP, Closely, State, advance_of
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
@@ -44,7 +42,7 @@ class CollisionChecker:
         guard: The walls that the tool's bare tip must not pass through; None if it may touch anywhere.
     """
 
-    def __init__(self, kernels: Kernels, settings: Settings, guard: TipGuard | None = None):
+    def __init__(self, kernels: Kernels, settings: Settings, guard: tip_guard.TipGuard | None = None):
         self.kernels, self.task = kernels, kernels.task
         self._settings, self._guard, self._advance = settings, guard, advance_of(settings)
 
@@ -67,7 +65,7 @@ class CollisionChecker:
         """Return True for configurations of `among` whose bare tip passes through no wall."""
         good = np.array(among)
         if self._guard is not None and good.any():
-            tip = self.kernels(TIP, *gather((inputs, q), good))
+            tip = self.kernels(TIP, *tables.gather((inputs, q), good))
             good[good] = ~self._guard.passes(tip[:, 0], tip[:, 1])
         return good
 
@@ -80,13 +78,13 @@ class CollisionChecker:
         inputs: LaneInputs,
         a: Configurations,
         b: Configurations,
-        tube: Tube | None = None,
+        tube: motion_proof.Tube | None = None,
         *,
         kept: float | Float[np.ndarray, "n"] = 0.0,
-        resolution_m: float | Float[np.ndarray, "n"] = -ROUNDING_M,
-        deepest: int | Int[np.ndarray, "n"] = DEEPEST,
+        resolution_m: float | Float[np.ndarray, "n"] = -motion_bound.ROUNDING_M,
+        deepest: int | Int[np.ndarray, "n"] = motion_proof.DEEPEST,
         tip: bool = True,
-    ) -> Proof:
+    ) -> bisection.Proof:
         """Return proofs that the straight joint paths from a to b are valid all along.
 
         The bodies are clear, the TCP stays in its tube, the task's rows hold where the tube requires them, and the bare
@@ -116,32 +114,39 @@ class CollisionChecker:
         The test by proof uses the executable for motions, so that no other one is compiled.
         """
         if self._settings.path_test == "bisection":
-            return self.edges(inputs, a, b, resolution_m=RESOLUTION_M).verdict == Way.PROVEN
+            return self.edges(inputs, a, b, resolution_m=motion_proof.RESOLUTION_M).verdict == Way.PROVEN
         return self._tip_free_along(inputs, a, b, self.kernels(CHECK_PATH, inputs, a, b))
 
     def _tip_free_along(self, inputs: LaneInputs, a: Configurations, b: Configurations, among: Rows) -> Rows:
         good = np.array(among)
         if self._guard is not None and good.any():
-            inputs, a, b = gather((inputs, a, b), good)
+            inputs, a, b = tables.gather((inputs, a, b), good)
             x = a[:, None] + (np.arange(1, PLACES) / PLACES)[None, :, None] * (b - a)[:, None]
-            many = gather(inputs, np.repeat(np.arange(len(a)), PLACES - 1))
+            many = tables.gather(inputs, np.repeat(np.arange(len(a)), PLACES - 1))
             free = self.tip_free(many, x.reshape(-1, a.shape[1]), np.ones(len(a) * (PLACES - 1), bool))
             good[good] = free.reshape(len(a), -1).all(axis=1)
         return good
 
 
 def prove_call(
-    task: Task, inputs: LaneInputs, a, b, tube: Tube | None = None, kept=0.0, resolution_m=-ROUNDING_M, deepest=DEEPEST
+    task: Task,
+    inputs: LaneInputs,
+    a,
+    b,
+    tube: motion_proof.Tube | None = None,
+    kept=0.0,
+    resolution_m=-motion_bound.ROUNDING_M,
+    deepest=motion_proof.DEEPEST,
 ) -> tuple:
     """Return the lane function and the tables of `CollisionChecker.edges`, see `Kernels.preparing`."""
     closely = Closely(*(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int))))
     return PROVE, inputs, a, b, free_tubes(task, inputs) if tube is None else tube, closely
 
 
-def free_tubes(task: Task, inputs: LaneInputs) -> Tube:
+def free_tubes(task: Task, inputs: LaneInputs) -> motion_proof.Tube:
     """Return tubes without conditions on the TCP or the task."""
     count = len(inputs.row)
     rows = ()
-    if task.parts != TCP_POSITION.parts:
+    if task.parts != tasks.TCP_POSITION.parts:
         rows = np.stack([inputs.target, inputs.target], axis=1), np.zeros(count, bool)
-    return Tube(np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, np.inf), *rows)
+    return motion_proof.Tube(np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, np.inf), *rows)

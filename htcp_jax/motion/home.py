@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.model.scenario import NOT_REFUSED, Scenario
+from htcp_jax.model import Scenario
+from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.joint_search import join
 from htcp_jax.motion.knots import Knots
@@ -43,7 +44,7 @@ class Start(NamedTuple):
     """The start of a scenario."""
 
     x: Float[np.ndarray, "N"]  # [rad or m]
-    refused: int = NOT_REFUSED  # or the Status of a scenario that cannot begin
+    refused: int = scenario_functions.NOT_REFUSED  # or the Status of a scenario that cannot begin
     way: Float[np.ndarray, "_ N"] | None = None  # the via points from home; None if there is no home
 
 

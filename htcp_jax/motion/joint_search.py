@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.proof.motion_proof import DEEPEST
-from htcp_jax.model.scenario import Scenario
+from htcp_jax.clearance.proof import motion_proof
+from htcp_jax.model import Scenario
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.posture_tree import NO_PARENT, Tree
@@ -221,13 +221,13 @@ def _shortened(way: np.ndarray, rng: np.random.Generator, rounds: int) -> Joinin
 
 
 def _steps(a: np.ndarray, b: np.ndarray) -> JointPaths:
-    return JointPaths(a, b, np.full(len(a), DEEPEST, np.int32))
+    return JointPaths(a, b, np.full(len(a), motion_proof.DEEPEST, np.int32))
 
 
 def _cuts(a: np.ndarray, b: np.ndarray) -> JointPaths:
     """Return joint paths with a limited proof: the shortest path grazes the walls, which is not desired."""
     parts = np.linalg.norm(b - a, axis=1) / FINEST_RAD
-    return JointPaths(a, b, np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, DEEPEST).astype(np.int32))
+    return JointPaths(a, b, np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, motion_proof.DEEPEST).astype(np.int32))
 
 
 def _at(way: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -10,21 +10,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.linearisation import Linearisation, linearise
-from htcp_jax.clearance.obstacles.obstacle import in_workpiece
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof.bisection import begun, of_proven
-from htcp_jax.clearance.proof.motion_proof import Tube, look_on, path_clear
-from htcp_jax.device.batching import Loop
-from htcp_jax.device.kernel import STEP, TRACKED, Kernel
-from htcp_jax.device.stretches import by_stretches
-from htcp_jax.model.inverse_kinematics import reanchor
-from htcp_jax.model.kinematics import tcp_position, tip_segment
-from htcp_jax.model.task import TaskLinear
+from htcp_jax.clearance import Scene, in_workpiece
+from htcp_jax.clearance.obstacles import linearisation
+from htcp_jax.clearance.proof import bisection, motion_proof
+from htcp_jax.device import Loop, by_stretches, kernel
+from htcp_jax.model import inverse_kinematics, kinematics
+from htcp_jax.model import task as tasks
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
-from htcp_jax.solvers import step_qp
-from htcp_jax.solvers.active_set import solve_step
+from htcp_jax.solvers import active_set, step_qp
 from htcp_jax.types import Anywhere, Float, Int, Joints
 
 STEPS_A_BURST = 5  # step QPs, or null-space steps, per call
@@ -34,14 +28,14 @@ class State(NamedTuple):
     """A configuration at its target, with its measurements, or many of them, one per row; None if not measured."""
 
     x: Float[Anywhere, "*n N"]  # configuration [rad or m]
-    linear: Linearisation | None = None  # task and clearance to first order
+    linear: linearisation.Linearisation | None = None  # task and clearance to first order
     clearance: Float[Anywhere, "*n"] | None = None  # D, the smallest [m]
     residual: Float[Anywhere, "*n"] | None = None  # of the task [m]
     tcp: Float[Anywhere, "*n 3"] | None = None  # world [m]
 
 
 def prepare(
-    settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear: Linearisation
+    settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear: linearisation.Linearisation
 ) -> step_qp.StepQP:
     """Return the step QP of one lane, equation (9).
 
@@ -84,9 +78,9 @@ def advance(
         smallest: See `linearise`.
     """
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
-    linear = linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
+    linear = linearisation.linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
     residual = scene.task.residual(linear.task.value, lane.target)
-    return State(x, linear, jnp.min(linear.clearance.distance), residual, tcp_position(scene.robot, x))
+    return State(x, linear, jnp.min(linear.clearance.distance), residual, kinematics.tcp_position(scene.robot, x))
 
 
 def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> State:
@@ -118,7 +112,7 @@ def track(
     lane: LaneInputs,
     x_ref: Joints,
     x_previous: Joints,
-    linear: Linearisation,
+    linear: linearisation.Linearisation,
     iteration: Int[jax.Array, ""],
 ) -> Loop:
     """Solve step QPs (9) on the device, one after the other: Algorithm 1, line 7.
@@ -146,7 +140,7 @@ def track(
 
     def step(scene: Scene, tracked: Tracked) -> Tracked:
         step_qp = prepare(settings, scene, lane, tracked.now.x, x_previous, tracked.now.linear)
-        found = solve_step(step_qp, settings.qp_tolerance)
+        found = active_set.solve_step(step_qp, settings.qp_tolerance)
         now = advance(settings, scene, lane, tracked.now.x, found.y, settings.clearance_rows == "smallest")
         return Tracked(now, tracked.iteration + 1, found.status)
 
@@ -158,17 +152,17 @@ def track(
 
 def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
     """Return True if the straight joint path from a to b is clear."""
-    return path_clear(scene, settings, lane, a, b)
+    return motion_proof.path_clear(scene, settings, lane, a, b)
 
 
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Move x onto its target, to a tenth of the tolerance that inverse kinematics has elsewhere."""
-    return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
+    return inverse_kinematics.reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
 
 
 def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Return the tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
-    return in_workpiece(lane, tip_segment(scene.robot, x))
+    return in_workpiece(lane, kinematics.tip_segment(scene.robot, x))
 
 
 class Closely(NamedTuple):
@@ -179,7 +173,9 @@ class Closely(NamedTuple):
     deepest: Int[jax.Array, ""]
 
 
-def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, closely: Closely) -> Loop:
+def prove_way(
+    settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: motion_proof.Tube, closely: Closely
+) -> Loop:
     """Prove or refute that the straight joint path from a to b is a motion.
 
     The conditions on it are data, so that one executable serves all callers.
@@ -196,12 +192,12 @@ def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tu
     Returns:
         A loop whose result is a `Proof`, see `of_proven`.
     """
-    look = look_on(scene, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
-    start = jax.tree.map(jnp.asarray, begun())
-    return Loop(start, lambda far: far.going, lambda _, far: look(far), lambda far: of_proven(far.proof))
+    look = motion_proof.look_on(scene, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
+    start = jax.tree.map(jnp.asarray, bisection.begun())
+    return Loop(start, lambda far: far.going, lambda _, far: look(far), lambda far: bisection.of_proven(far.proof))
 
 
-def hold(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisation) -> TaskLinear:
+def hold(settings: Settings, scene: Scene, lane: LaneInputs, linear: linearisation.Linearisation) -> tasks.TaskLinear:
     """Return the task's rows at the lane's target, from the linearisation."""
     return scene.task.linear(*linear.task, lane.target)
 
@@ -211,17 +207,17 @@ def hold(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisati
 MEASURED = ("clearance_rows",)  # by `measured`
 _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
 
-PREPARE = Kernel("prepare", prepare, STEP, _STEP_QP)
-ADVANCE = Kernel("advance", advance, STEP)
-ADVANCE_SMALLEST = Kernel("advance", advance_smallest, STEP)
-TRACK_BURST = Kernel("track", track, TRACKED, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
-CHECK_PATH = Kernel("check_path", check_path, STEP, ("path_test", "path_steps"))
-SETTLE = Kernel("settle", settle, STEP)
-HOLD = Kernel("hold", hold, STEP)
-TIP = Kernel("tip", tip, STEP)
-PROVE = Kernel("prove", prove_way, TRACKED, refill=by_stretches)
+PREPARE = kernel.Kernel("prepare", prepare, kernel.STEP, _STEP_QP)
+ADVANCE = kernel.Kernel("advance", advance, kernel.STEP)
+ADVANCE_SMALLEST = kernel.Kernel("advance", advance_smallest, kernel.STEP)
+TRACK_BURST = kernel.Kernel("track", track, kernel.TRACKED, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
+CHECK_PATH = kernel.Kernel("check_path", check_path, kernel.STEP, ("path_test", "path_steps"))
+SETTLE = kernel.Kernel("settle", settle, kernel.STEP)
+HOLD = kernel.Kernel("hold", hold, kernel.STEP)
+TIP = kernel.Kernel("tip", tip, kernel.STEP)
+PROVE = kernel.Kernel("prove", prove_way, kernel.TRACKED, refill=by_stretches)
 
 
-def advance_of(settings: Settings) -> Kernel:
+def advance_of(settings: Settings) -> kernel.Kernel:
     """Return the lane function with which an engine measures its lanes."""
     return ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE

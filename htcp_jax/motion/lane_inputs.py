@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax.model.scenario import Scenario
+from htcp_jax.model import Scenario
 
 
 class LaneInputs(NamedTuple):

@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.proof.bisection import Proof
-from htcp_jax.clearance.proof.motion_proof import Tube
-from htcp_jax.device.tables import concatenate, gather, interleaved, portions
-from htcp_jax.model.task import TCP_POSITION
+from htcp_jax.clearance.proof import bisection, motion_proof
+from htcp_jax.device import tables
+from htcp_jax.model import task as tasks
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.motion import ONE_POINT_M
@@ -36,7 +35,7 @@ class Segments(NamedTuple):
     turns: Bool[np.ndarray, "n"]  # True if the arm changes its configuration at the target before
 
 
-def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray) -> Tube:
+def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray) -> motion_proof.Tube:
     """Return the tubes that the TCP has to stay in on the segments to targets, and the task's goals on the path.
 
     Tubes are unbounded before the path, and if the task does not constrain the TCP's position.
@@ -51,10 +50,12 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
     free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
     rows = _rows(problem, scenario, target, turns)
     if free.all():
-        return Tube(np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows)
+        return motion_proof.Tube(
+            np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows
+        )
     a, b = (task.tcp_place(scenarios.aims[scenario, row]) for row in (np.maximum(target - 1, 0), target))
     a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
-    return Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, problem.settings.tube_m), *rows)
+    return motion_proof.Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, problem.settings.tube_m), *rows)
 
 
 def _rows(
@@ -64,7 +65,7 @@ def _rows(
 
     They are required on the path. The result is empty for the paper's task, which the tube alone enforces.
     """
-    if problem.task.parts == TCP_POSITION.parts:
+    if problem.task.parts == tasks.TCP_POSITION.parts:
         return ()
     scenarios, before = problem.scenarios, np.maximum(target - 1, 0)
     goals = np.stack([scenarios.aims[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)
@@ -77,7 +78,7 @@ def check_remaining_paths(problem: Problem, plans: Plans) -> Plans:
     plans = plans.with_own("path_clear")
 
     def check(checker: CollisionChecker, share: slice) -> None:
-        for row, at in portions((s[share], t[share])):
+        for row, at in tables.portions((s[share], t[share])):
             inputs = lane_inputs(problem.scenarios, row, at)
             plans.path_clear[row, at] = checker.path_clear(inputs, plans.before(row, at), plans.x[row, at])
 
@@ -130,18 +131,20 @@ def tighten(problem: Problem, plans: Plans) -> Plans:
 def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
     """Return the straight joint paths that lead to some rows: between via points, and from the last one to the row."""
     s, t = np.nonzero(rows)
-    knots = gather(plans.knots, rows[plans.knots.scenario, plans.knots.target])
+    knots = tables.gather(plans.knots, rows[plans.knots.scenario, plans.knots.target])
     turns = np.arange(len(knots.x) + len(s)) < len(knots.x)
     columns = (knots.scenario, s), (knots.target, t), (knots.x, plans.x[s, t])
     scenario, target, b = (np.concatenate(both) for both in columns)
     order = np.lexsort((~turns, target, scenario))  # via points as they are passed, then the row
-    scenario, target, b, turns = gather((scenario, target, b, turns), order)
+    scenario, target, b, turns = tables.gather((scenario, target, b, turns), order)
     a = plans.before(scenario, target)
     a[1:][turns[:-1]] = b[:-1][turns[:-1]]
     return Segments(scenario, target, a, b, turns)
 
 
-def prove_segments(problem: Problem, checker: CollisionChecker, segments: Segments, kept: float = 0.0) -> Proof:
+def prove_segments(
+    problem: Problem, checker: CollisionChecker, segments: Segments, kept: float = 0.0
+) -> bisection.Proof:
     """Return one proof per segment.
 
     Args:
@@ -155,16 +158,18 @@ def prove_segments(problem: Problem, checker: CollisionChecker, segments: Segmen
     return checker.edges(inputs, segments.a, segments.b, tube, kept=kept)
 
 
-def _proofs(problem: Problem, segments: Segments, kept: float = KEPT) -> Proof:
+def _proofs(problem: Problem, segments: Segments, kept: float = KEPT) -> bisection.Proof:
     """Return one proof per segment, computed by all threads."""
 
-    def prove(checker: CollisionChecker, share: slice) -> Proof:
-        return concatenate([prove_segments(problem, checker, part, kept) for part in portions(gather(segments, share))])
+    def prove(checker: CollisionChecker, share: slice) -> bisection.Proof:
+        return tables.concatenate(
+            [prove_segments(problem, checker, part, kept) for part in tables.portions(tables.gather(segments, share))]
+        )
 
-    return interleaved(problem.in_threads(prove, min(problem.threads, len(segments.target))))
+    return tables.interleaved(problem.in_threads(prove, min(problem.threads, len(segments.target))))
 
 
-def _record(plans: Plans, segments: Segments, proofs: Proof) -> None:
+def _record(plans: Plans, segments: Segments, proofs: bisection.Proof) -> None:
     """Record for each row the verdict of its first joint path that is not proven, and the least clearance of all."""
     s, t = segments.scenario, segments.target
     plans.way[s, t], plans.way_clearance[s, t] = Way.PROVEN, np.inf

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.device.tables import gather
+from htcp_jax.device import tables
 from htcp_jax.motion.kernels import State
 
 NO_PARENT = -1
@@ -80,7 +80,7 @@ class BeamTree(Tree):
 
     def nodes(self, rows: Int[np.ndarray, "m"]) -> Nodes:
         """Return the nodes in some rows."""
-        return gather(self._table, rows)
+        return tables.gather(self._table, rows)
 
     def plant(self, at: State, target: int) -> Int[np.ndarray, "m"]:
         """Add roots at a target; return their rows."""
@@ -119,7 +119,7 @@ class BeamTree(Tree):
             rows = rows[rows != NO_PARENT]
             rows = rows[~alive[rows]]
         moved = np.cumsum(alive) - 1
-        kept = gather(self._table, np.flatnonzero(alive))
+        kept = tables.gather(self._table, np.flatnonzero(alive))
         kept.parent[:] = np.where(kept.parent == NO_PARENT, NO_PARENT, moved[kept.parent])
         self._table, self._count = kept, len(kept.parent)
         self._kept = max(LEAST, self._count)

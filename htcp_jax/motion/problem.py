@@ -10,15 +10,12 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Int
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
-from htcp_jax.device.devices import on
-from htcp_jax.device.programs import Kernels
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import NOT_REFUSED, Scenario, off_their_lines
-from htcp_jax.model.task import Task
-from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.clearance import Obstacles, Scene
+from htcp_jax.clearance.obstacles import tip_guard
+from htcp_jax.device import Kernels
+from htcp_jax.device import devices as compute_devices
+from htcp_jax.model import Robot, Scenario, Task, Workpiece
+from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.plans import Plans
@@ -57,7 +54,7 @@ class Problem:
     @cached_property
     def checkers(self) -> tuple[CollisionChecker, ...]:
         """Collision checkers of this scene, one for each device."""
-        scene, guard = Scene(self.robot, self.obstacles, self.task), make_tip_guard(self.workpiece)
+        scene, guard = Scene(self.robot, self.obstacles, self.task), tip_guard.make_tip_guard(self.workpiece)
         spare = max(1, self.threads // max(1, len(self.to_plan)))  # threads without a scenario of their own
         each = (Kernels(scene, self.settings, device, threads=spare) for device in self.devices)
         return tuple(CollisionChecker(kernels, self.settings, guard) for kernels in each)
@@ -70,12 +67,12 @@ class Problem:
     @property
     def to_plan(self) -> Int[np.ndarray, "_"]:
         """Indices of the scenarios to plan: those that were not refused beforehand."""
-        return np.flatnonzero(self.scenarios.refused == NOT_REFUSED)
+        return np.flatnonzero(self.scenarios.refused == scenario_functions.NOT_REFUSED)
 
     def empty_plans(self) -> Plans:
         """Return plans in which nothing is attempted yet, to be filled in; refused scenarios have their status."""
         plans = Plans.empty(self.scenarios.x_start, self.scenarios.targets, self.scenarios.count)
-        refused = self.scenarios.refused != NOT_REFUSED
+        refused = self.scenarios.refused != scenario_functions.NOT_REFUSED
         plans.status[refused, 0] = self.scenarios.refused[refused]
         return plans
 
@@ -94,7 +91,7 @@ class Problem:
 
         def run(number: int) -> Found:
             checker = checkers[number % len(checkers)]
-            with on(checker.kernels.device):
+            with compute_devices.on(checker.kernels.device):
                 return work(checker, slice(number, None, threads))
 
         if threads == 1:
@@ -117,7 +114,7 @@ class Problem:
         """
         before = np.arange(plans.target.shape[1]) < self.scenarios.on_path[:, None]
         left = np.logical_or.accumulate((plans.target != self.scenarios.targets).any(axis=2), axis=1) & before
-        return self.with_scenarios(off_their_lines(self.scenarios, left)) if left.any() else self
+        return self.with_scenarios(scenario_functions.off_their_lines(self.scenarios, left)) if left.any() else self
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

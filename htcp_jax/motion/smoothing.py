@@ -15,8 +15,8 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles.linearisation import Linearisation
-from htcp_jax.device.tables import concatenate, gather
+from htcp_jax.clearance.obstacles import linearisation
+from htcp_jax.device import tables
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.kernels import HOLD, State
 from htcp_jax.motion.knots import Knots
@@ -24,7 +24,7 @@ from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.motion_check import Segments, prove_segments
 from htcp_jax.motion.plans import Outcome, Plans
 from htcp_jax.motion.problem import Problem
-from htcp_jax.solvers.path_qp import PathQP, path_cost, solve_path_qp
+from htcp_jax.solvers import path_qp
 from htcp_jax.status import Way
 
 TRUST = 0.2  # maximum step of a joint per round [rad or m]
@@ -45,7 +45,7 @@ class Path:
     on_path: int  # see `Scenario`
     radius: Float[np.ndarray, "P"]  # of the trust region; 0 for a fixed configuration
     begins_anywhere: bool  # True if the start is the first target's configuration
-    seen: Linearisation | None = None  # at the configurations, and half way to each: (P, 2, ...)
+    seen: linearisation.Linearisation | None = None  # at the configurations, and half way to each: (P, 2, ...)
     slow: int = field(default=0)  # consecutive rounds with almost no gain
     rounds: int = 0
 
@@ -135,7 +135,7 @@ class Smoothing:
                 path.rounds += 1
 
     def _cost(self, x: np.ndarray) -> float:
-        return path_cost(x, self._weights)
+        return path_qp.path_cost(x, self._weights)
 
     def _drop(self, paths: list[Path]) -> None:
         """Drop via points if the straight segment is a motion."""
@@ -178,8 +178,8 @@ class Smoothing:
         radius, x = path.radius[:, None], path.x[1:]
         lower = np.clip(self._lower - x, -radius, 0.0)
         upper = np.clip(self._upper - x, 0.0, radius)
-        return solve_path_qp(
-            PathQP(
+        return path_qp.solve_path_qp(
+            path_qp.PathQP(
                 path.x, self._weights, path.held, A, G[:, 0], left[:, 0], G[:, 1], left[:, 1], lower, upper,
                 path.begins_anywhere,
             )
@@ -203,7 +203,9 @@ class Smoothing:
         room = np.where(asked[:, :, None], np.maximum(held.room, 0.0), np.inf)
         return held.jacobian[:, 0], np.concatenate([G, -held.gradient], 2), np.concatenate([left, room], 2)
 
-    def _candidates(self, steps: list[tuple[Path, np.ndarray]]) -> list[tuple[np.ndarray, Linearisation, np.ndarray]]:
+    def _candidates(
+        self, steps: list[tuple[Path, np.ndarray]]
+    ) -> list[tuple[np.ndarray, linearisation.Linearisation, np.ndarray]]:
         """Return each path's configurations after a step, their linearisations, and True for those not in a motion.
 
         Configurations that did not move remain part of one.
@@ -212,7 +214,7 @@ class Smoothing:
         x = self._settled(steps)
         seen, good = self._measured(paths, x)
         segments = [path.segments(at) for path, at in zip(paths, x, strict=True)]
-        ways = self._motions(concatenate(segments), GRAZES)
+        ways = self._motions(tables.concatenate(segments), GRAZES)
         found = []
         for path, at, here, counts, way in zip(paths, x, seen, good, _split(ways, paths), strict=True):
             stays = (at == path.x).all(axis=1)
@@ -236,13 +238,15 @@ class Smoothing:
         x = np.concatenate([np.clip(path.x[1:] + y, self._lower, self._upper) for path, y in steps])
         off = np.concatenate([path.held & y.any(axis=1) for path, y in steps])
         if off.any():
-            x[off] = self._checker.project(gather(self._inputs(paths), off), x[off])
+            x[off] = self._checker.project(tables.gather(self._inputs(paths), off), x[off])
         return [
             np.concatenate([own[:1] if path.begins_anywhere else path.x[:1], own])
             for path, own in zip(paths, _split(x, paths), strict=True)
         ]
 
-    def _measured(self, paths: list[Path], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
+    def _measured(
+        self, paths: list[Path], x: list[np.ndarray]
+    ) -> tuple[list[linearisation.Linearisation], list[np.ndarray]]:
         """Return the linearisations at configurations and the midpoints before them, and True for valid ones."""
         inputs = self._inputs(paths)
         places = np.concatenate([np.stack([at[1:], 0.5 * (at[1:] + at[:-1])], axis=1) for at in x])
@@ -251,7 +255,7 @@ class Smoothing:
         seen = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), seen)
         residual = np.where(np.concatenate([path.held for path in paths]), seen.residual[:, 0], 0.0)
         good = self._checker.valid(inputs, State(places[:, 0], clearance=seen.clearance[:, 0], residual=residual))
-        linear = [gather(seen.linear, rows) for rows in _split(np.arange(len(good)), paths)]
+        linear = [tables.gather(seen.linear, rows) for rows in _split(np.arange(len(good)), paths)]
         return linear, _split(good, paths)
 
     def _motions(self, segments: Segments, most_queries: int | None = None) -> Bool[np.ndarray, "n"]:

@@ -8,7 +8,7 @@ configuration there by any joint path that is proven clear.
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.device.tables import gather
+from htcp_jax.device import tables
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.front import dispersed
 from htcp_jax.motion.joint_search import Limits, join
@@ -41,9 +41,9 @@ def other_postures(problem: Problem, checker: CollisionChecker, s: int, round_: 
     limits = checker.kernels.limits
     x = _unwound(checker.project(inputs, _drawn(problem.robot.slides, limits, about, rng)), limits, about)
     here = checker.states(inputs, x)._replace(x=x, linear=None)
-    found = gather(here, checker.valid(inputs, here))
+    found = tables.gather(here, checker.valid(inputs, here))
     one = np.zeros(len(found.x), int)
-    return gather(found, dispersed(found.x, one, settings.front, settings.front_apart_rad))
+    return tables.gather(found, dispersed(found.x, one, settings.front, settings.front_apart_rad))
 
 
 def _drawn(

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import cause, read_json
-from htcp_jax.runs.plan_folder import write_json
+from htcp_jax.io import files
+from htcp_jax.runs import plan_folder
 
 FILE = "seconds.json"
 
@@ -39,7 +39,7 @@ class Clock:
         now = time.monotonic()
         if self._seconds is not None and rounds > len(self._ends):
             self._ends.append(sum(self._ends[-1:]) + now - self._last)
-            write_json(self._file, {"ends_s": self._ends})
+            plan_folder.write_json(self._file, {"ends_s": self._ends})
         self._last = now
 
 
@@ -47,6 +47,6 @@ def _read(file: Path) -> list[float]:
     if not file.exists():
         return []
     try:
-        return [float(end) for end in read_json(file, file.parent)["ends_s"]]
+        return [float(end) for end in files.read_json(file, file.parent)["ends_s"]]
     except (OSError, ValueError, TypeError, LookupError) as error:
-        raise InputError(f"{file} is damaged: {cause(error, file)}") from None
+        raise InputError(f"{file} is damaged: {files.cause(error, file)}") from None

@@ -17,17 +17,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.jobs.grid import Sweep, load_sweep
-from htcp_jax.motion.plans import Plans
+from htcp_jax.jobs import grid as grids
+from htcp_jax.motion import Plans
 from htcp_jax.placement.place_file import CLEARANCE, Search
-from htcp_jax.runs.run_folder import Run
+from htcp_jax.runs import Run
 
 MARGIN = "margin_m"
 # Settings of the quick plans: fewer configurations at a target, no smoothing.
 QUICK = ("settings.smooth=false", "settings.front=16", "settings.thin_front=4", "settings.walks=8")
 RAISED, FACTOR = 3, 3.0  # largest number of raises of a margin, and the next margin over the guaranteed clearance
 # Plans a grid by a method into a folder, or resumes it, and times it if the cycle time is an objective.
-Planner = Callable[[Sweep, str, Path], Run]
+Planner = Callable[[grids.Sweep, str, Path], Run]
 
 
 class Judged:
@@ -102,7 +102,7 @@ def sweep_of(
     values: Float[np.ndarray, "n d"],
     margin_m: Float[np.ndarray, "n"] | None = None,
     settings: Sequence[str] = (),
-) -> Sweep:
+) -> grids.Sweep:
     """Build a sweep over mountings and seams.
 
     Each scenario draws the same random numbers as a job that is planned alone.
@@ -120,7 +120,7 @@ def sweep_of(
     if margin_m is not None:
         first[MARGIN] = margin_m.tolist()
     grid = [first, {"workpiece.path": list(search.seams)}] if search.seams else [first]
-    return replace(load_sweep({"grid": grid}, search.config, (*settings, *search.overrides)), alone=True)
+    return replace(grids.load_sweep({"grid": grid}, search.config, (*settings, *search.overrides)), alone=True)
 
 
 def judge(

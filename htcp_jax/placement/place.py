@@ -21,9 +21,9 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.feed import feed_of
-from htcp_jax.jobs.grid import Sweep
-from htcp_jax.motion.plans import Plans
+from htcp_jax.jobs import feed
+from htcp_jax.jobs import grid as grids
+from htcp_jax.motion import Plans
 from htcp_jax.placement.clock import Clock
 from htcp_jax.placement.judge import (
     MARGIN,
@@ -40,12 +40,12 @@ from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_se
 from htcp_jax.placement.placed import Placed, searching, write
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, Known, best_apart, even, score
 from htcp_jax.placement.tolerance import TRIED, disturbed, most_tried, tolerances
-from htcp_jax.planning.batch import start_clearance
+from htcp_jax.planning import start_clearance
+from htcp_jax.runs import Run
+from htcp_jax.runs import open as plan_sets
 from htcp_jax.runs import sweep as sweeps
-from htcp_jax.runs.open import MOTIONS
-from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import AT_HOME, Status
-from htcp_jax.trajectory.whole_run import time_run
+from htcp_jax.trajectory import time_run
 
 MARGINS = 1.7, 1.4, 1.2, 1.05, 0.95, 0.8, 0.5  # margins of a confirmed motion, in shares of the quick plan's clearance
 LOWERED = 0.8, 0.4  # margins of a perturbed mounting, in shares of its own, tried before the job's
@@ -110,7 +110,7 @@ def place(
     with searching(folder, search):
         tell, where = _Teller(search, progress), {"on": on, "device": device, "threads": threads}
 
-        def plan(grid: Sweep, method: str, into: Path) -> Run:
+        def plan(grid: grids.Sweep, method: str, into: Path) -> Run:
             tell.begin(STAGES[into.relative_to(folder).parts[0]])
             run = sweeps.sweep(grid, [method], into, progress=tell.sweep, targets_in_all=targets, **where)
             tell.planned(run)
@@ -130,7 +130,7 @@ def _targets(search: Search) -> int:
     Raises:
         InputError: Before planning starts, for an invalid feed, or for ranges whose ends the job refuses.
     """
-    feed_of(search.file.feed)
+    feed.feed_of(search.file.feed)
     ends = np.repeat([[0.0], [1.0]], len(search.ranges.axes), axis=1)
     return int(sweep_of(search, search.ranges.values(ends)).batch().scenarios.count.max())
 
@@ -329,4 +329,4 @@ def _motions(search: Search, confirmed: Judged, mountings: Sequence[Mounting], f
     scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
     plans: Plans = confirmed.plans.rows(scenarios)
     spec = sweep_of(search, confirmed.values[rows], margins)
-    return sweeps.keep_plans(spec, confirmed.method, plans, folder / MOTIONS).folder
+    return sweeps.keep_plans(spec, confirmed.method, plans, folder / plan_sets.MOTIONS).folder

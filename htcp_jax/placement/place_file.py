@@ -16,12 +16,8 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, field_validator, model_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.strict_model import Section, validate
-from htcp_jax.jobs.build import robot_of
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.examples import read_mapping
-from htcp_jax.jobs.grid_axes import FILE_KEYS, absolute
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.io import strict_model
+from htcp_jax.jobs import PlanConfig, build, examples, grid_axes, load_config
 from htcp_jax.placement.ranges import Ranges, read_ranges
 from htcp_jax.planning import registry
 
@@ -29,7 +25,7 @@ CLEARANCE, CYCLE_TIME = "clearance", "cycle time"
 AIMS = CLEARANCE, CYCLE_TIME, "joint motion"
 
 
-class Within(Section):
+class Within(strict_model.Section):
     """Budget of the search: a number of scenarios, or a time [s]."""
 
     scenarios: Annotated[int, Field(gt=0, le=1_000_000)] | None = None
@@ -42,14 +38,14 @@ class Within(Section):
         return self
 
 
-class Off(Section):
+class Off(strict_model.Section):
     """Bounds of the perturbation, which applies to every parameter of a mounting at once."""
 
     mm: float = Field(3.0, gt=0, le=1000)
     deg: float = Field(0.5, gt=0, le=90)
 
 
-class PlaceFile(Section):
+class PlaceFile(strict_model.Section):
     """Contents of a PLACE.yaml."""
 
     config: str | None = None
@@ -113,15 +109,15 @@ def load_search(
     Raises:
         InputError: For errors in either file, and for a seam that is missing.
     """
-    path, raw = read_mapping(spec, "place")
-    file: PlaceFile = validate({**raw, **(changes or {})}, PlaceFile, str(path))
+    path, raw = examples.read_mapping(spec, "place")
+    file: PlaceFile = strict_model.validate({**raw, **(changes or {})}, PlaceFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config
     job = load_config(config, overrides)
-    robot = robot_of(job.robot)
+    robot = build.robot_of(job.robot)
     ranges = read_ranges(f"{path}: place", file.place, robot.joint_names, job.model_dump())
-    words = FILE_KEYS["workpiece.path"]
-    seams = tuple(absolute(name if name in words else str(path.parent / name), words) for name in file.seams)
+    words = grid_axes.FILE_KEYS["workpiece.path"]
+    seams = tuple(grid_axes.absolute(name if name in words else str(path.parent / name), words) for name in file.seams)
     for name, seam in zip(file.seams, seams, strict=True):
         if seam not in words and not Path(seam).is_file():
             raise InputError(f"{path}: seams: there is no file {name}")

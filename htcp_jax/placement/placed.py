@@ -23,16 +23,12 @@ import yaml
 
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.io import files
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.examples import example_or_path
-from htcp_jax.jobs.load_config import load_config
+from htcp_jax.jobs import PlanConfig, examples, load_config
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
 from htcp_jax.process_exit import stop_message
-from htcp_jax.runs.lock import locked
-from htcp_jax.runs.open import SEARCH
-from htcp_jax.runs.plan_folder import made_folder, write_json, write_text
-from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs import lock, open_run, plan_folder
+from htcp_jax.runs import open as plan_sets
 
 if TYPE_CHECKING:
     from htcp_jax.placement.judge import Judged
@@ -122,7 +118,7 @@ def searching(folder: Path, search: Search) -> Iterator[None]:
         InputError: If the folder holds another search, is in use or cannot be written.
         Interrupted: In place of KeyboardInterrupt.
     """
-    with made_folder(folder) as is_new, locked(folder):
+    with plan_folder.made_folder(folder) as is_new, lock.locked(folder):
         for place, stages, _ in os.walk(folder):
             for stage in stages:
                 files.inside(Path(place, stage), folder)  # no stage writes through a link
@@ -141,7 +137,7 @@ def _stopped(folder: Path, is_new: bool) -> str:
     """Remove a search without finished plans, and return the message on how to resume."""
     if _holds_any(folder):
         return f"stopped; what is finished is in {folder}; the same command goes on from there"
-    (folder / SEARCH).unlink(missing_ok=True)
+    (folder / plan_sets.SEARCH).unlink(missing_ok=True)
     if is_new:
         shutil.rmtree(folder, ignore_errors=True)
     return f"stopped; {NOTHING}"
@@ -159,9 +155,9 @@ def _begin(folder: Path, search: Search) -> None:
         "overrides": list(search.overrides),
         "seams": list(search.seams),
     }
-    file = folder / SEARCH
+    file = folder / plan_sets.SEARCH
     if not file.exists():
-        write_json(file, asked)
+        plan_folder.write_json(file, asked)
         return
     try:
         there = dict(files.read_json(file, folder))
@@ -197,7 +193,7 @@ def write(
     if motions is not None:
         _write_jobs(found, [point.config for point in open_run(motions).points()])
     files.write(folder, MOUNTINGS, files.parquet_bytes(_table(search, judged)))
-    write_json(folder / RANKED, found.record())
+    plan_folder.write_json(folder / RANKED, found.record())
     return found
 
 
@@ -206,12 +202,12 @@ def _write_jobs(found: Placed, configs: Sequence[PlanConfig]) -> None:
     search, names = found.search, [name for own in found.jobs for name in own]
     for old in found.folder.glob("best-*.yaml"):
         old.unlink()
-    base = {} if search.config is None else {"config": str(example_or_path(search.config).resolve())}
+    base = {} if search.config is None else {"config": str(examples.example_or_path(search.config).resolve())}
     plain = load_config(base.get("config")).model_dump(mode="json")
     for name, config in zip(names, configs, strict=True):
         own = _differences(config.model_dump(mode="json"), plain) | {"method": search.file.confirm}
         text = f"# A mounting that htcp place ranked for {search.name}; htcp plan {name} gives its motion.\n"
-        write_text(found.folder / name, text + yaml.safe_dump(base | own, sort_keys=False))
+        plan_folder.write_text(found.folder / name, text + yaml.safe_dump(base | own, sort_keys=False))
 
 
 def _differences(config: dict[str, Any], plain: dict[str, Any]) -> dict[str, Any]:

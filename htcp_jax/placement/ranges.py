@@ -16,8 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import LARGEST
-from htcp_jax.jobs.grid_axes import KEYS, NO_AXIS, XYZ, of_kind, parameters
+from htcp_jax.jobs import config, grid_axes
 
 PLANNERS_OWN = ("settings.", "margin_m", "workpiece.interior", "workpiece.mesh", "workpiece.tip_contact_m",
                 "workpiece.inlet", "workpiece.approach")  # fmt: skip
@@ -104,11 +103,11 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
     """
     if not raw:
         raise InputError(f"{where} is empty; it needs at least one range")
-    known = parameters(joints)
+    known = grid_axes.parameters(joints)
     axes: list[Range] = []
     fixed: dict[str, tuple[float | None, ...]] = {}
     for name, value in raw.items():
-        if (own := of_kind(str(name))) is not None:
+        if (own := grid_axes.of_kind(str(name))) is not None:
             known.setdefault(str(name), own)
         _refuse(where, str(name), known, base)
         key, element = known[name].key, known[name].element
@@ -135,7 +134,7 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
 
 def _refuse(where: str, name: str, known: Mapping[str, Any], base: Mapping[str, Any]) -> None:
     """Raise InputError for a key that is unknown or cannot vary."""
-    if name.partition(".")[0] in NO_AXIS or name.startswith(PLANNERS_OWN):
+    if name.partition(".")[0] in grid_axes.NO_AXIS or name.startswith(PLANNERS_OWN):
         kinds = "the workpiece's pose, the arm's, its tool, the start, the task and the cell can"
         raise InputError(f"{where}: {name} cannot vary in a search; {kinds}")
     if name not in known:
@@ -158,8 +157,10 @@ def _range(where: str, key: str, element: int | None, value: Any) -> Range:
     if not low < high:
         kind = "empty" if low == high else "reversed"
         raise InputError(f"{where}: {name}: the range [{low:g}, {high:g}] is {kind}")
-    if not max(-low, high) <= LARGEST:
-        raise InputError(f"{where}: {name}: the range is [{low:g}, {high:g}]; valid: -{LARGEST:g} to {LARGEST:g}")
+    if not max(-low, high) <= config.LARGEST:
+        raise InputError(
+            f"{where}: {name}: the range is [{low:g}, {high:g}]; valid: -{config.LARGEST:g} to {config.LARGEST:g}"
+        )
     return Range(key, element, low, high)
 
 
@@ -175,8 +176,8 @@ def _of(base: Mapping[str, Any], key: str) -> Any:
 
 def _default(key: str, base: Mapping[str, Any]) -> Any:
     """Return the default of a key; of a kind of another package the job's own value, None if it has none."""
-    if key in KEYS:
-        return KEYS[key]
+    if key in grid_axes.KEYS:
+        return grid_axes.KEYS[key]
     try:
         return _of(base, key)
     except LookupError:
@@ -184,4 +185,4 @@ def _default(key: str, base: Mapping[str, Any]) -> Any:
 
 
 def _element(key: str, element: int) -> str:
-    return str(element + 1) if key == "start_rad" else XYZ[element]
+    return str(element + 1) if key == "start_rad" else grid_axes.XYZ[element]

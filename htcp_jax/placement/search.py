@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import qmc
 
-from htcp_jax.motion.front import first_apart
+from htcp_jax.motion import front
 
 EVEN = 0.5  # share of the budget for the Halton sequence
 ROUND = 512  # mountings of an even round
@@ -66,7 +66,7 @@ def best_apart(u: Float[np.ndarray, "n d"], order: np.ndarray, count: int) -> li
         order: Indices of the mountings, best first, (n,).
         count: The number of mountings; fewer are returned if no more are apart.
     """
-    return order[first_apart(u[order], count, APART, np.inf)].tolist()
+    return order[front.first_apart(u[order], count, APART, np.inf)].tolist()
 
 
 class Evolution:

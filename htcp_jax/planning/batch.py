@@ -13,23 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacle, Obstacles
-from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind, with_given
-from htcp_jax.clearance.obstacles.obstacles import contacts, nearest_to
-from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.obstacles.self_collision import SelfCollision, refused_overlap
-from htcp_jax.device.devices import choose, default_threads, on
-from htcp_jax.device.processes import portable, shares, spread, that_pay
-from htcp_jax.device.tables import gather
+from htcp_jax.clearance import Obstacle, Obstacles, Scene, contacts, nearest_to
+from htcp_jax.clearance.obstacles import obstacle_kind, of_workpiece, self_collision
+from htcp_jax.device import devices as compute_devices
+from htcp_jax.device import processes as worker_processes
+from htcp_jax.device import tables
 from htcp_jax.errors import InputError
-from htcp_jax.model.robot import Robot, capsule_in_words, lengthen_tool, mesh_note
-from htcp_jax.model.scenario import NOT_REFUSED, Scenario, stack
-from htcp_jax.model.task import Task
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.problem import Problem, ignore
+from htcp_jax.model import Robot, Scenario, Task, Workpiece
+from htcp_jax.model import robot as robots
+from htcp_jax.model import scenario as scenario_functions
+from htcp_jax.motion import Plans, Problem, lane_inputs
 from htcp_jax.planning import registry
 from htcp_jax.planning.registry import Method, find
 from htcp_jax.settings import Settings, settings_of
@@ -57,7 +50,7 @@ def plan(
     threads: int | None = None,
     check_paths: bool = True,
     task: Task | None = None,
-    obstacles: Sequence[Obstacle | ObstacleKind] = (),
+    obstacles: Sequence[Obstacle | obstacle_kind.ObstacleKind] = (),
     check_starts: bool = False,
     processes: int | None = None,
     targets_in_all: int | None = None,
@@ -102,39 +95,39 @@ def plan(
         if weights is not None and len(weights) != joints:
             raise InputError(f"{name} has {len(weights)} values, the robot {robot.name} has {joints} joints")
     if settings.qp.startswith("qpsolvers:"):  # refuse one that is not installed, even if the method does not use it
-        from htcp_jax.solvers.qpsolvers_ import QPSolversSolver
+        from htcp_jax.solvers import QPSolversSolver
 
         QPSolversSolver(settings.qp.partition(":")[2])
     if not isinstance(scenarios, Scenario):
-        scenarios = stack(scenarios)
+        scenarios = scenario_functions.stack(scenarios)
     elif scenarios.x_start.ndim == 1:
-        scenarios = stack([scenarios])
-    obstacles, scenarios = with_given(obstacles, jax.tree.map(np.asarray, scenarios))
+        scenarios = scenario_functions.stack([scenarios])
+    obstacles, scenarios = obstacle_kind.with_given(obstacles, jax.tree.map(np.asarray, scenarios))
     scenarios = _with_refused(robot, obstacles, scenarios, check_starts)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     _check_task(task, robot, scenarios)
-    devices = choose(device)
-    cores = default_threads(devices, settings.qp)
+    devices = compute_devices.choose(device)
+    cores = compute_devices.default_threads(devices, settings.qp)
     if processes is None:
         targets = targets_in_all or int(scenarios.count.sum())
-        processes = 1 if threads else that_pay(cores, len(scenarios.number), targets)
+        processes = 1 if threads else worker_processes.that_pay(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
     if processes > 1 and devices[0].platform == "cpu" and elsewhere:
         how = {"method": method, "settings": settings, "threads": threads or 1, "task": task}
         how |= {"check_paths": check_paths, "check_starts": check_starts}
-        shared = portable(robot, workpiece, tuple(obstacles))
-        if shared and portable(how):
+        shared = worker_processes.portable(robot, workpiece, tuple(obstacles))
+        if shared and worker_processes.portable(how):
             return _spread(processes, how, shared, scenarios, progress)
     began = time.perf_counter()
-    with on(devices[0]):
+    with compute_devices.on(devices[0]):
         problem = Problem(
             robot,
             workpiece,
             scenarios,
             settings,
             task,
-            all_obstacles(workpiece, obstacles),
+            of_workpiece.all_obstacles(workpiece, obstacles),
             devices,
             threads or cores,
             check_paths,
@@ -150,39 +143,41 @@ def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obst
     """Return `plan`'s result, except for the times, on the problem's devices."""
     settings, check_paths = problem.settings, problem.check_paths
     # Imported here, as methods are: no kernels are loaded before a method is looked up.
-    from htcp_jax.motion.home import begin_at_home, leave_home
-    from htcp_jax.motion.motion_check import check_remaining_paths, judge_motions, tighten
+    from htcp_jax.motion import home as home_motion
+    from htcp_jax.motion import motion_check
     from htcp_jax.planning.tracking.record import with_separate_errors
 
     with _preparing(problem, chosen):
         if check_starts:
             _check_starts(problem, obstacles)
-        problem, ways = leave_home(problem)
+        problem, ways = home_motion.leave_home(problem)
         plans = _of_these(chosen.plan(problem), problem, method)
         problem = problem.as_planned(plans)
         if check_paths:
-            plans = check_remaining_paths(problem, plans)
-        plans = begin_at_home(problem, plans, ways)
+            plans = motion_check.check_remaining_paths(problem, plans)
+        plans = home_motion.begin_at_home(problem, plans, ways)
         if check_paths:
-            plans = judge_motions(problem, plans)
+            plans = motion_check.judge_motions(problem, plans)
             if chosen.smooth if settings.smooth is None else settings.smooth:
-                from htcp_jax.motion.smoothing import smooth
+                from htcp_jax.motion import smoothing
 
-                plans = tighten(problem, judge_motions(problem, smooth(problem, plans)))
+                plans = motion_check.tighten(
+                    problem, motion_check.judge_motions(problem, smoothing.smooth(problem, plans))
+                )
         return with_separate_errors(problem, plans)
 
 
 def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progress: Callable | None) -> Plans:
     """Plan in other processes; `compile_s` is the time until they were ready, plus their mean compilation time."""
     began = time.perf_counter()
-    rows = shares(len(scenarios.number), processes)
-    parts = [gather(scenarios, own) for own in rows]
+    rows = worker_processes.shares(len(scenarios.number), processes)
+    parts = [tables.gather(scenarios, own) for own in rows]
 
     def report(told: np.ndarray) -> None:
         done, tracked = told.sum(axis=0).tolist()
         progress(Progress(done, len(scenarios.number), tracked, int(scenarios.count.sum())))
 
-    found, start_s = spread(processes, partial(_part, how), shared, parts, progress and report)
+    found, start_s = worker_processes.spread(processes, partial(_part, how), shared, parts, progress and report)
     plans = Plans.concatenate(found).rows(np.argsort(np.concatenate(rows)))
     compile_s = start_s + plans.compile_s / min(processes, len(parts))
     return plans._replace(compile_s=compile_s, run_s=time.perf_counter() - began - compile_s)
@@ -192,7 +187,7 @@ def _part(
     how: dict, tell: Callable, robot: Robot, workpiece: Workpiece, obstacles: Obstacles, scenarios: Scenario
 ) -> Plans:
     """Plan some scenarios in another process."""
-    tell(int((scenarios.refused != NOT_REFUSED).sum()), 0)
+    tell(int((scenarios.refused != scenario_functions.NOT_REFUSED).sum()), 0)
 
     def progress(now: Progress) -> None:
         tell(now.scenarios_done, now.targets_tracked)
@@ -218,14 +213,16 @@ def start_clearance(
     """
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
-    scene = Scene(lengthen_tool(robot, scenario.tool_extension_m), all_obstacles(workpiece, obstacles))
+    scene = Scene(
+        robots.lengthen_tool(robot, scenario.tool_extension_m), of_workpiece.all_obstacles(workpiece, obstacles)
+    )
     touch = jax.jit(contacts)(scene.robot, scene.obstacles, scenario, x)
     row = int(touch.distance.argmin())
     body = scene.rows.body[row]
     surface = touch.point[row] - scene.robot.capsule_radius[body] * touch.normal[row]
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
-    note = mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
-    return float(touch.distance[row]), capsule_in_words(robot, robot.capsule_names[body]), other + note
+    note = robots.mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
+    return float(touch.distance[row]), robots.capsule_in_words(robot, robot.capsule_names[body]), other + note
 
 
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
@@ -270,7 +267,7 @@ def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
     """Apply `check_start` to every scenario whose start collides, found by an executable that planning needs anyway."""
     for s in problem.to_plan.tolist():
         one = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
-        inputs = lane_inputs(problem.scenarios, np.array([s]), np.zeros(1, int))
+        inputs = lane_inputs.lane_inputs(problem.scenarios, np.array([s]), np.zeros(1, int))
         for x in _begins_at(one).values():
             if problem.checkers[0].states(inputs, x[None]).clearance[0] <= 0:
                 check_start(problem.robot, problem.workpiece, one, obstacles)
@@ -283,12 +280,12 @@ def _with_refused(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raise
         InputError: If there is one and `raises` is set.
     """
     refused = scenarios.refused.copy()
-    for own in (each for each in obstacles if isinstance(each, SelfCollision)):
+    for own in (each for each in obstacles if isinstance(each, self_collision.SelfCollision)):
         known: dict[bytes, str | None] = {}
-        for s in np.flatnonzero(refused == NOT_REFUSED):
+        for s in np.flatnonzero(refused == scenario_functions.NOT_REFUSED):
             for what, x in _begins_at(jax.tree.map(lambda leaf, s=s: leaf[s], scenarios)).items():
                 if x.tobytes() not in known:
-                    known[x.tobytes()] = refused_overlap(own, robot, x)
+                    known[x.tobytes()] = self_collision.refused_overlap(own, robot, x)
                 if (reason := known[x.tobytes()]) is None:
                     continue
                 if raises:
@@ -309,9 +306,14 @@ def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:
 def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -> Callable[[int, int], None]:
     """Return a function that adds newly tracked and finished counts, on any thread, and reports the totals."""
     if progress is None:
-        return ignore
+        return lambda tracked, finished: None
     lock = threading.Lock()
-    now = Progress(int((scenarios.refused != NOT_REFUSED).sum()), len(scenarios.number), 0, int(scenarios.count.sum()))
+    now = Progress(
+        int((scenarios.refused != scenario_functions.NOT_REFUSED).sum()),
+        len(scenarios.number),
+        0,
+        int(scenarios.count.sum()),
+    )
 
     def add(tracked: int, finished: int) -> None:
         nonlocal now

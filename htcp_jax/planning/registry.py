@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from htcp_jax.registry import Registry
 
 if TYPE_CHECKING:
-    from htcp_jax.motion.plans import Plans
-    from htcp_jax.motion.problem import Problem
+    from htcp_jax.motion import Plans, Problem
 
 
 class Method:
@@ -78,9 +77,9 @@ def register(value: Any) -> Any:
     `sweep` and job files know it then by its name; Ray's workers know only those of installed packages. Raises
     InputError for one that is incomplete, and for a name that is not valid in file names or is taken.
     """
-    from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES, ObstacleKind
-    from htcp_jax.model.task_row_kind import TASK_ROWS, TaskRowKind
+    from htcp_jax.clearance.obstacles import obstacle_kind
+    from htcp_jax.model import task_row_kind
 
-    kinds = {ObstacleKind: OBSTACLES, TaskRowKind: TASK_ROWS}
+    kinds = {obstacle_kind.ObstacleKind: obstacle_kind.OBSTACLES, task_row_kind.TaskRowKind: task_row_kind.TASK_ROWS}
     known = (registry for kind, registry in kinds.items() if isinstance(value, type) and issubclass(value, kind))
     return next(known, METHODS).register(value)

@@ -13,19 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacles import contacts, nearest_to
-from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.device.kernel import DEEP, Kernel
-from htcp_jax.device.programs import Kernels
-from htcp_jax.model.inverse_kinematics import reanchor
-from htcp_jax.model.robot import Robot, capsule_in_words, lengthen_tool, mesh_note
-from htcp_jax.model.scenario import Scenario, stack
-from htcp_jax.model.task import Task
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.plans import Plans
+from htcp_jax.clearance import Obstacles, Scene, contacts, nearest_to
+from htcp_jax.clearance.obstacles import of_workpiece
+from htcp_jax.device import Kernels, kernel
+from htcp_jax.model import Robot, Scenario, Task, Workpiece, inverse_kinematics
+from htcp_jax.model import robot as robots
+from htcp_jax.model import scenario as scenarios
+from htcp_jax.motion import Plans, lane_inputs
 from htcp_jax.settings import Settings
 from htcp_jax.status import AT_HOME, Status
 
@@ -102,8 +96,8 @@ def obstruction(
         obstacles: In addition to the workpiece.
         task: None: the TCP's position.
     """
-    inputs = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
-    known = all_obstacles(workpiece, obstacles)
+    inputs = lane_inputs.lane_inputs(scenarios.stack([scenario]), np.zeros(1, int), np.array([target]))
+    known = of_workpiece.all_obstacles(workpiece, obstacles)
     (found,) = obstructions(robot, known, inputs, np.asarray(x_last)[None], inputs.target, settings, task)
     return found
 
@@ -135,13 +129,21 @@ def obstructions(
     found = []
     for k, (row, point, surface, depth, off, x) in enumerate(zip(*measured, strict=True)):
         here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
-        own = lengthen_tool(robot, here.tool_extension_m)
+        own = robots.lengthen_tool(robot, here.tool_extension_m)
         other = nearest_to(own, obstacles, here, jnp.asarray(x), int(row))
         number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
         body = robot.capsule_names[number]
-        note = mesh_note(robot, body, x, surface)
+        note = robots.mesh_note(robot, body, x, surface)
         one = Obstruction(
-            body, point, float(depth), float(off), reached, x, other, note, in_words=capsule_in_words(robot, body)
+            body,
+            point,
+            float(depth),
+            float(off),
+            reached,
+            x,
+            other,
+            note,
+            in_words=robots.capsule_in_words(robot, body),
         )
         if not (reached or task.is_points):
             distance, angle, within = _apart(own, task, jnp.asarray(x), jnp.asarray(goals[k]))
@@ -173,7 +175,7 @@ def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
             [m], and configuration.
     """
     robot, obstacles, task = scene
-    x, residual = reanchor(robot, x_last, goal, task.fine_m, task=task)
+    x, residual = inverse_kinematics.reanchor(robot, x_last, goal, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)
     row = jnp.argmin(touch.distance)
     radius = robot.capsule_radius[np.array(scene.rows.body)]
@@ -181,7 +183,7 @@ def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
     return row, touch.witness[row], surface, -touch.distance[row], residual, x
 
 
-BRING = Kernel("bring", _brought_there, DEEP)
+BRING = kernel.Kernel("bring", _brought_there, kernel.DEEP)
 
 
 def _mm(length_m: float) -> str:

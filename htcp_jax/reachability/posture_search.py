@@ -21,21 +21,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
-from htcp_jax.clearance.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.device.kernel import Kernel
-from htcp_jax.device.tables import gather
-from htcp_jax.model.inverse_kinematics import damped_step, reanchor
-from htcp_jax.model.kinematics import jacobian, link_poses, tcp_position
-from htcp_jax.model.robot import Robot, lengthen_tool
-from htcp_jax.model.rotations import quaternion_matrix, sine_error
-from htcp_jax.model.task import Task
-from htcp_jax.motion.collision_checker import CollisionChecker
-from htcp_jax.motion.front import first_apart
-from htcp_jax.motion.kernels import State
-from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.clearance import Scene, clearance
+from htcp_jax.device import kernel, tables
+from htcp_jax.model import Robot, Task, inverse_kinematics, kinematics, rotations
+from htcp_jax.model import robot as robots
+from htcp_jax.motion import CollisionChecker, front, kernels, lane_inputs
 from htcp_jax.numerics import product
-from htcp_jax.planning.tracking.stages import PUSH
+from htcp_jax.planning.tracking import stages
 from htcp_jax.reachability.tool_cells import MANY, Cells, tool_cells
 from htcp_jax.settings import Settings
 
@@ -58,11 +50,11 @@ OnTarget = tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m N"]]  # indices of t
 class Found(NamedTuple):
     """Result of a search at n targets."""
 
-    at: State  # (n, PUSHED, ...): pushed configurations, clearest first; a clearance of -inf for none
+    at: kernels.State  # (n, PUSHED, ...): pushed configurations, clearest first; a clearance of -inf for none
     resolution_rad: Float[np.ndarray, "n"]  # radius of the cells; 0 where the tool collides in every orientation
 
 
-def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> State:
+def aim(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, quaternion) -> kernels.State:
     """Move x near the target, with the last link in a given orientation if it can be reached, then onto the target.
 
     Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7).
@@ -78,26 +70,26 @@ def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> St
         The configuration and its residual; the clearance is not measured.
     """
     robot, task = scene.robot, scene.task
-    place, turned = task.tcp_place(lane.target), quaternion_matrix(quaternion)
+    place, turned = task.tcp_place(lane.target), rotations.quaternion_matrix(quaternion)
 
     def step(_, x):
-        turn = sine_error(link_poses(robot, x)[-1, :3, :3], turned)
-        error = jnp.concatenate([place - tcp_position(robot, x), LENGTH_M * turn])
-        jac = jnp.concatenate([jacobian(robot, x), LENGTH_M * _turning(robot, x)])
-        return damped_step(robot, x, error, jac, DAMPING)
+        turn = rotations.sine_error(kinematics.link_poses(robot, x)[-1, :3, :3], turned)
+        error = jnp.concatenate([place - kinematics.tcp_position(robot, x), LENGTH_M * turn])
+        jac = jnp.concatenate([kinematics.jacobian(robot, x), LENGTH_M * _turning(robot, x)])
+        return inverse_kinematics.damped_step(robot, x, error, jac, DAMPING)
 
     x = jax.lax.fori_loop(0, STEPS, step, x)
-    x, residual = reanchor(robot, x, lane.target, task.fine_m, task=task)
-    return State(x, clearance=jnp.zeros(()), residual=residual)
+    x, residual = inverse_kinematics.reanchor(robot, x, lane.target, task.fine_m, task=task)
+    return kernels.State(x, clearance=jnp.zeros(()), residual=residual)
 
 
-def measure(settings: Settings, scene: Scene, lane: LaneInputs, x):
+def measure(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x):
     """Return the clearance D at x (N,) [rad or m]."""
     return clearance(scene.robot, scene.obstacles, lane, x)
 
 
-AIM = Kernel("aim", aim, MANY)
-MEASURE = Kernel("measure", measure, MANY)
+AIM = kernel.Kernel("aim", aim, MANY)
+MEASURE = kernel.Kernel("measure", measure, MANY)
 
 
 def known_postures(robot: Robot, extensions_m: np.ndarray) -> KnownPostures:
@@ -110,16 +102,20 @@ def known_postures(robot: Robot, extensions_m: np.ndarray) -> KnownPostures:
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     x = lower + (upper - lower) * qmc.Halton(len(lower), scramble=False).random(KNOWN)
     pose = jax.jit(jax.vmap(_pose, in_axes=(None, 0)))
-    tools = {float(own_m): lengthen_tool(robot, float(own_m)) for own_m in np.unique(extensions_m)}
+    tools = {float(own_m): robots.lengthen_tool(robot, float(own_m)) for own_m in np.unique(extensions_m)}
     return {own_m: (x, cKDTree(np.asarray(pose(own, x)))) for own_m, own in tools.items()}
 
 
 def _pose(robot: Robot, x):
     """Return the TCP's position and the last link's rotation matrix, both scaled to metres."""
-    return jnp.concatenate([tcp_position(robot, x), TURN_M * link_poses(robot, x)[-1, :3, :3].ravel()])
+    return jnp.concatenate(
+        [kinematics.tcp_position(robot, x), TURN_M * kinematics.link_poses(robot, x)[-1, :3, :3].ravel()]
+    )
 
 
-def search(checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs, resolution_rad: float) -> Found:
+def search(
+    checker: CollisionChecker, known: KnownPostures, inputs: lane_inputs.LaneInputs, resolution_rad: float
+) -> Found:
     """Return clear configurations at n targets, each searched independently.
 
     Args:
@@ -144,16 +140,21 @@ def search(checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs, 
     coarsest = np.zeros(lanes)
     np.maximum.at(coarsest, lane, radius_rad)
     residual = np.where(best > -np.inf, 0.0, np.inf)  # excludes empty rows
-    return Found(State(x, clearance=best, residual=residual), coarsest)
+    return Found(kernels.State(x, clearance=best, residual=residual), coarsest)
 
 
 def _push(
-    checker: CollisionChecker, inputs: LaneInputs, x: np.ndarray, best: np.ndarray, lane: np.ndarray, start: np.ndarray
+    checker: CollisionChecker,
+    inputs: lane_inputs.LaneInputs,
+    x: np.ndarray,
+    best: np.ndarray,
+    lane: np.ndarray,
+    start: np.ndarray,
 ):
     """Push configurations clear, and merge the clearest of each target into `x` and `best`."""
     if not len(lane):
         return
-    pushed = checker.kernels(PUSH, gather(inputs, lane), start)
+    pushed = checker.kernels(stages.PUSH, tables.gather(inputs, lane), start)
     on = np.where(checker.task.reached(pushed.residual), pushed.clearance, -np.inf)
     for k in np.unique(lane):
         own = lane == k
@@ -162,45 +163,45 @@ def _push(
         x[k], best[k] = both[order], D[order]
 
 
-def _moves(inputs: LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
+def _moves(inputs: lane_inputs.LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
     """Return random moves of one target, independent of the other targets."""
     own = np.random.default_rng([inputs.seed[k], inputs.number[k], inputs.row[k], round_])
     return HOP * 0.6**round_ * own.normal(size=(PUSHED, joints))
 
 
-def _aimed(checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs, cells: Cells) -> OnTarget:
+def _aimed(checker: CollisionChecker, known: KnownPostures, inputs: lane_inputs.LaneInputs, cells: Cells) -> OnTarget:
     """Return configurations on the target in all cells."""
     which, seeds = _seeds(checker.task, known, inputs, cells)
     lane = cells.lane[which]
     if not len(lane):
         return lane, seeds
-    at = checker.kernels(AIM, gather(inputs, lane), seeds, cells.quaternion[which])
+    at = checker.kernels(AIM, tables.gather(inputs, lane), seeds, cells.quaternion[which])
     on = checker.task.reached(at.residual)
     return lane[on], at.x[on]
 
 
-def _settled(checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs) -> OnTarget:
+def _settled(checker: CollisionChecker, known: KnownPostures, inputs: lane_inputs.LaneInputs) -> OnTarget:
     """Return configurations on the targets, from seeds spread over the joint limits."""
     lane = np.repeat(np.arange(len(inputs.row)), SPREAD)
     seeds = np.concatenate([known[own_m][0][:SPREAD] for own_m in inputs.tool_extension_m.tolist()])
-    x = checker.project(gather(inputs, lane), seeds)
-    on = checker.task.reached(checker.states(gather(inputs, lane), x).residual)
+    x = checker.project(tables.gather(inputs, lane), seeds)
+    on = checker.task.reached(checker.states(tables.gather(inputs, lane), x).residual)
     return lane[on], x[on]
 
 
-def _candidates(checker: CollisionChecker, inputs: LaneInputs, lane: np.ndarray, x: np.ndarray) -> OnTarget:
+def _candidates(checker: CollisionChecker, inputs: lane_inputs.LaneInputs, lane: np.ndarray, x: np.ndarray) -> OnTarget:
     """Return the clearest configurations that are far apart."""
     kept: list[np.ndarray] = [np.empty(0, int)]
     for k in np.unique(lane):
         own = np.flatnonzero(lane == k)
         own = own[np.unique(np.round(x[own] / (0.5 * APART_RAD)).astype(int), axis=0, return_index=True)[1]]
-        D = checker.kernels(MEASURE, gather(inputs, lane[own]), x[own])
+        D = checker.kernels(MEASURE, tables.gather(inputs, lane[own]), x[own])
         own = own[np.argsort(-D, kind="stable")]
-        kept.append(own[first_apart(x[own], PUSHED, APART_RAD)])
-    return gather((lane, x), np.concatenate(kept))
+        kept.append(own[front.first_apart(x[own], PUSHED, APART_RAD)])
+    return tables.gather((lane, x), np.concatenate(kept))
 
 
-def _seeds(task: Task, known: KnownPostures, inputs: LaneInputs, cells: Cells):
+def _seeds(task: Task, known: KnownPostures, inputs: lane_inputs.LaneInputs, cells: Cells):
     """Return the known configurations whose poses are nearest to each cell: the cell's index, and the configuration."""
     which, seeds = [], []
     extension, place = inputs.tool_extension_m[cells.lane], task.tcp_place(inputs.target)
@@ -215,6 +216,6 @@ def _seeds(task: Task, known: KnownPostures, inputs: LaneInputs, cells: Cells):
 
 def _turning(robot: Robot, x):
     """Return the last link's angular velocity per unit velocity of each joint, 3 x N."""
-    poses = link_poses(robot, x)
+    poses = kinematics.link_poses(robot, x)
     axes = product(poses[:, :3, :3], robot.axis[:, :, None])[..., 0]
     return jnp.where(jnp.array(robot.slides)[:, None], 0.0, axes).T

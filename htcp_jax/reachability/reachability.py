@@ -19,22 +19,14 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
-from htcp_jax.device.devices import default_threads
-from htcp_jax.device.programs import Kernels
-from htcp_jax.device.tables import gather, interleaved
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import Scenario, off_their_lines
-from htcp_jax.model.task import Task
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.motion.collision_checker import CollisionChecker
-from htcp_jax.motion.front import farthest_first
-from htcp_jax.motion.kernels import State
-from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.planning.tracking.stages import PUSH
+from htcp_jax.clearance import Obstacles, Scene
+from htcp_jax.clearance.obstacles import of_workpiece, tip_guard
+from htcp_jax.device import Kernels, devices, tables
+from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario
+from htcp_jax.motion import CollisionChecker, lane_inputs
+from htcp_jax.motion import front as fronts
+from htcp_jax.motion import kernels as motion_kernels
+from htcp_jax.planning.tracking import stages
 from htcp_jax.reachability.posture_search import APART_RAD, PUSHED, KnownPostures, known_postures, search
 from htcp_jax.reachability.tool_cells import excluded
 from htcp_jax.settings import Settings
@@ -97,15 +89,15 @@ def reachable_prefixes(
     settings = settings or Settings()
     scenarios = jax.tree.map(np.asarray, scenarios)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
-    scene = Scene(robot, all_obstacles(workpiece, obstacles), task)
-    checker = CollisionChecker(Kernels(scene, settings), settings, make_tip_guard(workpiece))
+    scene = Scene(robot, of_workpiece.all_obstacles(workpiece, obstacles), task)
+    checker = CollisionChecker(Kernels(scene, settings), settings, tip_guard.make_tip_guard(workpiece))
     known = known_postures(robot, scenarios.tool_extension_m)
-    threads = default_threads([checker.kernels.device], settings.qp)
-    parts = [nothing_found(gather(scenarios, slice(number, None, threads))) for number in range(threads)]
+    threads = devices.default_threads([checker.kernels.device], settings.qp)
+    parts = [nothing_found(tables.gather(scenarios, slice(number, None, threads))) for number in range(threads)]
     stop = threading.Event()
 
     def work(number: int) -> None:
-        own = gather(scenarios, slice(number, None, threads))
+        own = tables.gather(scenarios, slice(number, None, threads))
 
         def report(row: int, rows: int) -> None:
             if stop.is_set():
@@ -122,11 +114,11 @@ def reachable_prefixes(
     try:
         list(pool.map(work, range(threads)))
     except KeyboardInterrupt:
-        raise Stopped(interleaved(parts)) from None
+        raise Stopped(tables.interleaved(parts)) from None
     finally:
         stop.set()
         pool.shutdown(wait=False, cancel_futures=True)
-    return interleaved(parts)
+    return tables.interleaved(parts)
 
 
 def nothing_found(scenarios: Scenario) -> Reachability:
@@ -161,7 +153,7 @@ def _prefixes(
             break
         looked = alive
         while len(looked):
-            inputs = lane_inputs(scenarios, looked, np.full(len(looked), row), seed=seed)
+            inputs = lane_inputs.lane_inputs(scenarios, looked, np.full(len(looked), row), seed=seed)
             clear, best, coarsest = _looked_at(checker, known, inputs, [front[s] for s in looked], resolution_rad)
             for k, s in enumerate(looked):
                 found.best[s], found.resolution_rad[s] = best[k], coarsest[k]
@@ -170,7 +162,7 @@ def _prefixes(
                     found.prefix[s] += 1
             looked = looked[[not len(own) for own in clear]]
             leave = _off_lines(scenarios, looked, row)
-            scenarios = off_their_lines(scenarios, leave) if leave.any() else scenarios
+            scenarios = scenario.off_their_lines(scenarios, leave) if leave.any() else scenarios
             looked = looked[leave[looked, row]]
         alive = alive[found.prefix[alive] > row]
         progress(row + 1, rows)
@@ -178,7 +170,7 @@ def _prefixes(
 
 
 def _looked_at(
-    checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs, front: list, resolution_rad: float
+    checker: CollisionChecker, known: KnownPostures, inputs: lane_inputs.LaneInputs, front: list, resolution_rad: float
 ) -> tuple[list[np.ndarray], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Return the clear configurations at n targets, carried over from each `front` or else searched for.
 
@@ -190,8 +182,8 @@ def _looked_at(
         which = np.flatnonzero([not len(own) for own in clear])
         if not len(which):
             break
-        here = search(checker, known, gather(inputs, which), coarser * resolution_rad)
-        for k, own in zip(which, _searched(checker, gather(inputs, which), here.at), strict=True):
+        here = search(checker, known, tables.gather(inputs, which), coarser * resolution_rad)
+        for k, own in zip(which, _searched(checker, tables.gather(inputs, which), here.at), strict=True):
             clear[k] = own
         lost = np.array([not len(clear[k]) for k in which])
         best[which], coarsest[which] = np.where(lost, here.at.clearance[:, 0], np.nan), lost * here.resolution_rad
@@ -221,28 +213,30 @@ def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachabili
     low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
     while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:
         middle = (low + high)[open_] // 2
-        none = excluded(kernels, robot, lane_inputs(scenarios, open_, middle), cells)
+        none = excluded(kernels, robot, lane_inputs.lane_inputs(scenarios, open_, middle), cells)
         high[open_[none]], low[open_[~none]] = middle[none], middle[~none]
     return high
 
 
-def _carried(checker: CollisionChecker, inputs: LaneInputs, front: list[np.ndarray]) -> list[np.ndarray]:
+def _carried(checker: CollisionChecker, inputs: lane_inputs.LaneInputs, front: list[np.ndarray]) -> list[np.ndarray]:
     """Return, for each target, the configurations of its `front` that are clear there, far apart, clearest first."""
     lane = np.repeat(np.arange(len(front)), [len(own) for own in front])
-    here = checker.kernels(PUSH, gather(inputs, lane), np.concatenate(front))
-    return _clear(checker, gather(inputs, lane), lane, len(front), here)
+    here = checker.kernels(stages.PUSH, tables.gather(inputs, lane), np.concatenate(front))
+    return _clear(checker, tables.gather(inputs, lane), lane, len(front), here)
 
 
-def _searched(checker: CollisionChecker, inputs: LaneInputs, here: State) -> list[np.ndarray]:
+def _searched(
+    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, here: motion_kernels.State
+) -> list[np.ndarray]:
     """Return, for each target, the configurations found by a search that are clear, far apart, clearest first."""
     lanes = len(here.x)
     lane = np.repeat(np.arange(lanes), PUSHED)
     at = jax.tree.map(lambda table: table.reshape(len(lane), *table.shape[2:]), here)
-    return _clear(checker, gather(inputs, lane), lane, lanes, at)
+    return _clear(checker, tables.gather(inputs, lane), lane, lanes, at)
 
 
 def _clear(
-    checker: CollisionChecker, inputs: LaneInputs, lane: np.ndarray, lanes: int, here: State
+    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, lane: np.ndarray, lanes: int, here: motion_kernels.State
 ) -> list[np.ndarray]:
     good = checker.valid(inputs, here)
     return [_dispersed(here.x[own], here.clearance[own]) for own in (good & (lane == k) for k in range(lanes))]
@@ -252,4 +246,4 @@ def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
     """Return up to CARRIED configurations: the clearest, then always the one farthest from those chosen."""
     if not len(x):
         return x
-    return x[farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]
+    return x[fronts.farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]

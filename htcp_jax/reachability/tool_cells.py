@@ -17,17 +17,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof.arm_exclusion import WRIST, Cell, arm_cell, has_wrist, tool_cell
-from htcp_jax.device.kernel import Kernel, Load, Table
-from htcp_jax.device.programs import Kernels
-from htcp_jax.device.tables import concatenate, gather
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.rotations import quaternion_matrix
-from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.clearance import Scene
+from htcp_jax.clearance.proof import arm_exclusion
+from htcp_jax.device import Kernels, tables
+from htcp_jax.device import kernel as lane_kernels
+from htcp_jax.model import Robot, rotations
+from htcp_jax.motion import lane_inputs
 from htcp_jax.settings import Settings
 
-MANY = Load(cpu=Table(1024, 1), gpu=Table(4096, 4096))  # for calls with thousands of lanes
+MANY = lane_kernels.Load(
+    cpu=lane_kernels.Table(1024, 1), gpu=lane_kernels.Table(4096, 4096)
+)  # for calls with thousands of lanes
 FACES = 4
 FINEST = 2.0**-24  # smallest half side of a cube
 ROUNDING_RAD = 1e-8  # upper bound on the rounding error of any angle
@@ -61,12 +61,12 @@ class Cells(NamedTuple):
         d = self.cube.shape[1]
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
         cube = (self.cube[:, None] + 0.5 * self.half[:, None, None] * signs[None]).reshape(-1, d)
-        return gather(self, np.repeat(np.arange(len(self.lane)), len(signs)))._replace(
+        return tables.gather(self, np.repeat(np.arange(len(self.lane)), len(signs)))._replace(
             cube=cube, half=0.5 * np.repeat(self.half, len(signs))
         )
 
 
-def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho) -> Cell:
+def tool(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quaternion, rho) -> arm_exclusion.Cell:
     """Return the `Cell` of the tool's orientations within `rho` of a quaternion.
 
     An orientation that violates a row of the task counts as colliding.
@@ -79,12 +79,12 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho) ->
         rho: Radius [rad].
     """
     robot, task = scene.robot, scene.task
-    cell = tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho)
-    turn = task.least_turn(robot, quaternion_matrix(quaternion), lane.target)
+    cell = arm_exclusion.tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho)
+    turn = task.least_turn(robot, rotations.quaternion_matrix(quaternion), lane.target)
     return cell._replace(collides=cell.collides | (turn > rho + ROUNDING_RAD))
 
 
-def arm(settings: Settings, scene: Scene, lane: LaneInputs, cube, half) -> Cell:
+def arm(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, cube, half) -> arm_exclusion.Cell:
     """Return the `Cell` of a box of the joints before the wrist.
 
     The box is a cube in coordinates in which -1 to 1 is each joint's range; the range of a hinge is one revolution at
@@ -100,16 +100,18 @@ def arm(settings: Settings, scene: Scene, lane: LaneInputs, cube, half) -> Cell:
     robot = scene.robot
     lower = jnp.where(jnp.isfinite(robot.lower), robot.lower, -jnp.pi)
     upper = jnp.where(jnp.array(robot.slides), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
-    x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, WRIST)))
+    x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, arm_exclusion.WRIST)))
     turns = 0.5 * (upper - lower) * half
     place = scene.task.tcp_place(lane.target)
-    return arm_cell(scene, lane, lane.margin_m, place, x, turns)
+    return arm_exclusion.arm_cell(scene, lane, lane.margin_m, place, x, turns)
 
 
-TOOL, ARM = Kernel("tool", tool, MANY), Kernel("arm", arm, MANY)
+TOOL, ARM = lane_kernels.Kernel("tool", tool, MANY), lane_kernels.Kernel("arm", arm, MANY)
 
 
-def tool_cells(kernels: Kernels, inputs: LaneInputs, resolution_rad: float, most: int, before_wrist: int = 0) -> Cells:
+def tool_cells(
+    kernels: Kernels, inputs: lane_inputs.LaneInputs, resolution_rad: float, most: int, before_wrist: int = 0
+) -> Cells:
     """Return the cells in which the tool may be clear, for n targets.
 
     Cells are halved down to the resolution, or until a cover would have more than `most` at a target; then the larger
@@ -128,20 +130,20 @@ def tool_cells(kernels: Kernels, inputs: LaneInputs, resolution_rad: float, most
     while going.any():
         turn = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)
         halved = [_halved(kernels, number, inputs, cells, turn) for number, cells in enumerate(covers)]
-        halved = [gather(own, _meets(own, other)) for own, other in zip(halved, halved[::-1], strict=True)]
+        halved = [tables.gather(own, _meets(own, other)) for own, other in zip(halved, halved[::-1], strict=True)]
         left = np.array([np.bincount(cells.lane, minlength=lanes) for cells in halved])
         too_many = (left > most).any(axis=0)
         small = _largest(halved[0], halved[0].radius_rad, lanes) <= resolution_rad
         tiny = np.min([_largest(cells, cells.half, lanes) for cells in halved], axis=0) < FINEST
-        done.append(gather(covers[0], too_many[covers[0].lane]))
-        done.append(gather(halved[0], (~too_many & (small | tiny))[halved[0].lane]))
+        done.append(tables.gather(covers[0], too_many[covers[0].lane]))
+        done.append(tables.gather(halved[0], (~too_many & (small | tiny))[halved[0].lane]))
         going &= ~(too_many | small | tiny)
-        covers = [gather(cells, going[cells.lane]) for cells in halved]
-    found = concatenate(done)
-    return gather(found, np.argsort(found.lane, kind="stable"))
+        covers = [tables.gather(cells, going[cells.lane]) for cells in halved]
+    found = tables.concatenate(done)
+    return tables.gather(found, np.argsort(found.lane, kind="stable"))
 
 
-def excluded(kernels: Kernels, robot: Robot, inputs: LaneInputs, most: int) -> Bool[np.ndarray, "n"]:
+def excluded(kernels: Kernels, robot: Robot, inputs: lane_inputs.LaneInputs, most: int) -> Bool[np.ndarray, "n"]:
     """Return True for each of n targets that is proven to have no configuration that keeps the margin.
 
     Args:
@@ -150,7 +152,9 @@ def excluded(kernels: Kernels, robot: Robot, inputs: LaneInputs, most: int) -> B
         inputs: The lanes' inputs, one row per target.
         most: Maximum number of cells in either cover at a target.
     """
-    left = tool_cells(kernels, inputs, 0.0, most, len(robot.slides) - WRIST if has_wrist(robot) else 0)
+    left = tool_cells(
+        kernels, inputs, 0.0, most, len(robot.slides) - arm_exclusion.WRIST if arm_exclusion.has_wrist(robot) else 0
+    )
     return ~np.isin(np.arange(len(inputs.row)), left.lane)
 
 
@@ -168,16 +172,18 @@ def _largest(cells: Cells, column: np.ndarray, lanes: int) -> np.ndarray:
     return largest
 
 
-def _halved(kernels: Kernels, number: int, inputs: LaneInputs, cells: Cells, turn: Int[np.ndarray, "lanes"]) -> Cells:
+def _halved(
+    kernels: Kernels, number: int, inputs: lane_inputs.LaneInputs, cells: Cells, turn: Int[np.ndarray, "lanes"]
+) -> Cells:
     """Return a cover after halving the cells of the targets with `turn` equal to `number`, without colliding halves."""
     now = turn[cells.lane] == number
-    fresh = gather(cells, now).halves()
+    fresh = tables.gather(cells, now).halves()
     if not len(fresh.lane):
         return cells
     kernel, where = (ARM, (fresh.cube, fresh.half)) if number else (TOOL, (fresh.quaternion, fresh.radius_rad))
-    found = kernels(kernel, gather(inputs, fresh.lane), *where)
-    fresh = gather(fresh._replace(wrist=found.wrist, moves=found.moves), ~found.collides)
-    return concatenate([gather(cells, ~now), fresh])
+    found = kernels(kernel, tables.gather(inputs, fresh.lane), *where)
+    fresh = tables.gather(fresh._replace(wrist=found.wrist, moves=found.moves), ~found.collides)
+    return tables.concatenate([tables.gather(cells, ~now), fresh])
 
 
 def _meets(own: Cells, other: Cells) -> Bool[np.ndarray, "n"]:

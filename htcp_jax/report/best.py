@@ -4,7 +4,7 @@ import numpy as np
 
 from htcp_jax.report.document import Block, Column, Picture, Table
 from htcp_jax.report.groups import Part
-from htcp_jax.runs.labels import SHORT, split_unit, varying
+from htcp_jax.runs import labels
 
 BEST = 3  # number of scenarios per method
 RANKED = (
@@ -18,7 +18,7 @@ def best(part: Part) -> Table:
 
     Most executable targets come first, then largest minimum clearance, then least joint motion.
     """
-    own = varying(part.parameters)
+    own = labels.varying(part.parameters)
     columns = (
         Column("method", "method"),
         Column("scenario", "scenario", "", "d"),
@@ -74,6 +74,6 @@ def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
 
 
 def _column(name: str, values: np.ndarray) -> Column:
-    stem, unit = split_unit(name)
-    head = SHORT.get(stem, stem.removeprefix("start_").replace("_", " "))
+    stem, unit = labels.split_unit(name)
+    head = labels.SHORT.get(stem, stem.removeprefix("start_").replace("_", " "))
     return Column(name, head, unit, ".6g" if values.dtype.kind == "f" else "")

@@ -10,12 +10,12 @@ from functools import cached_property
 from matplotlib.figure import Figure
 
 from htcp_jax.errors import InputError
-from htcp_jax.motion.plans import Plans
-from htcp_jax.reachability.obstruction import Obstruction
-from htcp_jax.runs.open import plans_of_run
-from htcp_jax.runs.run_folder import Run
-from htcp_jax.viewer.picture import draw_cell
-from htcp_jax.viewer.replay import Replays, recorded_replays
+from htcp_jax.motion import Plans
+from htcp_jax.reachability import Obstruction
+from htcp_jax.runs import Run
+from htcp_jax.runs import open as plan_sets
+from htcp_jax.viewer import draw_cell
+from htcp_jax.viewer import replay as recordings
 
 
 class RunScene:
@@ -31,11 +31,11 @@ class RunScene:
         self._in_the_way: dict[str, dict[int, Obstruction]] = {}
 
     @cached_property
-    def _opened(self) -> tuple[Replays | None, str]:
+    def _opened(self) -> tuple[recordings.Replays | None, str]:
         try:
             with warnings.catch_warnings():  # on the cloud and its units: the sweep has shown them
                 warnings.simplefilter("ignore")
-                return recorded_replays(plans_of_run(self._run), self._plans.__getitem__), ""
+                return recordings.recorded_replays(plan_sets.plans_of_run(self._run), self._plans.__getitem__), ""
         except InputError as error:
             return None, str(error)
 

@@ -8,11 +8,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT
-from htcp_jax.jobs.examples import examples
-from htcp_jax.jobs.load_config import load_config
-from htcp_jax.motion.plans import Plans
+from htcp_jax.jobs import PlanConfig, config_file, examples, load_config
+from htcp_jax.motion import Plans
 from htcp_jax.report import charts, paper, tables
 from htcp_jax.report.best import best, best_of_all
 from htcp_jax.report.document import Block, Heading, Picture, Table
@@ -29,7 +26,7 @@ BLOCKED = (
     "A joint step is blocked when the straight joint path from the configuration before collides; not every planner "
     "checks that. Tracked before it: the targets of each scenario up to its first blocked step."
 )
-BUILT_IN = {BUILT_IN_ARM: "GP50", DUCT: "the generated duct", "weld": "its weld"}
+BUILT_IN = {config_file.BUILT_IN_ARM: "GP50", config_file.DUCT: "the generated duct", "weld": "its weld"}
 
 
 TABLES = (
@@ -152,7 +149,7 @@ def fits_presets(part: Part) -> bool:
 @cache
 def presets() -> dict[str, PlanConfig]:
     """Shipped configurations of the default scene, by name."""
-    return {f"{name}.yaml": load_config(examples()[name]) for name in ("duct", "paper", "port")}
+    return {f"{name}.yaml": load_config(examples.examples()[name]) for name in ("duct", "paper", "port")}
 
 
 def label(name: str) -> str:

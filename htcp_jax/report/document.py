@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from htcp_jax.io.files import write
+from htcp_jax.io import files
 from htcp_jax.markup import escaped
 
 NOTHING = "-"
@@ -116,7 +116,7 @@ def write_csv(file: Path, table: Table) -> None:
     writer.writerow([column.key for column in table.columns])
     for row in table.rows:
         writer.writerow(["" if unknown(cell) else cell for cell in row])
-    write(file.parent, file.name, stream.getvalue().encode())
+    files.write(file.parent, file.name, stream.getvalue().encode())
 
 
 def png(figure: Figure) -> bytes:

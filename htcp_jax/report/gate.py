@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 from htcp_jax.markup import escaped, printable
 from htcp_jax.report.document import Block, Column, Heading, Table, markdown
-from htcp_jax.runs.labels import counted
-from htcp_jax.validation.gate import ENDS, Check, Origin, Row, Verdict
+from htcp_jax.runs import labels
+from htcp_jax.validation import gate
 
 LISTED = 100  # scenarios, and failures; a job summary holds 1 MiB
 FIGURES = (  # fields of a Row, after "was_" in the baseline; with a name, a unit and a form
@@ -45,7 +45,7 @@ CHANGED = (
 )
 
 
-def junit(verdict: Verdict) -> str:
+def junit(verdict: gate.Verdict) -> str:
     """Return JUnit XML with one test case per method and check; skipped if there is no value to compare."""
     checks = verdict.checks
     failed, skipped = sum(bool(check.failures) for check in checks), sum(not check.compared for check in checks)
@@ -66,12 +66,12 @@ def junit(verdict: Verdict) -> str:
     return ET.tostring(root, "utf-8", xml_declaration=True).decode() + "\n"
 
 
-def summary(verdict: Verdict) -> str:
+def summary(verdict: gate.Verdict) -> str:
     """Return Markdown for a job summary: counts of each method, figures and scenarios that differ, and failures."""
     return markdown([*_blocks(verdict)])
 
 
-def annotations(verdict: Verdict) -> list[str]:
+def annotations(verdict: gate.Verdict) -> list[str]:
     """Return commands of GitHub Actions, with an error for each method that fails."""
     lines: dict[str, list[str]] = {}
     for check in verdict.checks:
@@ -93,7 +93,7 @@ def _element(parent: ET.Element | None, tag: str, **attributes: str | int) -> ET
     return ET.Element(tag, texts) if parent is None else ET.SubElement(parent, tag, texts)
 
 
-def _properties(verdict: Verdict) -> Iterator[tuple[str, str]]:
+def _properties(verdict: gate.Verdict) -> Iterator[tuple[str, str]]:
     for name, origin in named_origins(verdict):
         yield f"{name}.commit", origin.commit or "unknown"
         yield f"{name}.device", str(origin.device)
@@ -101,17 +101,17 @@ def _properties(verdict: Verdict) -> Iterator[tuple[str, str]]:
             yield f"{name}.{package}", version or "unknown"
 
 
-def named_origins(verdict: Verdict) -> list[tuple[str, Origin]]:
+def named_origins(verdict: gate.Verdict) -> list[tuple[str, gate.Origin]]:
     """Origins of the baseline and of each part of the run, by name."""
     parts = [f"run part {number}" for number in range(1, len(verdict.run) + 1)]
     return [("baseline", verdict.baseline), *zip(parts if parts[1:] else ["run"], verdict.run, strict=False)]
 
 
-def _scenarios(verdict: Verdict, check: Check) -> list[str]:
-    return [str(one) for one in verdict.changed if check.name == ENDS and one.method == check.method and one.worse]
+def _scenarios(verdict: gate.Verdict, check: gate.Check) -> list[str]:
+    return [str(one) for one in verdict.changed if check.name == gate.ENDS and one.method == check.method and one.worse]
 
 
-def _blocks(verdict: Verdict) -> Iterator[Block]:
+def _blocks(verdict: gate.Verdict) -> Iterator[Block]:
     yield Heading(2, f"htcp gate: {escaped(verdict.sweep)} {'passed' if verdict.passed else 'FAILED'}")
     yield "\n".join(f"- {name}: {escaped(str(origin))}" for name, origin in named_origins(verdict))
     if verdict.elsewhere:
@@ -130,7 +130,7 @@ def _blocks(verdict: Verdict) -> Iterator[Block]:
             (one.method, one.label, was := one.was.tracked, now := one.now.tracked, now - was, one.target, one.reason)
             for one in verdict.changed[:LISTED]
         )
-        title = f"{counted(len(verdict.changed), 'scenario')} that changed, in tracked targets"
+        title = f"{labels.counted(len(verdict.changed), 'scenario')} that changed, in tracked targets"
         yield Table("changed", CHANGED, tuple(rows), title)
         yield from _more(verdict.changed)
 
@@ -140,13 +140,13 @@ def _more(listed: tuple) -> Iterator[str]:
         yield f"and {len(listed) - LISTED:,} more"
 
 
-def _count(row: Row, key: str) -> str | int | None:
+def _count(row: gate.Row, key: str) -> str | int | None:
     if key == "difference":
         return None if row.tracked is None else row.tracked - row.was_tracked
     return getattr(row, key)
 
 
-def _differences(row: Row) -> Iterator[tuple[str, str, str, str, str]]:
+def _differences(row: gate.Row) -> Iterator[tuple[str, str, str, str, str]]:
     """Figures of a method that differ as displayed."""
     for key, name, unit, form in FIGURES:
         column = Column(key, name, unit, form)

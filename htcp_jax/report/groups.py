@@ -10,13 +10,11 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from htcp_jax.motion.motion import MotionFigures
-from htcp_jax.motion.plans import Plans
+from htcp_jax.motion import Plans, motion
 from htcp_jax.report import paper
 from htcp_jax.report.validation import read_validation
-from htcp_jax.runs.labels import column_of, labels_of, parameter_names, part, varying
-from htcp_jax.runs.reachability_file import read_reachability
-from htcp_jax.runs.run_folder import Run
+from htcp_jax.runs import Run, reachability_file
+from htcp_jax.runs import labels as label_words
 
 
 @runtime_checkable
@@ -49,7 +47,7 @@ class Part:
     numbers: np.ndarray  # (S,) of the scenarios in the run
     parameters: dict[str, np.ndarray]  # columns of the scenario table that a grid may vary, (S,) each
     plans: dict[str, Plans]  # by method with a finished shard; the status is -1 for scenarios not planned yet
-    motions: dict[str, MotionFigures]  # by method; NaN if unknown
+    motions: dict[str, motion.MotionFigures]  # by method; NaN if unknown
     timing: dict[str, pa.Table | None]  # by method, rows of its scenarios as in `timing_file`; None if not timed
     timed_with: dict[str, str]  # by method that is timed: description of its feed and limits
     reachability: np.ndarray | None  # (S,) reachable targets in a row, a lower bound
@@ -69,13 +67,16 @@ class Part:
     @cached_property
     def axes(self) -> dict[str, np.ndarray]:
         """Parameters that vary, each with its values in order, without those that another one determines."""
-        return {name: np.unique(values) for name, values in varying(self.parameters).items()}
+        return {name: np.unique(values) for name, values in label_words.varying(self.parameters).items()}
 
     @cached_property
     def labels(self) -> dict[int, str]:
         """Varied parameters of each scenario, by its number."""
-        own = varying(self.parameters)
-        texts = [", ".join(part(name, values[s]) for name, values in own.items()) for s in range(len(self.numbers))]
+        own = label_words.varying(self.parameters)
+        texts = [
+            ", ".join(label_words.part(name, values[s]) for name, values in own.items())
+            for s in range(len(self.numbers))
+        ]
         return dict(zip(self.numbers.tolist(), texts, strict=True))
 
     @cached_property
@@ -119,17 +120,17 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
     plans = {method: run.plans(method) for method in methods}
     longest = max(each.status.shape[1] for each in plans.values())
     plans = {method: each.widened(longest) for method, each in plans.items()}
-    parameters = {name: column_of(table[name]) for name in parameter_names(table)}
+    parameters = {name: label_words.column_of(table[name]) for name in label_words.parameter_names(table)}
     motions = {method: _motions(run, method) for method in methods}
     timing = {method: run.timing(method) for method in methods}
-    numbers, reachability = table["scenario"].to_numpy(), read_reachability(run)
+    numbers, reachability = table["scenario"].to_numpy(), reachability_file.read_reachability(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
     shared = {
         "run_name": name,
         "step_s": {method: each.step_s for method, each in plans.items()},
         "joints": run.manifest.joints,
         "run": run,
-        "run_labels": labels_of(whole),
+        "run_labels": label_words.labels_of(whole),
         "timed_with": {method: each.words for method, each in timing.items() if each is not None},
         "validation": read_validation(run),
         "scene": scene_of(run, plans),
@@ -144,7 +145,9 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 numbers=numbers[here],
                 parameters={key: values[here] for key, values in parameters.items()},
                 plans={method: each for method, each in own.items() if each.exists.any()},
-                motions={method: MotionFigures(*(c[numbers[here]] for c in each)) for method, each in motions.items()},
+                motions={
+                    method: motion.MotionFigures(*(c[numbers[here]] for c in each)) for method, each in motions.items()
+                },
                 timing={m: each and _rows(each.rows, numbers[here]) for m, each in timing.items() if m in own},
                 reachability=None if reachability is None else reachability.prefix[numbers[here]],
                 not_excluded=None if reachability is None else reachability.most[numbers[here]],
@@ -159,10 +162,10 @@ def _rows(rows: pa.Table, numbers: np.ndarray) -> pa.Table:
     return rows.filter(pa.array(np.isin(rows["scenario"].to_numpy(), numbers)))
 
 
-def _motions(run: Run, method: str) -> MotionFigures:
+def _motions(run: Run, method: str) -> motion.MotionFigures:
     """Figures of a method's motions, row s of scenario s."""
     table = run.scenarios(method)
-    found = np.full((len(MotionFigures._fields), run.manifest.count), np.nan)
-    for row, name in zip(found, MotionFigures._fields, strict=True):
+    found = np.full((len(motion.MotionFigures._fields), run.manifest.count), np.nan)
+    for row, name in zip(found, motion.MotionFigures._fields, strict=True):
         row[table["scenario"].to_numpy()] = table[name].cast(pa.float64()).to_numpy()
-    return MotionFigures(*found)
+    return motion.MotionFigures(*found)

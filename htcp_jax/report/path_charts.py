@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from htcp_jax.motion.plans import is_tracked, outcomes
+from htcp_jax.motion import plans
 from htcp_jax.report.chart_style import (
     INK,
     PAPER,
@@ -68,7 +68,7 @@ def survival(
         axes.step(range(targets), reachable, where="mid", color=INK, linewidth=1.1, linestyle=(0, (4, 2)))
     ends = {}
     for method, table in status.items():
-        alive = is_tracked(table).sum(axis=0)
+        alive = plans.is_tracked(table).sum(axis=0)
         colour, style = line_of(method)
         axes.step(range(targets), alive, where="mid", color=colour, linestyle=style, linewidth=2)
         ends[method] = float(alive[-1])
@@ -248,5 +248,5 @@ def _over_scenarios(values: Float[np.ndarray, "S T"]) -> Float[np.ndarray, "4 T"
 
 
 def _ended(table: Int8[np.ndarray, "S T"]) -> str:
-    ends = outcomes(table)
+    ends = plans.outcomes(table)
     return f"{int(ends.complete.sum())} of {int(ends.planned.sum())} complete"

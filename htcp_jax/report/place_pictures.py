@@ -10,16 +10,16 @@ import numpy as np
 from jaxtyping import Int
 from matplotlib.figure import Figure
 
-from htcp_jax.io.files import write
-from htcp_jax.placement.mounting import UNITS
+from htcp_jax.io import files
+from htcp_jax.placement import mounting
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chart_style import INK
 from htcp_jax.report.document import png
 from htcp_jax.report.place_charts import place_front, place_map
 from htcp_jax.report.place_tables import Searched, read_search
-from htcp_jax.runs.open import MOTIONS, plans_of_run
-from htcp_jax.runs.run_folder import Run, open_run
-from htcp_jax.viewer.replay import recorded_replays
+from htcp_jax.runs import Run, open_run
+from htcp_jax.runs import open as plan_sets
+from htcp_jax.viewer import replay
 
 BEST = 3  # number of mountings with pictures
 SAMPLE = 64  # number of failed mountings whose colliding bodies are determined
@@ -48,7 +48,7 @@ def best(folder: Path, found: Searched) -> dict[int, Figure]:
     """
     if not len(found.ranked):
         return {}
-    run = open_run(folder / MOTIONS)
+    run = open_run(folder / plan_sets.MOTIONS)
     (method,) = run.methods
     plans, k = run.plans(method), len(found.seams)
     scene, figures = RunScene(run, {method: plans}), {}
@@ -84,13 +84,13 @@ def _blocking(run: Run, mountings: Int[np.ndarray, "m"], k: int) -> list[str]:
     plans = run.plans(method)
     whole = plans.outcomes.can_be_driven.reshape(-1, k)
     rows = (mountings * k + whole[mountings].argmin(axis=1)).tolist()
-    found = recorded_replays(plans_of_run(run), {method: plans}.__getitem__).obstructions(method, rows)
+    found = replay.recorded_replays(plan_sets.plans_of_run(run), {method: plans}.__getitem__).obstructions(method, rows)
     return [each.cause("no body collides") for each in found.values()]
 
 
 def _title(found: Searched, rank: int, seam: str) -> str:
     left = [
-        f"{name} {spare:.3g} {UNITS[name][0]}" + (f", {off:.3g} perturbed" if np.isfinite(off) else "")
+        f"{name} {spare:.3g} {mounting.UNITS[name][0]}" + (f", {off:.3g} perturbed" if np.isfinite(off) else "")
         for name, spare, off in zip(found.aims, found.spare[rank - 1], found.off[rank - 1], strict=True)
     ]
     if np.isfinite(found.margin[rank - 1]):
@@ -104,5 +104,5 @@ def _given(found: Searched, rank: int) -> str:
 
 
 def _saved(file: Path, figure: Figure) -> Path:
-    write(file.parent, file.name, png(figure))
+    files.write(file.parent, file.name, png(figure))
     return file

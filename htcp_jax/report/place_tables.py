@@ -12,11 +12,9 @@ import pyarrow as pa
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import LARGEST, opened, read_json, read_parquet
-from htcp_jax.placement.mounting import MOUNTINGS, RANKED
-from htcp_jax.placement.mounting import UNITS as AIMS
-from htcp_jax.placement.ranges import UNITS
-from htcp_jax.runs.open import SEARCH
+from htcp_jax.io import files
+from htcp_jax.placement import mounting, ranges
+from htcp_jax.runs import open as plan_sets
 
 
 class Parameter(NamedTuple):
@@ -56,7 +54,7 @@ class Searched(NamedTuple):
 
     def aim(self, k: int) -> str:
         """Label of an objective's axis, with its unit."""
-        return f"{self.aims[k]} [{AIMS[self.aims[k]][0]}]"
+        return f"{self.aims[k]} [{mounting.UNITS[self.aims[k]][0]}]"
 
 
 def read_search(folder: str | Path) -> Searched:
@@ -66,14 +64,14 @@ def read_search(folder: str | Path) -> Searched:
         InputError: For a folder without a search, for a search that is not finished, and for damaged files.
     """
     folder = Path(folder)
-    if not (folder / SEARCH).exists():
-        raise InputError(f"{folder} holds no search of htcp place ({SEARCH})")
-    if not (folder / RANKED).exists():
+    if not (folder / plan_sets.SEARCH).exists():
+        raise InputError(f"{folder} holds no search of htcp place ({plan_sets.SEARCH})")
+    if not (folder / mounting.RANKED).exists():
         raise InputError(f"{folder}: the search has not come to its end; the same htcp place goes on with it")
     try:
-        asked, told = (read_json(folder / name, folder) for name in (SEARCH, RANKED))
-        with opened(folder / MOUNTINGS, folder, LARGEST) as stream:
-            return _searched(asked, told, read_parquet(stream, folder / MOUNTINGS))
+        asked, told = (files.read_json(folder / name, folder) for name in (plan_sets.SEARCH, mounting.RANKED))
+        with files.opened(folder / mounting.MOUNTINGS, folder, files.LARGEST) as stream:
+            return _searched(asked, told, files.read_parquet(stream, folder / mounting.MOUNTINGS))
     except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError, pa.ArrowException) as error:
         raise InputError(
             f"{folder} holds a damaged search: {error if isinstance(error, InputError) else repr(error)}"
@@ -86,7 +84,7 @@ def _searched(asked: dict[str, Any], told: dict[str, Any], table: pa.Table) -> S
     aims, rows = tuple(told["spare"]), told["ranked"]
     scale = np.array([one.scale for one in parameters])
     values = np.stack([table[one.column].to_numpy() for one in parameters], axis=1) * scale
-    left = [AIMS[name][1] * table[name.replace(" ", "_")].to_numpy().astype(float) for name in aims]
+    left = [mounting.UNITS[name][1] * table[name.replace(" ", "_")].to_numpy().astype(float) for name in aims]
     ranked = np.array([[row["parameters"][one.column] for one in parameters] for row in rows])
     return Searched(
         name=told["name"],
@@ -111,7 +109,8 @@ def _searched(asked: dict[str, Any], told: dict[str, Any], table: pa.Table) -> S
 
 def _aims(rows: list[dict[str, Any]], which: str, aims: tuple[str, ...]) -> Float[np.ndarray, "r A"]:
     found = [
-        [AIMS[name][1] * (np.nan if row[which][name] is None else row[which][name]) for name in aims] for row in rows
+        [mounting.UNITS[name][1] * (np.nan if row[which][name] is None else row[which][name]) for name in aims]
+        for row in rows
     ]
     found = np.array(found, float).reshape(-1, len(aims))
     return np.where(np.isfinite(found), found, np.nan)
@@ -121,7 +120,7 @@ def parameter(column: str) -> Parameter:
     """Parse the name of a column, such as workpiece.shift_m.x: shift x, in mm."""
     parts, (unit, scale) = column.split("."), ("", 1.0)
     for k, part in enumerate(parts):
-        for ending, told in UNITS.items():
+        for ending, told in ranges.UNITS.items():
             if part.endswith(ending):
                 parts[k], (unit, scale) = part.removesuffix(ending), told
     parts = parts[1:] if parts[0] in ("workpiece", "robot") else parts

@@ -13,17 +13,17 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import write
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.planning.registry import METHODS
+from htcp_jax.io import files
+from htcp_jax.jobs import PlanConfig
+from htcp_jax.planning import registry
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, literal, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
 from htcp_jax.report.tables import configuration
 from htcp_jax.report.validation import validated
-from htcp_jax.runs.run_folder import Run, open_run
-from htcp_jax.runs.tables import frame_of
+from htcp_jax.runs import Run, open_run
+from htcp_jax.runs import tables as run_tables
 
 if TYPE_CHECKING:
     import pandas
@@ -51,7 +51,7 @@ class Report(NamedTuple):
         names = [each.name for each in self.tables]
         if table not in names:
             raise InputError(f"the report has no table {table!r}; valid: {', '.join(names)}")
-        return frame_of(pa.Table.from_pylist(self.tables[names.index(table)].records()))
+        return run_tables.frame_of(pa.Table.from_pylist(self.tables[names.index(table)].records()))
 
     def __repr__(self) -> str:
         parts, tables = (", ".join(each.name for each in group) for group in (self.parts, self.tables))
@@ -85,9 +85,9 @@ def write_report(report: Report, folder: Path) -> None:
     """Write report.md with its pictures, report.html with everything in one file, and one CSV file per table."""
     pictures = {block.name: png(block.figure) for block in report.blocks if isinstance(block, Picture)}
     for name, data in pictures.items():
-        write(folder, f"{name}.png", data)
-    write(folder, "report.md", markdown(list(map(literal, report.blocks))).encode())
-    write(folder, "report.html", html(report.blocks, pictures).encode())
+        files.write(folder, f"{name}.png", data)
+    files.write(folder, "report.md", markdown(list(map(literal, report.blocks))).encode())
+    files.write(folder, "report.html", html(report.blocks, pictures).encode())
     for table in report.tables:
         write_csv(folder / f"{table.name}.csv", table)
 
@@ -124,7 +124,7 @@ def slug(name: str) -> str:
 def _appendix(parts: Sequence[Part]) -> list[Block]:
     ran = {part.run_name: part.run.config for part in parts}
     methods = dict.fromkeys(method for part in parts for method in part.plans)
-    known = {name: method for name, method in METHODS.all().items() if name in methods}
+    known = {name: method for name, method in registry.METHODS.all().items() if name in methods}
     about = Table(
         "methods",
         (Column("method", "method"), Column("title", "name"), Column("what", "what it does")),

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.motion.motion import MotionFigures
-from htcp_jax.motion.plans import NO_TARGET, Plans
+from htcp_jax.jobs import PlanConfig
+from htcp_jax.motion import Plans, motion
+from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part
-from htcp_jax.runs.summary import orientation_errors_deg
-from htcp_jax.runs.timing_file import COLUMNS
+from htcp_jax.runs import summary, timing_file
 from htcp_jax.status import Status, Way
 
 RESULTS = (
@@ -130,7 +129,9 @@ def _result(part: Part, method: str) -> dict:
         "scenarios": int(ends.planned.sum()),
         "step_ms": 1e3 * part.step_s[method],
         "tcp_distance_mean_mm": _over(np.mean, 1e3 * plans.residual[good]),
-        "orientation_error_mean_deg": float(angle.mean()) if (angle := orientation_errors_deg(plans)).size else None,
+        "orientation_error_mean_deg": float(angle.mean())
+        if (angle := summary.orientation_errors_deg(plans)).size
+        else None,
         "clearance_min_mm": _over(np.min, 1e3 * plans.clearance[good]),
         "clearance_mean_mm": _over(np.mean, 1e3 * plans.clearance[good]),
     }
@@ -237,8 +238,8 @@ def scenarios(part: Part) -> Table:
     columns = [Column("scenario", "scenario", "", "d"), *(Column(name, name) for name in part.parameters)]
     columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
     columns += [Column("executable", "executable", "", "d")]
-    columns += [Column(name, name) for name in MotionFigures._fields]
-    columns += [Column(name, name) for name in COLUMNS if any(part.timing.values())]
+    columns += [Column(name, name) for name in motion.MotionFigures._fields]
+    columns += [Column(name, name) for name in timing_file.COLUMNS if any(part.timing.values())]
     columns += [Column("end", "end"), Column("motion_end", "motion ends"), Column("in_the_way", "colliding body")]
     columns += [Column("reachable", "reachable", "", "d")]
     times = {method: {row["scenario"]: row for row in rows.to_pylist()} for method, rows in part.timing.items() if rows}
@@ -278,7 +279,7 @@ def configuration(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfi
     return _table("configuration", columns, rows)
 
 
-NO_REASON = NO_TARGET, Status.NOT_ATTEMPTED
+NO_REASON = plan_arrays.NO_TARGET, Status.NOT_ATTEMPTED
 
 
 def reasons(plans: Plans) -> list[Status]:

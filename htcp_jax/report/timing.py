@@ -10,7 +10,7 @@ from htcp_jax.report.document import Block, Column, Heading, Picture, Table, unk
 from htcp_jax.report.groups import Part
 from htcp_jax.report.success_charts import Axis
 from htcp_jax.report.timing_charts import Measure, over_line, over_map
-from htcp_jax.runs.timing_file import HELD_OVER, LIMITS, column
+from htcp_jax.runs import timing_file
 
 COLUMNS = (
     Column("method", "method"),
@@ -27,12 +27,12 @@ COLUMNS = (
     Column("jerk_percent", "jerk", "most %", ".1f"),
     Column("torque_percent", "torque", "most %", ".1f"),
 )
-SHARES = *LIMITS, "torque"
+SHARES = *timing_file.LIMITS, "torque"
 MEANING = (
     "Cycle time is from home over the path and back, of the scenarios with a motion to their last target. Feed held: "
-    f"within 1 % over {100 * HELD_OVER:g} % of the path's length. Feed reached: the least between the path's run-up "
-    "and its run-down, 0 where the arm stops between. Velocity, acceleration, jerk: of the limits, on the path; "
-    "torque: of the efforts, all along."
+    f"within 1 % over {100 * timing_file.HELD_OVER:g} % of the path's length. Feed reached: the least between the "
+    "path's run-up and its run-down, 0 where the arm stops between. "
+    "Velocity, acceleration, jerk: of the limits, on the path; torque: of the efforts, all along."
 )
 CYCLE = Measure(
     "Cycle time", "s", "{:.1f}", "From home over the path and back, in seconds; blank where no motion leads to the end."
@@ -56,8 +56,8 @@ def timing_table(rows: Sequence[dict]) -> Table:
 
 def timing_row(method: str, rows: pa.Table) -> dict:
     """Summarise one method's times; `rows` as in `timing_file`, one per scenario."""
-    timed = rows.filter(pa.array(~np.isnan(column(rows, "cycle_time_s"))))
-    cycle, held = column(timed, "cycle_time_s"), column(timed, "feed_held_share")
+    timed = rows.filter(pa.array(~np.isnan(timing_file.column(rows, "cycle_time_s"))))
+    cycle, held = timing_file.column(timed, "cycle_time_s"), timing_file.column(timed, "feed_held_share")
     most = {name: 100 * _over(np.max, timed, f"{name}_share") for name in SHARES}
     return {
         "method": method,
@@ -66,7 +66,7 @@ def timing_row(method: str, rows: pa.Table) -> dict:
         "cycle_min_s": _over(np.min, timed, "cycle_time_s"),
         "cycle_median_s": float(np.median(cycle)) if len(cycle) else math.nan,
         "cycle_max_s": _over(np.max, timed, "cycle_time_s"),
-        "held": int((held >= HELD_OVER).sum()),
+        "held": int((held >= timing_file.HELD_OVER).sum()),
         "held_min_percent": 100 * _over(np.min, timed, "feed_held_share"),
         "reached_min_mm_s": 1e3 * _over(np.min, timed, "feed_reached_m_s"),
         **{f"{name}_percent": value for name, value in most.items()},
@@ -135,12 +135,12 @@ def _values(part: Part, name: str) -> dict[str, np.ndarray]:
     found = {}
     for method, rows in part.timing.items():
         if rows is not None:
-            known = dict(zip(rows["scenario"].to_pylist(), column(rows, name).tolist(), strict=True))
+            known = dict(zip(rows["scenario"].to_pylist(), timing_file.column(rows, name).tolist(), strict=True))
             found[method] = np.array([known.get(number, math.nan) for number in part.numbers.tolist()])
     return found
 
 
 def _over(reduce, rows: pa.Table, name: str) -> float:
-    values = column(rows, name)
+    values = timing_file.column(rows, name)
     values = values[~np.isnan(values)]
     return float(reduce(values)) if values.size else math.nan

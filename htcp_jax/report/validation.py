@@ -4,11 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import cause, read_json
+from htcp_jax.io import files
 from htcp_jax.report.document import Block, Column, Heading, Table
-from htcp_jax.runs.plan_folder import VALIDATION
-from htcp_jax.runs.run_folder import Run
-from htcp_jax.validation.result import STEP_RAD
+from htcp_jax.runs import Run, plan_folder
+from htcp_jax.validation import STEP_RAD
 
 AT_TARGETS = (
     Column("method", "method"),
@@ -49,9 +48,9 @@ def read_validation(run: Run) -> dict[str, Any] | None:
     Raises:
         InputError: For a damaged file.
     """
-    file = Path(run.folder) / VALIDATION
+    file = Path(run.folder) / plan_folder.VALIDATION
     try:
-        found = read_json(file, file.parent)
+        found = files.read_json(file, file.parent)
         if found["files"] != run.result_files():
             return None
         summary(found), validation_tables(found), notes(found)  # raises if a key is missing
@@ -59,7 +58,7 @@ def read_validation(run: Run) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise InputError(f"{file} is damaged or no result of htcp validate: {cause(error, file)}") from None
+        raise InputError(f"{file} is damaged or no result of htcp validate: {files.cause(error, file)}") from None
 
 
 def validated(found: dict[str, Any] | None) -> bool | None:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import opened
-from htcp_jax.io.strict_model import validate
-from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.io import files as io_files
+from htcp_jax.io import strict_model
+from htcp_jax.jobs import PlanConfig
 
 # Keys without influence on a run's identity: it lists its methods, may be planned anywhere, and is timed later.
 NO_IDENTITY = "method", "program", "ray"
@@ -23,7 +23,7 @@ def file_hash(file: str | Path) -> str:
         InputError: For a file that cannot be read.
     """
     try:
-        with opened(Path(file)) as stream:
+        with io_files.opened(Path(file)) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}") from None
@@ -56,7 +56,7 @@ def recorded_config(values: dict, file: Path) -> PlanConfig:
         InputError: For values that are no configuration of this version.
     """
     try:
-        return validate(values, PlanConfig, file.name)
+        return strict_model.validate(values, PlanConfig, file.name)
     except InputError as error:
         raise other_format(file.parent, str(error).partition(";")[0]) from None
 

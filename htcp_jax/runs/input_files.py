@@ -3,18 +3,20 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from htcp_jax.io.cell import files_of_cell
-from htcp_jax.io.safe_xml import files_of
-from htcp_jax.jobs.config_file import named_files
+from htcp_jax.io import cell, safe_xml
+from htcp_jax.jobs import config_file
 from htcp_jax.runs.identity import file_hash
 
-PARTS = {"robot.model": files_of, "cell.model": files_of_cell}  # functions that find the files to which a model refers
+PARTS = {
+    "robot.model": safe_xml.files_of,
+    "cell.model": cell.files_of_cell,
+}  # functions that find the files to which a model refers
 
 
 def anchor_files(config: dict) -> list[tuple[str, str]]:
     """Make the file names in a plain configuration absolute; return the dotted keys with these names."""
     named = []
-    for dotted, owner, key in named_files(config):
+    for dotted, owner, key in config_file.named_files(config):
         owner[key] = str(Path(owner[key]).resolve())
         named.append((dotted, owner[key]))
     return named

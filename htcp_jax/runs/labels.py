@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.motion.motion import MotionFigures
+from htcp_jax.motion import motion
 from htcp_jax.runs.timing_file import COLUMNS
 
 RESULTS = (
     "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",
     "after_escape", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad", "executable",
-    *MotionFigures._fields, *COLUMNS,
+    *motion.MotionFigures._fields, *COLUMNS,
 )  # fmt: skip
 SHORT = {
     "rotation_x": "tilt x",

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from htcp_jax.device.tables import gather
-from htcp_jax.jobs.grid import Batch, Cell
-from htcp_jax.model.scenario import Scenario
-from htcp_jax.motion.plans import Plans
+from htcp_jax.device import tables
+from htcp_jax.jobs import grid
+from htcp_jax.model import Scenario
+from htcp_jax.motion import Plans
 from htcp_jax.planning import batch
 from htcp_jax.runs.manifest import Span
 from htcp_jax.runs.provenance import planned_by
@@ -32,7 +32,7 @@ class Planned(NamedTuple):
 
 
 def plan_here(
-    batch: Batch,
+    batch: grid.Batch,
     threads: int | None,
     device: str | None,
     targets_in_all: int | None,
@@ -52,14 +52,14 @@ def plan_here(
         yield Planned(shard, plans, by)
 
 
-def scenarios_of(batch: Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
+def scenarios_of(batch: grid.Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
     """Return the cells' indices and the stacked scenarios of a block."""
     rows = slice(span.first, span.last + 1)
-    return batch.cell[rows], gather(batch.scenarios, rows)
+    return batch.cell[rows], tables.gather(batch.scenarios, rows)
 
 
 def plan_cells(
-    cells: Sequence[Cell],
+    cells: Sequence[grid.Cell],
     cell: Int[np.ndarray, "S"],
     scenarios: Scenario,
     method: str,
@@ -89,7 +89,7 @@ def plan_cells(
         plans = batch.plan(
             robot,
             workpiece,
-            scenarios if whole else gather(scenarios, rows),
+            scenarios if whole else tables.gather(scenarios, rows),
             method,
             settings,
             progress=report and partial(_add_up, report, method, [done for _, done in parts], *everything),

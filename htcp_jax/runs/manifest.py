@@ -4,8 +4,8 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from htcp_jax.io.strict_model import Section
-from htcp_jax.jobs.grid_axes import MOST
+from htcp_jax.io import strict_model
+from htcp_jax.jobs import grid_axes
 from htcp_jax.registry import NAME
 from htcp_jax.runs.identity import config_hash, identity
 
@@ -14,10 +14,10 @@ TABLES = ("targets", "scenarios")
 
 MethodName = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]  # part of file names
 Count = Annotated[int, Field(ge=0, lt=2**53)]
-Scenarios = Annotated[int, Field(ge=0, le=MOST)]
+Scenarios = Annotated[int, Field(ge=0, le=grid_axes.MOST)]
 
 
-class FileRecord(Section):
+class FileRecord(strict_model.Section):
     """Expected rows, size and checksum of a file."""
 
     rows: Count
@@ -25,7 +25,7 @@ class FileRecord(Section):
     sha256: str
 
 
-class ShardRecord(Section):
+class ShardRecord(strict_model.Section):
     """A finished shard: scenarios `first` to `last` by one method."""
 
     method: MethodName
@@ -39,14 +39,14 @@ class ShardRecord(Section):
     scenarios: FileRecord
 
 
-class Seconds(Section):
+class Seconds(strict_model.Section):
     """Wall time of one method."""
 
     compile_s: float = 0.0
     run_s: float = 0.0
 
 
-class Manifest(Section):
+class Manifest(strict_model.Section):
     """Content of manifest.json.
 
     Config, grid, dtype and files identify the run; `writer` never mixes two.

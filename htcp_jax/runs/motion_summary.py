@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from htcp_jax.motion.motion import curvature, dwells, figures, motions, tightest
-from htcp_jax.motion.plans import Outcome, Plans
+from htcp_jax.motion import Plans, motion
+from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.status import Kind, Way
 
 LEAST_MM = 0.01  # smaller bounds are reported as "more than 0 mm"
@@ -15,7 +15,7 @@ LEAST_MM = 0.01  # smaller bounds are reported as "more than 0 mm"
 class MotionSummary(NamedTuple):
     """Figures of the executable part, see `motion.motion`; NaN and None if undefined."""
 
-    end: Outcome
+    end: plan_arrays.Outcome
     dwells: tuple[int, ...]  # targets at which the arm changes its configuration
     cost_rad2: float  # equation (3) [rad^2]
     path_step_max_rad: float
@@ -90,11 +90,11 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
         scenario: Row of the scenario.
     """
     alone = plans.rows([scenario])
-    (found,) = zip(*figures(alone, on_path), strict=True)
+    (found,) = zip(*motion.figures(alone, on_path), strict=True)
     _, cost, step, bend, clearance = map(float, found)
-    turning, at = np.flatnonzero(dwells(alone, on_path)[0]), int(tightest(alone)[0][0])
-    bent = curvature(alone, on_path)[0]
-    there = motions(alone, on_path)
+    turning, at = np.flatnonzero(motion.dwells(alone, on_path)[0]), int(motion.tightest(alone)[0][0])
+    bent = motion.curvature(alone, on_path)[0]
+    there = motion.motions(alone, on_path)
     transfer = there.steps[there.kind == Kind.TRANSFER]
     return MotionSummary(
         end=plans.outcome(scenario),

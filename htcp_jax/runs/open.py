@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import cause, read_json
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.motion.knots import Knots
-from htcp_jax.motion.plans import Plans
+from htcp_jax.io import files
+from htcp_jax.jobs import PlanConfig
+from htcp_jax.motion import Knots, Plans
 from htcp_jax.runs import parameters
 from htcp_jax.runs.identity import file_hash, recorded_config, refuse_changed
 from htcp_jax.runs.manifest import MANIFEST
@@ -185,9 +184,9 @@ def _ranked(folder: Path) -> RankedPlans:
     """
     run = open_run(run_folder(folder))
     try:
-        seams = read_json(folder / SEARCH, folder)["seams"]
+        seams = files.read_json(folder / SEARCH, folder)["seams"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{folder / SEARCH} is damaged: {cause(error, folder / SEARCH)}") from None
+        raise InputError(f"{folder / SEARCH} is damaged: {files.cause(error, folder / SEARCH)}") from None
     _refuse_unfit(run)
     return RankedPlans(run, max(1, len(seams)))
 

@@ -16,9 +16,9 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import files
-from htcp_jax.model.robot import Robot
-from htcp_jax.motion.motion import Motion
-from htcp_jax.motion.plans import ARRAYS, Plans
+from htcp_jax.model import Robot
+from htcp_jax.motion import Motion, Plans
+from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs.identity import other_format
 from htcp_jax.runs.summary import Summary
 from htcp_jax.status import Kind, Status, Way
@@ -50,7 +50,7 @@ def read_plan(folder: Path) -> PlanRecord:
         hashes = {str(name): str(known) for name, known in summary["files"].items()}
         found = files.read_arrays(folder / TRAJECTORY, folder, leave=("joint_names",))
         knots = found["knot_target"], found["knot_x"]
-        return PlanRecord(method, config, hashes, {name: found[name] for name in ARRAYS}, knots)
+        return PlanRecord(method, config, hashes, {name: found[name] for name in plan_arrays.ARRAYS}, knots)
     except OSError as error:
         raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
     except InputError:

@@ -20,10 +20,10 @@ from jaxtyping import Int
 
 from htcp_jax.device import compile_cache
 from htcp_jax.errors import InputError, Lost
-from htcp_jax.jobs.config import PlanConfig, RayConfig
-from htcp_jax.jobs.grid import Batch, Cell
-from htcp_jax.model.scenario import Scenario
-from htcp_jax.motion.plans import Plans
+from htcp_jax.jobs import PlanConfig, grid
+from htcp_jax.jobs import config as configs
+from htcp_jax.model import Scenario
+from htcp_jax.motion import Plans
 from htcp_jax.planning import registry
 from htcp_jax.runs.local import Planned, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
@@ -36,7 +36,7 @@ GPU_SHARE = 0.75  # of a GPU's memory that JAX allocates by default
 
 
 @contextlib.contextmanager
-def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
+def on_ray(batch: grid.Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
     """Connect to a Ray cluster and yield plan(shards, report), see `local.plan_here`.
 
     Args:
@@ -118,12 +118,12 @@ def _constants(ray, **values: int | bool) -> Iterator[None]:
         known.update(before)
 
 
-def _on_host(cell: Cell) -> Cell:
+def _on_host(cell: grid.Cell) -> grid.Cell:
     arrays = jax.tree.map(np.asarray, (cell.robot, cell.obstacles))
     return cell._replace(robot=arrays[0], obstacles=arrays[1])
 
 
-def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable) -> Iterator[Planned]:
+def _plan(ray, batch: grid.Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable) -> Iterator[Planned]:
     """Plan the shards.
 
     More tasks are queued than the cluster can run, so that it never idles and may scale up. The slowest methods, the
@@ -170,7 +170,7 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report
                 ray.cancel(ref, force=True)
 
 
-def _refuse_missing_gpus(ray, share: RayConfig) -> None:
+def _refuse_missing_gpus(ray, share: configs.RayConfig) -> None:
     """Check that this machine has the required GPUs if this process has started Ray, which then has no other nodes.
 
     Another cluster may scale up.
@@ -201,7 +201,7 @@ def _own_node_answers(ray) -> bool:
 
 
 def _plan_shard(
-    method: str, scenarios: Scenario, share: RayConfig, cell: Int[np.ndarray, "S"], *cells: Cell
+    method: str, scenarios: Scenario, share: configs.RayConfig, cell: Int[np.ndarray, "S"], *cells: grid.Cell
 ) -> tuple[Plans, dict]:
     """Plan one shard on a worker; return the plans and their provenance."""
     compile_cache.enable()
@@ -209,7 +209,7 @@ def _plan_shard(
     return plan_cells(cells, cell, scenarios, method, max(1, int(share.num_cpus))), planned_by()
 
 
-def _environment(share: RayConfig) -> dict[str, str]:
+def _environment(share: configs.RayConfig) -> dict[str, str]:
     """Return the workers' environment.
 
     No GPU for tasks that request none, a part of its memory for tasks that share it.

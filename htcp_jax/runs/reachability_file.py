@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import cause, read_json
+from htcp_jax.io import files
 from htcp_jax.runs.run_folder import Run
 
 REACHABILITY = "reachability.json"
@@ -30,7 +30,7 @@ def read_reachability(run: Run) -> Reachable | None:
     """
     file = Path(run.folder) / REACHABILITY
     try:
-        record = read_json(file, Path(run.folder))
+        record = files.read_json(file, Path(run.folder))
         if isinstance(record, dict) and not record.get("complete", True):
             warnings.warn(f"{file} is incomplete and not used; htcp reachability makes it anew", Note, stacklevel=2)
             return None
@@ -38,7 +38,7 @@ def read_reachability(run: Run) -> Reachable | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(f"{file} is damaged or no result of htcp reachability: {cause(error, file)}") from None
+        raise InputError(f"{file} is damaged or no result of htcp reachability: {files.cause(error, file)}") from None
     if any(counts.shape != (run.manifest.count,) for counts in found[:2]):
         raise InputError(f"{file} holds {found.prefix.size} scenarios, the run has {run.manifest.count}")
     return found

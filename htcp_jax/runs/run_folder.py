@@ -21,11 +21,9 @@ import pyarrow as pa
 from pydantic import ValidationError
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import cause, opened, read_json, read_parquet
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.grid_axes import Point, from_record, varied_keys
-from htcp_jax.jobs.grid_points import points_of
-from htcp_jax.motion.plans import Plans
+from htcp_jax.io import files as io_files
+from htcp_jax.jobs import PlanConfig, grid_axes, grid_points
+from htcp_jax.motion import Plans
 from htcp_jax.notebook import html_facts
 from htcp_jax.runs.identity import other_format, recorded_config
 from htcp_jax.runs.labels import labels_of
@@ -116,9 +114,9 @@ class Run:
 
         Except the parameters that have columns in every run.
         """
-        return varied_keys([name for group in self.manifest.grid for axis in group["axes"] for name in axis])
+        return grid_axes.varied_keys([name for group in self.manifest.grid for axis in group["axes"] for name in axis])
 
-    def points(self) -> tuple[Point, ...]:
+    def points(self) -> tuple[grid_axes.Point, ...]:
         """Return the scenarios with their complete configurations.
 
         Raises:
@@ -127,9 +125,11 @@ class Run:
         config, grid = self.config, self.manifest.grid
         joints = [column.rpartition("_")[0] for column in self.manifest.joints]
         try:
-            groups = tuple(from_record(group, joints) for group in grid)
+            groups = tuple(grid_axes.from_record(group, joints) for group in grid)
             stated = frozenset(key for group in grid for key in group.get("stated", ()))
-            return tuple(islice(points_of(str(self.folder / MANIFEST), config, groups, stated), self.manifest.count))
+            return tuple(
+                islice(grid_points.points_of(str(self.folder / MANIFEST), config, groups, stated), self.manifest.count)
+            )
         except InputError:
             raise
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
@@ -231,14 +231,14 @@ def open_run(folder: str | Path) -> Run:
     """
     folder = Path(folder)
     try:
-        raw = read_json(folder / MANIFEST, folder)
+        raw = io_files.read_json(folder / MANIFEST, folder)
     except OSError as error:
         if isinstance(error, FileNotFoundError) and (folder / SUMMARY).exists():
             what = "holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it"
             raise InputError(f"{folder} {what}") from None
         raise InputError(f"{folder} holds no run: cannot read {MANIFEST}: {error.strerror}") from None
     except InputError as error:
-        what = cause(error, folder / MANIFEST)
+        what = io_files.cause(error, folder / MANIFEST)
         raise InputError(f"{folder / MANIFEST} is damaged or no manifest of a run: {what}") from None
     if isinstance(raw, dict) and raw.get("format", FORMAT) != FORMAT:
         raise other_format(folder, f"{MANIFEST} has format {raw['format']}, not {FORMAT}")
@@ -255,7 +255,7 @@ def open_run(folder: str | Path) -> Run:
 def fault(file: Path, record: FileRecord) -> str | None:
     """Return the error in a table's file; None if it is as recorded."""
     try:
-        with opened(file, file.parents[1]) as stream:
+        with io_files.opened(file, file.parents[1]) as stream:
             return _fault_of(stream, record)
     except InputError as error:
         return str(error).removeprefix(f"{file}: ")
@@ -274,8 +274,8 @@ def _fault_of(stream: BinaryIO, record: FileRecord) -> str | None:
 def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table:
     if problem := fault(file, record):
         raise InputError(f"{file} {problem}; the same sweep plans its scenarios again")
-    with opened(file, file.parents[1]) as stream:
-        rows = read_parquet(stream, file, record.rows, exact=True)
+    with io_files.opened(file, file.parents[1]) as stream:
+        rows = io_files.read_parquet(stream, file, record.rows, exact=True)
     if not rows.schema.equals(schema):
         raise other_format(file.parents[1], f"{file.parent.name}/{file.name} has other columns")
     if len(rows) != record.rows:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from htcp_jax.motion.plans import Plans
+from htcp_jax.motion import Plans
 from htcp_jax.runs.manifest import Seconds, Span, spans
 from htcp_jax.runs.run_folder import Run
 

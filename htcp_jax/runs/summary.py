@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.motion.plans import Outcomes, Plans
+from htcp_jax.motion import Plans
+from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.status import Status
 
 
@@ -77,7 +78,7 @@ def orientation_errors_deg(plans: Plans) -> Float[np.ndarray, "n"]:
     return np.rad2deg(plans.orientation_error[~np.isnan(plans.orientation_error)])
 
 
-def _failures(ends: Outcomes) -> tuple[Failure, ...]:
+def _failures(ends: plan_arrays.Outcomes) -> tuple[Failure, ...]:
     """Return the first untracked target of every incomplete scenario."""
     found = (ends.of(s) for s in np.flatnonzero(ends.failed >= 0).tolist())
     return tuple(Failure(end.scenario, end.failed, end.status) for end in found)

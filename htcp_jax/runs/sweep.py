@@ -19,15 +19,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES
+from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.device import devices
 from htcp_jax.errors import InputError, Interrupted, Lost
-from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
-from htcp_jax.jobs.grid_axes import FILE_KEYS, MOST, record
-from htcp_jax.model.task_row_kind import TASK_ROWS
-from htcp_jax.motion.plans import Plans
+from htcp_jax.jobs import grid as grids
+from htcp_jax.jobs import grid_axes
+from htcp_jax.model import task_row_kind
+from htcp_jax.motion import Plans
+from htcp_jax.planning import Progress as ShardProgress
 from htcp_jax.planning import registry
-from htcp_jax.planning.batch import Progress as ShardProgress
 from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
@@ -56,7 +56,7 @@ class SweepProgress(NamedTuple):
 
 
 def sweep(
-    spec: str | Path | Mapping[str, Any] | Sweep,
+    spec: str | Path | Mapping[str, Any] | grids.Sweep,
     methods: str | Sequence[str] = "all",
     out: str | Path | None = None,
     *,
@@ -87,14 +87,14 @@ def sweep(
     """
     with devices.on(devices.choose(device_of(on, device))[0]):
         chosen = method_names(methods)
-        if isinstance(spec, Sweep):
+        if isinstance(spec, grids.Sweep):
             if config is not None or overrides or seed is not None:
                 raise InputError("config, overrides and seed belong to load_sweep when the sweep is loaded already")
         else:
-            spec = load_sweep(spec, config, seeded(overrides, seed))
+            spec = grids.load_sweep(spec, config, seeded(overrides, seed))
         for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
-            if value is not None and not 1 <= value <= MOST:
-                raise InputError(f"{name} is {value}; it must be 1 or more, and {MOST:,} at most")
+            if value is not None and not 1 <= value <= grid_axes.MOST:
+                raise InputError(f"{name} is {value}; it must be 1 or more, and {grid_axes.MOST:,} at most")
         batch = spec.batch(limit)
         asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
         planned = _planner(on, chosen, batch, spec, threads, device, targets_in_all)
@@ -148,7 +148,7 @@ def device_of(on: str, device: str | None) -> str | None:
     return "cpu"
 
 
-def keep_plans(spec: Sweep, method: str, plans: Plans, out: str | Path) -> Run:
+def keep_plans(spec: grids.Sweep, method: str, plans: Plans, out: str | Path) -> Run:
     """Write existing plans as a run; the content of `out` is replaced.
 
     Args:
@@ -200,7 +200,7 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
+def tables(batch: grids.Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
     """Return the rows of a shard in both tables, see module `tables`."""
     rows = slice(span.first, span.last + 1)
     joints, points = joint_columns(batch.robot), batch.points[rows]
@@ -212,15 +212,17 @@ def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.
     }
 
 
-def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int) -> Manifest:
+def _manifest(
+    spec: grids.Sweep, batch: grids.Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int
+) -> Manifest:
     """Return the manifest of a requested run, without shards."""
     config = spec.config.model_dump(mode="json")
-    grid = [record(group, spec.stated) for group in spec.groups]
+    grid = [grid_axes.record(group, spec.stated) for group in spec.groups]
     named = anchor_files(config)
     for axis in (axis for group in grid for axis in group["axes"]):
         named += [
             (key, name)
-            for key, words in FILE_KEYS.items()
+            for key, words in grid_axes.FILE_KEYS.items()
             for name in axis.get(key, {}).get("values", ())
             if name not in words
         ]
@@ -247,8 +249,8 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
 def _planner(
     on: str,
     methods: tuple[str, ...],
-    batch: Batch,
-    spec: Sweep,
+    batch: grids.Batch,
+    spec: grids.Sweep,
     threads: int | None,
     device: str | None,
     targets_in_all: int | None,
@@ -259,8 +261,8 @@ def _planner(
     from htcp_jax.runs.ray_ import on_ray  # here, because it is an extra
 
     registry.METHODS.refuse_own(methods)
-    OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
-    TASK_ROWS.refuse_own(row.name for row in spec.config.task)
+    obstacle_kind.OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
+    task_row_kind.TASK_ROWS.refuse_own(row.name for row in spec.config.task)
     return on_ray(batch, spec.config, on.partition(":")[2])
 
 

@@ -60,12 +60,11 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import GROWTH
-from htcp_jax.jobs.grid_axes import Point
-from htcp_jax.model.robot import Robot
-from htcp_jax.motion.knots import Knots
-from htcp_jax.motion.motion import figures
-from htcp_jax.motion.plans import EMPTY, NO_TARGET, Outcomes, Plans
+from htcp_jax.io import files
+from htcp_jax.jobs import grid_axes
+from htcp_jax.model import Robot
+from htcp_jax.motion import Knots, Plans, motion
+from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs import parameters
 from htcp_jax.status import Status, Way
 
@@ -120,7 +119,7 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
 
 
 def scenario_table(
-    method: str, points: Sequence[Point], plans: Plans, joints: Sequence[str], varied: Sequence[str] = ()
+    method: str, points: Sequence[grid_axes.Point], plans: Plans, joints: Sequence[str], varied: Sequence[str] = ()
 ) -> pa.Table:
     """Return the rows of scenarios, in the order of `points`.
 
@@ -151,9 +150,9 @@ def scenario_table(
     return pa.table(columns | {key: pa.array([point.varied[key] for point in points], pa.string()) for key in varied})
 
 
-def _ends(ends: Outcomes) -> dict[str, pa.Array]:
+def _ends(ends: plan_arrays.Outcomes) -> dict[str, pa.Array]:
     """Return the columns on completion: complete, the failed target, its status and the reason."""
-    status = [Status(code) if code != NO_TARGET else None for code in ends.status.tolist()]
+    status = [Status(code) if code != plan_arrays.NO_TARGET else None for code in ends.status.tolist()]
     return {
         "complete": pa.array(ends.failed < 0),
         "failed_target": pa.array(ends.failed, pa.int32(), mask=ends.failed < 0),
@@ -162,9 +161,9 @@ def _ends(ends: Outcomes) -> dict[str, pa.Array]:
     }
 
 
-def _figures(points: Sequence[Point], plans: Plans) -> dict[str, pa.Array]:
+def _figures(points: Sequence[grid_axes.Point], plans: Plans) -> dict[str, pa.Array]:
     """Return the columns of `MotionFigures`."""
-    found = figures(plans, np.array([point.config.on_path for point in points], int))
+    found = motion.figures(plans, np.array([point.config.on_path for point in points], int))
     columns = {name: _doubles(values) for name, values in found._asdict().items()}
     return columns | {"dwells": columns["dwells"].cast(pa.int32())}
 
@@ -201,12 +200,12 @@ def plans_of(
     s, t = targets["scenario"].to_numpy(), targets["target"].to_numpy()
     if min(s.min(initial=0), t.min(initial=0)) < 0 or t.max(initial=0) >= len(targets):
         raise IndexError("a row of no scenario or no target")
-    if count * (int(t.max(initial=-1)) + 1) > max(LEAST_CELLS, GROWTH * len(targets)):
+    if count * (int(t.max(initial=-1)) + 1) > max(LEAST_CELLS, files.GROWTH * len(targets)):
         raise IndexError(f"{len(targets):,} rows of {count:,} scenarios with {t.max() + 1:,} targets; too few to open")
-    blank = np.full((count, int(t.max(initial=-1)) + 1, 3), EMPTY["target"])
+    blank = np.full((count, int(t.max(initial=-1)) + 1, 3), plan_arrays.EMPTY["target"])
     plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
     for name in _READ:
-        getattr(plans, name)[s, t] = _numpy(targets[_COLUMN.get(name, name)], EMPTY[name])
+        getattr(plans, name)[s, t] = _numpy(targets[_COLUMN.get(name, name)], plan_arrays.EMPTY[name])
     plans.way[s, t] = [STATES[name] for name in targets["way"].to_pylist()]
     for array, names in ((plans.x, joints), (plans.tcp, _axes("tcp")), (plans.target, _axes("target"))):
         array[s, t] = np.stack([_numpy(targets[name], np.nan) for name in names], axis=1)
@@ -265,7 +264,7 @@ def frame_of(table: pa.Table) -> "pandas.DataFrame":
     return table.to_pandas(types_mapper=kinds.get)
 
 
-def _parameters(points: Sequence[Point], start: np.ndarray, joints: Sequence[str]) -> dict[str, pa.Array]:
+def _parameters(points: Sequence[grid_axes.Point], start: np.ndarray, joints: Sequence[str]) -> dict[str, pa.Array]:
     """Return the columns of varied parameters; start: first configurations of the plans (S, N)."""
     jobs = [point.config for point in points]
     given = parameters.columns([parameters.of_job(job) for job in jobs], start, joints)

@@ -26,7 +26,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import LARGEST, opened, parquet_bytes, read_parquet
+from htcp_jax.io import files
 
 TIMING, MADE = "timing", b"htcp_jax"
 HELD_OVER = 0.99  # share of the path's length from which a scenario keeps its feed
@@ -113,8 +113,8 @@ def read_timing(folder: Path, shards: Iterable[Shard], method: str) -> Timing | 
     if not file.exists():
         return None
     try:
-        with opened(file, folder, LARGEST) as stream:
-            rows = read_parquet(stream, file)
+        with files.opened(file, folder, files.LARGEST) as stream:
+            rows = files.read_parquet(stream, file)
         made = json.loads(rows.schema.metadata[MADE])
         rows = rows.cast(SCHEMA)
         known = _of_results(shards, method, made["results"])
@@ -131,7 +131,7 @@ def timing_bytes(timing: Timing, shards: Iterable[Shard], method: str) -> bytes:
     results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_numbers(s))]
     made = {"feed_m_s": timing.feed_m_s, "limits": timing.limits, "results": results}
     rows = timing.rows.sort_by("scenario").replace_schema_metadata({MADE: json.dumps(made)})
-    return parquet_bytes(rows, write_page_checksum=True)
+    return files.parquet_bytes(rows, write_page_checksum=True)
 
 
 def with_timing(folder: Path, shards: Iterable[Shard], scenarios: pa.Table) -> pa.Table:

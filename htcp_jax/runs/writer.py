@@ -9,8 +9,8 @@ from typing import Any
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import make_folder, parquet_bytes, write
-from htcp_jax.motion.plans import Plans
+from htcp_jax.io import files as io_files
+from htcp_jax.motion import Plans
 from htcp_jax.runs.identity import differences, identity
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.provenance import planned_by
@@ -128,21 +128,21 @@ def _with_shards(run: Run, shards: tuple[ShardRecord, ...]) -> Run:
 
 
 def _saved(run: Run) -> Run:
-    write(run.folder, MANIFEST, (run.manifest.model_dump_json(indent=2) + "\n").encode())
+    io_files.write(run.folder, MANIFEST, (run.manifest.model_dump_json(indent=2) + "\n").encode())
     return run
 
 
 def _write_parquet(folder: Path, table: str, name: str, rows: pa.Table) -> FileRecord:
     doubles = [field.name for field in rows.schema if pa.types.is_floating(field.type)]
     words = [name for name in rows.column_names if name not in doubles and name != "knots"]
-    data = parquet_bytes(rows, use_dictionary=words, use_byte_stream_split=doubles)
-    write(folder, f"{table}/{name}", data)
+    data = io_files.parquet_bytes(rows, use_dictionary=words, use_byte_stream_split=doubles)
+    io_files.write(folder, f"{table}/{name}", data)
     return FileRecord(rows=len(rows), bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
 
 
 def _lay_out(folder: Path) -> None:
     for table in TABLES:
-        make_folder(folder, table)
+        io_files.make_folder(folder, table)
 
 
 def _unlisted(folder: Path, expected: set[str]) -> list[Path]:

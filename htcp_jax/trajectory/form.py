@@ -11,14 +11,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import RobotConfig
-from htcp_jax.model.kinematics import link_poses, tcp_position
-from htcp_jax.model.robot import Robot
+from htcp_jax.jobs import config
+from htcp_jax.model import Robot, kinematics
 
 SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints with frame origins on the L, U and B axes
 
 
-def form_of(arm: RobotConfig, robot: Robot, x: Float[np.ndarray, "n N"]) -> Int[np.ndarray, "n 6"]:
+def form_of(arm: config.RobotConfig, robot: Robot, x: Float[np.ndarray, "n N"]) -> Int[np.ndarray, "n 6"]:
     """Return the flags at configurations: 1 for no flip, lower arm, rear, and r, t and s of 180 degrees or more, or 0.
 
     Args:
@@ -47,8 +46,8 @@ def _elbow_is_up(robot: Robot, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, 
     Raises:
         InputError: If the wrist or the TCP is behind the S axis.
     """
-    at = np.asarray(jax.vmap(link_poses, (None, 0))(robot, x))[:, :, :3, 3][:, [SHOULDER, ELBOW, WRIST]]
-    tcp = np.asarray(jax.vmap(tcp_position, (None, 0))(robot, x))
+    at = np.asarray(jax.vmap(kinematics.link_poses, (None, 0))(robot, x))[:, :, :3, 3][:, [SHOULDER, ELBOW, WRIST]]
+    tcp = np.asarray(jax.vmap(kinematics.tcp_position, (None, 0))(robot, x))
     base = np.asarray(robot.T_parent_joint)[0]
     points = (np.concatenate([at, tcp[:, None]], axis=1) - base[:3, 3]) @ base[:3, :3]
     ahead = points[..., 0] * np.cos(x[:, :1]) + points[..., 1] * np.sin(x[:, :1])

@@ -4,10 +4,9 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.build import task_of_job
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.model.robot import Robot
-from htcp_jax.motion.motion import Motion
+from htcp_jax.jobs import PlanConfig, build
+from htcp_jax.model import Robot
+from htcp_jax.motion import Motion
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.rows_left import rows_beside
 from htcp_jax.trajectory.stretches import Spare
@@ -21,7 +20,7 @@ def with_rows(left: Spare, job: PlanConfig, robot: Robot, motion: Motion, aims: 
     robot: with the job's tool; aims: goals of the task at each target, see `Scenario`. Raises InputError for a task
     with a row that has no bound between two configurations.
     """
-    task = task_of_job(job, robot)
+    task = build.task_of_job(job, robot)
     if task.sampled:
         names = ", ".join(row.name for row, part in zip(job.task, task.parts, strict=True) if part.sampled)
         raise InputError(f"no program: the task row {names} states no rate, so it cannot be proven next to the motion")

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import ProgramConfig
-from htcp_jax.model.robot import Robot
+from htcp_jax.jobs import config
+from htcp_jax.model import Robot
 
 KINDS = "velocity", "acceleration", "jerk"
 
@@ -39,7 +39,7 @@ class Limits(NamedTuple):
         return np.stack(found, axis=2).reshape(len(v), -1)
 
 
-def joint_limits(robot: Robot, job: ProgramConfig | None = None) -> Limits:
+def joint_limits(robot: Robot, job: config.ProgramConfig | None = None) -> Limits:
     """Return the limits of an arm.
 
     The job's; else the model's, if stated; else full speed in `job.full_speed_s`, and full acceleration in
@@ -53,7 +53,7 @@ def joint_limits(robot: Robot, job: ProgramConfig | None = None) -> Limits:
         InputError: For a joint without a velocity limit, and for a list in the job whose length is not the number of
             joints.
     """
-    job = ProgramConfig() if job is None else job
+    job = config.ProgramConfig() if job is None else job
     given = {kind: own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in KINDS}
     velocity = _either(given["velocity"], np.asarray(robot.speed, float))
     for name, speed in zip(robot.joint_names, velocity, strict=True):

@@ -15,10 +15,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.io.robot_model import compile_spec, no_log
-from htcp_jax.io.safe_xml import read_spec
-from htcp_jax.jobs.config import RobotConfig
-from htcp_jax.model.tool import ZERO, pose
+from htcp_jax.io import robot_model, safe_xml
+from htcp_jax.jobs import config
+from htcp_jax.model import tool
 from htcp_jax.trajectory.timed import Timed
 
 GRAVITY_M_S2 = 9.81
@@ -38,22 +37,22 @@ class Load(NamedTuple):
     time_s: float
 
 
-def model_of(arm: RobotConfig) -> mujoco.MjModel | None:
+def model_of(arm: config.RobotConfig) -> mujoco.MjModel | None:
     """Load the arm of a job with its inertias; None if a link has none.
 
     Raises:
         InputError: For an unreadable file.
     """
     path = arm.file
-    with no_log():
-        spec = read_spec(path)
+    with robot_model.no_log():
+        spec = safe_xml.read_spec(path)
     for shape in [*spec.geoms, *spec.meshes]:
         spec.delete(shape)
-    model = compile_spec(spec, path)
+    model = robot_model.compile_spec(spec, path)
     massive = {int(model.body_weldid[body.id]) for body in spec.bodies if body.explicitinertial and body.mass > 0}
     if not set(model.body_weldid[model.jnt_bodyid].tolist()) <= massive:
         return None
-    model.opt.gravity = pose(ZERO, arm.base_rpy_rad)[:3, :3].T @ [0, 0, -GRAVITY_M_S2]
+    model.opt.gravity = tool.pose(tool.ZERO, arm.base_rpy_rad)[:3, :3].T @ [0, 0, -GRAVITY_M_S2]
     model.opt.disableflags |= int(_OFF)
     return model
 

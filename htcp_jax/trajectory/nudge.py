@@ -20,12 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.clearance.proof.motion_bound import arm_points, lever_bounds
-from htcp_jax.device.tables import pad
-from htcp_jax.model.kinematics import jacobian, point_jacobians, tcp_position
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.task import feature_at
-from htcp_jax.model.task_rows import Feature
+from htcp_jax.clearance.proof import motion_bound
+from htcp_jax.device import tables as device_tables
+from htcp_jax.model import Robot, kinematics, task, task_rows
 from htcp_jax.numerics import safe_norm
 
 ROWS = 256  # configurations are padded to this times a power of two, so that few sizes are compiled
@@ -61,7 +58,7 @@ class Moved(NamedTuple):
     features: Float[np.ndarray, "*S F"]  # points [m]; directions, as a chord
 
 
-def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[Feature, ...] = ()) -> Arm:
+def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[task_rows.Feature, ...] = ()) -> Arm:
     """Evaluate the arm at configurations.
 
     Args:
@@ -111,7 +108,7 @@ def bend_bound(arm: Arm, within: Float[np.ndarray, "k N"], rates: Float[np.ndarr
 
 def _levers(arm: Arm, within: np.ndarray) -> np.ndarray:
     """Return l_j for joints within `within`."""
-    return np.stack(np.broadcast_arrays(*lever_bounds(arm.levers, within, arm.hinge)[0]), axis=-1)
+    return np.stack(np.broadcast_arrays(*motion_bound.lever_bounds(arm.levers, within, arm.hinge)[0]), axis=-1)
 
 
 def _second(arm: Arm, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -126,24 +123,26 @@ def padded(function: Callable, robot: Robot, *tables: Float[np.ndarray, "k ..."]
     """Apply a function to the rows of tables, padded so that only a few sizes are compiled."""
     rows = len(tables[0])
     most = ROWS * 2 ** max(0, int(np.ceil(np.log2(rows / ROWS))))
-    return tuple(np.asarray(part)[:rows] for part in function(robot, *(pad(table, most, most) for table in tables)))
+    return tuple(
+        np.asarray(part)[:rows] for part in function(robot, *(device_tables.pad(table, most, most) for table in tables))
+    )
 
 
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
 def _points(robot: Robot, x):
-    points, links = arm_points(robot, x)
-    slopes = point_jacobians(robot, x, points, links)
+    points, links = motion_bound.arm_points(robot, x)
+    slopes = kinematics.point_jacobians(robot, x, points, links)
     return safe_norm(slopes.swapaxes(1, 2)), slopes, points[-1]
 
 
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
 def _tcp(robot: Robot, x):
-    return tcp_position(robot, x), jacobian(robot, x)
+    return kinematics.tcp_position(robot, x), kinematics.jacobian(robot, x)
 
 
 @partial(jax.jit, static_argnums=0)
 @partial(jax.vmap, in_axes=(None, None, 0))
-def _features(features: tuple[Feature, ...], robot: Robot, x):
-    return (jnp.stack([jax.jacfwd(partial(feature_at, robot, feature=feature))(x) for feature in features]),)
+def _features(features: tuple[task_rows.Feature, ...], robot: Robot, x):
+    return (jnp.stack([jax.jacfwd(partial(task.feature_at, robot, feature=feature))(x) for feature in features]),)

@@ -13,16 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.strict_model import validate
-from htcp_jax.jobs.build import robot_of, scene
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.config_file import parse_override, put
-from htcp_jax.jobs.feed import feed_of
-from htcp_jax.model.kinematics import tcp_pose
-from htcp_jax.model.robot import Robot, lengthen_tool
-from htcp_jax.motion.motion import motion
-from htcp_jax.motion.plans import Plans
-from htcp_jax.runs.open import PlanSet
+from htcp_jax.io import strict_model
+from htcp_jax.jobs import PlanConfig, build, config_file, feed
+from htcp_jax.model import Robot, kinematics
+from htcp_jax.model import robot as robots
+from htcp_jax.motion import Plans, motion
+from htcp_jax.runs import PlanSet
 from htcp_jax.trajectory.beside import Beside, Pulses, UserFrame
 from htcp_jax.trajectory.form import form_of
 from htcp_jax.trajectory.formats.writers import format_of, program_text
@@ -35,7 +31,7 @@ from htcp_jax.trajectory.timed import Timed
 
 SECTION = "program."
 
-__all__ = ["OfPlan", "asked_feed", "feed_of", "program_of", "timed_plan", "with_program"]
+__all__ = ["OfPlan", "asked_feed", "program_of", "timed_plan", "with_program"]
 
 
 class OfPlan(NamedTuple):
@@ -112,9 +108,9 @@ class OfPlan(NamedTuple):
         if (asked := self.job.program.user_frame) is None:
             return None
         form = form_of(self.job.robot, self.robot, timed.x)
-        T_world = np.asarray(jax.vmap(tcp_pose, (None, 0))(self.robot, timed.x))
+        T_world = np.asarray(jax.vmap(kinematics.tcp_pose, (None, 0))(self.robot, timed.x))
         if asked.on == "workpiece":
-            T_world = np.linalg.inv(scene(self.job)[2].T_world_workpiece) @ T_world
+            T_world = np.linalg.inv(build.scene(self.job)[2].T_world_workpiece) @ T_world
         return UserFrame(asked.number, T_world, form)
 
     def _pulses(self) -> Pulses | None:
@@ -177,8 +173,8 @@ def program_of_plans(
     if not end.can_be_driven:
         why = end.way.message if end.executable < end.tracked else "the next one is not tracked"
         raise InputError(f"{name}: a motion leads to {end.executable} of {end.targets} targets; {why}")
-    robot = lengthen_tool(robot_of(job.robot), job.robot.tool_extension_m)
-    aims = scene(job)[2].aims if job.task else None
+    robot = robots.lengthen_tool(build.robot_of(job.robot), job.robot.tool_extension_m)
+    aims = build.scene(job)[2].aims if job.task else None
     return timed_plan(plans, scenario, job, robot, aims, feed_m_s, method, retract=retract)
 
 
@@ -209,7 +205,7 @@ def timed_plan(
         InputError: As `program` and `joint_limits` do.
     """
     limits = joint_limits(robot, job.program)
-    whole = motion(plans, scenario, job.on_path, retract=retract)
+    whole = motion.motion(plans, scenario, job.on_path, retract=retract)
     left = spare(plans, scenario, whole, job.settings.tube_m)
     if job.cell.self_collision:
         left = left._replace(clearance=0.5 * left.clearance)  # two bodies may move towards each other
@@ -227,7 +223,7 @@ def asked_feed(text: str | None, job: PlanConfig) -> float:
     text = job.program.feed if text is None else text
     if text is None:
         raise InputError("no feed: --feed 20mm/s gives one, or program.feed of the job")
-    return feed_of(text)
+    return feed.feed_of(text)
 
 
 def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
@@ -252,8 +248,8 @@ def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
     """
     raw = {"program": job.program.model_dump()}
     for override in overrides:
-        key, value = parse_override(override)
+        key, value = config_file.parse_override(override)
         if not key.startswith(SECTION):
             raise InputError(f"--set {key}: the plan is on record; keys of {SECTION}* alone can be changed")
-        put(raw, key, value)
-    return job.model_copy(update={"program": validate(raw, PlanConfig, "--set").program})
+        config_file.put(raw, key, value)
+    return job.model_copy(update={"program": strict_model.validate(raw, PlanConfig, "--set").program})

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot
 from htcp_jax.trajectory.curve import Curve, Derivatives, Stretch
 from htcp_jax.trajectory.nudge import tcp_at
 

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.model.robot import Robot
-from htcp_jax.motion.motion import Motion
+from htcp_jax.model import Robot
+from htcp_jax.motion import Motion
 from htcp_jax.trajectory.curve import Stretch
 from htcp_jax.trajectory.limits import KINDS, Limits
 from htcp_jax.trajectory.path import path_of

@@ -21,10 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.proof.row_proof import between, heeded, rows_left
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.task import Task
-from htcp_jax.model.task_rows import Feature, Row
+from htcp_jax.clearance.proof import row_proof
+from htcp_jax.model import Robot, Task, task_rows
 from htcp_jax.trajectory.nudge import padded
 
 PIECES = 32  # per leg
@@ -33,12 +31,12 @@ PIECES = 32  # per leg
 class RowsLeft(NamedTuple):
     """Slack of R rows, next to m legs or at m via points."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[task_rows.Row, ...]
     left: Float[np.ndarray, "m R"]  # points [m]; axes and frames, as a chord
     apart: Float[np.ndarray, "m R"]  # lower bound on the distance of the place that a row points at [m]; inf: none
 
     @property
-    def features(self) -> tuple[Feature, ...]:
+    def features(self) -> tuple[task_rows.Feature, ...]:
         """Features of the rows, one row after another."""
         return tuple(feature for row in self.rows for feature in row.features)
 
@@ -81,7 +79,7 @@ def rows_beside(
     Returns:
         The slack; None for a task that only constrains the TCP's position, which has a tube.
     """
-    if not (rows := heeded(task.parts)):
+    if not (rows := row_proof.heeded(task.parts)):
         return None
     left, apart = padded(partial(_left, task), robot, x[:-1], x[1:], goals)
     return RowsLeft(rows, np.where(on[:, None], np.maximum(left, 0.0), np.inf), np.where(on[:, None], apart, np.inf))
@@ -90,7 +88,9 @@ def rows_beside(
 @jax.jit
 @partial(jax.vmap, in_axes=(None, None, 0, 0, 0))
 def _left(task: Task, robot: Robot, a, b, goals):
-    asked, half = between(task, goals), jnp.asarray(0.5 / PIECES)
+    asked, half = row_proof.between(task, goals), jnp.asarray(0.5 / PIECES)
     places = (jnp.arange(PIECES, dtype=float) + 0.5) / PIECES
-    found = jax.vmap(lambda place: rows_left(robot, task.parts, asked, a + place * (b - a), b - a, half))(places)
+    found = jax.vmap(lambda place: row_proof.rows_left(robot, task.parts, asked, a + place * (b - a), b - a, half))(
+        places
+    )
     return jnp.min(found.left, axis=0), jnp.min(found.apart, axis=0)

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.model.robot import Robot
-from htcp_jax.motion.motion import ONE_POINT_M, Motion
-from htcp_jax.motion.plans import Plans
+from htcp_jax.model import Robot
+from htcp_jax.motion import Motion, Plans
+from htcp_jax.motion import motion as motions
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.curve import FARTHEST, Curve, Stretch
 from htcp_jax.trajectory.limits import Limits
@@ -100,7 +100,7 @@ class _Way(NamedTuple):
     @property
     def feeds(self) -> Bool[np.ndarray, "m"]:
         """True for legs on which the tool follows the path."""
-        return (self.group == Kind.FEED) & (self.length >= ONE_POINT_M)
+        return (self.group == Kind.FEED) & (self.length >= motions.ONE_POINT_M)
 
 
 def _moving(robot: Robot, motion: Motion, left: Spare) -> _Way:

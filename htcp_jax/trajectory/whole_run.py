@@ -17,19 +17,16 @@ import mujoco
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.device.processes import spread
+from htcp_jax.device import processes
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.io.files import make_folder, write
-from htcp_jax.jobs.build import arm_of, part_of, robot_of, scenario_of, workpiece_of
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.model.robot import Robot, lengthen_tool
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.motion.plans import Plans
+from htcp_jax.io import files
+from htcp_jax.jobs import PlanConfig, build
+from htcp_jax.model import Robot, Workpiece
+from htcp_jax.model import robot as robots
+from htcp_jax.motion import Plans
 from htcp_jax.process_exit import stop_message
-from htcp_jax.runs.lock import locked, signals
-from htcp_jax.runs.open import RunPlans, plans_of_run
-from htcp_jax.runs.run_folder import Run, open_run
-from htcp_jax.runs.timing_file import SCHEMA, TIMING, Timing, read_timing, timing_bytes, timing_file
+from htcp_jax.runs import Run, lock, open_run, timing_file
+from htcp_jax.runs import open as plan_sets
 from htcp_jax.trajectory.figures import Figures, figures
 from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.loads import LOOKED_AT_S, Load, loads_of, model_of, torques
@@ -85,11 +82,11 @@ def time_run(
         Interrupted: On SIGINT and SIGTERM; finished times are kept.
     """
     asked = _Asked(asked_feed(feed, with_program(run.config, overrides)), tuple(overrides))
-    timer = _Timer(plans_of_run(run), asked)
+    timer = _Timer(plan_sets.plans_of_run(run), asked)
     chosen = _chosen(timer.found, methods)
     check_limits(timer.jobs)
     stopped = f"stopped; what is timed is kept in {run.folder}; the same command goes on"
-    with stop_message(lambda: stopped), locked(run.folder), signals() as came:
+    with stop_message(lambda: stopped), lock.locked(run.folder), lock.signals() as came:
         find = _finder(timer, chosen, workers)
         for method in chosen:
             _time_method(timer, method, find, progress, came)
@@ -102,11 +99,11 @@ def check_limits(jobs: Iterable[PlanConfig]) -> None:
     Raises:
         InputError: For an arm without velocity limits, and for limits of another number of joints.
     """
-    for job in {repr((arm_of(job), job.program)): job for job in jobs}.values():
-        joint_limits(robot_of(job.robot), job.program)
+    for job in {repr((build.arm_of(job), job.program)): job for job in jobs}.values():
+        joint_limits(build.robot_of(job.robot), job.program)
 
 
-def _chosen(found: RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
+def _chosen(found: plan_sets.RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
     for method in methods or ():
         if method not in found.methods:
             raise InputError(f"{found.folder} has no plans by {method!r}; there are {', '.join(found.methods)}")
@@ -116,7 +113,7 @@ def _chosen(found: RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
 class _Timer:
     """Timer for the scenarios of one run; shared arms and parts are read once."""
 
-    def __init__(self, found: RunPlans, asked: _Asked):
+    def __init__(self, found: plan_sets.RunPlans, asked: _Asked):
         self.found, self.asked = found, asked
         self.plans: Callable[[str], Plans] = cache(found.plans)
         self._arms: dict[str, Robot] = {}
@@ -134,15 +131,17 @@ class _Timer:
         return [with_program(job, self.asked.overrides) for job in self.found.jobs]
 
     @property
-    def made_with(self) -> Timing:
+    def made_with(self) -> timing_file.Timing:
         """Settings of the times, without rows."""
         program = with_program(self.found.config, self.asked.overrides).program.model_dump(mode="json")
-        return Timing(self.asked.feed_m_s, {key: program[key] for key in LIMITS}, SCHEMA.empty_table())
+        return timing_file.Timing(
+            self.asked.feed_m_s, {key: program[key] for key in LIMITS}, timing_file.SCHEMA.empty_table()
+        )
 
-    def known(self, method: str) -> Timing:
+    def known(self, method: str) -> timing_file.Timing:
         """Return existing times with the same settings, else no rows; a damaged file is ignored."""
         try:
-            there = read_timing(self.found.folder, self.found.run.manifest.shards, method)
+            there = timing_file.read_timing(self.found.folder, self.found.run.manifest.shards, method)
         except InputError:
             there = None
         return there if there is not None and there[:2] == self.made_with[:2] else self.made_with
@@ -159,8 +158,8 @@ class _Timer:
         if not plans.outcome(scenario).can_be_driven:
             return None
         arm = self._arm(job)
-        aims = scenario_of(job, arm, self._part(job, arm)).aims if job.task else None
-        robot = lengthen_tool(arm, job.robot.tool_extension_m)
+        aims = build.scenario_of(job, arm, self._part(job, arm)).aims if job.task else None
+        robot = robots.lengthen_tool(arm, job.robot.tool_extension_m)
         try:
             made = timed_plan(plans, scenario, job, robot, aims, self.asked.feed_m_s, method)
         except InputError:  # limits and feed are valid: the arm never moves
@@ -175,7 +174,7 @@ class _Timer:
         arms: dict[str, dict[int, _OfScenario]] = {}
         for number, one in zip(block, found, strict=True):
             if one is not None and one.timed is not None:
-                arms.setdefault(repr(arm_of(self.jobs[number])), {})[number] = one
+                arms.setdefault(repr(build.arm_of(self.jobs[number])), {})[number] = one
         loads: dict[int, Load] = {}
         for arm, own in arms.items():
             motions, effort = [one.timed for one in own.values()], next(iter(own.values())).effort
@@ -189,21 +188,21 @@ class _Timer:
 
     def _model(self, job: PlanConfig) -> mujoco.MjModel | None:
         """Return the arm of a job with its inertias, None without any."""
-        key = repr(arm_of(job))
+        key = repr(build.arm_of(job))
         if key not in self._models:
             self._models[key] = model_of(job.robot)
         return self._models[key]
 
     def _arm(self, job: PlanConfig) -> Robot:
-        key = repr(arm_of(job))
+        key = repr(build.arm_of(job))
         if key not in self._arms:
-            self._arms[key] = robot_of(job.robot)
+            self._arms[key] = build.robot_of(job.robot)
         return self._arms[key]
 
     def _part(self, job: PlanConfig, arm: Robot) -> Workpiece:
-        key = repr((arm_of(job), part_of(job)))
+        key = repr((build.arm_of(job), build.part_of(job)))
         if key not in self._parts:
-            self._parts[key] = workpiece_of(part_of(job), arm)
+            self._parts[key] = build.workpiece_of(build.part_of(job), arm)
         return self._parts[key]
 
 
@@ -220,7 +219,7 @@ def _time_method(timer: _Timer, method: str, find: Callable, progress: Callable 
         found = find(method, block)
         loads = timer.loads(block, found)
         rows = [_row(number, known.feed_m_s, one, loads.get(number)) for number, one in zip(block, found, strict=True)]
-        known = known._replace(rows=pa.concat_tables([known.rows, pa.Table.from_pylist(rows, SCHEMA)]))
+        known = known._replace(rows=pa.concat_tables([known.rows, pa.Table.from_pylist(rows, timing_file.SCHEMA)]))
         _write(timer.found.run, method, known)
     if progress is not None:
         progress(method, everything, everything)
@@ -230,10 +229,10 @@ def _stopped(timer: _Timer, method: str, done: int, of: int) -> str:
     return f"stopped; {done} of {of} scenarios of {method} are timed in {timer.found.folder}; the same command goes on"
 
 
-def _write(run: Run, method: str, timing: Timing) -> None:
-    make_folder(run.folder, TIMING)
-    name = str(timing_file(run.folder, method).relative_to(run.folder))
-    write(run.folder, name, timing_bytes(timing, run.manifest.shards, method))
+def _write(run: Run, method: str, timing: timing_file.Timing) -> None:
+    files.make_folder(run.folder, timing_file.TIMING)
+    name = str(timing_file.timing_file(run.folder, method).relative_to(run.folder))
+    files.write(run.folder, name, timing_file.timing_bytes(timing, run.manifest.shards, method))
 
 
 def _row(number: int, feed_m_s: float, one: _OfScenario | None, load: Load | None) -> dict:
@@ -264,7 +263,7 @@ def _finder(timer: _Timer, methods: Sequence[str], workers: int | None) -> Calla
 
     def find(method: str, block: Sequence[int]) -> list[_OfScenario | None]:
         parts = [(method, block[first : first + PART]) for first in range(0, len(block), PART)]
-        return list(chain(*spread(workers, _part, shared, parts, None).results))
+        return list(chain(*processes.spread(workers, _part, shared, parts, None).results))
 
     return find
 
@@ -273,7 +272,7 @@ def _finder(timer: _Timer, methods: Sequence[str], workers: int | None) -> Calla
 
 
 def _opened(folder: Path, asked: _Asked, _: bytes) -> _Timer:
-    return _Timer(RunPlans(open_run(folder)), asked)
+    return _Timer(plan_sets.RunPlans(open_run(folder)), asked)
 
 
 def _part(tell: Callable, timer: _Timer, part: tuple[str, Sequence[int]]) -> list[_OfScenario | None]:

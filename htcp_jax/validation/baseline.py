@@ -21,15 +21,10 @@ import yaml
 from pydantic import Field, model_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.strict_model import Section, validate
-from htcp_jax.io.strict_yaml import read_yaml
-from htcp_jax.motion.plans import Outcome
-from htcp_jax.runs.identity import config_hash, identity
-from htcp_jax.runs.labels import counted
-from htcp_jax.runs.manifest import Manifest, MethodName
-from htcp_jax.runs.plan_folder import write_text
-from htcp_jax.runs.reachability_file import read_reachability
-from htcp_jax.runs.run_folder import Run
+from htcp_jax.io import strict_model, strict_yaml
+from htcp_jax.motion import plans
+from htcp_jax.runs import Run, identity, labels, plan_folder, reachability_file
+from htcp_jax.runs import manifest as manifests
 from htcp_jax.status import Status
 from htcp_jax.validation.result import MethodCheck, Refuted
 from htcp_jax.validation.validate import validate as check_by_mujoco
@@ -60,7 +55,7 @@ def _read_end(text: Any) -> End:
     return End(int(count), status)
 
 
-class Times(Section):
+class Times(strict_model.Section):
     """Durations of one method's timed motions at a feed; see `htcp program --all`."""
 
     feed_m_s: float
@@ -69,7 +64,7 @@ class Times(Section):
     cycle_time_s: dict[Count, Annotated[float, Field(gt=0)]]  # of scenarios with a motion to their last target
 
 
-class Scores(Section):
+class Scores(strict_model.Section):
     """Results of one method."""
 
     tracked: Count
@@ -97,7 +92,7 @@ class Scores(Section):
         return self
 
 
-class Reachability(Section):
+class Reachability(strict_model.Section):
     """Results of `htcp reachability`."""
 
     reachable: Count  # targets
@@ -112,7 +107,7 @@ class Reachability(Section):
         return f"{how} and seed {self.seed}"
 
 
-class Allowance(Section):
+class Allowance(strict_model.Section):
     """Largest differences from the baseline that a method may have."""
 
     targets: Count = 0  # fewer tracked in all
@@ -123,7 +118,7 @@ class Allowance(Section):
     clearance_mm: Millimetres = 0.05
 
 
-class Allowances(Section):
+class Allowances(strict_model.Section):
     """Allowed differences from the baseline, by machine.
 
     `here` is for the device and versions of the baseline, where the same code plans the same bits; `elsewhere` for
@@ -135,7 +130,7 @@ class Allowances(Section):
     elsewhere: Allowance = Allowance(targets=25, scenarios=2)
 
 
-class Baseline(Section):
+class Baseline(strict_model.Section):
     """Contents of a baseline file."""
 
     format: Literal[1] = 1
@@ -149,11 +144,11 @@ class Baseline(Section):
     versions: dict[str, str | None]
     reachability: Reachability | None
     planned: dict[str, Any]  # the `identity` of the run: its configuration and its grid
-    methods: dict[MethodName, Scores] = Field(min_length=1)
+    methods: dict[manifests.MethodName, Scores] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _hash_is_of_planned(self) -> "Baseline":
-        if config_hash(self.planned) != self.config_hash:
+        if identity.config_hash(self.planned) != self.config_hash:
             raise ValueError("config_hash is not that of `planned`")
         return self
 
@@ -210,7 +205,7 @@ def read_baseline(file: Path) -> Baseline:
     Raises:
         InputError: For a file that cannot be read, is damaged, or is not a baseline.
     """
-    return validate(read_yaml(file), Baseline, str(file))
+    return strict_model.validate(strict_yaml.read_yaml(file), Baseline, str(file))
 
 
 def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = None) -> Baseline:
@@ -231,7 +226,7 @@ def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = No
         raise InputError(f"{run.folder} is not blessed: {reason}")
     found = summarise_run(run, progress)
     if found.problems or found.refuted:
-        refuted = f"{counted(len(found.refuted), 'tracked target')} refuted by MuJoCo"
+        refuted = f"{labels.counted(len(found.refuted), 'tracked target')} refuted by MuJoCo"
         raise InputError(f"{run.folder} is not blessed: {found.problems[0] if found.problems else refuted}")
     manifest, (origin,) = run.manifest, run.manifest.planned_by
     blessed = Baseline(
@@ -247,19 +242,19 @@ def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = No
         planned=planned(manifest),
         methods=found.methods,
     )
-    write_text(file, HEAD + yaml.dump(blessed.model_dump(), Dumper=_Dumper, sort_keys=False, width=118))
+    plan_folder.write_text(file, HEAD + yaml.dump(blessed.model_dump(), Dumper=_Dumper, sort_keys=False, width=118))
     return blessed
 
 
-def planned(manifest: Manifest) -> dict:
+def planned(manifest: manifests.Manifest) -> dict:
     """Identity of a run: the same for the same sweep, independent of the location of its files."""
-    return identity(manifest.config, manifest.grid, manifest.dtype, manifest.files)
+    return identity.identity(manifest.config, manifest.grid, manifest.dtype, manifest.files)
 
 
 def _not_to_be_blessed(run: Run, old: Baseline | None) -> str | None:
     manifest = run.manifest
     if manifest.count < manifest.full:
-        return f"it is limited to {manifest.count} of {counted(manifest.full, 'scenario')}"
+        return f"it is limited to {manifest.count} of {labels.counted(manifest.full, 'scenario')}"
     if not run.complete:
         return f"it is not complete, {_unplanned(run)}"
     if len(manifest.planned_by) != 1:
@@ -273,7 +268,7 @@ def _not_to_be_blessed(run: Run, old: Baseline | None) -> str | None:
 
 def _unplanned(run: Run) -> str:
     left = {method: sum(span.last - span.first + 1 for span in run.missing(method)) for method in run.methods}
-    return "; ".join(f"{method} lacks {counted(count, 'scenario')}" for method, count in left.items() if count)
+    return "; ".join(f"{method} lacks {labels.counted(count, 'scenario')}" for method, count in left.items() if count)
 
 
 def _scores(run: Run, method: str, check: MethodCheck | None) -> Scores:
@@ -301,12 +296,12 @@ def _times(run: Run, method: str) -> Times | None:
     return Times(feed_m_s=found.feed_m_s, limits=found.limits, held=found.held, cycle_time_s=cycle_time_s)
 
 
-def _end(found: Outcome) -> End:
+def _end(found: plans.Outcome) -> End:
     return End(found.targets, COMPLETE) if found.complete else End(found.failed, found.status.name)
 
 
 def _reachability(run: Run) -> Reachability | None:
-    found = read_reachability(run)
+    found = reachability_file.read_reachability(run)
     return found and Reachability(
         reachable=int(found.prefix.sum()), resolution_rad=found.resolution_rad, seed=found.seed
     )

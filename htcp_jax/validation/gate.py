@@ -18,9 +18,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from htcp_jax.errors import InputError
-from htcp_jax.runs.identity import differences
-from htcp_jax.runs.labels import counted, named
-from htcp_jax.runs.run_folder import Run
+from htcp_jax.runs import Run, identity
+from htcp_jax.runs import labels as run_labels
 from htcp_jax.status import Status
 from htcp_jax.validation.baseline import (
     COMPLETE,
@@ -149,7 +148,7 @@ def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | N
     Raises:
         InputError: If the baseline is of another sweep or configuration, and cannot be compared.
     """
-    if differing := differences(baseline.planned, planned(run.manifest)):
+    if differing := identity.differences(baseline.planned, planned(run.manifest)):
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
         raise InputError(
             f"{run.folder} was not planned as the baseline was: {differing[0]}{more}; "
@@ -158,7 +157,7 @@ def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | N
     found = summarise_run(run, progress)
     verdict = _compare(baseline, found, tuple(map(_origin, run.manifest.planned_by)))
     labels = run.labels() if verdict.changed else {}
-    changed = (one._replace(label=named(one.scenario, labels)) for one in verdict.changed)
+    changed = (one._replace(label=run_labels.named(one.scenario, labels)) for one in verdict.changed)
     return verdict._replace(sweep=run.manifest.name, changed=tuple(changed))
 
 
@@ -186,7 +185,7 @@ def _compare(baseline: Baseline, found: RunSummary, run: tuple[Origin, ...]) -> 
     failures = [f"{check.method}: {line}" for check in checks for line in check.failures]
     better = [f"{method} is not in the baseline" for method in found.methods if method not in baseline.methods]
     gains = {row.method: row.tracked - row.was_tracked for row in rows if _more(row)}
-    better += [f"{method} tracks {counted(gain, 'target')} more" for method, gain in gains.items()]
+    better += [f"{method} tracks {run_labels.counted(gain, 'target')} more" for method, gain in gains.items()]
     changed.sort(key=lambda one: (not one.worse, one.better))
     groups = map(tuple, (rows, checks, changed, failures, better))
     return Verdict(not failures, baseline.sweep, was, run, elsewhere, allow, *groups)
@@ -222,17 +221,19 @@ def _lines(
         return dict.fromkeys(CHECKS) | {SCENARIOS: ["missing"]}
     lines: dict[str, list[str] | None] = {name: [] for name in CHECKS}
     if lost := [number for number in was.scenarios if number not in now.scenarios]:
-        lines[SCENARIOS] = [f"{len(lost)} of {counted(len(was.scenarios), 'scenario')} missing, {lost[0]} the first"]
+        lines[SCENARIOS] = [
+            f"{len(lost)} of {run_labels.counted(len(was.scenarios), 'scenario')} missing, {lost[0]} the first"
+        ]
     counts = ((TRACKED, was.tracked, now.tracked), (EXECUTABLE, was.executable, now.executable))
     for name, before, after in counts:
         if (fewer := before - after) > allow.targets:
-            what = f"{counted(fewer, 'target')} fewer {name.split()[0]}"
+            what = f"{run_labels.counted(fewer, 'target')} fewer {name.split()[0]}"
             lines[name] = [f"{what}, {after} of {was.targets}; {allow.targets} may be lost"]
     if allow.more_targets is not None and (more := now.tracked - was.tracked) > allow.more_targets:
-        gained = f"{counted(more, 'target')} more tracked, {now.tracked} of {was.targets}"
+        gained = f"{run_labels.counted(more, 'target')} more tracked, {now.tracked} of {was.targets}"
         lines[TRACKED] = [f"{gained}; {allow.more_targets} may be gained"]
     if (worse := sum(one.worse for one in changed)) > allow.scenarios:
-        lines[ENDS] = [f"{counted(worse, 'scenario')} ended earlier; {allow.scenarios} may"]
+        lines[ENDS] = [f"{run_labels.counted(worse, 'scenario')} ended earlier; {allow.scenarios} may"]
     was_share, share = _share(was, baseline.reachability), _share(now, found.reachability)
     if was_share is None or share is None:
         lines[SHARE] = None
@@ -240,7 +241,7 @@ def _lines(
         lines[SHARE] = [f"{share:.2f} % of the reachable targets are tracked, {was_share:.2f} % before"]
     if refuted := [one for one in found.refuted if one.method == method]:
         first = f"the first in scenario {refuted[0].scenario} at target {refuted[0].target}: {refuted[0].reason}"
-        lines[MUJOCO] = [f"{counted(len(refuted), 'tracked target')} refuted by MuJoCo, {first}"]
+        lines[MUJOCO] = [f"{run_labels.counted(len(refuted), 'tracked target')} refuted by MuJoCo, {first}"]
     lines[TIMES] = None if was.times is None else _times_broken(was.times, now.times, allow)
     bounds = (
         (TCP_ERROR, was.tcp_error_max_mm, now.tcp_error_max_mm, 1, allow.tcp_error_mm),
@@ -263,16 +264,18 @@ def _times_broken(was: Times, now: Times | None, allow: Allowance) -> list[str]:
         return ["timed with another feed or other limits than the baseline's; not to be compared"]
     wrong, may = [], 1 + allow.cycle_time_percent / 100
     if (fewer := was.held - now.held) > allow.scenarios:
-        wrong.append(f"{counted(fewer, 'scenario')} fewer with the feed held, {now.held} of {len(now.cycle_time_s)}")
+        wrong.append(
+            f"{run_labels.counted(fewer, 'scenario')} fewer with the feed held, {now.held} of {len(now.cycle_time_s)}"
+        )
     if len(lost := sorted(was.cycle_time_s.keys() - now.cycle_time_s.keys())) > allow.scenarios:
-        wrong.append(f"{counted(len(lost), 'scenario')} without a time, {lost[0]} the first")
+        wrong.append(f"{run_labels.counted(len(lost), 'scenario')} without a time, {lost[0]} the first")
     both = was.cycle_time_s.keys() & now.cycle_time_s.keys()
     slower = {number: now.cycle_time_s[number] / was.cycle_time_s[number] for number in sorted(both)}
     slower = {number: by for number, by in slower.items() if by > may + ROUNDING}
     if len(slower) > allow.scenarios:
         worst = max(slower, key=lambda number: slower[number])
         seconds = f"{now.cycle_time_s[worst]:.4g} s, {was.cycle_time_s[worst]:.4g} s before"
-        longer = f"{counted(len(slower), 'scenario')} over {allow.cycle_time_percent:g} % longer"
+        longer = f"{run_labels.counted(len(slower), 'scenario')} over {allow.cycle_time_percent:g} % longer"
         wrong.append(f"{longer}, {worst} the most: {seconds}")
     return wrong
 
@@ -284,7 +287,7 @@ def _reachability_shortfall(baseline: Baseline, found: RunSummary, allow: Allowa
     if now.searched != was.searched:
         return [f"searched with {now.searched}, the baseline's with {was.searched}; not to be compared"]
     if (fewer := was.reachable - now.reachable) > allow.targets:
-        return [f"{counted(fewer, 'target')} fewer reachable; {allow.targets} may be lost"]
+        return [f"{run_labels.counted(fewer, 'target')} fewer reachable; {allow.targets} may be lost"]
     return []
 
 

@@ -12,7 +12,7 @@ import trimesh
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import read_bytes
+from htcp_jax.io import files
 
 GRAINS = 100_000  # approximate number of pieces of the triangles, so that a tree of their centres locates them
 AT_ONCE = 500_000  # pairs of an axis and a triangle in memory
@@ -28,7 +28,7 @@ def read_triangles(path: str | Path) -> Triangles:
         InputError: For a file that cannot be read.
     """
     try:
-        data, ending = io.BytesIO(read_bytes(Path(path))), Path(path).suffix.lower()[1:]
+        data, ending = io.BytesIO(files.read_bytes(Path(path))), Path(path).suffix.lower()[1:]
         mesh = trimesh.load(data, file_type=ending, force="mesh", process=False, skip_materials=True)
         return np.asarray(mesh.triangles, float).reshape(-1, 3, 3)
     except Exception as error:  # a foreign parser on foreign bytes

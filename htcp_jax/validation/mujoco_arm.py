@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.link_meshes import LinkMeshes
-from htcp_jax.io.safe_xml import read_spec
-from htcp_jax.model.tool import ZERO, Tool
+from htcp_jax.io import LinkMeshes, safe_xml
+from htcp_jax.model import Tool
+from htcp_jax.model import tool as tools
 from htcp_jax.types import Triple
 
 PROBE_M = 1e-9  # radius of the sphere for a point of the cloud; distances are corrected by it
@@ -63,8 +63,8 @@ class Arm:
         limits: str = "model",
         *,
         tcp: str = "tcp",
-        base_m: Triple = ZERO,
-        base_rpy_rad: Triple = ZERO,
+        base_m: Triple = tools.ZERO,
+        base_rpy_rad: Triple = tools.ZERO,
         tool: Tool | None = None,
     ):
         self._path, self._list = Path(path), _list(Path(path))
@@ -222,7 +222,7 @@ class Arm:
 
 def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, int]:
     """The model with its capsules, its spheres, the tool's and the probe as its only geoms, and the TCP's site."""
-    spec = read_spec(path, contacts=True)
+    spec = safe_xml.read_spec(path, contacts=True)
     try:
         for geom in list(spec.geoms):
             if geom.type not in (_SPHERE, _CAPSULE):
@@ -252,7 +252,7 @@ def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, i
 
 def _list(path: Path) -> list[tuple[tuple[str, ...], str]] | None:
     """The pairs in the list of an arm by `htcp robot`, with their rules; None without a list."""
-    spec = read_spec(path, contacts=True)
+    spec = safe_xml.read_spec(path, contacts=True)
     if all(text.name != "self_collision" for text in spec.texts):
         return None
     return [(tuple(each.objname), each.name[-1]) for each in spec.tuples]

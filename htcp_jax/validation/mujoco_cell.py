@@ -16,17 +16,15 @@ import trimesh
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.point_cloud import load_geometry
-from htcp_jax.io.safe_xml import read_spec
-from htcp_jax.jobs.config import CellConfig
-from htcp_jax.jobs.given_kinds import shapes_in_world
-from htcp_jax.model.fixture import PRIMITIVES
+from htcp_jax.io import load_geometry, safe_xml
+from htcp_jax.jobs import config, given_kinds
+from htcp_jax.model import fixture
 from htcp_jax.validation.mujoco_arm import FAR_M, Arm, Postures
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.own_pairs import OwnPairs, own_pairs, touch_m
 
 MOST_FACES = 400  # of a mesh that is treated as convex
-_TYPES = {kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}") for kind in PRIMITIVES}
+_TYPES = {kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}") for kind in fixture.PRIMITIVES}
 _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
 
 
@@ -38,12 +36,12 @@ class Beside:
     `unmeasured`.
     """
 
-    def __init__(self, cell: CellConfig, arm: Arm, plain: Arm):
+    def __init__(self, cell: config.CellConfig, arm: Arm, plain: Arm):
         self._arm, self.walls = arm, []
         spec = mujoco.MjSpec() if cell.model is None else _spec(Path(cell.model))
         for k, radius in enumerate(arm.radius.tolist()):
             spec.worldbody.add_geom(name=f"body {k} of the arm", type=_CAPSULE, size=[radius, 1, 0])
-        given = [shapes_in_world(kind) for kind in cell.obstacles]
+        given = [given_kinds.shapes_in_world(kind) for kind in cell.obstacles]
         self.unmeasured = [kind.name for kind, shapes in zip(cell.obstacles, given, strict=True) if not shapes]
         self.bound = bool(self.unmeasured)
         shapes = [shape for own in given for shape in own]
@@ -158,7 +156,7 @@ class Beside:
 
 def _spec(path: Path) -> mujoco.MjSpec:
     """The cell's file, with its geoms for contact only."""
-    spec = read_spec(path, meshes=True)
+    spec = safe_xml.read_spec(path, meshes=True)
     spec.modelfiledir = str(path.parent.resolve())
     for geom in list(spec.geoms):
         if not (geom.contype or geom.conaffinity):
@@ -168,7 +166,7 @@ def _spec(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def _move(model: mujoco.MjModel, data: mujoco.MjData, cell: CellConfig) -> None:
+def _move(model: mujoco.MjModel, data: mujoco.MjData, cell: config.CellConfig) -> None:
     """Rotate and shift the part of the cell that the job moves; the arm's capsules are placed later anyway."""
     body = 0 if cell.moved is None else model.body(cell.moved).id
     origin = np.zeros(3) if body == 0 else data.xpos[body].copy()

@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, cKDTree
 
-from htcp_jax.jobs.config import WorkpieceConfig
+from htcp_jax.jobs import config
 from htcp_jax.validation.cloud_discs import Discs
 from htcp_jax.validation.mesh_clearance import axis_distances, goes_through, in_grains, read_triangles
 from htcp_jax.validation.mujoco_arm import Arm, Postures
@@ -90,7 +90,7 @@ class Wall:
         return np.concatenate([part.max(axis=1, initial=-np.inf) for part in parts] or [np.empty(0)])
 
 
-def wall_of(part: WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
+def wall_of(part: config.WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
     """Build the wall that a configuration describes.
 
     A mesh is read again. For a user-supplied part the inlet's direction, if none is given, is that of the hull's facet

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.io.link_meshes import LinkMeshes
-from htcp_jax.model.robot import TOUCHING_M
+from htcp_jax.io import LinkMeshes
+from htcp_jax.model import robot
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 
 SAMPLES, SEED = 10_000, 1
@@ -70,4 +70,4 @@ def touch_m(arm: Arm, pair: Pair, x: Float[np.ndarray, "N"]) -> float:
     """
     meshes: LinkMeshes = arm.meshes
     deep = meshes.deepest_m(*(arm.names[k] for k in pair), meshes.poses(x[None]))
-    return deep if deep > TOUCHING_M else 0.0
+    return deep if deep > robot.TOUCHING_M else 0.0

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from htcp_jax.jobs.build import arm_of, part_of, robot_of, workpiece_of
-from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.motion.plans import Plans
-from htcp_jax.runs.open import PlanSet, open_plans
+from htcp_jax.jobs import PlanConfig, build
+from htcp_jax.jobs import config as configs
+from htcp_jax.model import Workpiece
+from htcp_jax.motion import Plans
+from htcp_jax.runs import PlanSet, open_plans
 from htcp_jax.status import MOTION
 from htcp_jax.validation.scene_rules import Results, Track, WorkpieceData
 
@@ -60,7 +60,7 @@ def _workpieces() -> Callable[[PlanConfig], WorkpieceData]:
     """Return a cached loader of workpieces; the points on a mesh are as close as the arm needs."""
 
     @lru_cache(maxsize=MOST_WORKPIECES)
-    def load(part: WorkpieceConfig, arm: RobotConfig) -> WorkpieceData:
-        return data_of(workpiece_of(part, robot_of(arm)))
+    def load(part: configs.WorkpieceConfig, arm: configs.RobotConfig) -> WorkpieceData:
+        return data_of(build.workpiece_of(part, build.robot_of(arm)))
 
-    return lambda config: load(part_of(config), arm_of(config))
+    return lambda config: load(build.part_of(config), build.arm_of(config))

@@ -14,8 +14,9 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from htcp_jax.jobs.config import PlanConfig, WorkpieceConfig
-from htcp_jax.runs.parameters import Parameters
+from htcp_jax.jobs import PlanConfig
+from htcp_jax.jobs import config as configs
+from htcp_jax.runs import parameters
 
 NEAREST, SURROUNDINGS = 60, 500  # points of the wall to which a normal is fitted, and for its side
 DISTINCT_M = 1e-9  # points of a path closer than this coincide
@@ -72,7 +73,7 @@ class Results(NamedTuple):
     files: dict[str, str]  # SHA-256 of the files that hold the results
 
 
-def turned_and_moved(part: WorkpieceConfig, pose: Parameters) -> tuple[np.ndarray, np.ndarray]:
+def turned_and_moved(part: configs.WorkpieceConfig, pose: parameters.Parameters) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) and translation (3,) from the workpiece frame to the world [m].
 
     The neutral pose is rotated about the pivot, first about world x, then y, then z, and then shifted.

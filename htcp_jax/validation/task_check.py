@@ -12,8 +12,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.kinds import with_arrays
-from htcp_jax.model.task_list import TaskRow
-from htcp_jax.model.task_row_kind import TaskRowKind
+from htcp_jax.model import TaskRow, task_row_kind
 from htcp_jax.settings import Settings
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.result import ROUNDING_M
@@ -25,7 +24,7 @@ HELD = TaskRow(point="tcp", on="path")
 class RowCheck(NamedTuple):
     """Deviation from one row at n points of the path, in metres or degrees."""
 
-    row: TaskRowKind
+    row: task_row_kind.TaskRowKind
     off: Float[np.ndarray, "n"]  # NaN: not checked
     most: float
 
@@ -74,7 +73,7 @@ class Place(NamedTuple):
 
 
 def check_rows(
-    rows: Sequence[TaskRowKind],
+    rows: Sequence[task_row_kind.TaskRowKind],
     arm: Arm,
     x: Float[np.ndarray, "n N"],
     place: Place,
@@ -95,7 +94,7 @@ def check_rows(
 
 
 def hold_between(
-    rows: Sequence[TaskRowKind],
+    rows: Sequence[task_row_kind.TaskRowKind],
     arm: Arm,
     x: Float[np.ndarray, "n N"],
     before: Place,
@@ -132,7 +131,9 @@ def hold_between(
     return good
 
 
-def follower(rows: Sequence[TaskRowKind], arm: Arm, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n 3"]:
+def follower(
+    rows: Sequence[task_row_kind.TaskRowKind], arm: Arm, x: Float[np.ndarray, "n N"]
+) -> Float[np.ndarray, "n 3"]:
     """Position of the point that follows the path [m]; the TCP if no row defines one.
 
     Args:
@@ -143,18 +144,20 @@ def follower(rows: Sequence[TaskRowKind], arm: Arm, x: Float[np.ndarray, "n N"])
     return _point(next((row for row in rows if row.on == "path"), HELD), arm, x)
 
 
-def holds_tcp(rows: Sequence[TaskRowKind]) -> bool:
+def holds_tcp(rows: Sequence[task_row_kind.TaskRowKind]) -> bool:
     """True if a row of the task constrains the TCP to the path in all directions."""
     return not rows or any(isinstance(row, TaskRow) and replace(row, frame=HELD.frame) == HELD for row in rows)
 
 
-def follows_all(rows: Sequence[TaskRowKind]) -> bool:
+def follows_all(rows: Sequence[task_row_kind.TaskRowKind]) -> bool:
     """True if the point that follows the path is constrained in all directions, exactly."""
     row = next((row for row in rows if row.on == "path"), None if rows else HELD)
     return row is not None and row.axes == "xyz" and row.within_m is None
 
 
-def _check(row: TaskRowKind, arm: Arm, x: np.ndarray, place: Place, most_m: float, most_deg: float) -> RowCheck:
+def _check(
+    row: task_row_kind.TaskRowKind, arm: Arm, x: np.ndarray, place: Place, most_m: float, most_deg: float
+) -> RowCheck:
     if not isinstance(row, TaskRow):
         off = _off_kind(row, arm, x, (place,))
         return RowCheck(row, np.rad2deg(off) if row.angular else off, most_deg if row.angular else most_m)
@@ -167,7 +170,9 @@ def _check(row: TaskRowKind, arm: Arm, x: np.ndarray, place: Place, most_m: floa
     return RowCheck(row, np.rad2deg(off), allowed or most_deg)
 
 
-def _off_kind(row: TaskRowKind, arm: Arm, x: np.ndarray, places: tuple[Place, ...]) -> Float[np.ndarray, "n"]:
+def _off_kind(
+    row: task_row_kind.TaskRowKind, arm: Arm, x: np.ndarray, places: tuple[Place, ...]
+) -> Float[np.ndarray, "n"]:
     """Deviation from a row of another package by its own check [m or rad]; NaN if it has none.
 
     The smallest of those by the goals of the two targets and by the goal half way between them.
@@ -185,7 +190,7 @@ def _off_kind(row: TaskRowKind, arm: Arm, x: np.ndarray, places: tuple[Place, ..
     return found
 
 
-def _along_path(row: TaskRowKind, place: Place) -> dict[str, Float[np.ndarray, "n 3"]]:
+def _along_path(row: task_row_kind.TaskRowKind, place: Place) -> dict[str, Float[np.ndarray, "n 3"]]:
     """Places, tangents and normals of the path that a kind uses, in the world."""
     own, named = place.workpiece, {"place": "path", "tangent": "tangents", "normal": "normals"}
     return {

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.timed import Timed
+from htcp_jax.trajectory import Timed
 from htcp_jax.validation.mujoco_arm import Postures
 from htcp_jax.validation.mujoco_clearance import CheckedScene
 from htcp_jax.validation.records import read_results

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.runs.parameters import of_job
+from htcp_jax.runs import parameters
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 from htcp_jax.validation.mujoco_cell import Beside
 from htcp_jax.validation.mujoco_clearance import AtTargets, CheckedScene, Wall
@@ -134,7 +134,7 @@ def scene_of(
     Raises:
         InputError: If the configuration results in another number of targets than the saved one.
     """
-    part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
+    part, pose, workpiece = track.config.workpiece, parameters.of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     start = track.start if track.config.start is None else np.array(track.config.start)

@@ -22,10 +22,9 @@ import numpy as np
 import scipy
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import read_json
-from htcp_jax.jobs.build import arm_of, part_of, shape_of
-from htcp_jax.jobs.config import RobotConfig
-from htcp_jax.runs.plan_folder import SUMMARY, VALIDATION, write_json
+from htcp_jax.io import files
+from htcp_jax.jobs import build, config
+from htcp_jax.runs import plan_folder
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_cell import Beside
 from htcp_jax.validation.mujoco_clearance import Wall, wall_of
@@ -62,7 +61,7 @@ def validate(
         raise InputError(f"the feed rate is {feed_mm_s:g} mm/s; it must be positive")
     began = time.perf_counter()
     results = read_results(Path(folder))
-    arms: dict[RobotConfig, Arm] = {}
+    arms: dict[config.RobotConfig, Arm] = {}
     walls: dict[tuple, Wall] = {}
     besides: dict[tuple, Beside] = {}
     checked = []
@@ -111,17 +110,17 @@ def write_validation(folder: Path, found: Validation) -> None:
         InputError: If the folder cannot be written.
     """
     recorded = record(found)
-    if _is_stronger(folder / VALIDATION, recorded):
+    if _is_stronger(folder / plan_folder.VALIDATION, recorded):
         warnings.warn(
-            f"{folder / VALIDATION} is kept: of the same results, it looks closer between the targets than "
+            f"{folder / plan_folder.VALIDATION} is kept: of the same results, it looks closer between the targets than "
             f"--between {found.between} does",
             stacklevel=2,
         )
     else:
-        write_json(folder / VALIDATION, recorded)
-    summary = folder / SUMMARY
+        plan_folder.write_json(folder / plan_folder.VALIDATION, recorded)
+    summary = folder / plan_folder.SUMMARY
     if summary.exists():
-        write_json(summary, read_json(summary, folder) | {"validated": found.validated})
+        plan_folder.write_json(summary, files.read_json(summary, folder) | {"validated": found.validated})
 
 
 def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
@@ -130,7 +129,7 @@ def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
     It must have the same verdict and at least the keys of `recorded`.
     """
     try:
-        known = read_json(file, file.parent)
+        known = files.read_json(file, file.parent)
         same = all(known[key] == recorded[key] for key in ("files", "validated"))
         return same and known["between"] > recorded["between"] and _keys(known) >= _keys(recorded)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
@@ -148,11 +147,11 @@ def parts_of(results: Results, track: Track) -> tuple[Arm, Wall, Beside | None]:
     Raises:
         InputError: For a model that cannot be read.
     """
-    arms: dict[RobotConfig, Arm] = {}
+    arms: dict[config.RobotConfig, Arm] = {}
     return _arm(arms, results, track), _wall({}, results, track), _beside({}, arms, track)
 
 
-def _arm(arms: dict[RobotConfig, Arm], results: Results, track: Track) -> Arm:
+def _arm(arms: dict[config.RobotConfig, Arm], results: Results, track: Track) -> Arm:
     """The arm with the track's tool. Raises InputError if its number of joints differs from the saved one."""
     arm = _compiled(arms, track.config.robot)
     if len(arm.joints) != track.x.shape[1]:
@@ -160,7 +159,7 @@ def _arm(arms: dict[RobotConfig, Arm], results: Results, track: Track) -> Arm:
     return arm
 
 
-def _compiled(arms: dict[RobotConfig, Arm], robot: RobotConfig) -> Arm:
+def _compiled(arms: dict[config.RobotConfig, Arm], robot: config.RobotConfig) -> Arm:
     """An arm; each is compiled once."""
     if robot not in arms:
         arms[robot] = Arm(
@@ -175,7 +174,7 @@ def _compiled(arms: dict[RobotConfig, Arm], robot: RobotConfig) -> Arm:
     return arms[robot]
 
 
-def _beside(besides: dict[tuple, Beside], arms: dict[RobotConfig, Arm], track: Track) -> Beside | None:
+def _beside(besides: dict[tuple, Beside], arms: dict[config.RobotConfig, Arm], track: Track) -> Beside | None:
     """Obstacles of the track's arm other than the workpiece; None if there are none."""
     robot, cell = track.config.robot, track.config.cell
     if not (cell.self_collision or cell.model or cell.clouds or cell.obstacles):
@@ -188,7 +187,10 @@ def _beside(besides: dict[tuple, Beside], arms: dict[RobotConfig, Arm], track: T
 
 def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
     """The track's workpiece; each is loaded once, also for several paths along it."""
-    key = shape_of(part_of(track.config)), arm_of(track.config)  # the points on a mesh are as close as the arm needs
+    key = (
+        build.shape_of(build.part_of(track.config)),
+        build.arm_of(track.config),
+    )  # the points on a mesh are as close as the arm needs
     if key not in walls:
         walls[key] = wall_of(track.config.workpiece, results.workpiece(track.config))
     return walls[key]

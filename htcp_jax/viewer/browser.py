@@ -12,7 +12,7 @@ import viser
 
 from htcp_jax.errors import InputError
 from htcp_jax.markup import escaped
-from htcp_jax.trajectory.of_plan import OfPlan
+from htcp_jax.trajectory import OfPlan
 from htcp_jax.viewer.access import serve, silent
 from htcp_jax.viewer.browser_looks import Looks
 from htcp_jax.viewer.browser_plots import Plots

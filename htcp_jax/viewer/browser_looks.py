@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from htcp_jax.model.kinematics import ArmShape
+from htcp_jax.model import kinematics
 from htcp_jax.viewer.browser_scene import Stage
 from htcp_jax.viewer.camera import kept, open_side, sight
 from htcp_jax.viewer.replay import Replay
@@ -47,7 +47,7 @@ class Looks:
         self._marks.on_update(lambda _: self._stage.show_marks(self._marks.value))
         self._pair.on_update(lambda _: self._stage.show_smallest_distance(self._pair.value))
 
-    def show(self, replay: Replay, arms: ArmShape) -> None:
+    def show(self, replay: Replay, arms: kinematics.ArmShape) -> None:
         """Show a plan with the panel's settings.
 
         The camera of new browsers, and of every reset of the view, is set to show all of the arms and the workpiece.

@@ -6,8 +6,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from htcp_jax.viewer.browser_scene import HERE
-from htcp_jax.viewer.colours import INK, KINDS, TargetStyle, joint_colour, target_styles
+from htcp_jax.viewer.colours import HERE, INK, KINDS, TargetStyle, joint_colour, target_styles
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.timed_play import BOUNDS, Curves
 

@@ -11,9 +11,9 @@ import trimesh
 import viser
 from jaxtyping import Float
 
-from htcp_jax.model.kinematics import ArmShape
-from htcp_jax.model.surface import Surface
-from htcp_jax.reachability.obstruction import Obstruction
+from htcp_jax.model import kinematics
+from htcp_jax.model import surface as surfaces
+from htcp_jax.reachability import Obstruction
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -111,7 +111,7 @@ class Stage:
             near = "" if np.isnan(distance) else f"{distance:.4g} mm at target {target}"
             self._label.text = near if blocked is None else blocked.description
 
-    def move(self, arm: ArmShape) -> None:
+    def move(self, arm: kinematics.ArmShape) -> None:
         """Move the arm only, to any configuration."""
         p, q = arm.axes()
         with self._server.atomic():
@@ -123,7 +123,7 @@ class Stage:
         """Centres of the capsules, and of the tip."""
         return np.array([node.position for node in self._arm])
 
-    def cut(self, surface: Surface, near: Vector, size_m: float) -> None:
+    def cut(self, surface: surfaces.Surface, near: Vector, size_m: float) -> None:
         """Show the points of the cloud that remain after the cut.
 
         Args:

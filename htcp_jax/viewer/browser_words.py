@@ -3,12 +3,12 @@
 import numpy as np
 
 from htcp_jax.markup import escaped
-from htcp_jax.motion.plans import Outcome
+from htcp_jax.motion import plans
 from htcp_jax.status import Status, Way
 from htcp_jax.viewer.replay import Replay, Replays
 
 
-def describe(outcome: Outcome, replays: Replays) -> str:
+def describe(outcome: plans.Outcome, replays: Replays) -> str:
     """Number of a scenario, the number of targets tracked, and its label, which may be truncated."""
     count = (
         f"all {outcome.targets} tracked" if outcome.complete else f"failed at {outcome.tracked} of {outcome.targets}"

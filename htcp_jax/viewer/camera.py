@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.model.kinematics import ArmShape
+from htcp_jax.model import kinematics
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.sides import ABOVE_RAD, View, towards_camera
@@ -37,7 +37,7 @@ def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] |
     return depth <= depth.max() - share * np.ptp(depth)
 
 
-def sight(replay: Replay, arms: ArmShape, fovy_rad: float, aspect: float, close: bool = False) -> Sight:
+def sight(replay: Replay, arms: kinematics.ArmShape, fovy_rad: float, aspect: float, close: bool = False) -> Sight:
     """Camera that shows the cloud, the targets and n arms completely.
 
     Args:

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int8
 
-from htcp_jax.model.robot import Robot
-from htcp_jax.motion.plans import is_tracked
+from htcp_jax.model import Robot
+from htcp_jax.motion import plans
 from htcp_jax.status import Kind, Status
 
 LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"
@@ -38,7 +38,7 @@ class TargetStyle(NamedTuple):
 
 def target_styles(status: Int8[np.ndarray, "T"]) -> list[TargetStyle]:
     """Styles of the targets by status; the failed one last, on top."""
-    failed = ~is_tracked(status) & (status != Status.NOT_ATTEMPTED)
+    failed = ~plans.is_tracked(status) & (status != Status.NOT_ATTEMPTED)
     return [
         TargetStyle("not attempted", status == Status.NOT_ATTEMPTED, "#9aa3ab", 10, "o"),
         TargetStyle("tracked", status == Status.TRACKED, "#1f6fb4", 16, "o"),

@@ -6,7 +6,7 @@ tracked target, though the slider extends to `last`.
 
 import numpy as np
 
-from htcp_jax.trajectory.of_plan import OfPlan
+from htcp_jax.trajectory import OfPlan
 from htcp_jax.viewer.playback import at, way
 from htcp_jax.viewer.posture import Posture
 from htcp_jax.viewer.replay import Replay

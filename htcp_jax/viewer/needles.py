@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.model.task_list import TaskRow
-from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.model import TaskRow, Workpiece
 
 LENGTH_M = 0.04
 Needles = Float[np.ndarray, "n 2 3"]  # foot and tip, world [m]

@@ -15,14 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import FuncFormatter
 
-from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import Scenario
-from htcp_jax.model.surface import NOTHING, Drawn
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.motion.plans import Outcome, Plans
-from htcp_jax.reachability.obstruction import Obstruction
-from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
+from htcp_jax.model import Robot, Scenario, Workpiece, kinematics, surface
+from htcp_jax.motion import Plans
+from htcp_jax.motion import plans as plan_arrays
+from htcp_jax.reachability import Obstruction
+from htcp_jax.runs import motion_summary
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -51,7 +48,7 @@ def draw_plan(
     row: int = 0,
     title: str = "",
     obstruction: Obstruction | None = None,
-    fixtures: Drawn = NOTHING,
+    fixtures: surface.Drawn = surface.NOTHING,
     normals: Needles = NO_NEEDLES,
 ) -> Figure:
     """Draw a plan.
@@ -79,7 +76,7 @@ def draw_plan(
     cloud = workpiece.shown @ T[:3, :3].T + T[:3, 3]
     x_start = np.asarray(scenario.x_start)[None]
     view = _draw_scene(figure, grid, robot, cloud, plans, row, x_start, obstruction, fixtures)
-    motion = summarise_motion(plans, int(scenario.on_path), row)
+    motion = motion_summary.summarise_motion(plans, int(scenario.on_path), row)
     for axes in figure.axes:
         axes.add_collection(LineCollection(view.flat(normals), colors=NORMAL, linewidths=0.7, zorder=4))
         _mark_dwells(axes, view.flat(plans.target[row]), motion)
@@ -99,7 +96,7 @@ def _draw_scene(
     row: int,
     x_start: Float[np.ndarray, "1 N"],
     obstruction: Obstruction | None = None,
-    fixtures: Drawn = NOTHING,
+    fixtures: surface.Drawn = surface.NOTHING,
 ) -> View:
     """Draw two views from the same side, of everything and of the workpiece, and return that side."""
     shown = poses(plans, row)
@@ -125,7 +122,7 @@ def draw_cell(
     x_start: Float[np.ndarray, "1 N"],
     plans: Plans,
     title: str,
-    fixtures: Drawn = NOTHING,
+    fixtures: surface.Drawn = surface.NOTHING,
 ) -> Figure:
     """Draw the arm in the workpiece cut open, and the other obstacles.
 
@@ -164,7 +161,7 @@ def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
     axes.scatter(*flat.T, c=cut - depth[behind], cmap=DEPTH, s=1.2, linewidths=0, rasterized=True, zorder=1)
 
 
-def _draw_fixtures(axes: Axes, view: View, fixtures: Drawn) -> None:
+def _draw_fixtures(axes: Axes, view: View, fixtures: surface.Drawn) -> None:
     """Draw the fixtures, transparent, the farthest first."""
     triangles, clouds = fixtures
     if len(clouds.points):
@@ -178,12 +175,12 @@ def _draw_fixtures(axes: Axes, view: View, fixtures: Drawn) -> None:
     axes.add_collection(PolyCollection(flat, rasterized=True, zorder=1.5, **look))
 
 
-def _shape(robot: Robot, x: Float[np.ndarray, "W N"]) -> ArmShape:
+def _shape(robot: Robot, x: Float[np.ndarray, "W N"]) -> kinematics.ArmShape:
     """The arm at several configurations, as numpy arrays."""
-    return ArmShape(*map(np.asarray, capsules_and_tcp(robot, jnp.asarray(x))))
+    return kinematics.ArmShape(*map(np.asarray, kinematics.capsules_and_tcp(robot, jnp.asarray(x))))
 
 
-def _draw_arm(axes: Axes, view: View, robot: Robot, arm: ArmShape) -> None:
+def _draw_arm(axes: Axes, view: View, robot: Robot, arm: kinematics.ArmShape) -> None:
     """Draw the capsules at several configurations: the last one solid, with its bare tip; the others as shadows."""
     p, q, radius = arm.p, arm.q, np.asarray(robot.capsule_radius)
     colours = np.where(is_tool(robot), TOOL, LINKS)
@@ -235,13 +232,13 @@ def _draw_targets(axes: Axes, view: View, plans: Plans, row: int) -> None:
         axes.scatter(*flat[style.where].T, edgecolors=PAPER, zorder=5, **look)
 
 
-def _mark_dwells(axes: Axes, flat: Float[np.ndarray, "T 2"], motion: MotionSummary) -> None:
+def _mark_dwells(axes: Axes, flat: Float[np.ndarray, "T 2"], motion: motion_summary.MotionSummary) -> None:
     """Draw squares about the targets at which the arm changes its configuration."""
     look = {"s": 90, "marker": "s", "facecolors": "none", "edgecolors": DWELL, "linewidths": 1.6}
     axes.scatter(*flat[list(motion.dwells)].T, zorder=6, **look)
 
 
-def _draw_motion(axes: Axes, motion: MotionSummary) -> None:
+def _draw_motion(axes: Axes, motion: motion_summary.MotionSummary) -> None:
     """Draw lines at dwells, at the guaranteed clearance's minimum, and where the motion ends before the plan does."""
     for k, target in enumerate(motion.dwells):
         axes.axvline(target, label="dwell" if k == 0 else None, color=DWELL, linewidth=1.4, zorder=1)
@@ -288,7 +285,7 @@ def _heading(axes: Axes, text: str) -> None:
     axes.set_title(text, color=INK, fontsize=12, loc="left")
 
 
-def _draw_failure(axes: Axes, end: Outcome, targets: int, in_the_way: str) -> None:
+def _draw_failure(axes: Axes, end: plan_arrays.Outcome, targets: int, in_the_way: str) -> None:
     """Draw a line at the failed target, its reason on the wider side, and grey over the targets not attempted."""
     axes.axvspan(end.failed + 0.5, targets, color="#eef0f2", linewidth=0, zorder=0)
     axes.axvline(end.failed, color=FAILED, linewidth=1.2, zorder=1)

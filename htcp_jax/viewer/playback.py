@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.model.kinematics import ArmShape
+from htcp_jax.model import kinematics
 from htcp_jax.status import Kind
 from htcp_jax.viewer.posture import Posture, arms_at, postures
 from htcp_jax.viewer.replay import Replay
@@ -39,6 +39,6 @@ def way(replay: Replay) -> list[Posture]:
     return postures(replay.robot, x, reached, dwells)
 
 
-def _points(shape: ArmShape) -> Float[np.ndarray, "n P 3"]:
+def _points(shape: kinematics.ArmShape) -> Float[np.ndarray, "n P 3"]:
     """Points whose displacement limits the stride."""
     return np.concatenate([shape.p, shape.q, shape.tcp[:, None]], axis=1)

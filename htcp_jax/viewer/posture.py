@@ -7,14 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot, kinematics
 
 
 class Posture(NamedTuple):
     """The arm in one frame, the last target it has reached, -1 before the first, and True if it dwells there."""
 
-    arm: ArmShape
+    arm: kinematics.ArmShape
     target: int
     dwells: bool = False
 
@@ -30,15 +29,15 @@ def postures(
         reached: The last target reached at each, -1 before the first.
         dwells: True if the arm dwells there.
     """
-    arms = (ArmShape(*arm) for arm in zip(*arms_at(robot, x), strict=True))
+    arms = (kinematics.ArmShape(*arm) for arm in zip(*arms_at(robot, x), strict=True))
     return [Posture(*frame) for frame in zip(arms, reached.tolist(), dwells.tolist(), strict=True)]
 
 
-def together(row: Sequence[Posture]) -> ArmShape:
+def together(row: Sequence[Posture]) -> kinematics.ArmShape:
     """Stack the arms in n frames."""
-    return ArmShape(*map(np.stack, zip(*(posture.arm for posture in row), strict=True)))
+    return kinematics.ArmShape(*map(np.stack, zip(*(posture.arm for posture in row), strict=True)))
 
 
-def arms_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> ArmShape:
+def arms_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> kinematics.ArmShape:
     """The arm at n configurations."""
-    return ArmShape(*map(np.asarray, capsules_and_tcp(robot, jnp.asarray(x))))
+    return kinematics.ArmShape(*map(np.asarray, kinematics.capsules_and_tcp(robot, jnp.asarray(x))))

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import UInt8
 
-from htcp_jax.model.surface import CORNERS, discs
+from htcp_jax.model import surface as surfaces
 from htcp_jax.viewer.camera import kept, open_side, sight
 from htcp_jax.viewer.colours import (
     DWELL,
@@ -159,7 +159,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
         spec.worldbody.add_geom(name="in the way", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
     _add_marks(spec, replay)
-    _add_cloud(spec, replay, CORNERS if fine else FEW_CORNERS)
+    _add_cloud(spec, replay, surfaces.CORNERS if fine else FEW_CORNERS)
     _add_fixtures(spec, replay)
     low = min(0.0, replay.cloud[:, 2].min(), (np.minimum(replay.p, replay.q)[..., 2] - radius[:-1]).min())
     _add_room(spec, replay, low, fine)
@@ -195,7 +195,7 @@ def _add_cloud(spec: mujoco.MjSpec, replay: Replay, corners: int) -> None:
     """Add the half of the cloud that the side view shows, as discs: lighter inside than outside."""
     surface = replay.surface.only(kept(replay))
     for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
-        mesh = discs(surface, side, corners)
+        mesh = surfaces.discs(surface, side, corners)
         arrays = {"uservert": mesh.vertices, "usernormal": mesh.normals, "userface": mesh.faces}
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # as a solid its volume would be 0
         spec.add_mesh(name=name, inertia=shell, **{key: array.ravel() for key, array in arrays.items()})
@@ -204,7 +204,7 @@ def _add_cloud(spec: mujoco.MjSpec, replay: Replay, corners: int) -> None:
 
 def _add_fixtures(spec: mujoco.MjSpec, replay: Replay) -> None:
     """Add the fixtures, in one mesh, transparent."""
-    both = [discs(replay.fixtures.clouds, side) for side in (1, -1)]
+    both = [surfaces.discs(replay.fixtures.clouds, side) for side in (1, -1)]
     corners = np.concatenate([replay.fixtures.triangles, *(mesh.vertices[mesh.faces] for mesh in both)]).reshape(-1, 3)
     if len(corners):
         faces, shell = np.arange(len(corners), dtype=np.int32), mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL

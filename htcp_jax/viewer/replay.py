@@ -17,20 +17,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int8
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles, rows_of
-from htcp_jax.clearance.obstacles.obstacles import contacts
+from htcp_jax.clearance import Obstacles, contacts, rows_of
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
-from htcp_jax.model.robot import Robot, lengthen_tool
-from htcp_jax.model.scenario import Scenario
-from htcp_jax.model.surface import Drawn, Surface
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.motion.motion import Motion, motions
-from htcp_jax.motion.plans import Outcome, Plans, is_tracked, outcomes
-from htcp_jax.reachability.obstruction import Obstruction, blocked_target, obstructions
-from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
-from htcp_jax.runs.open import PlanSet, open_plans
+from htcp_jax.jobs import PlanConfig
+from htcp_jax.model import Robot, Scenario, Workpiece, kinematics
+from htcp_jax.model import robot as robots
+from htcp_jax.model import surface as surfaces
+from htcp_jax.motion import Motion, Plans
+from htcp_jax.motion import motion as motions
+from htcp_jax.motion import plans as plan_arrays
+from htcp_jax.reachability import Obstruction
+from htcp_jax.reachability import obstruction as obstruction_module
+from htcp_jax.runs import PlanSet, motion_summary, open_plans
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.needles import Needles, needles
 from htcp_jax.viewer.sides import Bodies, Side, camera_side
@@ -73,7 +71,7 @@ class Replay(NamedTuple):
     number: int  # of the scenario
     label: str  # its number and its varied parameters
     robot: Robot  # with the scenario's tool
-    surface: Surface  # of the cloud; world [m], like everything below
+    surface: surfaces.Surface  # of the cloud; world [m], like everything below
     path: int  # first target of the tool path; the ones before lead to it
     target: Float[np.ndarray, "T 3"]
     status: Int8[np.ndarray, "T"]
@@ -81,16 +79,16 @@ class Replay(NamedTuple):
     residual: Float[np.ndarray, "T"]
     orientation_error: Float[np.ndarray, "T"]  # [rad]; NaN if the task holds no orientation
     x: Float[np.ndarray, "T N"]
-    shape: ArmShape  # the arm at these
+    shape: kinematics.ArmShape  # the arm at these
     witness: Witness
     motion: Motion  # motion up to the last tracked target
-    summary: MotionSummary  # of the executable part
+    summary: motion_summary.MotionSummary  # of the executable part
     narrow: Narrow | None  # of the executable part
     way: Int8[np.ndarray, "T"]  # `status.Way`
     way_clearance: Float[np.ndarray, "T"]  # D all along it, at least
     obstruction: Obstruction | None  # at the target that failed
     side: Side  # viewpoint
-    fixtures: Drawn  # other obstacles
+    fixtures: surfaces.Drawn  # other obstacles
     normals: Needles  # of the path, if the task refers to them
 
     @property
@@ -114,9 +112,9 @@ class Replay(NamedTuple):
         return self.shape.tcp
 
     @property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> plan_arrays.Outcome:
         """Outcome of the scenario, without its joint paths."""
-        return outcomes(self.status[None]).of(0)._replace(scenario=self.number)
+        return plan_arrays.outcomes(self.status[None]).of(0)._replace(scenario=self.number)
 
     @property
     def tracked(self) -> int:
@@ -128,9 +126,9 @@ class Replay(NamedTuple):
         """First target that is not tracked."""
         return self.outcome.failed
 
-    def arm_at(self, target: int) -> ArmShape:
+    def arm_at(self, target: int) -> kinematics.ArmShape:
         """The arm at one target."""
-        return ArmShape(*(part[target] for part in self.shape))
+        return kinematics.ArmShape(*(part[target] for part in self.shape))
 
 
 class Replays:
@@ -155,7 +153,7 @@ class Replays:
         self.name, self.methods, self.labels = name, methods, labels or {}
         self.plans, self._cells = lru_cache(maxsize=None)(plans), cells
 
-    def outcomes(self, method: str) -> list[Outcome]:
+    def outcomes(self, method: str) -> list[plan_arrays.Outcome]:
         """Outcomes of all scenarios that the method has planned; failed ones first, each group in order.
 
         Raises:
@@ -181,16 +179,16 @@ class Replays:
         x = _held(plans.x[number, there], plans.start[number])
         blocked = self.obstructions(method, [number]).get(number)
         if blocked is not None:
-            x[blocked_target(plans, number)] = blocked.x
-        robot = lengthen_tool(cell.robot, placement.tool_extension_m)
+            x[obstruction_module.blocked_target(plans, number)] = blocked.x
+        robot = robots.lengthen_tool(cell.robot, placement.tool_extension_m)
         alone, on_path = plans.rows([number]), min(cell.approach, len(x))
-        summary = summarise_motion(alone, on_path)
+        summary = motion_summary.summarise_motion(alone, on_path)
         looked_at = _tightest_way(alone, summary.tightest)
         witness = _witness(robot, cell.obstacle, placement, np.concatenate([x, looked_at]))
-        shape = ArmShape(*map(np.asarray, capsules_and_tcp(robot, jnp.asarray(x))))
+        shape = kinematics.ArmShape(*map(np.asarray, kinematics.capsules_and_tcp(robot, jnp.asarray(x))))
         surface = cell.surface.placed(placement.T_world_workpiece)
         target, status = plans.target[number, there], plans.status[number, there]
-        arm = _looked_at(shape, robot, np.flatnonzero(is_tracked(status)), on_path)
+        arm = _looked_at(shape, robot, np.flatnonzero(plan_arrays.is_tracked(status)), on_path)
         return Replay(
             method=method,
             number=number,
@@ -206,7 +204,7 @@ class Replays:
             x=x,
             shape=shape,
             witness=witness.rows(slice(len(x))),
-            motion=motions(alone, on_path, np.logical_and.accumulate(alone.tracked, axis=1)).of(0),
+            motion=motions.motions(alone, on_path, np.logical_and.accumulate(alone.tracked, axis=1)).of(0),
             summary=summary,
             narrow=_narrow(summary, witness.rows(slice(len(x), None))),
             way=plans.way[number, there],
@@ -225,7 +223,7 @@ class Replays:
         """Colliding bodies in the failed scenarios, all or those of some numbers; one call can do hundreds."""
         plans, together = self.plans(method), dict[Hashable, dict[int, int]]()
         for number in range(len(plans.status)) if numbers is None else numbers:
-            if (target := blocked_target(plans, number)) is not None:
+            if (target := obstruction_module.blocked_target(plans, number)) is not None:
                 together.setdefault(self._cells.key(number), {})[number] = target
         found = {}
         for key, targets in together.items():
@@ -242,7 +240,7 @@ class Replays:
         where = jax.tree.map(lambda *leaves: np.stack(leaves), *map(self._cells.placement, targets))
         s, t = np.array(list(targets)), np.array(list(targets.values()))
         how = plans.before(s, t), plans.target[s, t], cell.config.settings
-        return dict(zip(targets, obstructions(cell.robot, cell.obstacle, where, *how), strict=True))
+        return dict(zip(targets, obstruction_module.obstructions(cell.robot, cell.obstacle, where, *how), strict=True))
 
 
 def open_replays(folder: str | Path) -> Replays:
@@ -284,7 +282,7 @@ def replays_of(name: str, plan: Planned) -> Replays:
     return Replays(name, (plan.job.method,), lambda _: plan.plans, cells)
 
 
-def _looked_at(shape: ArmShape, robot: Robot, tracked: np.ndarray, path: int) -> Bodies:
+def _looked_at(shape: kinematics.ArmShape, robot: Robot, tracked: np.ndarray, path: int) -> Bodies:
     """The arm at a few tracked targets, on the tool path if possible; else at the first target."""
     shown = tracked[tracked >= path] if (tracked >= path).any() else tracked if tracked.size else np.zeros(1, int)
     shown = shown[np.linspace(0, len(shown) - 1, LOOKED_AT).round().astype(int)]
@@ -301,7 +299,7 @@ def _tightest_way(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:
     return np.stack([np.interp(place, np.arange(len(x)), joint) for joint in x.T], axis=1)
 
 
-def _narrow(summary: MotionSummary, seen: Witness) -> Narrow | None:
+def _narrow(summary: motion_summary.MotionSummary, seen: Witness) -> Narrow | None:
     """Minimum distance of the sampled configurations in the segment with the least guaranteed clearance."""
     if summary.tightest is None:
         return None

@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from htcp_jax.trajectory.of_plan import OfPlan
+from htcp_jax.trajectory import OfPlan
 from htcp_jax.viewer.colours import INK, KINDS, PAPER, QUIET, RULE, joint_colour
 from htcp_jax.viewer.timed_play import BOUNDS, Curves, Played
 

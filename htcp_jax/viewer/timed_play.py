@@ -6,9 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int, Int8
 
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.nudge import tcp_at
-from htcp_jax.trajectory.of_plan import OfPlan
-from htcp_jax.trajectory.program import Program
+from htcp_jax.trajectory import OfPlan, Program, tcp_at
 from htcp_jax.viewer.movie import RATE
 from htcp_jax.viewer.posture import Posture, postures
 

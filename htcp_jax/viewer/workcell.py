@@ -7,19 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
+from htcp_jax.clearance import Obstacles
+from htcp_jax.clearance.obstacles import of_workpiece
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.build import arm_of, drawn_of, obstacles_of, part_of, robot_of, workpiece_of
-from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs import PlanConfig, build
 from htcp_jax.kinds import numbers_of
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import Scenario, interior_plane_of
-from htcp_jax.model.surface import Drawn, Surface, surface_of
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.runs.open import FolderPlan, PlanSet
-from htcp_jax.runs.parameters import Parameters
-from htcp_jax.runs.plan_folder import TRAJECTORY
+from htcp_jax.model import Robot, Scenario, Workpiece
+from htcp_jax.model import scenario as scenarios
+from htcp_jax.model import surface as surfaces
+from htcp_jax.runs import PlanSet, parameters, plan_folder
+from htcp_jax.runs import open as plan_sets
 
 MOST_CELLS = 8  # largest number of workcells in memory
 
@@ -47,17 +44,17 @@ class Workcell:
     @cached_property
     def obstacle(self) -> Obstacles:
         """The workpiece and the other obstacles, for clearance queries."""
-        return all_obstacles(self.workpiece, obstacles_of(self.config.cell, self.robot))
+        return of_workpiece.all_obstacles(self.workpiece, build.obstacles_of(self.config.cell, self.robot))
 
     @cached_property
-    def fixtures(self) -> Drawn:
+    def fixtures(self) -> surfaces.Drawn:
         """The other obstacles, for drawing."""
-        return drawn_of(self.config.cell)
+        return build.drawn_of(self.config.cell)
 
     @cached_property
-    def surface(self) -> Surface:
+    def surface(self) -> surfaces.Surface:
         """The workpiece, for drawing."""
-        return surface_of(self.workpiece.shown)
+        return surfaces.surface_of(self.workpiece.shown)
 
 
 class RecordedCells:
@@ -93,8 +90,8 @@ class RecordedCells:
         found = self._found
         first = next(number for number in found.parameters if self.key(number) == key)
         config = found.jobs[first] if found.mixed else found.config
-        robot = robot_of(config.robot)
-        return Workcell(config, robot, workpiece_of(config.workpiece, robot))
+        robot = build.robot_of(config.robot)
+        return Workcell(config, robot, build.workpiece_of(config.workpiece, robot))
 
 
 class GivenCell:
@@ -134,19 +131,21 @@ def cells_of(found: PlanSet) -> RecordedCells:
     """
     cells = RecordedCells(found)
     cell = cells.cell(cells.key(min(found.parameters)))
-    if isinstance(found, FolderPlan):
+    if isinstance(found, plan_sets.FolderPlan):
         shape = cell.approach + len(cell.workpiece.path), len(cell.robot.joint_names)
         if found.plans(found.methods[0]).x.shape[1:] != shape:
-            raise InputError(f"{found.folder / TRAJECTORY} is no plan of the configuration beside it; damaged")
+            raise InputError(
+                f"{found.folder / plan_folder.TRAJECTORY} is no plan of the configuration beside it; damaged"
+            )
     return cells
 
 
 def _shared(job: PlanConfig) -> tuple:
     """Properties that scenarios in one workcell share."""
-    return arm_of(job), part_of(job), job.approach, job.settings, job.cell
+    return build.arm_of(job), build.part_of(job), job.approach, job.settings, job.cell
 
 
-def _placement(robot: Robot, workpiece: Workpiece, given: Parameters) -> Placement:
+def _placement(robot: Robot, workpiece: Workpiece, given: parameters.Parameters) -> Placement:
     turn = given.rotation_y_rad, given.rotation_z_rad
     T = workpiece.T_world(*turn, tuple(given.shift_m.tolist()), given.rotation_x_rad)
-    return Placement(T, interior_plane_of(robot, workpiece, T), given.tool_extension_m)
+    return Placement(T, scenarios.interior_plane_of(robot, workpiece, T), given.tool_extension_m)

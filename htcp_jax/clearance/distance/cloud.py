@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.clearance.distance.cloud_index import CloudIndex
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
-from htcp_jax.clearance.distance.cloud_tree import CloudIndex, build_index, nearest_body, nearest_rows
+from htcp_jax.clearance.distance.cloud_tree import build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.distance.sweep import Sweep, Wanted
 from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, in_workpiece
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot
 from htcp_jax.numerics import axis_contact, capsule_point_distance, product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Int, Scalar

@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.obstacles.obstacle import Contacts, Rows, slopes
-from htcp_jax.model.kinematics import link_poses
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import axis_contact, capsule_point_distance
 from htcp_jax.types import Array, Bool, Float, Joints
 
@@ -82,7 +81,7 @@ def _moves(rows: Rows) -> bool:
 
 
 def _poses(robot: Robot, x: Joints, links: tuple[int, ...]) -> Float[Array, "n 4 4"]:
-    T = jnp.concatenate([link_poses(robot, x), jnp.eye(4)[None]])  # the world last, so that it is link -1
+    T = jnp.concatenate([kinematics.link_poses(robot, x), jnp.eye(4)[None]])  # the world last, so that it is link -1
     return T[jnp.asarray(links)]
 
 

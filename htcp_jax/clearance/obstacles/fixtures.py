@@ -16,8 +16,7 @@ import numpy as np
 
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Seen, Solid
 from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed
-from htcp_jax.model.kinematics import capsule_segments
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import one_by_one, safe_norm, segment_parameter
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Array, Bool, Float, Int
@@ -86,7 +85,7 @@ def fixtures(robot: Robot, named: list[tuple[str, Solid]]) -> Fixtures:
     links = np.array(robot.capsule_link)
     heeds = jnp.broadcast_to(jnp.asarray(links >= 0)[None], (len(named), len(links)))
     found = Fixtures(tuple(simple), pieces, jnp.asarray(balls), heeds, tuple(name for name, _ in named))
-    drawn = capsule_segments(robot, jnp.zeros(len(robot.slides)))
+    drawn = kinematics.capsule_segments(robot, jnp.zeros(len(robot.slides)))
     stands = (np.asarray(_distances(found, robot, *drawn)) <= 0) & (links == 0)[None]
     return dataclasses.replace(found, heeds=heeds & ~stands)
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance.distance.half_spaces import HalfSpaces, crossed_facets, depths
 from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, in_workpiece
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Int, Scalar

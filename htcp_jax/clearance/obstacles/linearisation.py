@@ -6,8 +6,8 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
 from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, clearance_rows
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.task import TCP_POSITION, Task
+from htcp_jax.model import Robot, Task
+from htcp_jax.model import task as tasks
 from htcp_jax.types import Array, Float, Joints
 
 
@@ -26,7 +26,7 @@ class Linearisation(NamedTuple):
 
 
 def linearise(
-    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = TCP_POSITION, smallest: bool = False
+    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = tasks.TCP_POSITION, smallest: bool = False
 ) -> Linearisation:
     """Return task and clearance at x, with their Jacobian and gradients.
 

@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.distance.sweep import Sweep, Wanted
-from htcp_jax.model.kinematics import capsule_segments, point_jacobians
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import product
 from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar
 
@@ -66,7 +65,7 @@ class Bodies(NamedTuple):
 
 def bodies_at(robot: Robot, where: Posed, x: Joints) -> Bodies:
     """Return the bodies' positions at configuration x [rad or m]."""
-    p, q = capsule_segments(robot, x)
+    p, q = kinematics.capsule_segments(robot, x)
     return Bodies(p, q, in_workpiece(where, p), in_workpiece(where, q))
 
 
@@ -200,7 +199,7 @@ def slopes(
         point: Points of the bodies at x, world [m].
         witness: Points of the obstacles at x, world [m].
     """
-    motion = point_jacobians(robot, x, point, tuple(robot.capsule_link[body] for body in rows.body))
+    motion = kinematics.point_jacobians(robot, x, point, tuple(robot.capsule_link[body] for body in rows.body))
     if any(link >= 0 for link in rows.other):
-        motion = motion - point_jacobians(robot, x, witness, rows.other)
+        motion = motion - kinematics.point_jacobians(robot, x, witness, rows.other)
     return jnp.sum(normal[:, :, None] * motion, axis=1)

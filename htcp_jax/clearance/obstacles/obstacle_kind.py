@@ -21,9 +21,7 @@ import numpy as np
 from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Obstacles, Posed, bodies_at
 from htcp_jax.errors import InputError
 from htcp_jax.kinds import Kind, Template, fault_of, numbers_of, template_of
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import Scenario
-from htcp_jax.model.tool import ZERO
+from htcp_jax.model import Robot, Scenario, tool
 from htcp_jax.numerics import safe_norm
 from htcp_jax.pytree import register_pytree
 from htcp_jax.registry import Registry
@@ -43,8 +41,8 @@ class Shape(NamedTuple):
 
     type: str
     size_m: Sequence[float] = ()
-    position_m: Sequence[float] = ZERO
-    rpy_rad: Sequence[float] = ZERO
+    position_m: Sequence[float] = tool.ZERO
+    rpy_rad: Sequence[float] = tool.ZERO
 
 
 class ObstacleKind(Kind):

@@ -22,8 +22,7 @@ from htcp_jax.clearance.obstacles.obstacle import (
     rows_of,
     slopes,
 )
-from htcp_jax.model.kinematics import configuration
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import safe_norm, value_and_jacobian, with_gradient
 from htcp_jax.types import Bool, Float, Joints, Scalar
 
@@ -63,7 +62,9 @@ def clearances(
         smallest: True: only the row of the smallest distance has to be exact, see `contacts`.
     """
     distance = lambda x, *scene: contacts(*scene, x, smallest).distance  # noqa: E731
-    return with_gradient(distance, partial(_rows, smallest))(configuration(robot, x), robot, obstacles, where)
+    return with_gradient(distance, partial(_rows, smallest))(
+        kinematics.configuration(robot, x), robot, obstacles, where
+    )
 
 
 @jax.jit
@@ -78,7 +79,7 @@ def clearance(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Sc
         where: A scenario, or another `Posed`.
         x: The configuration [rad or m].
     """
-    return _smallest(configuration(robot, x), robot, obstacles, where)
+    return _smallest(kinematics.configuration(robot, x), robot, obstacles, where)
 
 
 def is_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Bool[jax.Array, ""]:

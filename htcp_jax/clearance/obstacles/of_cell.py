@@ -20,9 +20,7 @@ from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Piece, 
 from htcp_jax.clearance.distance.sweep import Sweep, Wanted
 from htcp_jax.clearance.obstacles.fixtures import fixtures
 from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Obstacles, Posed
-from htcp_jax.model.fixture import Fixture
-from htcp_jax.model.mesh_points import Cover, area, cover
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Fixture, Robot, mesh_points
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
@@ -132,14 +130,14 @@ def placed_cloud(
     Raises:
         InputError: As `mesh_points.cover` does.
     """
-    found = _covered(robot, triangles, source) if len(triangles) else Cover(points, 0.0)
+    found = _covered(robot, triangles, source) if len(triangles) else mesh_points.Cover(points, 0.0)
     return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name)
 
 
-def _covered(robot: Robot, triangles: HostFloat[np.ndarray, "F 3 3"], source: str) -> Cover:
+def _covered(robot: Robot, triangles: HostFloat[np.ndarray, "F 3 3"], source: str) -> mesh_points.Cover:
     thinnest = float(np.min(robot.capsule_radius))
-    many = np.sqrt(2 * area(triangles).sum() / MANY)
-    return cover(triangles, source, spacing=max(min(thinnest / FINER, COARSEST_M), many))
+    many = np.sqrt(2 * mesh_points.area(triangles).sum() / MANY)
+    return mesh_points.cover(triangles, source, spacing=max(min(thinnest / FINER, COARSEST_M), many))
 
 
 def solid_of(shape: Fixture) -> Solid | None:

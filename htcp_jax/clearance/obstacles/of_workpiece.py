@@ -6,7 +6,7 @@ from htcp_jax.clearance.distance.half_spaces import half_spaces
 from htcp_jax.clearance.obstacles.interior import Interior
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.errors import InputError
-from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.model import Workpiece
 
 
 @cached_for_last(2)

@@ -3,8 +3,9 @@
 from typing import NamedTuple
 
 from htcp_jax.clearance.obstacles.obstacle import Obstacles, Rows, rows_of
-from htcp_jax.model.robot import Robot, lengthen_tool
-from htcp_jax.model.task import TCP_POSITION, Task
+from htcp_jax.model import Robot, Task
+from htcp_jax.model import robot as robots
+from htcp_jax.model import task as tasks
 from htcp_jax.types import Scalar
 
 
@@ -13,7 +14,7 @@ class Scene(NamedTuple):
 
     robot: Robot
     obstacles: Obstacles
-    task: Task = TCP_POSITION
+    task: Task = tasks.TCP_POSITION
 
     @property
     def rows(self) -> Rows:
@@ -23,4 +24,4 @@ class Scene(NamedTuple):
 
 def own_scene(scene: Scene, tool_extension_m: Scalar) -> Scene:
     """Return the scene with a scenario's own tool."""
-    return scene._replace(robot=lengthen_tool(scene.robot, tool_extension_m))
+    return scene._replace(robot=robots.lengthen_tool(scene.robot, tool_extension_m))

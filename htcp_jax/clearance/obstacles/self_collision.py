@@ -24,7 +24,8 @@ from htcp_jax.clearance.obstacles.self_exclusions import (
     samples,
 )
 from htcp_jax.errors import InputError
-from htcp_jax.model.robot import TOUCHING_M, Exclusion, Robot, capsule_in_words
+from htcp_jax.model import Robot
+from htcp_jax.model import robot as robots
 from htcp_jax.numerics import safe_divide, safe_norm
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Float, Int
@@ -40,7 +41,7 @@ class SelfCollision(Obstacle):
     """Pairs of bodies by their numbers, the one further out first: at least one checked pair, and the excluded ones."""
 
     pairs: Pairs = field(metadata={"static": True})
-    excluded: tuple[Exclusion, ...] = field(default=(), metadata={"static": True})
+    excluded: tuple[robots.Exclusion, ...] = field(default=(), metadata={"static": True})
 
     per_body = False
 
@@ -59,7 +60,7 @@ class SelfCollision(Obstacle):
 
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """Return the name of the capsule nearest to the body of a row, for messages."""
-        return capsule_in_words(robot, robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]])
+        return robots.capsule_in_words(robot, robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]])
 
     def described(self, robot: Robot) -> str:
         """Describe the number of checked pairs and of excluded pairs by rule."""
@@ -123,7 +124,7 @@ def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"])
         pair = f"the capsules {names[each.first]} and {names[each.second]}"
         if each.rule == "c" and robot.meshes and d > 0:
             touch_m = robot.meshes.deepest_m(names[each.first], names[each.second], x)
-            if touch_m > TOUCHING_M:
+            if touch_m > robots.TOUCHING_M:
                 return f"the meshes in {pair} touch by {1e3 * touch_m:.3g} mm"
         elif each.rule != "c" and link[each.first] > link[each.second] + 1 and d > max(usual, 0.0):
             return f"{pair} overlap by {1e3 * d:.3g} mm, more than in {USUAL:.0%} of random configurations"
@@ -149,7 +150,7 @@ class _Hashable:
 
 
 @lru_cache(maxsize=256)
-def _found(arm: _Hashable) -> tuple[Exclusion, ...]:
+def _found(arm: _Hashable) -> tuple[robots.Exclusion, ...]:
     return find_exclusions(jax.device_put(arm.robot))
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from htcp_jax.clearance.distance.segments import nearest_points
-from htcp_jax.model.kinematics import capsule_segments
-from htcp_jax.model.robot import Exclusion, Robot
+from htcp_jax.model import Robot, kinematics
+from htcp_jax.model import robot as robots
 from htcp_jax.numerics import safe_norm
 from htcp_jax.types import Float, Joints
 
@@ -57,7 +57,7 @@ def distances(robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples) -> Flo
     return np.asarray(_distances(robot, tuple(pairs), x))
 
 
-def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[Exclusion, ...]:
+def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[robots.Exclusion, ...]:
     """Return the pairs that rules b and c exclude and the model does not.
 
     Args:
@@ -77,9 +77,9 @@ def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[Exclusion
     for k, (pair, share) in enumerate(zip(pairs, overlap.mean(axis=0).tolist(), strict=True)):
         own = not set(pair) & set(robot.mounted)
         if near[k] >= ALWAYS or (own and share and _telescopes(robot, pairs, overlap, pair)):
-            found.append(Exclusion(*pair, "b", near[k] if near[k] >= ALWAYS else share))
+            found.append(robots.Exclusion(*pair, "b", near[k] if near[k] >= ALWAYS else share))
         elif own and share and (_adjacent(robot, pair) if touch is None else not touch(pair, overlap[:, k])):
-            found.append(Exclusion(*pair, "c", share))
+            found.append(robots.Exclusion(*pair, "c", share))
     return tuple(found)
 
 
@@ -104,7 +104,7 @@ def _distances(robot: Robot, pairs: Pairs, x: Float[jax.Array, "n N"]) -> Float[
     a, b = (np.array(side) for side in zip(*pairs, strict=True))
 
     def at(x: Joints) -> Float[jax.Array, "R"]:
-        p, q = capsule_segments(robot, x)
+        p, q = kinematics.capsule_segments(robot, x)
         _, _, on_a, on_b = nearest_points(p[a], q[a], p[b], q[b])
         return safe_norm(on_a - on_b) - robot.capsule_radius[a] - robot.capsule_radius[b]
 

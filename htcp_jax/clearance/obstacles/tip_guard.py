@@ -16,9 +16,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from htcp_jax.caching import cached_for_last
-from htcp_jax.model.mesh_points import pieces
-from htcp_jax.model.surface import Surface, surface_of
-from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.model import Workpiece, mesh_points
+from htcp_jax.model import surface as surfaces
 
 GRAINS = 100_000  # approximate number of pieces that a mesh is cut into for the search
 INCLUSIVE = 1e-9  # tolerance relative to a triangle's size: a line through an edge meets one of its triangles
@@ -31,7 +30,7 @@ class Triangles:
     def __init__(self, triangles: Float[np.ndarray, "F 3 3"]):
         edges = triangles - np.roll(triangles, 1, axis=1)
         area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2
-        self._corners = pieces(triangles, 2 * np.sqrt(area / GRAINS), "the mesh")
+        self._corners = mesh_points.pieces(triangles, 2 * np.sqrt(area / GRAINS), "the mesh")
         self.middle = self._corners.mean(axis=1)
         self.grain = float(np.linalg.norm(self._corners - self.middle[:, None], axis=2).max())
 
@@ -55,7 +54,7 @@ class Triangles:
 class Discs:
     """The flat discs of a cloud's points; their middles, and the grain [m]."""
 
-    def __init__(self, surface: Surface):
+    def __init__(self, surface: surfaces.Surface):
         self._surface, self.middle, self.grain = surface, surface.points, float(surface.radius.max())
 
     def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
@@ -99,7 +98,7 @@ def make_tip_guard(workpiece: Workpiece) -> TipGuard | None:
     """Return the guard of a workpiece, cached for the next plan; None if its tip may touch anywhere."""
     if workpiece.tip_contact_m is None:
         return None
-    wall = Triangles(workpiece.triangles) if len(workpiece.triangles) else Discs(surface_of(workpiece.cloud))
+    wall = Triangles(workpiece.triangles) if len(workpiece.triangles) else Discs(surfaces.surface_of(workpiece.cloud))
     return TipGuard(wall, workpiece.tip_contact_m)
 
 

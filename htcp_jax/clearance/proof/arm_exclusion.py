@@ -16,9 +16,7 @@ from htcp_jax.clearance.obstacles.obstacle import Posed
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.exclusion import PIECES, Segments, cut, seen_from, surely_touches, tool_collides
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
-from htcp_jax.model.kinematics import point_positions
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.rotations import quaternion_matrix
+from htcp_jax.model import Robot, kinematics, rotations
 from htcp_jax.numerics import product, safe_divide, safe_norm
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
@@ -83,7 +81,7 @@ def tool_cell(
     arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
     moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
     collides = tool_collides(scene, where, margin_m, target, quaternion, rho)
-    return Cell(collides, target + product(quaternion_matrix(quaternion), arm), moves + ROUNDING_M)
+    return Cell(collides, target + product(rotations.quaternion_matrix(quaternion), arm), moves + ROUNDING_M)
 
 
 def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: Joints, turns: Joints) -> Cell:
@@ -106,7 +104,7 @@ def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: J
     x, turns = jnp.where(free, x, 0.0), jnp.where(free, turns, 0.0)
     p, q, radius, aside, links = _before_wrist(robot)
     own, body = (tool.on_arm[None], p, q), (first, *links, *links)
-    at = point_positions(robot, x, jnp.concatenate(own), body)
+    at = kinematics.point_positions(robot, x, jnp.concatenate(own), body)
     moves = point_motion_bound(robot, x, turns, at, jnp.array(body)) + ROUNDING_M
     length = safe_norm(tool.on_tool - robot.T_link_tcp[:3, 3])
     off = jnp.abs(safe_norm(at[0] - target) - length) > moves[0] + scene.task.tolerance_m

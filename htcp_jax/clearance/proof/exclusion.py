@@ -19,8 +19,7 @@ import numpy as np
 from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.rotations import quaternion_matrix
+from htcp_jax.model import Robot, rotations
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Scalar, Vector3
 
@@ -70,7 +69,7 @@ def tool_collides(
         quaternion: Orientation of the last link, w first, without a unit.
         rho: Largest angle from it [rad].
     """
-    R, own = quaternion_matrix(quaternion), _about_tip(scene.robot)
+    R, own = rotations.quaternion_matrix(quaternion), _about_tip(scene.robot)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
     at = partial(jnp.add, target[None])

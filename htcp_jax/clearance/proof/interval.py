@@ -22,7 +22,7 @@ from htcp_jax.clearance.obstacles.obstacle import (
     bodies_at,
 )
 from htcp_jax.clearance.proof.motion_bound import sweep, travel_bound
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
 

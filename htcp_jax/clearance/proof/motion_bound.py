@@ -30,8 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.sweep import Sweep
-from htcp_jax.model.kinematics import capsule_segments, point_jacobians, tcp_position
-from htcp_jax.model.robot import Robot
+from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import safe_norm
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
 
@@ -62,7 +61,7 @@ def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
         x: The configuration [rad or m].
         turns: Largest distance of every joint from x [rad or m].
     """
-    return _larger(point_motion_bound(robot, x, turns, *_ends(robot, capsule_segments(robot, x))))
+    return _larger(point_motion_bound(robot, x, turns, *_ends(robot, kinematics.capsule_segments(robot, x))))
 
 
 def point_motion_bound(
@@ -149,8 +148,8 @@ def _of_arm(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> tuple[Float
 
 def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[Array, "P"]]:
     """Return the ends of the bodies' axes and, last, the TCP at x, world [m], and the link of each."""
-    ends, links = _ends(robot, capsule_segments(robot, x))
-    return jnp.concatenate([ends, tcp_position(robot, x)[None]]), jnp.append(links, len(robot.slides) - 1)
+    ends, links = _ends(robot, kinematics.capsule_segments(robot, x))
+    return jnp.concatenate([ends, kinematics.tcp_position(robot, x)[None]]), jnp.append(links, len(robot.slides) - 1)
 
 
 def _ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
@@ -167,7 +166,7 @@ def _bounds(
     robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> _Bounds:
     """Return bounds for points at x, while every joint stays within `turns` of x, and moves by `rates`."""
-    columns = point_jacobians(robot, x, points, links).swapaxes(1, 2)
+    columns = kinematics.point_jacobians(robot, x, points, links).swapaxes(1, 2)
     speeds, hinge, bend = jnp.abs(rates), ~np.array(robot.slides), jnp.zeros(len(points))
     own = jnp.where(~hinge[None] & (np.arange(len(hinge))[None] <= links[:, None]), 1.0, safe_norm(columns))
     lever, moved = lever_bounds(own, turns, hinge)

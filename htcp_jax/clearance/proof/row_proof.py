@@ -14,16 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.proof.motion_bound import point_bend_bound
-from htcp_jax.model.robot import Robot
-from htcp_jax.model.row_bounds import FeatureMotion, Left, Region
-from htcp_jax.model.task import Task, feature_at
-from htcp_jax.model.task_rows import Feature, Row, TaskPoint
+from htcp_jax.model import Robot, Task, row_bounds, task_rows
+from htcp_jax.model import task as tasks
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
-HELD_ELSEWHERE = TaskPoint()  # the TCP at a place, which its tube constrains
+HELD_ELSEWHERE = task_rows.TaskPoint()  # the TCP at a place, which its tube constrains
 
 
-def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[Region | None, ...]:
+def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region | None, ...]:
     """Return the constraint of every part of a task between two targets; None for the TCP at a place.
 
     Args:
@@ -38,14 +36,19 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[Region | None, ...]
     )
 
 
-def heeded(parts: tuple[Row, ...]) -> tuple[Row, ...]:
+def heeded(parts: tuple[task_rows.Row, ...]) -> tuple[task_rows.Row, ...]:
     """Return the parts of a task that `rows_left` covers."""
     return tuple(part for part in parts if part != HELD_ELSEWHERE)
 
 
 def rows_left(
-    robot: Robot, parts: tuple[Row, ...], asked: tuple[Region | None, ...], x: Joints, rates: Joints, half: Scalar
-) -> Left:
+    robot: Robot,
+    parts: tuple[task_rows.Row, ...],
+    asked: tuple[row_bounds.Region | None, ...],
+    x: Joints,
+    rates: Joints,
+    half: Scalar,
+) -> row_bounds.Left:
     """Return the slack of each of the `heeded` parts on a straight joint path.
 
     Args:
@@ -58,11 +61,16 @@ def rows_left(
     """
     given = [(part, own) for part, own in zip(parts, asked, strict=True) if own is not None]
     found = [own.left(_Moving(robot, part.features, x, rates, half)) for part, own in given]
-    return Left(*(jnp.stack(each) for each in zip(*found, strict=True)))
+    return row_bounds.Left(*(jnp.stack(each) for each in zip(*found, strict=True)))
 
 
 def rows_hold(
-    robot: Robot, parts: tuple[Row, ...], asked: tuple[Region | None, ...], x: Joints, rates: Joints, half: Scalar
+    robot: Robot,
+    parts: tuple[task_rows.Row, ...],
+    asked: tuple[row_bounds.Region | None, ...],
+    x: Joints,
+    rates: Joints,
+    half: Scalar,
 ) -> tuple[Bool[Array, "P"], Bool[Array, "P"]]:
     """Return True for parts proven to hold on the joint path of `rows_left`, and True for parts violated at x."""
     found = rows_left(robot, parts, asked, x, rates, half)
@@ -70,11 +78,11 @@ def rows_hold(
 
 
 @dataclass(frozen=True)
-class _Moving(FeatureMotion):
+class _Moving(row_bounds.FeatureMotion):
     """Features on the joint path x + s rates with |s| <= half."""
 
     robot: Robot
-    features: tuple[Feature, ...]
+    features: tuple[task_rows.Feature, ...]
     x: Joints
     rates: Joints
     half: Scalar
@@ -91,7 +99,7 @@ class _Moving(FeatureMotion):
 
     def moving(self, k: int) -> tuple[Vector3, Vector3]:
         """Return a feature's position or direction, and its velocity."""
-        return jax.jvp(partial(feature_at, self.robot, feature=self.features[k]), (self.x,), (self.rates,))
+        return jax.jvp(partial(tasks.feature_at, self.robot, feature=self.features[k]), (self.x,), (self.rates,))
 
     def bend(self, k: int) -> Scalar:
         """Return a bound on the acceleration of a point."""
@@ -104,6 +112,6 @@ class _Moving(FeatureMotion):
         """Return a function of the features' vectors, and its derivative."""
 
         def of(x: Joints) -> Array:
-            return function(*(feature_at(self.robot, x, feature) for feature in self.features))
+            return function(*(tasks.feature_at(self.robot, x, feature) for feature in self.features))
 
         return jax.jvp(of, (self.x,), (self.rates,))

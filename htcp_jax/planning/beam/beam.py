@@ -22,16 +22,19 @@ from itertools import islice
 import jax
 import numpy as np
 
-from htcp_jax.device.tables import gather
-from htcp_jax.motion.collision_checker import CollisionChecker, prove_call
-from htcp_jax.motion.kernels import ADVANCE, SETTLE, State
-from htcp_jax.motion.knots import Knots
-from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.motion_check import tubes
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.posture_tree import BeamTree
-from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.transfers import other_postures
+from htcp_jax.device import tables
+from htcp_jax.motion import (
+    CollisionChecker,
+    Knots,
+    Plans,
+    Problem,
+    collision_checker,
+    kernels,
+    lane_inputs,
+    motion_check,
+    posture_tree,
+    transfers,
+)
 from htcp_jax.planning.beam.functions import FEED, WALK
 from htcp_jax.planning.beam.record import Knotted, RoadmapRecord
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
@@ -73,11 +76,11 @@ def _calls(problem: Problem) -> list[tuple]:
     """Return one call of each lane function, in the order in which they are needed, see `Kernels.preparing`."""
     one, zero = problem.to_plan[:1], np.zeros(1, int)
     x, turns = problem.scenarios.x_start[one], np.zeros(1, bool)
-    inputs = lane_inputs(problem.scenarios, one, zero)
-    proof = prove_call(problem.task, inputs, x, x, tubes(problem, one, zero, turns))
+    inputs = lane_inputs.lane_inputs(problem.scenarios, one, zero)
+    proof = collision_checker.prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
     walks = [(WALK, inputs, x, zero.astype(np.int32))] if problem.checkers[0].kernels.freedom else []
-    smooths = [] if problem.settings.smooth is False else [(SETTLE, inputs, x)]
-    return [(ADVANCE, inputs, x, x), (FEED, inputs, x), proof, *walks, *smooths]
+    smooths = [] if problem.settings.smooth is False else [(kernels.SETTLE, inputs, x)]
+    return [(kernels.ADVANCE, inputs, x, x), (FEED, inputs, x), proof, *walks, *smooths]
 
 
 class Growing:
@@ -85,7 +88,7 @@ class Growing:
 
     def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker):
         self._problem, self._checker = problem, checker
-        self._tree = BeamTree(plans.x.shape[2])
+        self._tree = posture_tree.BeamTree(plans.x.shape[2])
         self._searches = Searches(problem.settings, self._tree, checker.kernels.freedom > 0)
         self._record = RoadmapRecord(problem, plans, checker, self._searches)
 
@@ -114,7 +117,7 @@ class Growing:
         if not new:
             return
         start, unknown = self._problem.scenarios.x_start[new], np.full((len(new), 3), np.nan)
-        at = State(start, clearance=unknown[:, 0], residual=unknown[:, 0], tcp=unknown)
+        at = kernels.State(start, clearance=unknown[:, 0], residual=unknown[:, 0], tcp=unknown)
         roots = list(self._tree.plant(at, -1)[:, None])
         for k in np.flatnonzero(self._problem.begins_anywhere[new]).tolist():
             others = self._other_postures(new[k], 0, 0)
@@ -139,7 +142,7 @@ class Growing:
         return len(roots) > 0
 
     def _other_postures(self, s: int, round_: int, target: int) -> np.ndarray:
-        return self._tree.plant(other_postures(self._problem, self._checker, s, round_, target), target)
+        return self._tree.plant(transfers.other_postures(self._problem, self._checker, s, round_, target), target)
 
     def _feed(self) -> None:
         """Extend pending configurations to the next target; accepted if the joint path is a proven motion."""
@@ -153,11 +156,11 @@ class Growing:
         good = self._checker.valid(inputs, fed.at)
         proven = good.copy()
         if good.any():
-            edges = self._checker.edges(*gather((inputs, x, fed.at.x, tube), good))
+            edges = self._checker.edges(*tables.gather((inputs, x, fed.at.x, tube), good))
             proven[good] = edges.verdict == Way.PROVEN
-        new = self._tree.grow(*gather((unfed.node, fed.at, target, fed.step_qps), proven))
+        new = self._tree.grow(*tables.gather((unfed.node, fed.at, target, fed.step_qps), proven))
         arrived = Members(unfed.search[proven], new)
-        self._say_why(searches.has(unfed), searches.has(arrived), searches.has(gather(unfed, good)))
+        self._say_why(searches.has(unfed), searches.has(arrived), searches.has(tables.gather(unfed, good)))
         searches.take_fed(arrived)
 
     def _walk(self) -> None:
@@ -165,7 +168,7 @@ class Growing:
         searches, (walkers, walker) = self._searches, self._searches.walkers()
         if not len(walkers.node):
             return
-        scenario, draws = gather((searches.columns.scenario, searches.columns.draws), walkers.search)
+        scenario, draws = tables.gather((searches.columns.scenario, searches.columns.draws), walkers.search)
         target, x = self._tree.target[walkers.node], self._tree.x[walkers.node]
         inputs, tube = self._inputs(scenario, target, draws, True)
         walked = self._checker.kernels(WALK, inputs, x, walker.astype(np.int32))
@@ -174,7 +177,7 @@ class Growing:
         proven = np.zeros(walked.path.clearance.shape, bool)
         if len(lane):  # the tip is checked only at a self-motion's end
             edges = before[lane, step], before[lane, step + 1]
-            proof = self._checker.edges(gather(inputs, lane), *edges, gather(tube, lane), tip=False)
+            proof = self._checker.edges(tables.gather(inputs, lane), *edges, tables.gather(tube, lane), tip=False)
             proven[lane, step] = proof.verdict == Way.PROVEN
         steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
         last = walked.path.x[np.arange(len(x)), np.maximum(steps - 1, 0)]
@@ -196,13 +199,13 @@ class Growing:
         lost = np.flatnonzero(fed & ~arrived & (columns.target < 0))
         if len(lost):
             s = columns.scenario[lost]
-            inputs = lane_inputs(scenarios, s, np.zeros_like(s))
+            inputs = lane_inputs.lane_inputs(scenarios, s, np.zeros_like(s))
             collides = self._checker.states(inputs, scenarios.x_start[s]).clearance <= 0
             columns.failure[lost[collides]] = Status.START_IN_COLLISION
 
     def _inputs(self, scenario: np.ndarray, target: np.ndarray, draws: np.ndarray, turns: bool):
         """Return the inputs and tubes of lanes: on the segment to their target, or during a self-motion at it."""
         problem = self._problem
-        inputs = lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
+        inputs = lane_inputs.lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
         towards, which = target + turns, np.full(len(target), turns)
-        return inputs, tubes(problem, scenario, towards, which)
+        return inputs, motion_check.tubes(problem, scenario, towards, which)

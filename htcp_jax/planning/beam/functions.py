@@ -10,18 +10,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.device.batching import Loop
-from htcp_jax.device.kernel import TRACKED, Kernel
-from htcp_jax.model.inverse_kinematics import reanchor
-from htcp_jax.model.kinematics import tcp_position
-from htcp_jax.motion.kernels import State, advance, nothing_known
-from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.clearance import Scene, clearance
+from htcp_jax.device import Loop, kernel
+from htcp_jax.model import inverse_kinematics, kinematics
+from htcp_jax.motion import kernels, lane_inputs
 from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
 from htcp_jax.settings import Settings
-from htcp_jax.solvers.active_set import solve_step
-from htcp_jax.solvers.step_qp import QPStatus, assemble
+from htcp_jax.solvers import active_set, step_qp
 
 ENOUGH = 0.9  # sufficient share of the goal above the margin
 PATIENCE = 6  # step QPs with the higher goal before the lower one is used
@@ -31,7 +26,7 @@ LEAST_STEP = 0.3  # minimum share of a step's length; shorter ones are blocked b
 class Fed(NamedTuple):
     """A lane at its next target."""
 
-    at: State
+    at: kernels.State
     reached: jax.Array  # True if it meets the success criterion there
     step_qps: jax.Array
 
@@ -39,11 +34,11 @@ class Fed(NamedTuple):
 class Walked(NamedTuple):
     """A lane's self-motion, step by step."""
 
-    path: State  # (steps, ...), of which the first `steps` are valid
+    path: kernels.State  # (steps, ...), of which the first `steps` are valid
     steps: jax.Array
 
 
-def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
+def feed(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> Loop:
     """Extend x (N,) [rad or m] from the previous target to the lane's target.
 
     By inverse kinematics if that keeps a clearance of `front_aim_m` above the margin, else by step QPs, with the same
@@ -55,7 +50,7 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
     robot, task = scene.robot, scene.task
     above = jnp.array([settings.front_aim_m, settings.aim_above_m])
     aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
-    look = jax.jit(partial(advance, settings))  # traced once, for the result and for the loop
+    look = jax.jit(partial(kernels.advance, settings))  # traced once, for the result and for the loop
 
     def going(state):
         here, _, aim, count = state
@@ -65,12 +60,12 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
     def step(scene, state):
         here, straight, aim, count = state
         rows, held = here.linear.clearance, task.linear(*here.linear.task, lane.target)
-        qp = assemble(
+        qp = step_qp.assemble(
             settings, here.x, x, held.error, held.jacobian,
             rows.distance, rows.gradient, aims[aim], robot.lower, robot.upper, held.room, held.gradient,
         )  # fmt: skip
-        found = solve_step(qp, settings.qp_tolerance)
-        stuck = (found.status != QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))
+        found = active_set.solve_step(qp, settings.qp_tolerance)
+        stuck = (found.status != step_qp.QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))
         # First the result of inverse kinematics, then x, from which step QPs continue.
         goes_to = jnp.where(count < 0, straight, x)
         y = jnp.where(stuck | (count < 1), goes_to - here.x, found.y)
@@ -81,13 +76,13 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
         reached = task.counts(here.clearance, here.residual, lane.margin_m)
         return Fed(here._replace(linear=None), reached, jnp.maximum(count - 1, 0))
 
-    straight, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
+    straight, _ = inverse_kinematics.reanchor(robot, x, lane.target, task.fine_m, task=task)
     zero = jnp.zeros((), jnp.int32)
-    start = nothing_known(look, scene, lane, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
+    start = kernels.nothing_known(look, scene, lane, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
     return Loop((start, straight, zero, zero - 1), going, step, fed)
 
 
-def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
+def walk(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, walker) -> Loop:
     """Move from x (N,) [rad or m], on its target, along a random direction of the null space.
 
     The direction is carried along by projection, for a random number of steps, as long as every configuration is valid.
@@ -118,25 +113,25 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
         direction = product(basis, within)
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
         ahead = jnp.clip(x + settings.walk_step_rad * direction, robot.lower, robot.upper)
-        there, residual = reanchor(robot, ahead, lane.target, task.fine_m, task=task)
+        there, residual = inverse_kinematics.reanchor(robot, ahead, lane.target, task.fine_m, task=task)
         D = clearance(robot, scene.obstacles, lane, there)
         good = task.counts(D, residual, lane.margin_m)
         good &= safe_norm(there - x) >= LEAST_STEP * settings.walk_step_rad
-        here = State(there, clearance=D, residual=residual, tcp=tcp_position(robot, there))
+        here = kernels.State(there, clearance=D, residual=residual, tcp=kinematics.tcp_position(robot, there))
         path = jax.tree.map(lambda all_, new: all_.at[steps].set(jnp.where(good, new, all_[steps])), path, here)
         return good, there, direction, path, steps + good.astype(jnp.int32)
 
     n, most = len(x), settings.walk_steps
     names = {"x": (n,), "clearance": (), "residual": (), "tcp": (3,)}
-    path = State(**{name: jnp.zeros((most, *shape)) for name, shape in names.items()})
+    path = kernels.State(**{name: jnp.zeros((most, *shape)) for name, shape in names.items()})
     # The first direction is drawn in the null space, in the first entries of this vector.
     first = jax.random.normal(towards, x.shape)
     start = (jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32))
     return Loop(start, going, step, lambda state: Walked(*state[3:]))
 
 
-FEED = Kernel(
-    "feed", feed, TRACKED,
+FEED = kernel.Kernel(
+    "feed", feed, kernel.TRACKED,
     ("q_weights", "cost_about", "clearance_rows", "aim_above_m", "max_step_qps", "qp_tolerance", "front_aim_m"),
 )  # fmt: skip
-WALK = Kernel("walk", walk, TRACKED, ("walk_steps", "walk_step_rad"))
+WALK = kernel.Kernel("walk", walk, kernel.TRACKED, ("walk_steps", "walk_step_rad"))

@@ -4,12 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from htcp_jax.device.tables import gather
-from htcp_jax.motion.collision_checker import CollisionChecker
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.posture_tree import Nodes
-from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.transfers import joined
+from htcp_jax.device import tables
+from htcp_jax.motion import CollisionChecker, Plans, Problem, posture_tree, transfers
 from htcp_jax.planning.beam.searches import NONE, Searches
 from htcp_jax.status import Status
 
@@ -40,7 +36,7 @@ class RoadmapRecord:
             roots = {leaf: int(self._tree.path(leaf)[0]) for leaf in leaves}
             start = self._tree.x[self._row_0(chain[-1])] if self._is_approach(search) else scenarios.x_start[s]
             distinct = list(dict.fromkeys(roots.values()))
-            ways = joined(self._problem, self._checker, s, start, self._tree.x[distinct])
+            ways = transfers.joined(self._problem, self._checker, s, start, self._tree.x[distinct])
             known = {root: way for root, way in zip(distinct, ways, strict=False) if way is not None}
             if found := [leaf for leaf in leaves if roots[leaf] in known]:
                 return search, found[0], known[roots[found[0]]]
@@ -64,7 +60,7 @@ class RoadmapRecord:
             plans.joint_step[s, nodes.target[row]] = np.linalg.norm(nodes.at.x[row] - nodes.at.x[before])
             if row > before + 1:
                 ways.append((s, int(nodes.target[row]), nodes.at.x[before + 1 : row]))
-        self._write_rows(s, nodes.target[fed], gather(nodes, fed))
+        self._write_rows(s, nodes.target[fed], tables.gather(nodes, fed))
         if self._problem.begins_anywhere[s]:
             plans.start[s], plans.joint_step[s, 0] = plans.x[s, 0], 0.0
         if transfer is not None:
@@ -84,9 +80,9 @@ class RoadmapRecord:
         nodes = self._tree.nodes(path)
         return int(path[(nodes.target == 0) & ~nodes.walked][0])
 
-    def _write_rows(self, s: int, target: np.ndarray, nodes: Nodes) -> None:
+    def _write_rows(self, s: int, target: np.ndarray, nodes: posture_tree.Nodes) -> None:
         """Write one row per node, at its target; the start has none."""
-        plans, (target, nodes) = self._plans, gather((target, nodes), target >= 0)
+        plans, (target, nodes) = self._plans, tables.gather((target, nodes), target >= 0)
         plans.x[s, target], plans.tcp[s, target] = nodes.at.x, nodes.at.tcp
         plans.clearance[s, target], plans.residual[s, target] = nodes.at.clearance, nodes.at.residual
         plans.status[s, target], plans.iterations[s, target] = Status.TRACKED, nodes.step_qps

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int
 
-from htcp_jax.device.tables import concatenate, gather
-from htcp_jax.motion.front import best_first, dispersed
-from htcp_jax.motion.posture_tree import BeamTree
+from htcp_jax.device import tables
+from htcp_jax.motion import front, posture_tree
 from htcp_jax.settings import Settings
 
 NONE = -1  # no status yet; no earlier search
@@ -29,12 +28,12 @@ class Members(NamedTuple):
 
     def of(self, which: Bool[np.ndarray, "searches"]) -> "Members":
         """Select the rows of some searches."""
-        return gather(self, which[self.search])
+        return tables.gather(self, which[self.search])
 
     def and_(self, others: "Members") -> "Members":
         """Append the rows of `others` to those of the same searches."""
-        both = concatenate([self, others])
-        return gather(both, np.argsort(both.search, kind="stable"))
+        both = tables.concatenate([self, others])
+        return tables.gather(both, np.argsort(both.search, kind="stable"))
 
 
 class Columns(NamedTuple):
@@ -57,7 +56,7 @@ class Searches:
     target, and `arrived` the configurations already there while the search spreads.
     """
 
-    def __init__(self, settings: Settings, tree: BeamTree, can_walk: bool):
+    def __init__(self, settings: Settings, tree: posture_tree.BeamTree, can_walk: bool):
         self._settings, self._can_walk, self.tree = settings, can_walk, tree
         self.columns = Columns(*(np.zeros(0, int) for _ in Columns._fields))
         self.going = np.zeros(0, bool)
@@ -83,8 +82,8 @@ class Searches:
             np.array(targets),
             *(np.full(count, value) for value in (earlier, 0, draws, NONE, NONE)),
         )
-        self.columns, self.going = concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
-        self.front, self.unfed = concatenate([self.front, held]), concatenate([self.unfed, held])
+        self.columns, self.going = tables.concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
+        self.front, self.unfed = tables.concatenate([self.front, held]), tables.concatenate([self.unfed, held])
 
     def has(self, members: Members) -> Bool[np.ndarray, "searches"]:
         """Return True for searches that have any of these."""
@@ -103,7 +102,7 @@ class Searches:
     def front_of(self, search: int) -> list[int]:
         """Return the beam of a search when it ended, the best first."""
         rows = self._ended[search]
-        return rows[best_first(self.tree.nodes(rows))].tolist()
+        return rows[front.best_first(self.tree.nodes(rows))].tolist()
 
     def take_fed(self, arrived: Members) -> None:
         """Store the results of extending all `unfed` rows."""
@@ -186,8 +185,8 @@ class Searches:
 
     def _dispersed(self, members: Members, most: int | None = None, known: Members | None = None) -> Members:
         """Return the best members that are far apart, and far from the known ones."""
-        members = gather(members, best_first(self.tree.nodes(members.node), members.search))
+        members = tables.gather(members, front.best_first(self.tree.nodes(members.node), members.search))
         most = len(members.node) if most is None else most
         where = None if known is None else (self.tree.x[known.node], known.search)
         x, apart = self.tree.x[members.node], self._settings.front_apart_rad
-        return gather(members, dispersed(x, members.search, most, apart, where))
+        return tables.gather(members, front.dispersed(x, members.search, most, apart, where))

@@ -16,8 +16,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.device.tables import gather
-from htcp_jax.motion.kernels import State
+from htcp_jax.device import tables
+from htcp_jax.motion import kernels
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.lanes import CHECKING, DRAWING, PUSHING, Lanes
 from htcp_jax.planning.tracking.record import Record
@@ -41,7 +41,7 @@ class Replanned(NamedTuple):
 
     going: Lanes  # in their next phases
     found: Lanes  # with a recorded chain; they are at their target
-    now: State | None  # of these; None where there are none
+    now: kernels.State | None  # of these; None where there are none
     lost: int  # scenarios
 
 
@@ -83,7 +83,7 @@ class BackwardPlans:
         drawn = self._checks.kernels(DRAW, self._checks.inputs(lanes, np.array([each.rounds for each in chains])))
         count = drawn.x.shape[1]
         flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), drawn)
-        good = self._checks.at_target(gather(lanes, np.repeat(np.arange(lanes.size), count)), flat)
+        good = self._checks.at_target(tables.gather(lanes, np.repeat(np.arange(lanes.size), count)), flat)
         for each, x, keep in zip(chains, drawn.x, good.reshape(-1, count), strict=True):
             each.x, each.rounds = x[keep][:, None], each.rounds + 1
 
@@ -91,7 +91,7 @@ class BackwardPlans:
         """Push all chains to the target before their first one."""
         chains = self._of(lanes)
         owner = np.repeat(np.arange(lanes.size), [len(each.x) for each in chains])
-        many = gather(lanes, owner)
+        many = tables.gather(lanes, owner)
         length = np.array([each.x.shape[1] for each in chains], np.int32)
         many = many._replace(target=many.target - length[owner])
         here = self._checks.kernels(PUSH, self._checks.inputs(many), np.concatenate([each.x[:, 0] for each in chains]))
@@ -106,17 +106,19 @@ class BackwardPlans:
         rows = [each.x.shape[1] for each in chains]
         owner, end = np.repeat(np.arange(lanes.size), rows), np.cumsum(rows) - 1
         x = np.concatenate([each.x[0] for each in chains])
-        many = self._rows(gather(lanes, owner), x, end)
+        many = self._rows(tables.gather(lanes, owner), x, end)
         blocked = np.bincount(owner, self._checks.path_clear(many, x, asked=True) == 0, lanes.size)
         clear = blocked == 0
         for each in chains:
             each.x = each.x[1:]
         if clear.any():
             own = clear[owner]
-            now = self._checks.measured(gather(many, own), x[own])
-            self._write(gather(many, own), now)
+            now = self._checks.measured(tables.gather(many, own), x[own])
+            self._write(tables.gather(many, own), now)
             end = np.cumsum(np.array(rows)[clear]) - 1
-            return self._replanned(lanes, clear)._replace(found=gather(gather(many, own), end), now=gather(now, end))
+            return self._replanned(lanes, clear)._replace(
+                found=tables.gather(tables.gather(many, own), end), now=tables.gather(now, end)
+            )
         return self._replanned(lanes, clear)
 
     def _rows(self, many: Lanes, x: np.ndarray, end: np.ndarray) -> Lanes:
@@ -132,7 +134,7 @@ class BackwardPlans:
         iteration[end] = many.iteration[end]
         return many._replace(target=target.astype(np.int32), x_previous=before, iteration=iteration)
 
-    def _write(self, many: Lanes, now: State) -> None:
+    def _write(self, many: Lanes, now: kernels.State) -> None:
         self._record.track(many, now, Status.TRACKED_AFTER_ESCAPE, self._escape, np.ones(many.size, np.int8))
         self._record.tracked -= many.size - len(np.unique(many.scenario))  # all but the failed one were counted before
 
@@ -144,8 +146,8 @@ class BackwardPlans:
         over = found | (phases == LOST)
         for scenario in lanes.scenario[over].tolist():
             del self._chains[scenario]
-        going = gather(lanes._replace(phase=phases.astype(np.int32)), ~over)
-        return Replanned(going, gather(lanes, found), None, int((over & ~found).sum()))
+        going = tables.gather(lanes._replace(phase=phases.astype(np.int32)), ~over)
+        return Replanned(going, tables.gather(lanes, found), None, int((over & ~found).sum()))
 
     def _next(self, chains: Chains, lost: int) -> int:
         """Return the next phase of a scenario that failed at target number `lost`."""

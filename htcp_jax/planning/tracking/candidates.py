@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from htcp_jax.device.tables import gather, gather_from
-from htcp_jax.motion.kernels import State
+from htcp_jax.device import tables
+from htcp_jax.motion import kernels
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.lanes import Lanes, new_lanes
 from htcp_jax.planning.tracking.sampling import Candidates
@@ -22,7 +22,7 @@ class Ends(NamedTuple):
     """Candidates that reached their target, and their state there."""
 
     number: np.ndarray
-    now: State
+    now: kernels.State
 
 
 @dataclass
@@ -48,7 +48,7 @@ class Arrived(NamedTuple):
     """Lanes that a stage has brought to their target."""
 
     lanes: Lanes
-    now: State
+    now: kernels.State
     clear: np.ndarray  # the joint path there: 1 clear, 0 not; -1: not checked
 
 
@@ -73,10 +73,10 @@ class CandidateSearch:
         found: Candidates = self._checks.kernels(self._kernels[stage], self._checks.inputs(lanes), lanes.x_previous)
         found = found._replace(done=self._without_passing_tips(lanes, found))
         done = found.done.any(axis=1)
-        outcome = self.track_from(gather(lanes, ~done), found.x[~done], found.valid[~done], stage)
+        outcome = self.track_from(tables.gather(lanes, ~done), found.x[~done], found.valid[~done], stage)
         if not done.any():
             return outcome
-        lanes, (owner, number) = gather(lanes, done), np.nonzero(found.done[done])
+        lanes, (owner, number) = tables.gather(lanes, done), np.nonzero(found.done[done])
         x = found.x[done][owner, number]
         best, clear = self._best(lanes, owner, number, x)
         return outcome._replace(arrived=Arrived(lanes, self._checks.measured(lanes, x[best]), clear))
@@ -85,7 +85,9 @@ class CandidateSearch:
         """Return True for candidates (lanes, C) that are done and whose tip passes through no wall."""
         owner, number = np.nonzero(found.done)
         done = found.done.copy()
-        done[owner, number] = self._checks.tip_free(gather(lanes, owner), found.x[owner, number], done[owner, number])
+        done[owner, number] = self._checks.tip_free(
+            tables.gather(lanes, owner), found.x[owner, number], done[owner, number]
+        )
         return done
 
     def track_from(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> Outcome:
@@ -105,7 +107,7 @@ class CandidateSearch:
             pending = PendingCandidates((lanes, np.array([k])), stage, int(left[k]))
             self._waiting.of[int(lanes.scenario[k])] = pending
         owner, number = np.nonzero(valid)
-        spent = gather(lanes, left == 0)
+        spent = tables.gather(lanes, left == 0)
         if not len(owner):
             return Outcome(stage, spent)
         at = lanes.scenario[owner], lanes.target[owner], lanes.x_previous[owner]
@@ -113,7 +115,7 @@ class CandidateSearch:
             stage, spent, candidates=new_lanes(self._checks.kernels.sizes, *at, x[owner, number], candidate=number)
         )
 
-    def decide(self, lanes: Lanes, now: State, reached: np.ndarray, stuck: np.ndarray) -> list[Outcome]:
+    def decide(self, lanes: Lanes, now: kernels.State, reached: np.ndarray, stuck: np.ndarray) -> list[Outcome]:
         """Register candidates that reached the target, and those that did not.
 
         Args:
@@ -133,7 +135,7 @@ class CandidateSearch:
         qps = np.add.reduceat(lanes.iteration[decided], first)
         good = np.concatenate([[0], np.cumsum(reached[decided])])  # before each of the decided, and in the end
         rows = decided[reached[decided]]
-        ends = Ends(lanes.candidate[rows], gather(now, rows))
+        ends = Ends(lanes.candidate[rows], tables.gather(now, rows))
         ready = []
         with self._waiting.lock:
             for k, (start, end) in enumerate(zip(first, [*first[1:], len(decided)], strict=True)):
@@ -150,25 +152,25 @@ class CandidateSearch:
 
     def _choose(self, ready: list[PendingCandidates], stage: int) -> Outcome:
         """Choose the best of the candidates that reached the target."""
-        lanes = gather_from([each.lane for each in ready])
+        lanes = tables.gather_from([each.lane for each in ready])
         lanes = lanes._replace(iteration=lanes.iteration + np.array([each.qps for each in ready], np.int32))
         found = np.array([bool(each.ends) for each in ready])
-        spent = gather(lanes, ~found)
+        spent = tables.gather(lanes, ~found)
         if not found.any():
             return Outcome(stage, spent)
-        ready, lanes = [each for each in ready if each.ends], gather(lanes, found)
+        ready, lanes = [each for each in ready if each.ends], tables.gather(lanes, found)
         places = [place for each in ready for place in each.ends]
-        number, now = gather_from(places)
+        number, now = tables.gather_from(places)
         owner = np.repeat(np.arange(len(ready)), [sum(len(rows) for _, rows in each.ends) for each in ready])
         best, clear = self._best(lanes, owner, number, now.x)
-        return Outcome(stage, spent, Arrived(lanes, gather(now, best), clear))
+        return Outcome(stage, spent, Arrived(lanes, tables.gather(now, best), clear))
 
     def _best(self, lanes: Lanes, owner: np.ndarray, number: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the best configuration of every lane as a row of x (M, N), and the result of its path.
 
         The best has the smallest joint change among those with a clear path. Results: 1 clear, 0 not, -1 not checked.
         """
-        clear = self._checks.path_clear(gather(lanes, owner), x, self._checks.of_escapes)
+        clear = self._checks.path_clear(tables.gather(lanes, owner), x, self._checks.of_escapes)
         best = nearest(owner, number, np.linalg.norm(x - lanes.x_previous[owner], axis=1), clear)
         return best, clear[best]
 

@@ -19,11 +19,8 @@ it over tables.
 
 import numpy as np
 
-from htcp_jax.device.tables import concatenate, gather, scatter
-from htcp_jax.motion.collision_checker import CollisionChecker
-from htcp_jax.motion.kernels import PREPARE, STEPS_A_BURST, TRACK_BURST, State
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.problem import Problem
+from htcp_jax.device import tables
+from htcp_jax.motion import CollisionChecker, Plans, Problem, kernels
 from htcp_jax.planning.tracking.backwards import BackwardPlans, Replanned
 from htcp_jax.planning.tracking.candidates import CandidateSearch, Outcome, Waiting
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
@@ -32,7 +29,7 @@ from htcp_jax.planning.tracking.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRA
 from htcp_jax.planning.tracking.record import Record
 from htcp_jax.planning.tracking.stages import ASCEND, ENTER, Escapes, NullSpace
 from htcp_jax.planning.tracking.work import Work
-from htcp_jax.solvers.step_qp import QPSolver, QPStatus
+from htcp_jax.solvers import step_qp
 from htcp_jax.status import Status
 
 
@@ -46,7 +43,7 @@ class Engine:
         self,
         problem: Problem,
         checker: CollisionChecker,
-        solver: QPSolver | None,
+        solver: step_qp.QPSolver | None,
         escapes: Escapes,
         plans: Plans,
         work: Work,
@@ -90,41 +87,41 @@ class Engine:
         """Linearise new scenarios at their start. Those whose start is in collision end."""
         lanes, clearance = self._checks.linearised(lanes)
         collides = clearance <= 0
-        self._record.collide(gather(lanes, collides))
-        self._table.keep(gather(lanes, ~collides))
+        self._record.collide(tables.gather(lanes, collides))
+        self._table.keep(tables.gather(lanes, ~collides))
 
     def _track(self, lanes: Lanes) -> None:
         """Solve one step QP for every lane, or a chunk of them on the device."""
         now, iteration, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
         lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
-        solved = verdict == QPStatus.SOLVED
+        solved = verdict == step_qp.QPStatus.SOLVED
         reached = self._checks.at_target(lanes, now, solved)
         tip_blocked = solved & ~reached & self._checks.keeps_margin(lanes, now)
         stuck = tip_blocked | ~reached & (~solved | (iteration >= self._settings.max_step_qps))
-        self._table.keep(gather(lanes, ~reached & ~stuck))
+        self._table.keep(tables.gather(lanes, ~reached & ~stuck))
 
         reason = np.where(
-            verdict == QPStatus.INFEASIBLE,
+            verdict == step_qp.QPStatus.INFEASIBLE,
             Status.QP_INFEASIBLE,
-            np.where(verdict == QPStatus.FAILED, Status.QP_FAILED, Status.ITERATION_LIMIT),
+            np.where(verdict == step_qp.QPStatus.FAILED, Status.QP_FAILED, Status.ITERATION_LIMIT),
         )
         reason[tip_blocked] = Status.TIP_BLOCKED
         main = lanes.candidate == MAIN
-        self._enter(gather(lanes, stuck & main), 0, reason[stuck & main])
-        self._reached(gather(lanes, reached & main), gather(now, reached & main))
+        self._enter(tables.gather(lanes, stuck & main), 0, reason[stuck & main])
+        self._reached(tables.gather(lanes, reached & main), tables.gather(now, reached & main))
         for outcome in self._candidates.decide(lanes, now, reached & ~main, stuck & ~main):
             self._come_to(outcome)
 
-    def _step(self, lanes: Lanes) -> tuple[State, np.ndarray, np.ndarray]:
-        qps = self._kernels(PREPARE, self._checks.inputs(lanes), lanes.x_ref, lanes.x_previous, lanes.linear)
+    def _step(self, lanes: Lanes) -> tuple[kernels.State, np.ndarray, np.ndarray]:
+        qps = self._kernels(kernels.PREPARE, self._checks.inputs(lanes), lanes.x_ref, lanes.x_previous, lanes.linear)
         y, verdict = self._solver.solve(qps)
         return self._checks.advanced(lanes, y), lanes.iteration + 1, verdict
 
-    def _burst(self, lanes: Lanes) -> tuple[State, np.ndarray, np.ndarray]:
+    def _burst(self, lanes: Lanes) -> tuple[kernels.State, np.ndarray, np.ndarray]:
         state = lanes.x_ref, lanes.x_previous, lanes.linear, lanes.iteration
-        return self._kernels(TRACK_BURST, self._checks.inputs(lanes), *state)
+        return self._kernels(kernels.TRACK_BURST, self._checks.inputs(lanes), *state)
 
-    def _reached(self, lanes: Lanes, now: State) -> None:
+    def _reached(self, lanes: Lanes, now: kernels.State) -> None:
         """Continue main lanes whose step QP reached the target: ascend if the method does, check the path, accept."""
         if not lanes.size:
             return
@@ -132,29 +129,29 @@ class Engine:
             lanes, now = self._ascended(lanes, now)
         clear = self._checks.path_clear(lanes, now.x, self._checks.of_steps)
         blocked = clear == 0
-        self._accept(gather(lanes, ~blocked), gather(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
-        self._enter(gather(lanes, blocked), 0, Status.PATH_BLOCKED)
+        self._accept(tables.gather(lanes, ~blocked), tables.gather(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
+        self._enter(tables.gather(lanes, blocked), 0, Status.PATH_BLOCKED)
 
-    def _ascended(self, lanes: Lanes, now: State) -> tuple[Lanes, State]:
+    def _ascended(self, lanes: Lanes, now: kernels.State) -> tuple[Lanes, kernels.State]:
         """Return the lanes moved in the null space to larger D where D is small, unless that blocks a clear path."""
         low = now.clearance < self._settings.keep_clear_m
         if not low.any():
             return lanes, now
-        near = gather(lanes, low)
+        near = tables.gather(lanes, low)
         higher = self._kernels(ASCEND, self._checks.inputs(near), now.x[low]).x
         clear = self._checks.path_clear(near, higher, self._checks.of_steps)
         clear[~self._checks.tip_free(near, higher, clear != 0)] = 0
         higher = np.where(clear[:, None] != 0, higher, now.x[low])
-        now = scatter(now, low, self._checks.measured(near, higher))
+        now = tables.scatter(now, low, self._checks.measured(near, higher))
         return lanes._replace(x_ref=now.x, linear=now.linear), now
 
-    def _accept(self, lanes: Lanes, now: State, status: Status, escape: int, clear: np.ndarray) -> None:
+    def _accept(self, lanes: Lanes, now: kernels.State, status: Status, escape: int, clear: np.ndarray) -> None:
         """Record the target and continue with the next one, or finish."""
         if lanes.size:
             self._record.track(lanes, now, status, escape, clear)
             self._go_on(lanes, now)
 
-    def _go_on(self, lanes: Lanes, now: State) -> None:
+    def _go_on(self, lanes: Lanes, now: kernels.State) -> None:
         zero = np.zeros_like(lanes.target)
         lanes = lanes._replace(
             x_previous=now.x,
@@ -166,7 +163,7 @@ class Engine:
         )
         done = lanes.target >= self._counts[lanes.scenario]
         self._record.finished += int(done.sum())
-        self._table.keep(gather(lanes, ~done))
+        self._table.keep(tables.gather(lanes, ~done))
 
     # Recovery stages
 
@@ -190,17 +187,19 @@ class Engine:
         """Take a chunk of null-space steps with every lane; one that enters is first brought onto its target."""
         entering = lanes.walked == ENTERING
         if entering.any():
-            new = gather(lanes, entering)
+            new = tables.gather(lanes, entering)
             now = self._kernels(ENTER, self._checks.inputs(new), new.x_previous)
             new = self._arrived(new._replace(walked=np.zeros_like(new.walked)), now, stage)
-            lanes = concatenate([gather(lanes, ~entering), new])
+            lanes = tables.concatenate([tables.gather(lanes, ~entering), new])
         if lanes.size:
-            most = np.minimum(lanes.walked + STEPS_A_BURST, self._settings.max_null_space_steps).astype(np.int32)
+            most = np.minimum(lanes.walked + kernels.STEPS_A_BURST, self._settings.max_null_space_steps).astype(
+                np.int32
+            )
             state = lanes.x_previous, lanes.x_ref, lanes.walked, most
             now, walked = self._kernels(self._walks[stage], self._checks.inputs(lanes), *state)
             self._table.keep(self._arrived(lanes._replace(walked=walked), now, stage))
 
-    def _arrived(self, lanes: Lanes, now: State, stage: int) -> Lanes:
+    def _arrived(self, lanes: Lanes, now: kernels.State, stage: int) -> Lanes:
         """Return the lanes whose recovery in the null space continues.
 
         Those that meet the success criterion, or have spent their steps, leave it.
@@ -209,21 +208,23 @@ class Engine:
         out = self._checks.at_target(lanes, now)
         spent = ~out & (lanes.walked >= self._settings.max_null_space_steps)
         reason = np.where(self._checks.keeps_margin(lanes, now), Status.TIP_BLOCKED, Status.ESCAPE_EXHAUSTED)
-        self._enter(gather(lanes, spent), stage + 1, reason[spent])
-        free = gather(lanes, out)
+        self._enter(tables.gather(lanes, spent), stage + 1, reason[spent])
+        free = tables.gather(lanes, out)
         if self._settings.after_escape == "track":
             one_each = np.ones((free.size, 1), bool)
             self._come_to(self._candidates.track_from(free, free.x_ref[:, None], one_each, stage))
         else:
             clear = self._checks.path_clear(free, free.x_ref, self._checks.of_escapes)
-            self._escaped(free, gather(now, out), clear, stage)
-        return gather(lanes, ~out & ~spent)
+            self._escaped(free, tables.gather(now, out), clear, stage)
+        return tables.gather(lanes, ~out & ~spent)
 
-    def _escaped(self, lanes: Lanes, now: State, clear: np.ndarray, stage: int) -> None:
+    def _escaped(self, lanes: Lanes, now: kernels.State, clear: np.ndarray, stage: int) -> None:
         """Accept lanes that a stage has brought to their target if the path there is clear, or not checked."""
         good = clear != 0
-        self._accept(gather(lanes, good), gather(now, good), Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[good])
-        self._enter(gather(lanes, ~good), stage + 1, Status.PATH_BLOCKED)
+        self._accept(
+            tables.gather(lanes, good), tables.gather(now, good), Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[good]
+        )
+        self._enter(tables.gather(lanes, ~good), stage + 1, Status.PATH_BLOCKED)
 
     def _come_to(self, outcome: Outcome) -> None:
         """Continue with the outcome of a sampling stage."""

@@ -2,10 +2,7 @@
 
 import numpy as np
 
-from htcp_jax.motion.collision_checker import CollisionChecker
-from htcp_jax.motion.kernels import State
-from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.motion.problem import Problem
+from htcp_jax.motion import CollisionChecker, Problem, kernels, lane_inputs
 from htcp_jax.planning.tracking.lanes import TRACK, Lanes
 
 
@@ -21,15 +18,15 @@ class LaneChecks:
         self.of_steps = check_paths or problem.settings.path_check == "all"  # True if joint paths are checked
         self.of_escapes = self.of_steps or problem.settings.path_check == "escapes"
 
-    def inputs(self, lanes: Lanes, round_: int | np.ndarray = 0) -> LaneInputs:
+    def inputs(self, lanes: Lanes, round_: int | np.ndarray = 0) -> lane_inputs.LaneInputs:
         """Return the inputs of the lanes' functions; `round_` is the number of the round of draws."""
-        return lane_inputs(self._scenarios, lanes.scenario, lanes.target, seed=self._seed, round_=round_)
+        return lane_inputs.lane_inputs(self._scenarios, lanes.scenario, lanes.target, seed=self._seed, round_=round_)
 
-    def advanced(self, lanes: Lanes, y: np.ndarray) -> State:
+    def advanced(self, lanes: Lanes, y: np.ndarray) -> kernels.State:
         """Return the lanes' states after steps y (lanes, N) [rad or m]."""
         return self._checker.stepped(self.inputs(lanes), lanes.x_ref, y)
 
-    def measured(self, lanes: Lanes, x: np.ndarray) -> State:
+    def measured(self, lanes: Lanes, x: np.ndarray) -> kernels.State:
         """Return the lanes' states at configurations x (lanes, N) [rad or m]."""
         return self._checker.stepped(self.inputs(lanes), x, np.zeros_like(x))
 
@@ -38,7 +35,7 @@ class LaneChecks:
         now = self.measured(lanes, lanes.x_ref)
         return lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)), now.clearance
 
-    def keeps_margin(self, lanes: Lanes, here: State) -> np.ndarray:
+    def keeps_margin(self, lanes: Lanes, here: kernels.State) -> np.ndarray:
         """Return True for lanes on their target with the required margin."""
         return self.kernels.task.counts(here.clearance, here.residual, self._scenarios.margin_m[lanes.scenario])
 
@@ -52,7 +49,7 @@ class LaneChecks:
         """
         return self._checker.tip_free(self.inputs(lanes), x, among)
 
-    def at_target(self, lanes: Lanes, here: State, among: np.ndarray | bool = True) -> np.ndarray:
+    def at_target(self, lanes: Lanes, here: kernels.State, among: np.ndarray | bool = True) -> np.ndarray:
         """Return True for lanes of `among` that meet the success criterion, see `CollisionChecker.valid`.
 
         Args:

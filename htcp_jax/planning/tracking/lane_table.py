@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from htcp_jax.device.programs import Kernels
-from htcp_jax.device.tables import concatenate, gather
-from htcp_jax.model.scenario import Scenario
+from htcp_jax.device import Kernels, tables
+from htcp_jax.model import Scenario
 from htcp_jax.planning.tracking.lanes import NEW, Lanes, new_lanes
 from htcp_jax.planning.tracking.work import Work
 
@@ -44,15 +43,15 @@ class LaneTable:
         """
         if self._queue:
             block = self._queue.pop()
-            self._work.leave(gather(block, slice(0, None, 2)))
+            self._work.leave(tables.gather(block, slice(0, None, 2)))
             if block.size > 1:
-                self._queue.append(gather(block, slice(1, None, 2)))
+                self._queue.append(tables.gather(block, slice(1, None, 2)))
         elif self._kept:
-            lanes = concatenate(self._kept)
+            lanes = tables.concatenate(self._kept)
             movable = np.flatnonzero(lanes.phase >= NEW)[1::2]
             if len(movable):
-                self._work.leave(gather(lanes, movable))
-                self._kept = [gather(lanes, ~np.isin(np.arange(lanes.size), movable))]
+                self._work.leave(tables.gather(lanes, movable))
+                self._kept = [tables.gather(lanes, ~np.isin(np.arange(lanes.size), movable))]
 
     def _top_up(self) -> bool:
         """Fill the table from the queue, then with new scenarios; return False if there are no lanes."""
@@ -60,8 +59,8 @@ class LaneTable:
         while free > 0 and self._queue:
             block = self._queue.pop(0)
             if block.size > free:
-                self._queue.insert(0, gather(block, slice(free, None)))
-                block = gather(block, slice(0, free))
+                self._queue.insert(0, tables.gather(block, slice(free, None)))
+                block = tables.gather(block, slice(0, free))
             self._kept.append(block)
             free -= block.size
         if new := self._work.take(free):
@@ -75,9 +74,9 @@ class LaneTable:
         These are all lanes or, if a call takes as long for few lanes, those of the phase with the most lanes, while the
         others fill up.
         """
-        lanes, self._kept = concatenate(self._kept), []
+        lanes, self._kept = tables.concatenate(self._kept), []
         phases, counts = np.unique(lanes.phase, return_counts=True)
         if not self._kernels.pays_by_lane:
             phases = phases[[np.argmax(counts)]]
-            self.keep(gather(lanes, lanes.phase != phases[0]))
-        return [(int(phase), gather(lanes, lanes.phase == phase)) for phase in phases]
+            self.keep(tables.gather(lanes, lanes.phase != phases[0]))
+        return [(int(phase), tables.gather(lanes, lanes.phase == phase)) for phase in phases]

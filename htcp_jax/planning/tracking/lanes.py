@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from htcp_jax.clearance.obstacles.linearisation import Linearisation, TaskRows
-from htcp_jax.clearance.obstacles.obstacles import ClearanceRows
+from htcp_jax.clearance import ClearanceRows
+from htcp_jax.clearance.obstacles import linearisation
 
 MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
 # Phases; for a lane in a recovery stage, the number of that stage. The last three are those of
@@ -13,7 +13,7 @@ MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
 NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
 BACKWARDS = DRAWING, PUSHING, CHECKING
 ENTERING = -1  # `walked` of a lane before its first null-space step
-KINDS = TaskRows, ClearanceRows
+KINDS = linearisation.TaskRows, ClearanceRows
 
 
 class Lanes(NamedTuple):
@@ -27,7 +27,7 @@ class Lanes(NamedTuple):
     walked: np.ndarray  # ENTERING, or null-space steps so far
     x_previous: np.ndarray
     x_ref: np.ndarray
-    linear: Linearisation
+    linear: linearisation.Linearisation
 
     @property
     def size(self) -> int:
@@ -51,7 +51,7 @@ def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candi
     def column(value):
         return np.broadcast_to(np.asarray(value, np.int32), lanes).copy()
 
-    linear = Linearisation(
+    linear = linearisation.Linearisation(
         *(kind(np.zeros((lanes, rows)), np.zeros((lanes, rows, n))) for kind, rows in zip(KINDS, sizes, strict=True))
     )
     return Lanes(

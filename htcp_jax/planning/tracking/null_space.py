@@ -10,16 +10,11 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.contact_model import HeldContacts, hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
-from htcp_jax.clearance.obstacles.obstacles import clearance, clearances, contacts
-from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance import Obstacles, Posed, Scene, clearance, clearances, contacts
+from htcp_jax.clearance.obstacles import contact_model
 from htcp_jax.errors import InputError
-from htcp_jax.model.inverse_kinematics import reanchor
-from htcp_jax.model.kinematics import configuration
-from htcp_jax.model.robot import Robot
-from htcp_jax.motion.kernels import State
-from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.model import Robot, inverse_kinematics, kinematics
+from htcp_jax.motion import kernels, lane_inputs
 from htcp_jax.numerics import fold_keys, null_basis, of_shape, product, with_gradient
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers import sphere
@@ -52,7 +47,7 @@ def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
 
 def sphere_problem(
     scene: Scene, settings: Settings, where: Posed, x_ref: Joints, target: Float[Array, "G"] | None = None
-) -> tuple[sphere.Sphere, HeldContacts, Float[Array, "N D"]]:
+) -> tuple[sphere.Sphere, contact_model.HeldContacts, Float[Array, "N D"]]:
     """Return the problem of equation (11) at x_ref, the contacts there, and alpha N(x_ref) [rad]; undefined if D = 0.
 
     Args:
@@ -76,7 +71,7 @@ def sphere_problem(
     def observe(w):
         x = x_ref + product(step_basis, w)
         touch = contacts(robot, obstacles, where, x)
-        return touch.distance + far - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
+        return touch.distance + far - product(w, product(half, w)), contact_model.hold_contacts(robot, x, rows, touch)
 
     def measure(w):
         x, j1 = x_ref + product(step_basis, w), product(w, product(half, w))
@@ -85,7 +80,7 @@ def sphere_problem(
         return clearance(robot, obstacles, where, x) - j1
 
     def predicted(w, held):
-        value, gradient = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
+        value, gradient = contact_model.predict_distances(robot, x_ref + product(step_basis, w), rows, held)
         rounds = value.shape[0] // far.shape[0]
         value = value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
         return value, product(gradient, step_basis) - 2 * product(half, w)[None, :]
@@ -97,7 +92,11 @@ def sphere_problem(
         h = jnp.concatenate([h, jnp.maximum(held.room, 0.0)])
     predict = with_gradient(lambda w, held: predicted(w, held)[0], predicted)
     problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
-    return problem, hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)), step_basis
+    return (
+        problem,
+        contact_model.hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)),
+        step_basis,
+    )
 
 
 def null_space_objective(
@@ -143,7 +142,7 @@ def null_space_objective(
     Raises:
         InputError: For an x_ref or w of another shape, including batches, and for `q_weights` of another length.
     """
-    x_ref = configuration(robot, x_ref, "x_ref")
+    x_ref = kinematics.configuration(robot, x_ref, "x_ref")
     joints = x_ref.shape[0]
     w = of_shape(w, (joints - 3,), "w")
     settings = Settings(q_weights=(1.0,) * joints) if settings is None else settings_of(settings)
@@ -160,7 +159,7 @@ def _objective(
     return -problem.measure(w)
 
 
-def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "G"]) -> State:
+def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "G"]) -> kernels.State:
     """Re-anchor x, (5b), if it is off the target by more than xi, Algorithm 1, line 13; then measure it.
 
     Args:
@@ -172,12 +171,12 @@ def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Fl
     """
     robot, obstacles, task = scene
     off = task.off(robot, x, target)
-    anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
+    anchored, _ = inverse_kinematics.reanchor(robot, x, target, task.fine_m, task=task)
     x = jnp.where(task.reached(off), x, anchored)
-    return State(x, clearance=clearance(robot, obstacles, where, x), residual=task.off(robot, x, target))
+    return kernels.State(x, clearance=clearance(robot, obstacles, where, x), residual=task.off(robot, x, target))
 
 
-Minimise = Callable[[sphere.Sphere, HeldContacts, jax.Array, Settings], sphere.Best]
+Minimise = Callable[[sphere.Sphere, contact_model.HeldContacts, jax.Array, Settings], sphere.Best]
 
 
 def null_space_step(
@@ -188,7 +187,7 @@ def null_space_step(
     stuck: Stuck,
     x_ref: Joints,
     count: Int[Array, ""],
-) -> State:
+) -> kernels.State:
     """Take one null-space step, Algorithm 1, lines 11 to 13: minimise J2 on the sphere, move, re-anchor.
 
     Args:
@@ -217,7 +216,7 @@ def keep_clear_ascent(
     target: Float[Array, "G"],
     enough_m: Scalar | float | None = None,
     steps: int | None = None,
-) -> State:
+) -> kernels.State:
     """Take max-min null-space steps away from the workpiece; the result is never worse than the start.
 
     One linearisation per step: the best direction for the contacts at x, at most alpha long, halved on failure.
@@ -255,7 +254,7 @@ def keep_clear_ascent(
     return best
 
 
-def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "G"]) -> State:
+def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "G"]) -> kernels.State:
     """Bring x onto the target and push it in the null space until it keeps the margin, or as far as possible.
 
     Args:
@@ -278,6 +277,6 @@ def stuck_key(seed, number, row, stage: int, round_) -> jax.Array:
     return fold_keys(jax.random.key(seed), number, row, stage, round_)
 
 
-def stuck_at(lane: LaneInputs, x_previous: Joints, stage: int) -> Stuck:
+def stuck_at(lane: lane_inputs.LaneInputs, x_previous: Joints, stage: int) -> Stuck:
     """Return the state of a stuck lane, with the random key of one stage."""
     return Stuck(x_previous, lane.target, stuck_key(lane.seed, lane.number, lane.row, stage, lane.round))

@@ -3,10 +3,8 @@
 import jax
 import numpy as np
 
-from htcp_jax.model.robot import lengthen_tool
-from htcp_jax.motion.kernels import State
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.problem import Problem
+from htcp_jax.model import robot as robots
+from htcp_jax.motion import Plans, Problem, kernels
 from htcp_jax.planning.tracking.lanes import Lanes
 from htcp_jax.status import Status
 
@@ -18,7 +16,7 @@ class Record:
         self._plans = plans
         self.tracked = self.finished = 0
 
-    def track(self, lanes: Lanes, now: State, status: Status, escape: int, clear: np.ndarray) -> None:
+    def track(self, lanes: Lanes, now: kernels.State, status: Status, escape: int, clear: np.ndarray) -> None:
         """Record that every lane has reached its target.
 
         Args:
@@ -62,5 +60,5 @@ def with_separate_errors(problem: Problem, plans: Plans) -> Plans:
 
 @jax.jit
 def _errors(task, robot, tool_extension_m, x, goals):
-    own = lengthen_tool(robot, tool_extension_m)
+    own = robots.lengthen_tool(robot, tool_extension_m)
     return jax.vmap(lambda x, goal: task.errors(own, x, goal))(x, goals)

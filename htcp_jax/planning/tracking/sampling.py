@@ -9,12 +9,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacle import Posed
-from htcp_jax.clearance.obstacles.obstacles import is_clear
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.model.inverse_kinematics import inside, reanchor
-from htcp_jax.model.task import Task
-from htcp_jax.motion.kernels import State
+from htcp_jax.clearance import Posed, Scene, is_clear
+from htcp_jax.model import Task, inverse_kinematics
+from htcp_jax.motion import kernels
 from htcp_jax.numerics import null_basis, product, safe_norm
 from htcp_jax.planning.tracking.null_space import DRAWS, PUSHED, Asked, Stuck, anchor, push_clear
 from htcp_jax.settings import Settings
@@ -43,9 +40,9 @@ def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck)
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
     draw = jax.random.uniform(stuck.key, (8 * settings.samples, n), minval=-1.0, maxval=1.0)
     x = stuck.x_previous[None, :] + width[None, :] * draw
-    feasible = jax.vmap(lambda x: inside(robot, x))(x) & jax.vmap(lambda x: is_clear(robot, scene.obstacles, where, x))(
-        x
-    )
+    feasible = jax.vmap(lambda x: inverse_kinematics.inside(robot, x))(x) & jax.vmap(
+        lambda x: is_clear(robot, scene.obstacles, where, x)
+    )(x)
     feasible &= jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.max_sample_distance_rad
     return Candidates(x, feasible & (jnp.cumsum(feasible) <= settings.samples), jnp.zeros_like(feasible))
 
@@ -66,7 +63,7 @@ def nspace_samples(
         step_rad: Lengths of the steps.
     """
     robot, task = scene.robot, scene.task
-    origin, _ = reanchor(robot, stuck.x_previous, stuck.target, task.fine_m, task=task)
+    origin, _ = inverse_kinematics.reanchor(robot, stuck.x_previous, stuck.target, task.fine_m, task=task)
     first = null_basis(task.linear_at(robot, origin, stuck.target).jacobian)
     draw = jax.random.normal(stuck.key, (settings.samples, first.shape[1]))
     directions = jax.vmap(lambda w: product(first, w / safe_norm(w)))(draw)
@@ -78,7 +75,7 @@ def nspace_samples(
             v = product(basis, product(v, basis))
             v = v / jnp.maximum(safe_norm(v), 1e-12)
             x = jnp.clip(x + length * v, robot.lower, robot.upper)
-            anchored, _ = reanchor(robot, x, stuck.target, task.fine_m, iterations=3, task=task)
+            anchored, _ = inverse_kinematics.reanchor(robot, x, stuck.target, task.fine_m, iterations=3, task=task)
             return jnp.where(task.reached(task.off(robot, x, stuck.target)), x, anchored), v
 
         x, _ = jax.lax.fori_loop(0, settings.sample_steps, step, (origin, direction))
@@ -112,7 +109,7 @@ def best_nspace_samples(
     return Candidates(here.x, done | (near & worth & ~jnp.any(done)), done)
 
 
-def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spread: Bool[Array, ""]) -> State:
+def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spread: Bool[Array, ""]) -> kernels.State:
     """Return the best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows).
 
     Each draw is brought onto the target, and some are pushed clear: the clearest, or with `spread` any of the clearer
@@ -138,5 +135,5 @@ def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spr
     return jax.tree.map(lambda leaf: leaf[order], pushed)
 
 
-def _rank(task: Task, here: State) -> Float[Array, "*n"]:
+def _rank(task: Task, here: kernels.State) -> Float[Array, "*n"]:
     return jnp.where(task.reached(here.residual), here.clearance, -jnp.inf)

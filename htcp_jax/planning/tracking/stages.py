@@ -7,12 +7,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.device.batching import Loop
-from htcp_jax.device.kernel import DEEP, SAMPLED, WALKED, Kernel
-from htcp_jax.model.inverse_kinematics import reanchor
-from htcp_jax.motion.kernels import MEASURED, State, measured, nothing_known
-from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.clearance import Scene
+from htcp_jax.device import Loop
+from htcp_jax.device import kernel as kernels
+from htcp_jax.model import inverse_kinematics
+from htcp_jax.motion import kernels as motion_kernels
+from htcp_jax.motion import lane_inputs
 from htcp_jax.planning.tracking.null_space import (
     READS,
     Minimise,
@@ -39,10 +39,10 @@ class NullSpace:
 
     in_null_space = True
 
-    def kernel(self, index: int) -> Kernel:
+    def kernel(self, index: int) -> kernels.Kernel:
         """Return the lane function for a chunk of null-space steps, as stage `index` of a method."""
-        reads = (*READS, *MEASURED, *self.settings)
-        return Kernel(f"walk {index}", walk_null_space, WALKED, reads, (self.minimise, index))
+        reads = (*READS, *motion_kernels.MEASURED, *self.settings)
+        return kernels.Kernel(f"walk {index}", walk_null_space, kernels.WALKED, reads, (self.minimise, index))
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ class Sample:
     settings: tuple[str, ...] = ()  # read by `propose`
     in_null_space: bool = True  # True if it proposes nothing without a null space
 
-    def kernel(self, index: int) -> Kernel:
+    def kernel(self, index: int) -> kernels.Kernel:
         """Return the lane function that proposes a lane's candidates, as stage `index` of a method."""
-        return Kernel(f"sample {index}", propose, SAMPLED, self.settings, (self.propose, index))
+        return kernels.Kernel(f"sample {index}", propose, kernels.SAMPLED, self.settings, (self.propose, index))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ class Escapes:
 class Walked(NamedTuple):
     """A lane after a chunk of null-space steps: its state, and the number of steps so far."""
 
-    now: State
+    now: motion_kernels.State
     walked: jax.Array
 
 
@@ -85,7 +85,7 @@ def walk_null_space(
     index: int,
     settings: Settings,
     scene: Scene,
-    lane: LaneInputs,
+    lane: lane_inputs.LaneInputs,
     x_previous: Joints,
     x_ref: Joints,
     walked: Int[jax.Array, ""],
@@ -115,14 +115,14 @@ def walk_null_space(
 
     def step(here: Scene, there: Walked) -> Walked:
         new = null_space_step(minimise, scene, settings, lane, stuck, there.now.x, there.walked)
-        return Walked(measured(settings, here, lane, new.x), there.walked + 1)
+        return Walked(motion_kernels.measured(settings, here, lane, new.x), there.walked + 1)
 
-    now = nothing_known(partial(measured, settings, scene, lane), x_ref)._replace(x=x_ref)
+    now = motion_kernels.nothing_known(partial(motion_kernels.measured, settings, scene, lane), x_ref)._replace(x=x_ref)
     return Loop(Walked(now, walked), going, step)
 
 
 def propose(
-    proposed: Propose, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous
+    proposed: Propose, index: int, settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x_previous
 ) -> Candidates:
     """Return the candidates of a sampling stage.
 
@@ -137,7 +137,9 @@ def propose(
     return proposed(scene, settings, lane, stuck_at(lane, x_previous, index))
 
 
-def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previous: Joints) -> State:
+def enter_null_space(
+    settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x_previous: Joints
+) -> motion_kernels.State:
     """Bring x_{t-1} onto the stuck target by inverse kinematics (5b), Algorithm 1, line 9.
 
     Args:
@@ -146,27 +148,27 @@ def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previ
         lane: The lane's inputs.
         x_previous: x_{t-1} [rad or m].
     """
-    x, _ = reanchor(scene.robot, x_previous, lane.target, scene.task.fine_m, task=scene.task)
-    return measured(settings, scene, lane, anchor(scene, settings, lane, x, lane.target).x)
+    x, _ = inverse_kinematics.reanchor(scene.robot, x_previous, lane.target, scene.task.fine_m, task=scene.task)
+    return motion_kernels.measured(settings, scene, lane, anchor(scene, settings, lane, x, lane.target).x)
 
 
-def push(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
+def push(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> motion_kernels.State:
     """Bring x (N,) [rad or m] onto the lane's target and push it clear."""
     return push_clear(scene, settings, lane, x, lane.target)
 
 
-def draw(settings: Settings, scene: Scene, lane: LaneInputs) -> State:
+def draw(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs) -> motion_kernels.State:
     """Return the best of a round of draws at the lane's target; the lane has the round's number."""
     stuck = stuck_at(lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
     return draw_clear(scene, settings, lane, stuck, lane.round % SPREAD_EVERY == SPREAD_EVERY - 1)
 
 
-def ascend(settings: Settings, scene: Scene, lane: LaneInputs, x):
+def ascend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x):
     """Ascend D in the null space from x (N,) [rad or m], at the target just reached."""
     return keep_clear_ascent(scene, settings, lane, x, lane.target)
 
 
-ENTER = Kernel("enter", enter_null_space, DEEP, MEASURED)
-ASCEND = Kernel("ascend", ascend, DEEP, (*READS, "keep_clear_m", "keep_clear_steps"))
-PUSH = Kernel("push", push, DEEP, READS)
-DRAW = Kernel("draw", draw, SAMPLED, READS)
+ENTER = kernels.Kernel("enter", enter_null_space, kernels.DEEP, motion_kernels.MEASURED)
+ASCEND = kernels.Kernel("ascend", ascend, kernels.DEEP, (*READS, "keep_clear_m", "keep_clear_steps"))
+PUSH = kernels.Kernel("push", push, kernels.DEEP, READS)
+DRAW = kernels.Kernel("draw", draw, kernels.SAMPLED, READS)

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.motion.collision_checker import CollisionChecker
-from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.problem import Problem
+from htcp_jax.motion import CollisionChecker, Plans, Problem
 from htcp_jax.planning.registry import Method
 from htcp_jax.planning.tracking.candidates import Waiting
 from htcp_jax.planning.tracking.engine import Engine
@@ -16,9 +14,7 @@ from htcp_jax.planning.tracking.first_calls import first_calls
 from htcp_jax.planning.tracking.stages import Escapes
 from htcp_jax.planning.tracking.work import Work
 from htcp_jax.settings import Settings
-from htcp_jax.solvers.clarabel_ import ClarabelSolver
-from htcp_jax.solvers.qpsolvers_ import QPSolversSolver
-from htcp_jax.solvers.step_qp import QPSolver, row_count
+from htcp_jax.solvers import ClarabelSolver, QPSolversSolver, step_qp
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,7 @@ class StepQPs(Escapes, Method):
         def run(checker: CollisionChecker, _: slice) -> None:
             settings, task, (_, rows) = problem.settings, problem.task, checker.kernels.sizes
             try:
-                rows = row_count(settings, rows, task.bands)
+                rows = step_qp.row_count(settings, rows, task.bands)
                 solver = make_solver(settings, len(problem.robot.joint_names), rows, task.rows)
                 Engine(problem, checker, solver, self, plans, work, waiting).run()
             finally:
@@ -56,7 +52,7 @@ class StepQPs(Escapes, Method):
         return plans
 
 
-def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) -> QPSolver | None:
+def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) -> step_qp.QPSolver | None:
     """Return the solver that `settings.qp` names; None for the one on the device, which the lane functions call.
 
     Args:
@@ -71,7 +67,7 @@ def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) 
     if settings.qp == "device":
         return None
     name, _, backend = settings.qp.partition(":")
-    makers: dict[str, Callable[[], QPSolver]] = {
+    makers: dict[str, Callable[[], step_qp.QPSolver]] = {
         "clarabel": lambda: ClarabelSolver(2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance, task_rows),
         "qpsolvers": lambda: QPSolversSolver(backend),
     }

@@ -1,0 +1,73 @@
+from . import clearance
+from .api import Plan, methods, plan
+from .clearance.obstacles.linearisation import linearise
+from .clearance.obstacles.obstacle_kind import ObstacleKind, Shape
+from .clearance.obstacles.obstacles import clearances
+from .clearance.obstacles.of_workpiece import make_obstacle
+from .errors import InputError
+from .io.robot_file import gp50, load_robot
+from .io.workpiece_file import GeneratedDuct, NoCloud, PointCloud, TriangleMesh, load_workpiece
+from .model.arm_features import axis_of, point_of
+from .model.inverse_kinematics import reanchor
+from .model.kinematics import capsule_segments, jacobian, tcp_pose, tcp_position
+from .model.robot import lengthen_tool
+from .model.scenario import make_scenario
+from .model.task_list import TaskRow
+from .model.task_row_kind import TaskRowKind
+from .motion.plans import Plans
+from .motion.problem import Problem
+from .numerics import capsule_point_distance, null_basis
+from .placement.place import place
+from .planning.registry import Method, register
+from .planning.tracking.null_space import null_space_objective
+from .report import charts
+from .report.report import make_report
+from .runs.run_folder import open_run
+from .runs.sweep import sweep
+from .status import Status
+from .trajectory.whole_run import time_run
+
+__all__ = [
+    "GeneratedDuct",
+    "InputError",
+    "Method",
+    "NoCloud",
+    "ObstacleKind",
+    "Plan",
+    "Plans",
+    "PointCloud",
+    "Problem",
+    "Shape",
+    "Status",
+    "TaskRow",
+    "TaskRowKind",
+    "TriangleMesh",
+    "axis_of",
+    "capsule_point_distance",
+    "capsule_segments",
+    "charts",
+    "clearance",
+    "clearances",
+    "gp50",
+    "jacobian",
+    "lengthen_tool",
+    "linearise",
+    "load_robot",
+    "load_workpiece",
+    "make_obstacle",
+    "make_report",
+    "make_scenario",
+    "methods",
+    "null_basis",
+    "null_space_objective",
+    "open_run",
+    "place",
+    "plan",
+    "point_of",
+    "reanchor",
+    "register",
+    "sweep",
+    "tcp_pose",
+    "tcp_position",
+    "time_run",
+]

@@ -1,0 +1,19 @@
+from .obstacles.obstacle import Obstacle, Obstacles, Posed, in_workpiece, rows_of
+from .obstacles.obstacles import ClearanceRows, clearance, clearances, contacts, is_clear, nearest_to
+from .obstacles.scene import Scene, own_scene
+
+__all__ = [
+    "ClearanceRows",
+    "Obstacle",
+    "Obstacles",
+    "Posed",
+    "Scene",
+    "clearance",
+    "clearances",
+    "contacts",
+    "in_workpiece",
+    "is_clear",
+    "nearest_to",
+    "own_scene",
+    "rows_of",
+]

@@ -1,0 +1,21 @@
+from . import (
+    contact_model,
+    linearisation,
+    obstacle_kind,
+    of_cell,
+    of_workpiece,
+    self_collision,
+    self_exclusions,
+    tip_guard,
+)
+
+__all__ = [
+    "contact_model",
+    "linearisation",
+    "obstacle_kind",
+    "of_cell",
+    "of_workpiece",
+    "self_collision",
+    "self_exclusions",
+    "tip_guard",
+]

@@ -1,0 +1,55 @@
+from . import (
+    arrays,
+    duct,
+    fixture,
+    goals,
+    inverse_kinematics,
+    kinematics,
+    mesh_points,
+    robot,
+    rotations,
+    row_bounds,
+    scenario,
+    surface,
+    task,
+    task_row_kind,
+    task_rows,
+    tool,
+    workpiece,
+)
+from .fixture import Fixture
+from .path_frames import PathFrames
+from .robot import Robot
+from .scenario import Scenario
+from .task import Task
+from .task_list import TaskRow
+from .tool import Tool
+from .workpiece import Workpiece
+
+__all__ = [
+    "Fixture",
+    "PathFrames",
+    "Robot",
+    "Scenario",
+    "Task",
+    "TaskRow",
+    "Tool",
+    "Workpiece",
+    "arrays",
+    "duct",
+    "fixture",
+    "goals",
+    "inverse_kinematics",
+    "kinematics",
+    "mesh_points",
+    "robot",
+    "rotations",
+    "row_bounds",
+    "scenario",
+    "surface",
+    "task",
+    "task_row_kind",
+    "task_rows",
+    "tool",
+    "workpiece",
+]

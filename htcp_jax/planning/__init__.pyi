@@ -1,0 +1,12 @@
+from . import batch, methods, registry
+from .batch import Progress, start_clearance
+from .registry import Method
+
+__all__ = [
+    "Method",
+    "Progress",
+    "batch",
+    "methods",
+    "registry",
+    "start_clearance",
+]

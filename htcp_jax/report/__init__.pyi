@@ -1,0 +1,19 @@
+from . import chapter, charts, gate, tables, timing, validation
+from .document import Column, Table
+from .place_pictures import draw_search
+from .report import make_report, record, write_report
+
+__all__ = [
+    "Column",
+    "Table",
+    "chapter",
+    "charts",
+    "draw_search",
+    "gate",
+    "make_report",
+    "record",
+    "tables",
+    "timing",
+    "validation",
+    "write_report",
+]

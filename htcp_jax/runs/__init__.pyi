@@ -1,0 +1,43 @@
+from . import (
+    identity,
+    input_files,
+    labels,
+    lock,
+    manifest,
+    motion_summary,
+    open,
+    parameters,
+    plan_folder,
+    provenance,
+    reachability_file,
+    summary,
+    sweep,
+    tables,
+    timing_file,
+)
+from .open import PlanSet, open_plans
+from .run_folder import Run, open_run
+from .running import RunningSummary
+
+__all__ = [
+    "PlanSet",
+    "Run",
+    "RunningSummary",
+    "identity",
+    "input_files",
+    "labels",
+    "lock",
+    "manifest",
+    "motion_summary",
+    "open",
+    "open_plans",
+    "open_run",
+    "parameters",
+    "plan_folder",
+    "provenance",
+    "reachability_file",
+    "summary",
+    "sweep",
+    "tables",
+    "timing_file",
+]
