@@ -13,7 +13,7 @@ PYTEST = $(VENV)/bin/python -m pytest --numprocesses logical --dist worksteal \
 # What `make check` runs: the mathematics; a small plan and bad inputs by the command.
 CHECKED = $(patsubst %,tests/test_%.py,lint mathematics numerics kinematics sphere qp cma_es cli)
 
-.PHONY: demo install lint check test test-slow test-oldest notebooks docs gate bless gate-runs gate-faults faults fuzz lock clean
+.PHONY: demo install lint check test test-slow test-oldest notebooks docs gate update-baselines gate-runs gate-faults faults fuzz lock clean
 
 demo: $(VENV)/.installed  ## plan the default job
 	$(VENV)/bin/htcp plan
@@ -70,8 +70,8 @@ gate: gate-runs  ## plan the gated sweeps and hold them to their baselines
 		$(GATE) --junit $(RUNS)/$$run.xml --markdown "$${GITHUB_STEP_SUMMARY:-$(RUNS)/gate.md}" || failed=1; \
 	done; exit $$failed
 
-bless: gate-runs  ## plan the gated sweeps and make them the new baselines
-	@set -e; for run in $(GATED); do $(GATE) --bless; done
+update-baselines: gate-runs  ## plan the gated sweeps and make them the new baselines
+	@set -e; for run in $(GATED); do $(GATE) --update; done
 
 gate-runs: $(VENV)/.installed
 	rm -rf $(RUNS)

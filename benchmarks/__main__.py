@@ -9,7 +9,7 @@
     python -m benchmarks peers --motions   OMPL and Descartes, by executable targets
     python -m benchmarks paths DATA        public problems of full poses, by their own rules
     python -m benchmarks programs RUN...   robot programs of complete runs: feed rate, limits, CPU time
-    python -m benchmarks time-laws PLAN... time scaling of a plan's air moves, compared with copp-py and toppra
+    python -m benchmarks time-scalings PLAN... time scaling of a plan's air moves, compared with copp-py and toppra
     python -m benchmarks baseline-margin OUT.png    the baseline's success by margin and QP tolerance
     python -m benchmarks paper-deviations  experiments behind the deviations from the two tables
     python -m benchmarks mountings         placement search: grid, random draws, htcp place, differential evolution
@@ -34,7 +34,7 @@ CASES = (
     "peers",
     "paths",
     "programs",
-    "time-laws",
+    "time-scalings",
     "baseline-margin",
     "paper-deviations",
     "mountings",

@@ -33,7 +33,7 @@ from htcp_jax.io.robot_xml import arm_xml
 from htcp_jax.model import Robot
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import GP50
-from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_arm import MujocoArm
 
 WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"
 BOX = " ".join(f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.3, 0.3) for z in (-0.2, 0.2))
@@ -87,15 +87,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--configurations", type=int, default=10_000)
     parser.add_argument("models", nargs="*", metavar="MODEL[:TCP]")
-    asked = parser.parse_args()
+    requested = parser.parse_args()
     compile_cache.enable()
     print(hardware.line())
     with tempfile.TemporaryDirectory() as scratch:
-        for file in [GP50, *(read(model, Path(scratch)) for model in asked.models)]:
+        for file in [GP50, *(read(model, Path(scratch)) for model in requested.models)]:
             print(f"{file.stem}: kind, distances, off at most [m], touching, other verdicts")
-            for row in compare(file, Path(scratch), asked.configurations):
+            for row in compare(file, Path(scratch), requested.configurations):
                 print(f"  {row.kind:9} {row.count:9,} {row.off_m:8.1e} {row.touching:9,} {row.others}")
-            ring = compare_ring(file, Path(scratch), max(1, asked.configurations // EVERY))
+            ring = compare_ring(file, Path(scratch), max(1, requested.configurations // EVERY))
             off = f"from {-ring.below_m:.1e} to {ring.above_m:.1e}"
             print(f"  ring      {ring.count:9,} {off}, wrongly clear {ring.wrong}", flush=True)
 
@@ -110,7 +110,7 @@ def read(model: str, folder: Path) -> Path:
 
 def compare(file: Path, folder: Path, count: int) -> list[Compared]:
     """Compare every kind of shape, and pairs of the arm's capsules, at `count` configurations."""
-    arm, robot = Arm(file), load_robot(file)
+    arm, robot = MujocoArm(file), load_robot(file)
     (fixed,), own = make_fixtures(robot, load_cell(_cell(folder, SOLID))), self_collision(robot)
     x = drawn(robot, count)
     ours, pairs = map(np.asarray, _ours(robot, fixed, own, jnp.asarray(x)))
@@ -125,7 +125,7 @@ def compare_ring(file: Path, folder: Path, count: int) -> Ring:
 
     MuJoCo cannot serve here, as it represents the ring by its hull.
     """
-    robot, arm = load_robot(file), Arm(file).moving
+    robot, arm = load_robot(file), MujocoArm(file).moving
     ring = trimesh.creation.annulus(0.35, 0.4, 0.2)
     ring.export(folder / "ring.stl")
     (folder / "ring.xml").write_text(
@@ -138,7 +138,7 @@ def compare_ring(file: Path, folder: Path, count: int) -> Ring:
     x = drawn(robot, count)
     world = _World(np.eye(4), np.zeros(4))
     ours = np.asarray(jax.jit(lambda x: jax.lax.map(partial(clearance, robot, (hoop,), world), x))(jnp.asarray(x)))
-    _, p, q = arm.postures(x)
+    _, p, q = arm.arm_poses(x)
     places = p[:, :, None] + np.linspace(0, 1, PLACES)[:, None] * (q - p)[:, :, None]
     apart = np.array([_to_triangles(ring, each) for each in places])
     theirs = (apart - arm.radius).min(axis=1)
@@ -176,7 +176,7 @@ def _ours(robot: Robot, fixed, own: SelfCollision, x):
     return jax.lax.map(at, x, batch_size=64)
 
 
-def _theirs(arm: Arm, cell: Path, names, pairs, x) -> tuple[np.ndarray, np.ndarray]:
+def _theirs(arm: MujocoArm, cell: Path, names, pairs, x) -> tuple[np.ndarray, np.ndarray]:
     """Distances to every shape, and between every pair, by mj_geomDistance and MuJoCo's kinematics [m]."""
     spec = mujoco.MjSpec.from_file(str(cell))
     for k, (radius, length) in enumerate(zip(arm.radius, arm.length, strict=True)):
@@ -189,7 +189,7 @@ def _theirs(arm: Arm, cell: Path, names, pairs, x) -> tuple[np.ndarray, np.ndarr
     mujoco.mj_kinematics(model, data)
     bodies, shapes = ([model.geom(name).id for name in each] for each in (_bodies(arm), names))
     distance = partial(mujoco.mj_geomDistance, model, data)
-    _, p, q = arm.postures(x)
+    _, p, q = arm.arm_poses(x)
     found, between = np.empty((len(x), len(shapes), len(bodies))), np.empty((len(x), len(pairs)))
     for k in range(len(x)):
         for geom, a, b in zip(bodies, p[k], q[k], strict=True):
@@ -202,7 +202,7 @@ def _theirs(arm: Arm, cell: Path, names, pairs, x) -> tuple[np.ndarray, np.ndarr
     return found, between
 
 
-def _bodies(arm: Arm) -> list[str]:
+def _bodies(arm: MujocoArm) -> list[str]:
     return [f"body {k}" for k in range(len(arm.radius))]
 
 

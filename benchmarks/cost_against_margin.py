@@ -2,7 +2,7 @@
 
     python -m benchmarks.cost_against_margin OUT.png [--set KEY=VALUE]...
 
-Plans the default job by `roadmap` with every margin below, with and without smoothing, and draws the cost of its
+Plans the default job by `beam` with every margin below, with and without smoothing, and draws the cost of its
 motion if it leads to the last target; the numbers go to OUT.csv. About a minute on two cores. The figure of the docs:
 
     python -m benchmarks.cost_against_margin docs/figures/cost_against_margin.png \\
@@ -29,8 +29,8 @@ def cost(plan: htcp_jax.Plan) -> float:
     plans = plan.plans
     if not plans.executable[plans.exists].all():
         return np.nan
-    ways = [[*plans.knots.on_the_way(0, t), plans.x[0, t]] for t in range(plans.x.shape[1])]
-    x = np.array([plans.start[0], *(posture for way in ways for posture in way)])
+    segments = [[*plans.via_points.on_segment(0, t), plans.x[0, t]] for t in range(plans.x.shape[1])]
+    x = np.array([plans.start[0], *(configuration for segment_status in segments for configuration in segment_status)])
     return path_cost(x, np.ones(x.shape[1]))
 
 
@@ -44,7 +44,7 @@ def main() -> None:
     costs = {smooth: [] for smooth in SMOOTH}
     for margin_mm in MARGINS_MM:
         for smooth, row in costs.items():
-            own = [f"margin_m={1e-3 * margin_mm}", "method=roadmap", f"settings.smooth={str(smooth).lower()}"]
+            own = [f"margin_m={1e-3 * margin_mm}", "method=beam", f"settings.smooth={str(smooth).lower()}"]
             row.append(cost(htcp_jax.plan(overrides=[*arguments.overrides, *own])))
         print(f"margin {margin_mm:g} mm: " + ", ".join(f"{costs[s][-1]:.4f} {name}" for s, name in SMOOTH.items()))
     with arguments.out.with_suffix(".csv").open("w", newline="") as file:
@@ -56,11 +56,11 @@ def main() -> None:
 
 def draw(costs: dict[bool, list[float]]):
     """Draw two lines over the margin."""
-    figure = new_figure(3.6, "Cost of equation (3) against the margin", "roadmap, one pose; complete motions alone")
+    figure = new_figure(3.6, "Cost of equation (3) against the margin", "beam, one pose; complete motions alone")
     axes = figure.subplots()
     for smooth, row in costs.items():
         axes.plot(MARGINS_MM, row, marker="o", markersize=4, label=SMOOTH[smooth])
-    axes.set_xlabel("margin asked for at the targets [mm]")
+    axes.set_xlabel("required margin at the targets [mm]")
     axes.set_ylabel("cost [rad²]")
     axes.set_ylim(bottom=0)
     axes.legend(frameon=False)

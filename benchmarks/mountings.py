@@ -22,27 +22,27 @@ from scipy.optimize import differential_evolution
 from benchmarks import hardware
 from htcp_jax.device import compile_cache
 from htcp_jax.jobs.grid import Sweep
-from htcp_jax.placement.judge import judge_raised
 from htcp_jax.placement.place_file import Search, load_search
-from htcp_jax.placement.search import EVEN, FROM, POPULATION, Evolution, Known, even
+from htcp_jax.placement.scores import evaluate_raised
+from htcp_jax.placement.search import EVEN, FROM, POPULATION, Evolution, SearchResults, even
 from htcp_jax.report.chart_style import new_figure
 from htcp_jax.runs import Run
 from htcp_jax.runs.sweep import sweep
 
-Judge = Callable[[Float[np.ndarray, "n d"]], Known]  # evaluates mountings in the unit cube
+Judge = Callable[[Float[np.ndarray, "n d"]], SearchResults]  # evaluates mountings in the unit cube
 Way = Callable[[Judge, int, int, int], None]  # of a number of dimensions, a budget and a seed
 
 
 class Found(NamedTuple):
     """Results of one search with one seed."""
 
-    way: str
+    approach: str
     seed: int
     best_m: Float[np.ndarray, "n"]  # minimum clearance of the best so far, after each mounting; NaN: none yet
     complete: Float[np.ndarray, "n"]  # number of complete mountings so far
 
 
-def grid(judged: Judge, d: int, budget: int, seed: int) -> None:
+def grid(scores: Judge, d: int, budget: int, seed: int) -> None:
     """Evaluate a grid with as many points per axis as the budget allows, at the centres of equal parts.
 
     The first axes have one more.
@@ -52,29 +52,29 @@ def grid(judged: Judge, d: int, budget: int, seed: int) -> None:
         if np.prod(counts) // counts[k] * (counts[k] + 1) <= budget:
             counts[k] += 1
     parts = np.meshgrid(*((np.arange(n) + 0.5) / n for n in counts), indexing="ij")
-    judged(np.stack([part.ravel() for part in parts], axis=1))
+    scores(np.stack([part.ravel() for part in parts], axis=1))
 
 
-def draws(judged: Judge, d: int, budget: int, seed: int) -> None:
+def draws(scores: Judge, d: int, budget: int, seed: int) -> None:
     """Evaluate uniform, independent random mountings."""
-    judged(np.random.default_rng([seed, 2]).random((budget, d)))
+    scores(np.random.default_rng([seed, 2]).random((budget, d)))
 
 
-def search(judged: Judge, d: int, budget: int, seed: int) -> None:
+def search(scores: Judge, d: int, budget: int, seed: int) -> None:
     """Search as `htcp place` does: evenly, and then near the best."""
     rounds = int((1 - EVEN) * budget) // (FROM * POPULATION)
-    evolution = Evolution(judged(even(d, 0, budget - rounds * FROM * POPULATION, seed)), 1, seed)
+    evolution = Evolution(scores(even(d, 0, budget - rounds * FROM * POPULATION, seed)), 1, seed)
     for _ in range(rounds):
-        evolution.tell(judged(evolution.ask()))
+        evolution.tell(scores(evolution.ask()))
 
 
-def differential(judged: Judge, d: int, budget: int, seed: int) -> None:
+def differential(scores: Judge, d: int, budget: int, seed: int) -> None:
     """Search by SciPy's differential evolution with its defaults, by generations, with the same score."""
     parents = max(5, min(15 * d, budget // 4))
-    known: list[Known] = []
+    known: list[SearchResults] = []
 
     def energies(u: Float[np.ndarray, "d n"]) -> Float[np.ndarray, "n"]:
-        known.append(judged(u.T))
+        known.append(scores(u.T))
         return _fixed_score(known[-1])
 
     first = even(d, 0, parents, seed)
@@ -83,12 +83,12 @@ def differential(judged: Judge, d: int, budget: int, seed: int) -> None:
                            updating="deferred", vectorized=True)  # fmt: skip
 
 
-def _fixed_score(known: Known) -> Float[np.ndarray, "n"]:
+def _fixed_score(known: SearchResults) -> Float[np.ndarray, "n"]:
     """Score in the order of `search.score`, which for one mounting is equal in every generation."""
-    return np.where(known.complete, -1.0 - known.spare[:, 0], 1.0 - known.done)
+    return np.where(known.complete, -1.0 - known.objective[:, 0], 1.0 - known.done)
 
 
-WAYS: dict[str, Way] = {
+APPROACHES: dict[str, Way] = {
     "grid": grid,
     "random draws": draws,
     "htcp place": search,
@@ -96,47 +96,49 @@ WAYS: dict[str, Way] = {
 }
 
 
-def run(asked: Search, way: str, seed: int, budget: int, folder: Path, threads: int | None) -> Found:
+def run(requested: Search, approach: str, seed: int, budget: int, folder: Path, threads: int | None) -> Found:
     """Run one search with one seed."""
-    rounds: list[Known] = []
+    rounds: list[SearchResults] = []
 
     def plan(spec: Sweep, method: str, into: Path) -> Run:
         return sweep(spec, [method], into, threads=threads)
 
-    def judged(u: Float[np.ndarray, "n d"]) -> Known:
+    def scores(u: Float[np.ndarray, "n d"]) -> SearchResults:
         u = u[: budget - sum(len(each.u) for each in rounds)]
-        one = judge_raised(asked, plan, asked.ranges.values(u), folder / f"{len(rounds):03d}", folder / "raised")
-        rounds.append(Known(u, one.done.mean(axis=1), one.complete, one.spare))
+        one = evaluate_raised(
+            requested, plan, requested.ranges.values(u), folder / f"{len(rounds):03d}", folder / "raised"
+        )
+        rounds.append(SearchResults(u, one.done.mean(axis=1), one.complete, one.objective))
         return rounds[-1]
 
-    WAYS[way](judged, len(asked.ranges.axes), budget, seed)
-    spare = np.concatenate([each.spare[:, 0] for each in rounds])
-    best = np.maximum.accumulate(spare)
+    APPROACHES[approach](scores, len(requested.ranges.axes), budget, seed)
+    objective = np.concatenate([each.objective[:, 0] for each in rounds])
+    best = np.maximum.accumulate(objective)
     complete = np.cumsum(np.concatenate([each.complete for each in rounds]))
-    return Found(way, seed, np.where(np.isfinite(best), best, np.nan), complete)
+    return Found(approach, seed, np.where(np.isfinite(best), best, np.nan), complete)
 
 
-def results(asked: Search, seeds: int, budget: int, out: Path, threads: int | None) -> Iterator[Found]:
+def results(requested: Search, seeds: int, budget: int, out: Path, threads: int | None) -> Iterator[Found]:
     """Run every search with every seed."""
-    for way in WAYS:
-        one = partial(run, asked, way, budget=budget, threads=threads)
-        for seed in range(1 if way == "grid" else seeds):
-            yield one(seed=seed, folder=out / way.replace(" ", "-") / f"{budget}-{seed}")
+    for approach in APPROACHES:
+        one = partial(run, requested, approach, budget=budget, threads=threads)
+        for seed in range(1 if approach == "grid" else seeds):
+            yield one(seed=seed, folder=out / approach.replace(" ", "-") / f"{budget}-{seed}")
 
 
 def draw(found: list[Found]):
     """Draw complete mountings and best clearance over the budget, one line per seed."""
-    figure = new_figure(3.8, "Mountings found on the same budget", "a line a seed; judged by the same quick planner")
+    figure = new_figure(3.8, "Mountings found on the same budget", "a line a seed; evaluated by the same quick planner")
     left, right = figure.subplots(1, 2)
-    for k, way in enumerate(WAYS):
-        for number, each in enumerate(one for one in found if one.way == way):
-            how = {"color": f"C{k}", "linewidth": 1.2, "label": None if number else way}
+    for k, approach in enumerate(APPROACHES):
+        for number, each in enumerate(one for one in found if one.approach == approach):
+            how = {"color": f"C{k}", "linewidth": 1.2, "label": None if number else approach}
             left.plot(np.arange(1, len(each.complete) + 1), each.complete, **how)
             right.plot(np.arange(1, len(each.best_m) + 1), 1e3 * each.best_m, **how)
     left.set_ylabel("mountings that do the whole work")
     right.set_ylabel("best clearance at the targets [mm]")
     for axes in (left, right):
-        axes.set_xlabel("mountings judged")
+        axes.set_xlabel("mountings evaluated")
     left.legend(frameon=False)
     return figure
 
@@ -145,30 +147,34 @@ def main() -> None:
     """Search, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path, nargs="?", default=Path("configs/place/duct.yaml"), metavar="PLACE.yaml")
-    parser.add_argument("--scenarios", type=int, default=2000, help="Mountings that each way may judge by each seed.")
+    parser.add_argument(
+        "--scenarios", type=int, default=2000, help="Mountings that each way may evaluate by each seed."
+    )
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--threads", type=int)
     parser.add_argument("--out", type=Path, default=Path("out/mountings"))
-    asked = parser.parse_args()
+    requested = parser.parse_args()
     compile_cache.enable()
     print(hardware.line())
     found = []
-    spec = load_search(asked.file, changes={"spare": "clearance"})
-    for each in results(spec, asked.seeds, asked.scenarios, asked.out, asked.threads):
+    spec = load_search(requested.file, changes={"objective": "clearance"})
+    for each in results(spec, requested.seeds, requested.scenarios, requested.out, requested.threads):
         found.append(each)
-        print(f"{each.way}, seed {each.seed}: {each.complete[-1]:,} of {len(each.complete):,} complete, best "
+        print(f"{each.approach}, seed {each.seed}: {each.complete[-1]:,} of {len(each.complete):,} complete, best "
               f"{1e3 * each.best_m[-1]:.2f} mm", flush=True)  # fmt: skip
-    with (asked.out / "mountings.csv").open("w", newline="") as file:
+    with (requested.out / "mountings.csv").open("w", newline="") as file:
         rows = csv.writer(file)
-        rows.writerow(["way", "seed", "judged", "complete", "best_mm"])
-        rows.writerows([e.way, e.seed, len(e.complete), e.complete[-1], f"{1e3 * e.best_m[-1]:.3f}"] for e in found)
-    draw(found).savefig(asked.out / "mountings.png", dpi=150)
+        rows.writerow(["approach", "seed", "judged", "complete", "best_mm"])
+        rows.writerows(
+            [e.approach, e.seed, len(e.complete), e.complete[-1], f"{1e3 * e.best_m[-1]:.3f}"] for e in found
+        )
+    draw(found).savefig(requested.out / "mountings.png", dpi=150)
     print("\n| | complete, by seed | best clearance, by seed [mm] |\n|---|---|---|")
-    for way in WAYS:
-        own = [each for each in found if each.way == way]
+    for approach in APPROACHES:
+        own = [each for each in found if each.approach == approach]
         counts, best = (", ".join(words) for words in zip(
             *((f"{each.complete[-1]:,}", f"{1e3 * each.best_m[-1]:.1f}") for each in own), strict=True))  # fmt: skip
-        print(f"| {way} | {counts} | {best} |")
+        print(f"| {approach} | {counts} | {best} |")
 
 
 if __name__ == "__main__":

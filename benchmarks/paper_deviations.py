@@ -22,20 +22,20 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 from htcp_jax.clearance import Scene, own_scene
-from htcp_jax.device import Kernels, compile_cache
-from htcp_jax.device.kernel import WALKED, Kernel
-from htcp_jax.device.programs import PROGRAMS
+from htcp_jax.device import Executor, compile_cache
+from htcp_jax.device.executor import EXECUTABLES
+from htcp_jax.device.lane_function import DEEP_LOOP, LaneFunction
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.kinematics import point_jacobians, tcp_position
-from htcp_jax.motion import CollisionChecker, Plans, Problem, kernels
-from htcp_jax.motion.kernels import MEASURED as READS_OF_MEASURED
-from htcp_jax.motion.kernels import measured
+from htcp_jax.motion import CollisionChecker, Plans, Problem, step_functions
+from htcp_jax.motion.step_functions import MEASURED as READS_OF_MEASURED
+from htcp_jax.motion.step_functions import measured
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.tracking import StepQPs
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.null_space import READS, anchor, null_space_step, sphere_problem, stuck_at
-from htcp_jax.planning.tracking.stages import NullSpace, Walked, walk_null_space
+from htcp_jax.planning.tracking.stages import NullSpace, NullSpaceState, take_null_space_steps
 from htcp_jax.solvers import cma_es, sphere
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -100,19 +100,21 @@ def table(head: tuple[str, ...], rows) -> None:
 
 def readings(runs: Runs) -> None:
     """Weights, the cost's centre and the step after a recovery, all six methods."""
-    after_escape = "accept", "track"
-    cases = [(q, about, after) for q in (EQUAL, PORT) for about in ("previous", "reference") for after in after_escape]
+    after_recovery = "accept", "track"
+    cases = [
+        (q, about, after) for q in (EQUAL, PORT) for about in ("previous", "reference") for after in after_recovery
+    ]
 
     def row(q, about, after):
         def one(method):
             if after == "track" and method not in OPTIMISERS:
                 return "as above"  # no method without a null-space stage reads it
-            return runs.success(method, q, f"settings.cost_about={about}", f"settings.after_escape={after}")
+            return runs.success(method, q, f"settings.cost_about={about}", f"settings.after_recovery={after}")
 
         return "equal" if q == EQUAL else "port", about, after, *map(one, SIX)
 
     paper = (" / ".join(f"{PAPER[sweep][0][m]:.2f}" for sweep in SWEEPS) for m in range(6))
-    head = "Q", "cost about", "after escape", *SIX
+    head = "Q", "cost about", "after recovery", *SIX
     table(head, chain([("paper", "", "", *paper)], (row(*case) for case in cases)))
 
 
@@ -163,9 +165,9 @@ def cmaes(runs: Runs) -> None:
 def starts(runs: Runs) -> None:
     """Joints that vary, and the start's configuration."""
     joints = tuple((f"start_rad.{joint}:", f"start_rad.{joint - 1}:") for joint in (3, 4, 5))
-    posture = (("0.5, -2.0]", "0.5, 0.0]"),)
-    cases = [("joints 3, 4, 5", ()), ("joints 2, 3, 4", joints), ("joint 6 at 0", posture)]
-    cases.append(("joints 2, 3, 4, joint 6 at 0", joints + posture))
+    configuration = (("0.5, -2.0]", "0.5, 0.0]"),)
+    cases = [("joints 3, 4, 5", ()), ("joints 2, 3, 4", joints), ("joint 6 at 0", configuration)]
+    cases.append(("joints 2, 3, 4, joint 6 at 0", joints + configuration))
     rows = ((name, *(runs.success(m, sweeps=("robot",), edit=edit) for m in SIX)) for name, edit in cases)
     table(("starts", *SIX), rows)
     rows = ((name, *(runs.success(m, sweeps=("workpiece",), edit=e) for m in SIX)) for name, e in cases[::2])
@@ -183,7 +185,7 @@ def null_space(runs: Runs) -> None:
     """Settings of the null-space loop, for its three minimisers and Adam."""
     cases = ["max_null_space_steps=20", "max_null_space_steps=10", "max_null_space_steps=5", "max_null_space_steps=2"]
     cases += [
-        "path_check=escapes",
+        "path_check=recoveries",
         "include_proximal_bodies=false",
         "alpha_rad=0.02",
         "alpha_rad=0.05",
@@ -200,7 +202,7 @@ def null_space(runs: Runs) -> None:
 @contextmanager
 def jacobian_point(height_m: float) -> Iterator[None]:
     """Use the Jacobian of a point at this height above the TCP in the step QPs."""
-    own = kernels.linearise
+    own = step_functions.linearise
 
     def linearise(robot, obstacles, where, x, task, smallest=False):
         found = own(robot, obstacles, where, x, task, smallest)
@@ -208,13 +210,15 @@ def jacobian_point(height_m: float) -> Iterator[None]:
         wrong = point_jacobians(robot, x, point[None], (len(robot.slides) - 1,))[0]
         return found._replace(task=found.task._replace(jacobian=wrong))
 
-    PROGRAMS.clear()
-    with mock.patch.object(kernels, "linearise", linearise):
+    EXECUTABLES.clear()
+    with mock.patch.object(step_functions, "linearise", linearise):
         yield
-    PROGRAMS.clear()
+    EXECUTABLES.clear()
 
 
-def walk_best(minimise, index, settings, scene, lane, x_previous, x_ref, walked, most) -> Walked:
+def best_null_space_steps(
+    minimise, index, settings, scene, lane, x_previous, x_ref, null_space_steps, most
+) -> NullSpaceState:
     """Return the clearest valid configuration of a null-space loop that takes six steps at least, or the last one."""
     stuck = stuck_at(lane, x_previous, index)
 
@@ -234,17 +238,17 @@ def walk_best(minimise, index, settings, scene, lane, x_previous, x_ref, walked,
 
     first = measured(settings, scene, lane, x_ref)
     _, best, _ = jax.lax.while_loop(going, step, (x_ref, first, jnp.zeros((), jnp.int32)))
-    return Walked(best, jnp.full((), settings.max_null_space_steps, jnp.int32))
+    return NullSpaceState(best, jnp.full((), settings.max_null_space_steps, jnp.int32))
 
 
 @dataclass(frozen=True)
 class BestOfLoop(NullSpace):
-    """Null-space stage by `walk_best`."""
+    """Null-space stage by `best_null_space_steps`."""
 
-    def kernel(self, index: int) -> Kernel:
+    def lane_function(self, index: int) -> LaneFunction:
         """Return the complete loop, as stage `index` of a method."""
         reads = *READS, *READS_OF_MEASURED, "max_null_space_steps"
-        return Kernel(f"best {index}", walk_best, WALKED, reads, (self.minimise, index))
+        return LaneFunction(f"best {index}", best_null_space_steps, DEEP_LOOP, reads, (self.minimise, index))
 
 
 def jacobian(runs: Runs) -> None:
@@ -257,7 +261,7 @@ def jacobian(runs: Runs) -> None:
         overrides = q, f"settings.cost_about={about}"
         with jacobian_point(height), port_loop() as method:
             if of_port:
-                overrides = *overrides, "settings.max_null_space_steps=10", "settings.path_check=escapes"
+                overrides = *overrides, "settings.max_null_space_steps=10", "settings.path_check=recoveries"
             methods = ("", "", "", method, "", "") if of_port else SIX
             found = [four(runs.plans(sweep, m, *overrides)) if m else "" for m in methods]
         return f"{height:g}", "equal" if q == EQUAL else "port", about, "port" if of_port else "paper", *found
@@ -304,7 +308,7 @@ def definitions(plans: Plans, clearances: np.ndarray, residuals: np.ndarray) -> 
     last = np.maximum(tracked.sum(axis=1) - 1, 0)
     D = np.where(tracked, 1e3 * plans.clearance, np.nan)
     off = np.where(tracked, 1e3 * plans.residual, np.nan)
-    escaped = plans.escape > 0
+    recovered = plans.recovery > 0
     return {
         "D, mean over tracked targets": np.nanmean(D),
         "D, median over tracked targets": np.nanmedian(D),
@@ -315,12 +319,12 @@ def definitions(plans: Plans, clearances: np.ndarray, residuals: np.ndarray) -> 
         "D, minimum": np.nanmin(D),
         "D, largest of the scenarios' minima": np.nanmax(np.nanmin(D, axis=1)),
         "D, mean over QP iterates": clearances.mean(),
-        "D, mean over targets tracked after an escape": D[escaped].mean() if escaped.any() else np.nan,
+        "D, mean over targets tracked after a recovery": D[recovered].mean() if recovered.any() else np.nan,
         "TCP, mean over tracked targets": np.nanmean(off),
         "TCP, median over tracked targets": np.nanmedian(off),
         "TCP, mean over scenarios of the maximum": np.nanmean(np.nanmax(off, axis=1)),
         "TCP, mean at the last tracked target": np.nanmean(off[rows, last]),
-        "TCP, mean over targets tracked after an escape": off[escaped].mean() if escaped.any() else np.nan,
+        "TCP, mean over targets tracked after a recovery": off[recovered].mean() if recovered.any() else np.nan,
         "TCP, mean over QP iterates below 1 mm": residuals[residuals < 1].mean(),
     }
 
@@ -378,28 +382,28 @@ def moved(scene, settings, lane, x_ref, w):
     return measured(settings, scene, lane, anchor(scene, settings, lane, x, lane.target).x)
 
 
-class HostKernels(Kernels):
+class HostExecutor(Executor):
     """Compiled functions, with null-space steps minimised on the host."""
 
     def __init__(self, direction: Callable, *of):
         super().__init__(*of)
         self._direction = direction
 
-    def __call__(self, kernel, *tables):
-        if kernel.function is not walk_null_space:
-            return super().__call__(kernel, *tables)
-        found = [self._walk(*jax.tree.map(lambda t, i=i: t[i], tables)) for i in range(len(tables[-1]))]
+    def __call__(self, lane_function, *tables):
+        if lane_function.function is not take_null_space_steps:
+            return super().__call__(lane_function, *tables)
+        found = [self._move_in_null_space(*jax.tree.map(lambda t, i=i: t[i], tables)) for i in range(len(tables[-1]))]
         return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
 
-    def _walk(self, lane, x_previous, x, walked, most) -> Walked:
+    def _move_in_null_space(self, lane, x_previous, x, null_space_steps, most) -> NullSpaceState:
         scene = own_scene(self._scene, lane.tool_extension_m)
         while True:
             problem = scene, self._settings, lane, x
-            walked = walked + 1
-            now = jax.tree.map(np.asarray, moved(*problem, self._direction(problem, int(walked))))
+            null_space_steps = null_space_steps + 1
+            now = jax.tree.map(np.asarray, moved(*problem, self._direction(problem, int(null_space_steps))))
             x = now.x
-            if walked >= most or self.task.counts(now.clearance, now.residual, lane.margin_m):
-                return Walked(now, np.int32(walked))
+            if null_space_steps >= most or self.task.counts(now.clearance, now.residual, lane.margin_m):
+                return NullSpaceState(now, np.int32(null_space_steps))
 
 
 @dataclass(frozen=True)
@@ -412,11 +416,11 @@ class OnHost(registry.Method):
     title = description = "null-space steps on the host"
 
     def plan(self, problem: Problem) -> Plans:
-        """Plan with `HostKernels`."""
+        """Plan with `HostExecutor`."""
         own = replace(problem, threads=1)
         scene = Scene(problem.robot, problem.obstacles, problem.task)
-        kernels = HostKernels(self.direction, scene, problem.settings, problem.devices[0])
-        vars(own)["checkers"] = (CollisionChecker(kernels, problem.settings),)
+        executor = HostExecutor(self.direction, scene, problem.settings, problem.devices[0])
+        vars(own)["checkers"] = (CollisionChecker(executor, problem.settings),)
         return StepQPs(self.name, self.title, self.description, stages=(NullSpace(lambda *_: None),)).plan(own)
 
 

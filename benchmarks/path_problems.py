@@ -150,13 +150,13 @@ def read_chain(urdf: Path, base: str, tip: str, links: tuple[str, ...], moving: 
     into = {found.child: found for each in ElementTree.parse(urdf).getroot().iter("joint") if (found := _joint(each))}
     chain: list[Joint] = []
     for link in (tip, *links):
-        way = []
+        segment_status = []
         while link != base:
-            way.insert(0, into[link])
+            segment_status.insert(0, into[link])
             link = into[link].parent
-        chain += [joint for joint in way if joint not in chain]
-    asked = [joint.name for joint in chain if joint.moves] if moving is None else moving
-    on_way = [joint._replace(moves=joint.name in asked) for joint in chain]
+        chain += [joint for joint in segment_status if joint not in chain]
+    requested = [joint.name for joint in chain if joint.moves] if moving is None else moving
+    on_way = [joint._replace(moves=joint.name in requested) for joint in chain]
     return Arm(tuple(on_way), base, tip, {}, frozenset())
 
 

@@ -8,7 +8,8 @@ planned three times: to compile, without smoothing for the time to the first val
 results are checked by the published rules alone (`path_check`).
 
 Planning uses default settings and one thread per core. --runs N plans every problem N more times with other seeds, and
-with --effort times the settings front, thin_front and walks; the table has the length relative to the shortest of them.
+with --effort times the settings front, min_beam_width and self-motions; the table has the length relative to the
+shortest of them.
 """
 
 import argparse
@@ -122,7 +123,7 @@ def _hinges(problem: PathProblem) -> np.ndarray:
 
 
 def _more(effort: int) -> dict[str, int]:
-    return {name: effort * getattr(DEFAULTS, name) for name in ("front", "thin_front", "walks")}
+    return {name: effort * getattr(DEFAULTS, name) for name in ("beam_width", "min_beam_width", "self_motions")}
 
 
 def unreachable(problem: PathProblem) -> str:
@@ -139,19 +140,22 @@ def main() -> None:
     parser.add_argument("--problems", help="by their names, with commas; by default all of them")
     parser.add_argument("--runs", type=int, default=0, help="more of them by other seeds")
     parser.add_argument("--effort", type=int, default=10, help="of these runs, times the settings' defaults")
-    asked = parser.parse_args()
-    known = problems(asked.data)
-    names = known if asked.problems is None else asked.problems.split(",")
+    requested = parser.parse_args()
+    known = problems(requested.data)
+    names = known if requested.problems is None else requested.problems.split(",")
     if unknown := set(names) - set(known):
         parser.error(f"{', '.join(sorted(unknown))}: no problem; valid: {', '.join(known)}")
     compile_cache.enable()
     print(hardware.line())
     print(ROW.format(*HEAD), flush=True)
     for name in names:
-        problem = read_problem(asked.data, name)
-        print(line := row(problem, asked.effort, asked.runs), flush=True)
+        problem = read_problem(requested.data, name)
+        print(line := row(problem, requested.effort, requested.runs), flush=True)
         if line.split()[2].isdecimal():
-            print(f"  without any posture, by inverse kinematics alone: waypoints {unreachable(problem)}", flush=True)
+            print(
+                f"  without any configuration, by inverse kinematics alone: waypoints {unreachable(problem)}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

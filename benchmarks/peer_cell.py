@@ -10,14 +10,14 @@ import jax
 import numpy as np
 
 from htcp_jax.clearance import Scene, clearance
-from htcp_jax.device.kernel import DEEP, Kernel
+from htcp_jax.device.lane_function import DEEP, LaneFunction
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import tcp_position
 from htcp_jax.motion import Plans, Problem
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.motion_check import tubes
 from htcp_jax.settings import Settings
-from htcp_jax.status import Status, Way
+from htcp_jax.status import SegmentStatus, Status
 
 
 class Brought(NamedTuple):
@@ -41,7 +41,7 @@ def bring(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Brought:
     return Brought(x, D, task.off(robot, x, lane.target), tcp_position(robot, x))
 
 
-BRING = Kernel("bring", bring, DEEP)
+BRING = LaneFunction("bring", bring, DEEP)
 
 
 class Cell:
@@ -59,7 +59,7 @@ class Cell:
 
     def bring(self, x: np.ndarray, target: int) -> Brought:
         """Move configurations (n, N), n >= 1, to a target; not all converge, and some collide."""
-        return Brought(*self.problem.checkers[0].kernels(BRING, self._lanes(np.full(len(x), target)), x))
+        return Brought(*self.problem.checkers[0].executor(BRING, self._lanes(np.full(len(x), target)), x))
 
     def counts(self, here: Brought) -> np.ndarray:
         """Mask of those that are on their target and keep the margin."""
@@ -77,7 +77,7 @@ class Cell:
         """
         target, turns = np.full(len(a), target), np.broadcast_to(turns, len(a))
         tube = tubes(self.problem, np.full(len(a), self.scenario), target, turns)
-        return self.problem.checkers[0].edges(self._lanes(target), a, b, tube).verdict == Way.PROVEN
+        return self.problem.checkers[0].edges(self._lanes(target), a, b, tube).verdict == SegmentStatus.VALID
 
     def uniform(self, draw: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations within the joint limits."""

@@ -38,7 +38,7 @@ class LadderGraph(Method):
 
     name: str = "descartes-ladder"
     title: str = "Descartes' ladder graph"
-    description: str = "the shortest path through clear postures at every target"
+    description: str = "the shortest path through clear configurations at every target"
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios, one after the other."""
@@ -52,7 +52,7 @@ class LadderGraph(Method):
                 cell.record(plans, target, x, here)
                 x = here.x
             if len(rungs) < cell.count:
-                plans.status[scenario, len(rungs)] = Status.ESCAPE_EXHAUSTED
+                plans.status[scenario, len(rungs)] = Status.RECOVERY_EXHAUSTED
         return plans
 
 
@@ -159,18 +159,18 @@ class _Profile(descartes.DescartesMoveProfileD):
         x = [rung.x for rung in rungs]
         self._samplers = [_Sampler(rung) for rung in x]
         self._evaluators = [_Evaluator(*pair) for pair in zip(x[:-1], x[1:], edges, strict=True)]
-        self._asked = {"sampler": 0, "evaluator": 0}
+        self._requested = {"sampler": 0, "evaluator": 0}
         self._anything = _Anything()
 
     def createWaypointSampler(self, move, manipulator, scene):
         """Return the sampler of the next rung."""
-        self._asked["sampler"] += 1
-        return self._samplers[self._asked["sampler"] - 1]
+        self._requested["sampler"] += 1
+        return self._samplers[self._requested["sampler"] - 1]
 
     def createEdgeEvaluator(self, move, manipulator, scene):
         """Return the evaluator of the next pair of rungs."""
-        self._asked["evaluator"] += 1
-        return self._evaluators[self._asked["evaluator"] - 1]
+        self._requested["evaluator"] += 1
+        return self._evaluators[self._requested["evaluator"] - 1]
 
     def createStateEvaluator(self, move, manipulator, scene):
         """Return the evaluator of states."""
@@ -200,7 +200,7 @@ def _shortest(rungs: list[Brought], edges: list[Edges]) -> list[int]:
     found = descartes.DescartesMotionPlannerD(name).solve(request)
     if not found.successful:
         raise RuntimeError(f"Descartes: {found.message}")
-    postures = [
+    configurations = [
         np.ravel(
             language.WaypointPoly_as_StateWaypointPoly(
                 language.InstructionPoly_as_MoveInstructionPoly(move).getWaypoint()
@@ -208,7 +208,7 @@ def _shortest(rungs: list[Brought], edges: list[Edges]) -> list[int]:
         )
         for move in found.results
     ]
-    return [int(np.flatnonzero((rung.x == x).all(axis=1))[0]) for rung, x in zip(rungs, postures, strict=True)]
+    return [int(np.flatnonzero((rung.x == x).all(axis=1))[0]) for rung, x in zip(rungs, configurations, strict=True)]
 
 
 def _arm(joints: int):

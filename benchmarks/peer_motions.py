@@ -18,10 +18,10 @@ from htcp_jax.jobs.grid import Batch
 from htcp_jax.motion import Plans
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import plan
-from htcp_jax.status import Way
+from htcp_jax.status import SegmentStatus
 
 ROW = "{:18} {:>10} {:>6} {:>8} {:>8} {:>9}  {}"
-HEAD = ROW.format("planner", "executable", "%", "tracked", "cpu s", "compile s", "by pose; ways that end a motion")
+HEAD = ROW.format("planner", "executable", "%", "tracked", "cpu s", "compile s", "by pose; segments that end a motion")
 PEERS = {  # module, class, and message if it cannot be imported
     "ompl-projected": ("benchmarks.peer_ompl", "ProjectedRRTConnect", "ompl is missing: pip install -e '.[peers]'"),
     "descartes-ladder": (
@@ -30,7 +30,7 @@ PEERS = {  # module, class, and message if it cannot be imported
         "tesseract-robotics-nanobind is missing: pip install -e '.[descartes]', in an environment without peers",
     ),
 }
-OWN = "nspace-sqp", "hybrid", "roadmap"
+OWN = "nspace-sqp", "hybrid", "beam"
 NAMES = (*OWN, *PEERS)
 
 
@@ -56,10 +56,20 @@ def rows(batch: Batch, names: list[str], limit_s: float):
             yield ROW.format(name, *["--"] * 5, PEERS[name][2])
             continue
         ends = judged.plans.outcomes
-        good, refuted = int(ends.executable.sum()), [Way(way).name for way in ends.way if way != Way.PROVEN]
+        good, refuted = (
+            int(ends.executable.sum()),
+            [
+                SegmentStatus(segment_status).name
+                for segment_status in ends.segment_status
+                if segment_status != SegmentStatus.VALID
+            ],
+        )
         by_pose = " ".join(str(count) for count in ends.executable.tolist())
         share, tracked = f"{100 * good / targets:.1f}", int(ends.tracked.sum())
-        note = f"{by_pose}; {', '.join(f'{refuted.count(way)} {way}' for way in sorted(set(refuted))) or 'none'}"
+        note = (
+            f"{by_pose}; "
+            f"{', '.join(f'{refuted.count(way)} {way}' for segment_status in sorted(set(refuted))) or 'none'}"
+        )
         yield ROW.format(name, good, share, tracked, f"{judged.cpu_s:.1f}", f"{judged.compile_s:.1f}", note)
 
 

@@ -22,7 +22,7 @@ from ompl import base, geometric, util
 from benchmarks.peer_cell import Brought, Cell
 from htcp_jax.clearance import clearance
 from htcp_jax.model.robot import GP50
-from htcp_jax.motion import Knots, Plans, Problem
+from htcp_jax.motion import Plans, Problem, ViaPoints
 from htcp_jax.planning import Method
 from htcp_jax.status import Status
 
@@ -67,16 +67,16 @@ class ProjectedRRTConnect(Method):
     limit_s: float  # for a scenario
     name: str = "ompl-projected"
     title: str = "OMPL, projected RRT-Connect"
-    description: str = "changes posture at targets by OMPL's constrained planning"
+    description: str = "changes configuration at targets by OMPL's constrained planning"
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios, one after the other."""
         util.setLogLevel(util.LogLevel.LOG_NONE)
         util.RNG.setSeed(problem.settings.seed + 1)
-        plans, ways = problem.empty_plans(), []
+        plans, segments = problem.empty_plans(), []
         for scenario in problem.to_plan.tolist():
-            ways += _Search(Cell(problem, scenario), self.limit_s).run(plans)
-        return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))
+            segments += _Search(Cell(problem, scenario), self.limit_s).run(plans)
+        return plans._replace(via_points=ViaPoints.of(segments, plans.x.shape[2]))
 
 
 class _Search:
@@ -90,17 +90,17 @@ class _Search:
 
     def run(self, plans: Plans) -> list[tuple[int, int, np.ndarray]]:
         """Plan, target by target, and return the via points of the segments."""
-        cell, x, ways = self._cell, self._cell.start, []
+        cell, x, segments = self._cell, self._cell.start, []
         for target in range(cell.count):
-            knots, here = self._way(target, x)
+            via_points, here = self._way(target, x)
             if here is None:
-                plans.status[cell.scenario, target] = Status.ESCAPE_EXHAUSTED
+                plans.status[cell.scenario, target] = Status.RECOVERY_EXHAUSTED
                 break
             cell.record(plans, target, x, here)
-            if len(knots):
-                ways.append((cell.scenario, target, knots))
+            if len(via_points):
+                segments.append((cell.scenario, target, via_points))
             x = here.x
-        return ways
+        return segments
 
     def _way(self, target: int, x: np.ndarray) -> tuple[np.ndarray, Brought | None]:
         """Find via points to a target and the configuration there; None if the time is over."""
@@ -115,13 +115,13 @@ class _Search:
             if not len(before):
                 continue
             order = np.lexsort((np.linalg.norm(before - x, axis=1), -self._ahead(target, after)))
-            knots = self._turned(target, x, before[order])
-            if knots is None:
+            via_points = self._turned(target, x, before[order])
+            if via_points is None:
                 continue
-            goal = int(np.argmin(np.linalg.norm(before - knots[-1], axis=1)))
-            way = np.concatenate([x[None], knots[:-1], before[goal : goal + 1]])
-            if self._cell.proven(way[:-1], way[1:], target, True).all():
-                return way[1:], after.of(goal)
+            goal = int(np.argmin(np.linalg.norm(before - via_points[-1], axis=1)))
+            segment_status = np.concatenate([x[None], via_points[:-1], before[goal : goal + 1]])
+            if self._cell.proven(segment_status[:-1], segment_status[1:], target, True).all():
+                return segment_status[1:], after.of(goal)
         return none, None
 
     def _goals(self, target: int, x: np.ndarray) -> tuple[np.ndarray, Brought]:
@@ -166,8 +166,8 @@ class _Search:
             information = base.ConstrainedSpaceInformation(space)
             space.setDelta(DELTA_RAD)
 
-        def state(posture: np.ndarray):
-            made, onto = information.allocState(), posture.copy()
+        def state(configuration: np.ndarray):
+            made, onto = information.allocState(), configuration.copy()
             if constraint is not None:
                 constraint.project(onto)
                 made.copy(onto.tolist())
@@ -177,14 +177,14 @@ class _Search:
             return made
 
         def valid(state) -> bool:
-            posture = np.array([state[joint] for joint in range(len(x))])
-            return float(clearance_of(*self._surroundings, posture)) > self._cell.margin
+            configuration = np.array([state[joint] for joint in range(len(x))])
+            return float(clearance_of(*self._surroundings, configuration)) > self._cell.margin
 
         setup, goal = geometric.SimpleSetup(information), base.GoalStates(information)
         setup.setStateValidityChecker(valid)
         setup.setStartState(state(x))
-        for posture in goals:  # OMPL takes them in this order
-            goal.addState(state(posture))
+        for configuration in goals:  # OMPL takes them in this order
+            goal.addState(state(configuration))
         setup.setGoal(goal)
         planner = geometric.RRTConnect(information)
         planner.setRange(RANGE_RAD)

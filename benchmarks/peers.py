@@ -40,7 +40,7 @@ from htcp_jax.model.robot import GP50
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.parameters import of_job
 from htcp_jax.status import Status
-from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.result import ROUNDING_M
 from htcp_jax.validation.scene_rules import targets_of, turned_and_moved
@@ -124,7 +124,7 @@ PLANNERS = {
 }
 
 
-def passed(batch: Batch, arm: Arm, wall: Wall, found: list[np.ndarray]) -> int:
+def passed(batch: Batch, arm: MujocoArm, wall: Wall, found: list[np.ndarray]) -> int:
     """Number of targets passed by MuJoCo, up to the first that is not in each scenario."""
     total = 0
     for point, x in zip(batch.points, found, strict=True):
@@ -132,11 +132,11 @@ def passed(batch: Batch, arm: Arm, wall: Wall, found: list[np.ndarray]) -> int:
         pose = of_job(config)
         rotate, translate = turned_and_moved(part, pose)
         inlet = None if batch.workpiece.inlet is None else rotate @ batch.workpiece.inlet + translate
-        start_tcp = arm.postures(pose.start[None]).tcp[0]
+        start_tcp = arm.arm_poses(pose.start[None]).tcp[0]
         targets = targets_of(config, start_tcp, inlet, batch.workpiece.path @ rotate.T + translate)
         if len(x):
             at = CheckedScene(arm, wall, rotate, translate, part.interior_depth_m).at(x)
-            error = np.linalg.norm(at.postures.tcp - targets[: len(x)], axis=1)
+            error = np.linalg.norm(at.arm_poses.tcp - targets[: len(x)], axis=1)
             inside = ((x >= arm.lower - ROUNDING_M) & (x <= arm.upper + ROUNDING_M)).all(axis=1)
             good = (error <= config.settings.tolerance_m + ROUNDING_M) & (at.clearance > 0) & inside
             total += len(x) if good.all() else int(good.argmin())
@@ -167,24 +167,24 @@ def main() -> None:
     parser.add_argument("--motions", action="store_true", help="by executable targets")
     parser.add_argument("--planners", default=",".join(peer_motions.NAMES), help="of --motions; by default all of them")
     parser.add_argument("--limit-s", type=float, default=30.0, help="of OMPL's processor time for a pose")
-    asked = parser.parse_args()
-    planners = asked.planners.split(",")
+    requested = parser.parse_args()
+    planners = requested.planners.split(",")
     if unknown := set(planners) - set(peer_motions.NAMES):
         parser.error(f"{', '.join(sorted(unknown))}: no planner of --motions; valid: {', '.join(peer_motions.NAMES)}")
-    batch = chosen_scenarios(asked.scenarios, asked.real)
+    batch = chosen_scenarios(requested.scenarios, requested.real)
     targets = int(batch.scenarios.count.sum())
-    packages = MOTION_PACKAGES if asked.motions else PACKAGES
+    packages = MOTION_PACKAGES if requested.motions else PACKAGES
     print(f"{hardware.line()}, {', '.join(map(hardware.version, packages))}")
     points = f"{len(batch.workpiece.cloud):,} points"
-    print(f"{batch.workpiece.name}, {points}; {asked.scenarios} of {POSES} poses, {targets:,} targets")
-    if asked.motions:
+    print(f"{batch.workpiece.name}, {points}; {requested.scenarios} of {POSES} poses, {targets:,} targets")
+    if requested.motions:
         compile_cache.enable()
         parts = [point.config.workpiece for point in batch.points]
         print("turned about y, z [rad]:", ", ".join(f"{p.rotation_y_rad:g} {p.rotation_z_rad:g}" for p in parts))
-        for row in peer_motions.rows(batch, planners, asked.limit_s):
+        for row in peer_motions.rows(batch, planners, requested.limit_s):
             print(row, flush=True)
         return
-    part, arm = batch.points[0].config.workpiece, Arm(GP50, limits=batch.points[0].config.robot.limits)
+    part, arm = batch.points[0].config.workpiece, MujocoArm(GP50, limits=batch.points[0].config.robot.limits)
     wall, tree = Wall(batch.workpiece.cloud, part.interior), cKDTree(batch.workpiece.cloud)
     print(ROW.format("planner", "passed", "%", "attempted", "ms a step", "cpu ms", "setup s", "notes"), flush=True)
     rows = []
@@ -192,7 +192,7 @@ def main() -> None:
         if sys.stderr.isatty():
             print(f"{name} ...", end="\r", file=sys.stderr, flush=True)
         try:
-            outcome = run(batch, [Task(batch, tree, k) for k in range(asked.scenarios)])
+            outcome = run(batch, [Task(batch, tree, k) for k in range(requested.scenarios)])
         except ModuleNotFoundError as error:
             lacking = error.name.partition(".")[0]
             print(ROW.format(name, *"------", f"{lacking} is missing: pip install -e '.[peers]'"), flush=True)
@@ -203,7 +203,7 @@ def main() -> None:
         share, setup = f"{100 * good / targets:.1f}", f"{outcome.setup_s:.1f}"
         print(ROW.format(name, good, share, outcome.attempted, *times, setup, note), flush=True)
         rows.append(Figure(f"{name}, CPU a step", 1e3 * outcome.cpu_s / outcome.attempted, "ms", good))
-    save(asked.json, rows)
+    save(requested.json, rows)
 
 
 if __name__ == "__main__":

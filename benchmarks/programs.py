@@ -1,7 +1,7 @@
 """Robot programs of complete runs: scenarios that hold the feed rate, largest shares of the limits, CPU times.
 
-    htcp sweep sweeps/workpiece.yaml --methods roadmap --out out/workpiece
-    htcp sweep sweeps/robot.yaml --methods roadmap --out out/robot
+    htcp sweep sweeps/workpiece.yaml --methods beam --out out/workpiece
+    htcp sweep sweeps/robot.yaml --methods beam --out out/robot
     python -m benchmarks programs out/workpiece out/robot [--feed 20mm/s] [--checked N] [--json FILE]
 
 The table has one row per run, for the scenarios whose motion leads to the last target: the number that holds the feed
@@ -25,12 +25,12 @@ from benchmarks.figures import Figure, save
 from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.runs import open_plans
-from htcp_jax.trajectory import OfPlan
-from htcp_jax.trajectory.figures import Figures, figures
-from htcp_jax.trajectory.held import with_rows
-from htcp_jax.trajectory.of_plan import program_of
-from htcp_jax.trajectory.program import program
-from htcp_jax.trajectory.stretches import Spare, spare
+from htcp_jax.trajectory import PlanProgram
+from htcp_jax.trajectory.blends import MotionSlack, motion_slack
+from htcp_jax.trajectory.figures import ProgramFigures, program_figures
+from htcp_jax.trajectory.plan_program import program_of
+from htcp_jax.trajectory.program import time_motion
+from htcp_jax.trajectory.task_slack import with_rows
 from htcp_jax.validation import check_timed
 
 HELD, STEP_S = 0.99, 1e-3
@@ -40,12 +40,12 @@ class Found(NamedTuple):
     """Results of one scenario."""
 
     scenario: int
-    figures: Figures
+    figures: ProgramFigures
     largest: float  # share of any limit
     made_ms: float
     written_ms: float
     refuted: int | None  # number of configurations
-    postures: int
+    configurations: int
 
 
 def main() -> None:
@@ -57,7 +57,10 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="the times and counts once more, for a machine")
     chosen = parser.parse_args()
     print(hardware.line())
-    print("| run | executable | hold the feed | largest share of a limit | CPU ms | postures ms | refuted by MuJoCo |")
+    print(
+        "| run | executable | hold the feed | largest share of a limit | CPU ms | configurations ms | "
+        "refuted by MuJoCo |"
+    )
     print("|---|---|---|---|---|---|---|")
     rows = []
     for folder in chosen.folders:
@@ -66,10 +69,10 @@ def main() -> None:
         if found:
             made_ms, written_ms = medians(found)
             rows += [Figure(f"{Path(folder).name}, program", made_ms, "ms", len(found))]
-            rows += [Figure(f"{Path(folder).name}, postures", written_ms, "ms")]
+            rows += [Figure(f"{Path(folder).name}, configurations", written_ms, "ms")]
         for one in found:
             if one.figures.held_share < HELD:
-                reasons = ", ".join(sorted({dip.reason for dip in one.figures.dips}))
+                reasons = ", ".join(sorted({drop.reason for drop in one.figures.drops}))
                 print(f"    scenario {one.scenario}: {100 * one.figures.held_share:.2f} %: {reasons}")
     save(chosen.json, rows)
 
@@ -81,18 +84,20 @@ def of_run(folder: str, feed_m_s: float, checked: int) -> Iterator[Found]:
     driven = [k for k in range(len(plans.status)) if plans.outcome(k).can_be_driven]
     for count, scenario in enumerate(driven):
         made = program_of(opened, feed_m_s, scenario=scenario)
-        left = spare(plans, scenario, made.program.motion, made.job.settings.tube_m)
+        left = motion_slack(plans, scenario, made.program.motion, made.job.settings.tube_m)
         if made.job.task:
             left = with_rows(left, made.job, made.robot, made.program.motion, scene(made.job)[2].aims)
-        _, made_ms = timed(lambda made=made, left=left: program(made.robot, *made_of(made, left)))
-        postures, written_ms = timed(lambda made=made: made.program.timed(STEP_S))
-        refuted = check_timed(folder, postures, made.method, scenario).refuted if count < checked else None
-        found = figures(made.program, made.limits)
-        yield Found(scenario, found, largest(postures.x, made), made_ms, written_ms, refuted, len(postures.x))
+        _, made_ms = timed(lambda made=made, left=left: time_motion(made.robot, *made_of(made, left)))
+        configurations, written_ms = timed(lambda made=made: made.program.timed(STEP_S))
+        refuted = check_timed(folder, configurations, made.method, scenario).refuted if count < checked else None
+        found = program_figures(made.program, made.limits)
+        yield Found(
+            scenario, found, largest(configurations.x, made), made_ms, written_ms, refuted, len(configurations.x)
+        )
 
 
-def made_of(made: OfPlan, left: Spare) -> tuple:
-    """Arguments of `program` after the robot."""
+def made_of(made: PlanProgram, left: MotionSlack) -> tuple:
+    """Arguments of `time_motion` after the robot."""
     return made.program.motion, left, made.limits, made.program.feed_m_s
 
 
@@ -103,7 +108,7 @@ def timed(function: Callable) -> tuple[Any, float]:
     return found, 1e3 * (time.process_time() - begin)
 
 
-def largest(x: Float[np.ndarray, "n N"], made: OfPlan) -> float:
+def largest(x: Float[np.ndarray, "n N"], made: PlanProgram) -> float:
     """Largest share of any limit, by finite differences."""
     rates = (np.diff(x, n=n, axis=0) / STEP_S**n for n in (1, 2, 3))
     return max(float((np.abs(rate) / limit).max()) for rate, limit in zip(rates, made.limits, strict=True))
@@ -122,7 +127,7 @@ def row(folder: str, found: list[Found]) -> str:
     most = max(one.largest for one in found)
     made, written = medians(found)
     looked = [one for one in found if one.refuted is not None]
-    refuted = f"{sum(one.refuted for one in looked)} of {sum(one.postures for one in looked):,}"
+    refuted = f"{sum(one.refuted for one in looked)} of {sum(one.arm_poses for one in looked):,}"
     return f"| {folder} | {len(found)} | {held} | {most:.3f} | {made:.0f} | {written:.0f} | {refuted} |"
 
 

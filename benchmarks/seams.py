@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from htcp_jax.io.duct_seams import SEAMS, seam
 from htcp_jax.model.duct import STATIONS, surface
 from htcp_jax.report.chart_style import INK, new_figure
-from htcp_jax.viewer.sides import View
+from htcp_jax.viewer.viewpoints import View
 
 COLOURS = "#22303c", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#c8102e", "#332288"
 WALL = "#d9cfba"
-NOTE = "On the left from beside, inlet in front; on the right from the inlet, z up. Dots: where a seam begins."
+NOTE = "On the left from the side, inlet in front; on the right from the inlet, z up. Dots: where a seam begins."
 ASIDE_RAD, ABOVE_RAD = np.radians((25.0, 25.0))  # of the side view
 
 

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.figures import COMMITTED, Entry, committed, nearest, record
-from benchmarks.speed_cases import CASES, Asked, Broken, Checkout, lacking
+from benchmarks.speed_cases import CASES, Broken, Checkout, Requested, lacking
 from benchmarks.speed_table import Measured, counts_differ, head, medians, rows, sources
 from htcp_jax.errors import InputError
 from htcp_jax.io.strict_yaml import read_yaml
@@ -46,25 +46,25 @@ FILES = "cloud", "path"  # keys of a workpiece
 def main() -> int:
     """Measure, print, record."""
     try:
-        asked = _arguments()
-        here = Checkout("here", ROOT, part_of(asked.config), tuple(asked.changes))
+        requested = _arguments()
+        here = Checkout("here", ROOT, part_of(requested.config), tuple(requested.changes))
         load_config(overrides=here.overrides)
-        there = _other(asked)
-        return measure(asked, here, there)
+        there = _other(requested)
+        return measure(requested, here, there)
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
 
 
-def measure(asked: argparse.Namespace, here: Checkout, there: Checkout | None) -> int:
+def measure(requested: argparse.Namespace, here: Checkout, there: Checkout | None) -> int:
     """Run all cases one after the other, and print a part of the table for each.
 
     Raises:
         InputError: As `_cases`.
     """
     facts = json.loads(here.python("-m", "benchmarks.hardware"))
-    names, job, machine = _cases(asked, facts["gpus"]), job_of(here.part, asked), facts["machine"]
-    known, now = committed(asked.figures), commit(ROOT)
+    names, job, machine = _cases(requested, facts["gpus"]), job_of(here.part, requested), facts["machine"]
+    known, now = committed(requested.figures), commit(ROOT)
     print(f"{machine}; {facts['versions']}\nhere: {now}")
     if there:
         print(f"there: {commit(there.root)}, {there.root}")
@@ -72,7 +72,7 @@ def measure(asked: argparse.Namespace, here: Checkout, there: Checkout | None) -
     compared, new, notes, wrong = [], [], [], []
     for name in names:
         try:
-            found = _alternately(name, here, None if name == "peers" else there, asked, notes)
+            found = _alternately(name, here, None if name == "peers" else there, requested, notes)
         except Broken as error:
             wrong.append(f"{name} failed here: {error}")
             continue
@@ -82,8 +82,8 @@ def measure(asked: argparse.Namespace, here: Checkout, there: Checkout | None) -
         wrong += counts_differ(name, found)
         kept = tuple(one._replace(value=float(f"{one.value:.4g}")) for one in medians(found.here).values())
         new.append(Entry(name, job, machine, now, facts["versions"], kept))
-    if asked.record:
-        notes.append(_recorded(asked.figures, new, names))
+    if requested.record:
+        notes.append(_recorded(requested.figures, new, names))
     print("", *sources(compared, machine), *notes, *wrong, sep="\n")
     return 1 if wrong else 0
 
@@ -103,16 +103,18 @@ def part_of(file: Path | None) -> dict[str, Any]:
     return part | {key: str(path) for key, path in files.items() if path.is_file()}
 
 
-def job_of(part: dict[str, Any], asked: argparse.Namespace) -> str:
+def job_of(part: dict[str, Any], requested: argparse.Namespace) -> str:
     """Describe the job uniquely, files by their contents."""
-    told = [f"{key}={value}".encode() if key not in FILES else _contents(value) for key, value in sorted(part.items())]
+    reported = [
+        f"{key}={value}".encode() if key not in FILES else _contents(value) for key, value in sorted(part.items())
+    ]
     words = ["generated duct"]
     if part:
-        digest = hashlib.sha256(b"\n".join(told)).hexdigest()
+        digest = hashlib.sha256(b"\n".join(reported)).hexdigest()
         words = [f"{Path(part.get('cloud', 'duct')).name} {digest[:8]}"]
-    words += ["--quick"] * asked.quick + ["--warm"] * asked.warm
-    words += [f"--{key} {value}" for key in ("methods", "device") if (value := getattr(asked, key))]
-    return ", ".join(words + asked.changes)
+    words += ["--quick"] * requested.quick + ["--warm"] * requested.warm
+    words += [f"--{key} {value}" for key in ("methods", "device") if (value := getattr(requested, key))]
+    return ", ".join(words + requested.changes)
 
 
 def _contents(value: str) -> bytes:
@@ -132,14 +134,18 @@ def commit(root: Path) -> str:
     return (git("rev-parse", "--short", "HEAD") or "no commit") + (" and changes" if changed else "")
 
 
-def _alternately(name: str, here: Checkout, there: Checkout | None, asked, notes: list[str]) -> Measured:
+def _alternately(name: str, here: Checkout, there: Checkout | None, requested, notes: list[str]) -> Measured:
     """Run a case alternately here and there.
 
     Raises:
         Broken: If a run fails here.
     """
-    case, how, found = CASES[name].run, Asked(asked.quick, asked.methods, asked.device, asked.warm), Measured([], [])
-    for _ in range(asked.pairs or (3 if there else 1)):
+    case, how, found = (
+        CASES[name].run,
+        Requested(requested.quick, requested.methods, requested.device, requested.warm),
+        Measured([], []),
+    )
+    for _ in range(requested.pairs or (3 if there else 1)):
         found.here.append(case(here, how))
         try:
             found.there.extend([case(there, how)] if there else [])
@@ -180,12 +186,12 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--set", action="append", default=[], dest="changes", metavar="KEY=VALUE", help="in every job")
     parser.add_argument("--record", action="store_true")
     parser.add_argument("--figures", type=Path, default=COMMITTED, metavar="FILE", help="other than the committed ones")
-    asked = parser.parse_args()
-    _refuse("--only", "case", asked.only or [], list(CASES))
-    _refuse("--methods", "method", (asked.methods or "baseline").split(","), registry.names())
-    if asked.pairs is not None and asked.pairs < 1:
-        raise InputError(f"--pairs {asked.pairs}: at least 1")
-    return asked
+    requested = parser.parse_args()
+    _refuse("--only", "case", requested.only or [], list(CASES))
+    _refuse("--methods", "method", (requested.methods or "baseline").split(","), registry.names())
+    if requested.pairs is not None and requested.pairs < 1:
+        raise InputError(f"--pairs {requested.pairs}: at least 1")
+    return requested
 
 
 def _refuse(option: str, kind: str, given: list[str], valid: list[str]) -> None:
@@ -193,34 +199,34 @@ def _refuse(option: str, kind: str, given: list[str], valid: list[str]) -> None:
         raise InputError(f"{option} {unknown[0]}: no {kind}; valid: {', '.join(valid)}")
 
 
-def _other(asked: argparse.Namespace) -> Checkout | None:
+def _other(requested: argparse.Namespace) -> Checkout | None:
     """Return the checkout to compare with; None without one.
 
     Raises:
         InputError: For a folder that is no checkout.
     """
-    if asked.against is None:
+    if requested.against is None:
         return None
-    if lost := [name for name in NEEDED if not (asked.against / name).is_file()]:
-        raise InputError(f"--against {asked.against}: no checkout of this project, it has no {lost[0]}")
-    part = part_of(asked.against_config or asked.config)
-    return Checkout("there", asked.against.resolve(), part, tuple(asked.changes))
+    if lost := [name for name in NEEDED if not (requested.against / name).is_file()]:
+        raise InputError(f"--against {requested.against}: no checkout of this project, it has no {lost[0]}")
+    part = part_of(requested.against_config or requested.config)
+    return Checkout("there", requested.against.resolve(), part, tuple(requested.changes))
 
 
-def _cases(asked: argparse.Namespace, gpus: int) -> list[str]:
+def _cases(requested: argparse.Namespace, gpus: int) -> list[str]:
     """Return the cases to run, and print the reason if peers are excluded.
 
     Raises:
         InputError: For a case on GPUs if there are none.
     """
-    names = list(asked.only or CASES)
+    names = list(requested.only or CASES)
     on_gpus = {name for name in names if CASES[name].gpus and not gpus}
-    if asked.only and on_gpus:
+    if requested.only and on_gpus:
         raise InputError(f"--only {min(on_gpus)}: JAX finds no GPU here")
-    if asked.peers and "peers" not in names:
+    if requested.peers and "peers" not in names:
         names.append("peers")
     lost = lacking() if "peers" in names else []
     if lost:
         print(f"peers lack {', '.join(lost)}: pip install -e '.[peers]'", file=sys.stderr)
-    left_out = {"peers"} if lost and not asked.peers and not asked.only else set()
+    left_out = {"peers"} if lost and not requested.peers and not requested.only else set()
     return [name for name in names if name not in on_gpus | left_out]

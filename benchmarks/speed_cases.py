@@ -35,7 +35,7 @@ class Broken(Exception):
     """Failure of a process; the message is its last line."""
 
 
-class Asked(NamedTuple):
+class Requested(NamedTuple):
     """Options of the command line for every case."""
 
     quick: bool = False
@@ -100,7 +100,7 @@ class Checkout:
         return self.python("-c", f"import sys; from {module} import {function}; sys.exit({function}())", *words, **how)
 
 
-Run = Callable[[Checkout, Asked], list[Figure]]
+Run = Callable[[Checkout, Requested], list[Figure]]
 
 
 def _pin() -> None:
@@ -128,11 +128,11 @@ def of_text(name: str, text: str) -> list[Figure]:
 def tables(*more: str, methods: str = SIX, quick: int = EVERY, gpus: bool = False) -> Run:
     """Case of `benchmarks.tables`: time and tracked targets by method, and the total time."""
 
-    def run(checkout: Checkout, asked: Asked) -> list[Figure]:
-        chosen = asked.methods or (FEW if asked.quick else methods)
-        how_often = [] if asked.warm else ["--once"]
-        every = ["--every", str(quick)] if asked.quick else []
-        device = ["--device", asked.device] if gpus and asked.device else []
+    def run(checkout: Checkout, requested: Requested) -> list[Figure]:
+        chosen = requested.methods or (FEW if requested.quick else methods)
+        how_often = [] if requested.warm else ["--once"]
+        every = ["--every", str(quick)] if requested.quick else []
+        device = ["--device", requested.device] if gpus and requested.device else []
         words = "--methods", chosen, *how_often, *every, *device, *more, *checkout.sets
         found = checkout.benchmark("tables", *words, **({} if gpus else ON_CPU))
         return [*found, Figure("in all", sum(one.value for one in found), "s")]
@@ -145,12 +145,12 @@ def cross(*more: str, methods: str = SIX, gpus: bool = False) -> Run:
     return tables("--sweeps", "cross", *more, methods=methods, quick=EVERY_CROSS, gpus=gpus)
 
 
-def clearance(checkout: Checkout, asked: Asked) -> list[Figure]:
+def clearance(checkout: Checkout, requested: Requested) -> list[Figure]:
     """Measure a clearance query on one core."""
     return checkout.benchmark("clearance", *checkout.sets, one_core=True, **ON_CPU)
 
 
-def first_plan(checkout: Checkout, asked: Asked) -> list[Figure]:
+def first_plan(checkout: Checkout, requested: Requested) -> list[Figure]:
     """Measure a first `htcp plan` by N-space SQP and by the default method: compilation, and the complete command."""
     found = []
     for method in (["--method", "nspace-sqp"], []):
@@ -171,22 +171,22 @@ def _clocks() -> tuple[float, float]:
     return time.perf_counter(), spent.children_user + spent.children_system
 
 
-def programs(checkout: Checkout, asked: Asked) -> list[Figure]:
+def programs(checkout: Checkout, requested: Requested) -> list[Figure]:
     """Measure the CPU time of a program, the median over the starts that N-space SQP completes."""
     if not (checkout.root / "benchmarks/programs.py").is_file():
         raise Broken("this checkout writes no programs")
-    limit = ["--limit", str(LIMIT)] if asked.quick else []
+    limit = ["--limit", str(LIMIT)] if requested.quick else []
     with tempfile.TemporaryDirectory() as folder:
         words = "sweeps/robot.yaml", "--methods", "nspace-sqp", "--out", f"{folder}/robot", *limit, *checkout.sets
         checkout.htcp("sweep", *words, **ON_CPU)
         return checkout.benchmark("programs", f"{folder}/robot", "--checked", "0", **ON_CPU)
 
 
-def peers(checkout: Checkout, asked: Asked) -> list[Figure]:
+def peers(checkout: Checkout, requested: Requested) -> list[Figure]:
     """Compare other planners with two of ours, by targets that MuJoCo confirms."""
     part = [checkout.part.get(key) for key in ("cloud", "path", "inlet_m")]
     real = ["--real", *part[:2], *map(str, part[2])] if all(part) else []
-    scenarios = ["--scenarios", "1"] if asked.quick else []
+    scenarios = ["--scenarios", "1"] if requested.quick else []
     return checkout.benchmark("peers", *scenarios, *real, **ON_CPU)
 
 
@@ -216,6 +216,6 @@ CASES = {
     ),
     "clearance": Case("one exact query, one core", clearance),
     "plan": Case("a first htcp plan, nothing compiled before", first_plan),
-    "programs": Case("CPU time of a program, and of its postures", programs),
+    "programs": Case("CPU time of a program, and of its configurations", programs),
     "peers": Case("other planners on nine poses, CPU time a step", peers),
 }

@@ -57,8 +57,8 @@ def counts_differ(case: str, found: Measured) -> list[str]:
     for name in medians(found.here):
         here, there = ({one.count for run in runs for one in run if one.name == name} for runs in found)
         if len(here | there) > 1:
-            told = f"{_counts(here)} here" + (f", {_counts(there)} there" if there else "")
-            lines.append(f"{case}, {name}: {told}")
+            reported = f"{_counts(here)} here" + (f", {_counts(there)} there" if there else "")
+            lines.append(f"{case}, {name}: {reported}")
     return lines
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
 from htcp_jax.cli.output import claim
-from htcp_jax.device import Kernels, compile_cache
+from htcp_jax.device import Executor, compile_cache
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.summary import summarise
@@ -37,7 +37,7 @@ def main() -> None:
     parser.add_argument("--device")
     parser.add_argument("--processes", type=int, help="as many share the scenarios; by default as many as pay")
     parser.add_argument("--config", type=Path, default=ROOT / "configs/paper.yaml")
-    parser.add_argument("--profile", action="store_true", help="seconds and lanes by kernel")
+    parser.add_argument("--profile", action="store_true", help="seconds and lanes by lane function")
     parser.add_argument("--no-paths", action="store_true", help="leave the joint-path checks out")
     parser.add_argument("--once", action="store_true", help="time the first run, less its compilation")
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
@@ -98,7 +98,7 @@ def _watch() -> dict[str, tuple[float, int, int]]:
 
         return call
 
-    Kernels.__call__ = watched(Kernels.__call__, lambda arguments: arguments[0].name)
+    Executor.__call__ = watched(Executor.__call__, lambda arguments: arguments[0].name)
     ClarabelSolver.solve = watched(ClarabelSolver.solve, lambda arguments: "clarabel")
     return spent
 

@@ -1,7 +1,7 @@
 from . import clearance
 from .api import Plan, methods, plan
 from .clearance.obstacles.linearisation import linearise
-from .clearance.obstacles.obstacle_kind import ObstacleKind, Shape
+from .clearance.obstacles.obstacle_kind import ObstacleKind, ObstacleShape
 from .clearance.obstacles.obstacles import clearances
 from .clearance.obstacles.of_workpiece import make_obstacle
 from .errors import InputError
@@ -33,11 +33,11 @@ __all__ = [
     "Method",
     "NoCloud",
     "ObstacleKind",
+    "ObstacleShape",
     "Plan",
     "Plans",
     "PointCloud",
     "Problem",
-    "Shape",
     "Status",
     "TaskRow",
     "TaskRowKind",

@@ -26,7 +26,7 @@ from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import input_files, plan_folder, provenance, tables
 from htcp_jax.runs import motion_summary as motion_summaries
 from htcp_jax.runs import summary as summaries
-from htcp_jax.viewer import draw_plan, needles
+from htcp_jax.viewer import draw_plan, glyphs
 
 if TYPE_CHECKING:
     import pandas
@@ -82,7 +82,7 @@ class Plan:
             verbose: True appends details on the search, the motion, and what clearance is measured to.
         """
         s = self.summary
-        recovered = f", {s.after_escape} of them by a recovery" if s.after_escape else ""
+        recovered = f", {s.after_recovery} of them by a recovery" if s.after_recovery else ""
         facts = {
             **self.motion_summary.facts(),
             **self._length(),
@@ -154,12 +154,12 @@ class Plan:
         if self.obstruction is not None:
             facts[self.obstruction.heading] = self.obstruction.description
         if end.executable < end.tracked:
-            facts[f"no segment to target {end.executable}"] = end.way.message
+            facts[f"no segment to target {end.executable}"] = end.segment_status.message
         return facts
 
     def frame(self) -> "pandas.DataFrame":
         """Return a table with one row per target; the columns are those of a sweep's `targets` table."""
-        return tables.frame_of(
+        return tables.table_frame(
             tables.target_table(self.job.method, np.zeros(1, int), self.plans, tables.joint_columns(self.robot))
         )
 
@@ -168,7 +168,7 @@ class Plan:
         title = f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets"
         blocked = self.obstruction
         more = {"obstruction": blocked, "fixtures": build.drawn_of(self.job.cell)}
-        more["normals"] = needles(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece))
+        more["normals"] = glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece))
         return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, **more)
 
     def record(self) -> dict[str, Any]:
@@ -179,7 +179,7 @@ class Plan:
         """
         known = {"method": self.job.method, "validated": None, **plan_folder.summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
-        known["in_the_way"] = self.obstruction and self.obstruction.record()
+        known["colliding_body"] = self.obstruction and self.obstruction.record()
         config = self.job.model_dump()
         files = input_files.file_hashes(input_files.anchor_files(config))
         with devices.on(devices.choose(self.device)[0]):
@@ -270,4 +270,4 @@ def methods() -> "pandas.DataFrame":
     """
     known = registry.METHODS.all().items()
     rows = [{"method": name, "title": method.title, "description": method.description} for name, method in known]
-    return tables.frame_of(pa.Table.from_pylist(rows)).set_index("method")
+    return tables.table_frame(pa.Table.from_pylist(rows)).set_index("method")

@@ -1,6 +1,6 @@
 """`Backend`: the kind of device that a function is compiled for; the mathematics choose their variants by it.
 
-`device.programs` binds it around every trace. It is a user context of JAX, which is part of the keys of all caches of
+`device.executor` binds it around every trace. It is a user context of JAX, which is part of the keys of all caches of
 traced and compiled functions, nested ones included: a variant for one device is never used on another. It is read at
 trace time only and costs nothing when a compiled function runs. A function called directly, outside of a plan, is
 compiled for JAX's default device.
@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 import jax
 
-from htcp_jax.gpu_kernel import HAS_KERNEL
+from htcp_jax.pallas import HAS_KERNEL
 
 
 class Backend(NamedTuple):
     """Kind of device that a function is compiled for."""
 
     platform: str  # of JAX: "cpu", "gpu", ...
-    has_kernels: bool = False  # True if it runs the kernels of `gpu_kernel`
+    has_kernels: bool = False  # True if it runs the kernels of `pallas`
 
     @classmethod
     def of(cls, platform: str) -> "Backend":
@@ -36,15 +36,16 @@ _BOUND = jax.make_user_context(None)
 
 def compiled_for(backend: Backend) -> AbstractContextManager[None]:
     """Return a context in which this thread traces functions for a backend."""
-    return _BOUND(None if backend == _default() else backend)  # so that traces for the default device are shared
+    # so that traces for the default device are shared
+    return _BOUND(None if backend == _default_backend() else backend)
 
 
 def backend() -> Backend:
     """Return the backend that functions are traced for in this thread."""
-    return _BOUND.value or _default()
+    return _BOUND.value or _default_backend()
 
 
-def _default() -> Backend:
+def _default_backend() -> Backend:
     return Backend.of(default_device().platform)
 
 

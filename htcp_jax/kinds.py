@@ -15,7 +15,7 @@ from jaxtyping import Float
 from htcp_jax.types import Anywhere
 
 
-class Kind:
+class ExtensionKind:
     """Base class of the kinds that other packages may add.
 
     name: the one that jobs use; small letters, digits and hyphens. In every method, fields of numbers are arrays.
@@ -37,7 +37,7 @@ class Slot(NamedTuple):
 class Template:
     """A kind with its static fields, and a `Slot` in place of each field of numbers."""
 
-    kind: type[Kind]
+    kind: type[ExtensionKind]
     fields: tuple[tuple[str, Any], ...]
 
     @property
@@ -56,24 +56,24 @@ class Template:
         return found
 
 
-def template_of(value: Kind) -> Template:
+def template_of(value: ExtensionKind) -> Template:
     """Return a kind without its numbers."""
     given = [(field.name, getattr(value, field.name)) for field in dataclasses.fields(value)]
     return Template(type(value), tuple((name, Slot(np.shape(v)) if _is_numbers(v) else v) for name, v in given))
 
 
-def numbers_of(values: Sequence[Kind]) -> Float[np.ndarray, "n"]:
+def numbers_of(values: Sequence[ExtensionKind]) -> Float[np.ndarray, "n"]:
     """Return the numbers of kinds, one after another."""
     each = [getattr(value, field.name) for value in values for field in dataclasses.fields(value)]
     return np.concatenate([np.zeros(0), *(np.ravel(np.asarray(v, float)) for v in each if _is_numbers(v))])
 
 
-def with_arrays(value: Kind) -> Any:
+def with_arrays(value: ExtensionKind) -> Any:
     """Return a kind with its numbers as arrays, as its methods expect them."""
     return template_of(value).with_numbers(numbers_of([value]))
 
 
-def fault_of(kind: Any, base: type[Kind], needed: Sequence[str]) -> str:
+def fault_of(kind: Any, base: type[ExtensionKind], needed: Sequence[str]) -> str:
     """Return the reason why an object is no kind with a base class; "" if it is one.
 
     needed: methods of which it defines one or more.

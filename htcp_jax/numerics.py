@@ -91,7 +91,7 @@ def capsule_point_distance(
 
     ```
     """
-    p, q, point = (_points(value, name) for value, name in ((p, "p"), (q, "q"), (point, "point")))
+    p, q, point = (_as_points(value, name) for value, name in ((p, "p"), (q, "q"), (point, "point")))
     s = segment_parameter(p, q, point)
     return safe_norm(p + s[..., None] * (q - p) - point) - jnp.asarray(radius, float)
 
@@ -105,7 +105,7 @@ def axis_contact(
     return nearest, safe_divide(arm, jnp.broadcast_to(safe_norm(arm)[:, None], arm.shape))
 
 
-def _points(value: object, name: str) -> Float[Array, "*batch 3"]:
+def _as_points(value: object, name: str) -> Float[Array, "*batch 3"]:
     try:
         array = jnp.asarray(value, float)
     except (TypeError, ValueError):

@@ -37,12 +37,12 @@ INTERRUPTED = "interrupted; what was unfinished is removed"
 NO_MEMORY = "out of memory"
 
 _messages: list[Callable[[], str]] = []
-_watched: list["_Process"] = []
+_watched_signals: list["_Process"] = []
 
 
 def is_watched() -> bool:
     """Return True in a process of the command line, which a second signal ends without its main thread."""
-    return bool(_watched)
+    return bool(_watched_signals)
 
 
 @contextlib.contextmanager
@@ -89,13 +89,13 @@ def run(command: Callable[[], int]) -> NoReturn:
         process.leaving = True
     except KeyboardInterrupt:  # raised once in a process
         process.leaving, code = True, SIGNALLED
-        _print(INTERRUPTED)
+        _write_line(INTERRUPTED)
     process.leave(code)
 
 
 def _code_of(command: Callable[[], int], process: "_Process") -> int:
     if (limit := _address_space()) < LEAST_BYTES:
-        _print(f"{NO_MEMORY}: the address space is limited to {limit / 1e9:.1f} GB (ulimit -v)")
+        _write_line(f"{NO_MEMORY}: the address space is limited to {limit / 1e9:.1f} GB (ulimit -v)")
         return FAILED
     try:
         return command()
@@ -103,9 +103,9 @@ def _code_of(command: Callable[[], int], process: "_Process") -> int:
         return ended.code if isinstance(ended.code, int) else FAILED if ended.code else 0
     except Exception as error:
         if process.number:  # some libraries make another exception of KeyboardInterrupt
-            _print(INTERRUPTED)
+            _write_line(INTERRUPTED)
         elif why := _of_memory(error):
-            _print(" ".join(f"{NO_MEMORY}: {why}".split()))
+            _write_line(" ".join(f"{NO_MEMORY}: {why}".split()))
         else:
             traceback.print_exc()
         return FAILED
@@ -123,7 +123,7 @@ class _Process:
 
     def watch(self) -> None:
         """Handle signals from now on, except ignored ones, such as those of a script's background job."""
-        _watched.append(self)
+        _watched_signals.append(self)
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
         signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
@@ -178,7 +178,7 @@ class _Process:
         with contextlib.suppress(Exception):
             line = _messages[0]() if _messages else INTERRUPTED
         if not self.leaving:
-            _print(line)
+            _write_line(line)
         self._exit(SIGNALLED)
 
     def leave(self, code: int) -> NoReturn:
@@ -213,7 +213,7 @@ class _Process:
         os._exit(code)
 
 
-def _print(line: str) -> None:
+def _write_line(line: str) -> None:
     """Write one line to stderr, past its buffer.
 
     On a terminal it replaces a progress bar, which hides the cursor.

@@ -61,7 +61,7 @@ class Settings:
     include_proximal_bodies: bool = True  # True: J2 includes the capsules far from the workpiece
     # Where the optimisers start on the sphere; random_for_cmaes: CMA-ES alone at random, as in configs/paper.yaml
     first_direction: Literal["best_of_64", "random", "random_for_cmaes"] = "best_of_64"
-    after_escape: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
+    after_recovery: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
 
     # Between consecutive configurations
     path_check: Literal["none", "escapes", "all"] = "all"  # segments that must be clear
@@ -84,18 +84,18 @@ class Settings:
     keep_clear_steps: Count = 5
 
     # Beam search
-    front: Count = 64  # beam width: most configurations kept at one target
-    thin_front: Count = 16  # with fewer, the beam is widened by self-motions
-    front_apart_rad: Angle = 0.12  # closer configurations count as one
-    front_aim_m: Distance = 5e-3  # distance above the margin to which a configuration is moved, if possible
-    walks: Count = 32  # self-motions in one round
-    walk_steps: Steps = 12  # most steps of one self-motion
-    walk_step_rad: Angle = 0.1  # length of each of them
-    walk_rounds: Count = 12  # at a target without a successor
+    beam_width: Count = 64  # beam width: most configurations kept at one target
+    min_beam_width: Count = 16  # with fewer, the beam is widened by self-motions
+    beam_separation_rad: Angle = 0.12  # closer configurations count as one
+    beam_aim_m: Distance = 5e-3  # distance above the margin to which a configuration is moved, if possible
+    self_motions: Count = 32  # self-motions in one round
+    self_motion_steps: Steps = 12  # most steps of one self-motion
+    self_motion_step_rad: Angle = 0.1  # length of each of them
+    self_motion_rounds: Count = 12  # at a target without a successor
     transfers: bool = False  # True: the arm may change its configuration before the path, if that leads further
 
     # Complete path, equation (3)
-    smooth: bool | None = None  # True: motions are smoothed; None: if the method requires it, as roadmap does
+    smooth: bool | None = None  # True: motions are smoothed; None: if the method requires it, as `beam` does
     path_weights: tuple[Weight, ...] | None = None  # joint weights in equation (3); None: 1 each, as in the paper
 
     # Connecting two configurations in free space: transfers, approaches

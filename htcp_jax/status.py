@@ -10,10 +10,10 @@ class Status(enum.IntEnum):
     """
 
     TRACKED = 0
-    TRACKED_AFTER_ESCAPE = 1
+    TRACKED_AFTER_RECOVERY = 1
     QP_INFEASIBLE = 2
     ITERATION_LIMIT = 3
-    ESCAPE_EXHAUSTED = 4
+    RECOVERY_EXHAUSTED = 4
     PATH_BLOCKED = 5
     QP_FAILED = 6
     NOT_ATTEMPTED = 7
@@ -30,7 +30,7 @@ class Status(enum.IntEnum):
     @property
     def tracked(self) -> bool:
         """True if the target was reached within the tolerance, with the required clearance."""
-        return self <= Status.TRACKED_AFTER_ESCAPE
+        return self <= Status.TRACKED_AFTER_RECOVERY
 
     @property
     def words(self) -> str:
@@ -55,41 +55,44 @@ NOT_TRIED = Status.START_IN_COLLISION, Status.OUT_OF_REACH, *AT_HOME
 _ENDED = {
     Status.QP_INFEASIBLE: "step QP infeasible",
     Status.ITERATION_LIMIT: "step QPs out of iterations",
-    Status.ESCAPE_EXHAUSTED: "no clear configuration found",
-    Status.PATH_BLOCKED: "no clear way found",
+    Status.RECOVERY_EXHAUSTED: "no clear configuration found",
+    Status.PATH_BLOCKED: "no clear segment found",
     Status.QP_FAILED: "QP solver failed",
 }
 _MESSAGES = {
     Status.TRACKED: "tracked by step QPs",
-    Status.TRACKED_AFTER_ESCAPE: "tracked after an escape",
-    Status.QP_INFEASIBLE: "the step QP has no answer that keeps clear, nears the target and heeds the limits",
-    Status.ITERATION_LIMIT: "the step QPs ran out of iterations short of the target or of clearance",
-    Status.ESCAPE_EXHAUSTED: "no clear configuration was found that reaches the target",
-    Status.PATH_BLOCKED: "every clear configuration that was found lies behind a way that collides or leaves the path",
-    Status.QP_FAILED: "the QP solver broke down and returned no usable answer",
+    Status.TRACKED_AFTER_RECOVERY: "tracked after a recovery",
+    Status.QP_INFEASIBLE: "the step QP is infeasible: no step satisfies the clearance, progress and limit constraints",
+    Status.ITERATION_LIMIT: "the step QPs reached their iteration limit before the target, or before the required clearance",
+    Status.RECOVERY_EXHAUSTED: "no collision-free configuration was found that reaches the target",
+    Status.PATH_BLOCKED: (
+        "every collision-free configuration that was found can only be reached by a segment that collides or leaves the "
+        "path"
+    ),
+    Status.QP_FAILED: "the QP solver failed and returned no solution",
     Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",
     Status.START_IN_COLLISION: "the start is in collision, so nothing was tried",
-    Status.HOME_IN_COLLISION: "the home posture is in collision, so nothing was tried",
-    Status.HOME_NOT_JOINED: "no joint path from home to a start was found that is proven clear, so nothing was tried",
-    Status.NO_START: "no clear posture was found at the first point of the path, so nothing was tried",
+    Status.HOME_IN_COLLISION: "the home configuration is in collision, so nothing was tried",
+    Status.HOME_NOT_JOINED: "no joint path from home to a start was proven collision-free, so nothing was tried",
+    Status.NO_START: "no collision-free configuration was found at the first point of the path, so nothing was tried",
     Status.OUT_OF_REACH: "a target is farther away than the arm is long, so nothing was tried",
-    Status.NO_NULL_SPACE: "the step QPs are stuck, and the task leaves no null space to escape in",
-    Status.TIP_BLOCKED: "the arm is clear there, but the bare end of the tool passes through the wall",
-    Status.NO_SOLUTION: "the method found no configuration there, or no way to one",
-    Status.BUDGET_EXHAUSTED: "the method used up its time or its tries before it found a configuration",
+    Status.NO_NULL_SPACE: "the step QPs are stuck, and the task has no null space in which to recover",
+    Status.TIP_BLOCKED: "the arm is clear, but the bare end of the tool passes through the wall",
+    Status.NO_SOLUTION: "the method found no configuration at the target, or no segment to one",
+    Status.BUDGET_EXHAUSTED: "the method reached its limit of time or attempts before it found a configuration",
 }
 
 
-class Way(enum.IntEnum):
+class SegmentStatus(enum.IntEnum):
     """Verification result for the motion segment from one row of a plan to the next; stored as int8."""
 
-    UNKNOWN = -1
-    PROVEN = 0
-    COLLIDES = 1
-    LEAVES = 2
-    TURNS_BACK = 3
-    OPEN = 4
-    ELSEWHERE = 5
+    NOT_CHECKED = -1
+    VALID = 0
+    IN_COLLISION = 1
+    OFF_PATH = 2
+    REVERSES = 3
+    UNDECIDED = 4
+    WRONG_START = 5
     SAMPLED = 6
 
     @property
@@ -100,35 +103,35 @@ class Way(enum.IntEnum):
     @property
     def words(self) -> str:
         """Name of the result in tables."""
-        return _WAY_WORDS[self]
+        return _SEGMENT_WORDS[self]
 
     @property
     def message(self) -> str:
         """Description in one sentence."""
-        return _WAYS[self]
+        return _SEGMENT_MESSAGES[self]
 
 
-MOTION = Way.PROVEN, Way.SAMPLED
+MOTION = SegmentStatus.VALID, SegmentStatus.SAMPLED
 
-_WAY_WORDS = {
-    Way.UNKNOWN: "not checked",
-    Way.PROVEN: "proven",
-    Way.COLLIDES: "blocked",
-    Way.LEAVES: "off path",
-    Way.TURNS_BACK: "turns back",
-    Way.OPEN: "undecided",
-    Way.ELSEWHERE: "wrong start",
-    Way.SAMPLED: "sampled",
+_SEGMENT_WORDS = {
+    SegmentStatus.NOT_CHECKED: "not checked",
+    SegmentStatus.VALID: "proven",
+    SegmentStatus.IN_COLLISION: "in collision",
+    SegmentStatus.OFF_PATH: "off path",
+    SegmentStatus.REVERSES: "reverses",
+    SegmentStatus.UNDECIDED: "undecided",
+    SegmentStatus.WRONG_START: "wrong start",
+    SegmentStatus.SAMPLED: "sampled",
 }
-_WAYS = {
-    Way.UNKNOWN: "nobody looked, because the motion ends before",
-    Way.PROVEN: "the arm is clear all along, and the tool keeps to its path",
-    Way.COLLIDES: "the arm touches on the way there",
-    Way.LEAVES: "the tool leaves its path on the way there",
-    Way.TURNS_BACK: "the tool turns back on the way there",
-    Way.OPEN: "the way there is too close to call",
-    Way.ELSEWHERE: "the plan does not begin at the start that was given",
-    Way.SAMPLED: "the arm is proven clear all along; a row of the task has no bound, and holds wherever it was sampled",
+_SEGMENT_MESSAGES = {
+    SegmentStatus.NOT_CHECKED: "not checked, because the motion ends before this segment",
+    SegmentStatus.VALID: "proven: the arm is clear and the TCP stays on the path all along the segment",
+    SegmentStatus.IN_COLLISION: "the arm collides on the segment to this target",
+    SegmentStatus.OFF_PATH: "the TCP leaves the path on the segment to this target",
+    SegmentStatus.REVERSES: "the TCP moves backwards along the path on this segment",
+    SegmentStatus.UNDECIDED: "neither proven nor refuted at the finest subdivision",
+    SegmentStatus.WRONG_START: "the plan does not begin at the given start",
+    SegmentStatus.SAMPLED: ("the arm is proven clear all along; a task row without a bound holds at all samples"),
 }
 
 
@@ -137,13 +140,13 @@ class Kind(enum.IntEnum):
 
     TRANSFER = 0  # from home, or from the start, to the configuration in which the plan begins
     APPROACH = 1  # to the path's first point
-    FEED = 2  # along the path
+    PROCESS = 2  # along the path
     DWELL = 3  # the tool stays at a target while the arm changes its configuration
     RETRACT = 4  # back along the same motion
 
     @property
     def words(self) -> str:
-        """The name as text: "feed"."""
+        """The name as text: "process"."""
         return self.name.lower()
 
 

@@ -50,13 +50,13 @@ def _held_folder(folder: Path) -> Iterator[None]:
         return
     handle = os.open(folder, os.O_RDONLY)
     try:
-        hold(handle)
+        lock_file(handle)
         yield
     finally:
         os.close(handle)
 
 
-def hold(handle: int) -> None:
+def lock_file(handle: int) -> None:
     """Lock a file that is being written, if the file system supports locks."""
     if fcntl is not None:
         with contextlib.suppress(OSError):

@@ -44,9 +44,9 @@ htcp_jax.load_workpiece()
 # ## A plan
 #
 # One call. It approaches the inlet in five steps, the weld in five more, and then tracks the weld: 105 targets with
-# the start. For each of them it keeps a set of postures that are clear of every point, and to which a proven motion
-# leads from the start; it ends at the first target to which none leads on. The best motion through these sets is then
-# made as short as it can be.
+# the start. For each of them it keeps a set of configurations that are clear of every point, and to which a proven
+# motion leads from the start; it ends at the first target to which none leads on. The best motion through these sets is
+# then made as short as it can be.
 
 # %%
 plan = htcp_jax.plan()

@@ -14,8 +14,8 @@
 # # The two tables of the paper
 #
 # *Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment* (Sun, Zhao, Liu) judges its planners
-# by two sweeps: 125 start postures in front of one workpiece, and 49 poses of the workpiece in front of one start. A
-# target that stays out of reach ends its scenario, and all later targets count as missed.
+# by two sweeps: 125 start configurations in front of one workpiece, and 49 poses of the workpiece in front of one
+# start. A target that stays out of reach ends its scenario, and all later targets count as missed.
 #
 # The measured duct of the paper is not part of this package. What follows is planned on the generated one, which is a
 # little roomier; `docs/reproduction.md` has the figures of the measured one.
@@ -75,7 +75,7 @@ def table(run):
 
 
 # %% [markdown]
-# ### Table 1: 125 start postures
+# ### Table 1: 125 start configurations
 
 # %%
 table(robot)
@@ -91,7 +91,7 @@ table(workpiece)
 
 # %%
 stated = {
-    f"table {t.number}: {t.scenarios} scenarios": pandas.DataFrame(t.rows, index=paper.Figures._fields).T
+    f"table {t.number}: {t.scenarios} scenarios": pandas.DataFrame(t.rows, index=paper.PaperRow._fields).T
     for t in (paper.ROBOT, paper.WORKPIECE)
 }
 pandas.concat(stated)

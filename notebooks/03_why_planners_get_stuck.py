@@ -13,9 +13,9 @@
 # %% [markdown]
 # # Why planners get stuck
 #
-# The step QPs know the clearance to first order, near the last posture. Where the next target asks for another posture,
-# they have no answer, and the null space of the task has to be searched. This notebook takes one such target apart: the
-# clearance over the null space, and what each optimiser does there.
+# The step QPs know the clearance to first order, near the last configuration. Where the next target asks for another
+# configuration, they have no answer, and the null space of the task has to be searched. This notebook takes one such
+# target apart: the clearance over the null space, and what each optimiser does there.
 
 # %%
 from functools import partial
@@ -33,13 +33,13 @@ from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.numerics import null_basis
 from htcp_jax.planning.registry import find
-from htcp_jax.planning.tracking.null_space import Stuck, anchor, sphere_problem
+from htcp_jax.planning.tracking.null_space import StuckScenario, anchor, sphere_problem
 
 # %% [markdown]
 # ## A target where the baseline ends
 #
-# The arm starts in its posture for measuring, the last joint at 0, and comes to the inlet with its tool turned the
-# wrong way round.
+# The arm starts in its configuration for measuring, the last joint at 0, and comes to the inlet with its tool turned
+# the wrong way round.
 
 # %%
 MEASURING = {"start_rad": [0.0, -2.3, 0.5, 0.0, 0.5, 0.0], "workpiece.rotation_y_rad": 0.5}
@@ -52,7 +52,7 @@ plan.figure()
 # %% [markdown]
 # ## The null space there
 #
-# From the last posture that was clear, inverse kinematics (5b) puts the tip onto the lost target: $x_{ref}$. Now
+# From the last configuration that was clear, inverse kinematics (5b) puts the tip onto the lost target: $x_{ref}$. Now
 # $D < 0$, something collides. All directions $N w$ with $|w| = 1$ keep the tip in place to first order, equation (10).
 # They are a sphere, the null space having $6 - 3 = 3$ dimensions.
 
@@ -62,23 +62,23 @@ scene = Scene(robot, make_obstacle(plan.workpiece))
 
 
 def lost_target(plan):
-    """The target that ended a plan, the posture before it, and the scenario."""
+    """The target that ended a plan, the configuration before it, and the scenario."""
     row = plan.summary.failures[0].target
     key = jax.random.key(0)
-    stuck = Stuck(jnp.asarray(plan.plans.x[0, row - 1]), jnp.asarray(plan.scenario.targets[row]), key)
+    stuck = StuckScenario(jnp.asarray(plan.plans.x[0, row - 1]), jnp.asarray(plan.scenario.targets[row]), key)
     return stuck, jax.tree.map(jnp.asarray, plan.scenario)
 
 
 @jax.jit
 def enter(scene, scenario, stuck):
-    """The posture at the lost target, from the one before it: Algorithm 1, line 9."""
+    """The configuration at the lost target, from the one before it: Algorithm 1, line 9."""
     x, _ = reanchor(scene.robot, stuck.x_previous, stuck.target, 0.1 * settings.tolerance_m)
     return anchor(scene, settings, scenario, x, stuck.target)
 
 
 @jax.jit
 def all_clearances(scene, scenario, xs):
-    """D of every capsule [m] at each of the postures xs."""
+    """D of every capsule [m] at each of the configurations xs."""
     return jax.lax.map(lambda x: clearances(scene.robot, scene.obstacles, scenario, x), xs)
 
 
@@ -157,7 +157,7 @@ sphere_map()
 # %% [markdown]
 # ## Step by step out of it
 #
-# An escape repeats that: the best direction, a step, back onto the target, until $D > 0$. Here the better direction is
+# A recovery repeats that: the best direction, a step, back onto the target, until $D > 0$. Here the better direction is
 # the worse one. Who took the lower summit walks out in a few steps; who took the higher one ends on a ridge between two
 # capsules, crosses it to and fro, and gains nothing.
 
@@ -173,8 +173,8 @@ def advance(scene, scenario, stuck, x, w):
     return anchor(scene, settings, scenario, x, stuck.target)
 
 
-def escape(method, scenario, stuck, start):
-    """D [mm] at the start and after every step, up to the first clear posture."""
+def recovery(method, scenario, stuck, start):
+    """D [mm] at the start and after every step, up to the first clear configuration."""
     found, here = [1e3 * float(start.clearance)], start
     while found[-1] <= 0 and len(found) <= STEPS:
         key = jax.random.fold_in(stuck.key, len(found) - 1)
@@ -183,16 +183,16 @@ def escape(method, scenario, stuck, start):
     return found
 
 
-def steps_chart(walks):
+def steps_chart(self_motions):
     figure = Figure(figsize=(9, 3.6), dpi=120, layout="constrained")
     axes = figure.subplots()
     axes.axhspan(0, 1e3, color="#e8f1e8")
     axes.axhline(0, color="#22303c", linewidth=1)
-    for width, method in zip((5, 3.6, 2.4, 1.2), walks, strict=True):  # so that equal lines show
+    for width, method in zip((5, 3.6, 2.4, 1.2), self_motions, strict=True):  # so that equal lines show
         colour, marker = OPTIMISERS[method]
         style = {"color": colour, "marker": marker, "markersize": 3 + 1.5 * width, "linewidth": width}
-        axes.plot(walks[method], label=f"{method}, {len(walks[method]) - 1} steps", **style)
-    low, high = min(map(min, walks.values())), max(map(max, walks.values()))
+        axes.plot(self_motions[method], label=f"{method}, {len(self_motions[method]) - 1} steps", **style)
+    low, high = min(map(min, self_motions.values())), max(map(max, self_motions.values()))
     room = 0.12 * (high - low)
     axes.set(xlim=(0, STEPS), ylim=(low - room, max(high, 0) + room))
     axes.set(xlabel="null-space step", ylabel="clearance D [mm]")
@@ -202,7 +202,7 @@ def steps_chart(walks):
     return figure
 
 
-steps_chart({method: escape(method, scenario, stuck, here) for method in OPTIMISERS})
+steps_chart({method: recovery(method, scenario, stuck, here) for method in OPTIMISERS})
 
 # %% [markdown]
 # ## The price of greed
@@ -216,19 +216,19 @@ MEASURING["workpiece.rotation_y_rad"] = 0.4
 plan = htcp_jax.plan(overrides=MEASURING, method="baseline")
 stuck, scenario = lost_target(plan)
 here = enter(scene, scenario, stuck)
-steps_chart({method: escape(method, scenario, stuck, here) for method in OPTIMISERS})
+steps_chart({method: recovery(method, scenario, stuck, here) for method in OPTIMISERS})
 
 # %% [markdown]
-# Is there a clear posture at all? Walk straight on through the null space in 48 random directions, whatever the
+# Is there a clear configuration at all? Walk straight on through the null space in 48 random directions, whatever the
 # clearance does on the way: 100 steps of 0.02 rad each, the tip held on the target. That is what `nspace-sample` does.
 
 # %%
-WALKS, WALK_STEPS, LENGTH_RAD = 48, 100, 0.02
+SELF_MOTIONS, SELF_MOTION_STEPS, LENGTH_RAD = 48, 100, 0.02
 
 
 @jax.jit
 def walk(scene, scenario, stuck, x, direction):
-    """D [m] along one walk from x."""
+    """D [m] along one self-motion from x."""
     robot = scene.robot
 
     def step(state, _):
@@ -241,62 +241,63 @@ def walk(scene, scenario, stuck, x, direction):
         return (x, v), jnp.min(clearances(robot, scene.obstacles, scenario, x))
 
     start = x, null_basis(jacobian(robot, x)) @ direction
-    return jax.lax.scan(step, start, length=WALK_STEPS)[1]
+    return jax.lax.scan(step, start, length=SELF_MOTION_STEPS)[1]
 
 
-random = np.random.default_rng(0).standard_normal((WALKS, 3))
+random = np.random.default_rng(0).standard_normal((SELF_MOTIONS, 3))
 random /= np.linalg.norm(random, axis=1, keepdims=True)
-walks = [walk(scene, scenario, stuck, here.x, direction) for direction in random]
-along = 1e3 * np.concatenate([np.full((WALKS, 1), here.clearance), np.stack(walks)], axis=1)
+self_motions = [walk(scene, scenario, stuck, here.x, direction) for direction in random]
+along = 1e3 * np.concatenate([np.full((SELF_MOTIONS, 1), here.clearance), np.stack(self_motions)], axis=1)
 
 
-def walks_chart():
+def self_motions_chart():
     figure = Figure(figsize=(9, 3.8), dpi=120, layout="constrained")
     axes = figure.subplots()
     axes.axhspan(0, 1e3, color="#e8f1e8")
     axes.axhline(0, color="#22303c", linewidth=1)
     out = (along > 0).any(axis=1)
-    distance = LENGTH_RAD * np.arange(WALK_STEPS + 1)
+    distance = LENGTH_RAD * np.arange(SELF_MOTION_STEPS + 1)
     axes.plot(distance, along[~out].T, color="#9aa3ab", linewidth=0.7)
     axes.plot(distance, along[out].T, color="#d55e00", linewidth=1.4)
     axes.set(xlim=(0, distance[-1]), ylim=(max(along.min(), -150), max(20, along.max() + 5)))
-    axes.set(xlabel="distance walked through the null space [rad]", ylabel="clearance D [mm]")
-    axes.set_title(f"{out.sum()} of {WALKS} walks come to a clear posture", loc="left", fontsize=11)
+    axes.set(xlabel="distance moved through the null space [rad]", ylabel="clearance D [mm]")
+    axes.set_title(f"{out.sum()} of {SELF_MOTIONS} self-motions come to a clear configuration", loc="left", fontsize=11)
     axes.spines[["top", "right"]].set_visible(False)
     return figure
 
 
-walks_chart()
+self_motions_chart()
 
 # %% [markdown]
-# Many of them do, most after more than half a radian: clear postures are not rare, only far away, and who asks for the
-# steepest ascent at every step does not get there. But the arm has to get there, too. On the way the walks are inside
-# the wall, and so is the straight joint path from the last clear posture. `nspace-sample` takes the step all the same,
-# and its plan is only as good as that joint path. `hybrid` refuses it and looks for another start instead.
+# Many of them do, most after more than half a radian: clear configurations are not rare, only far away, and who asks
+# for the steepest ascent at every step does not get there. But the arm has to get there, too. On the way the
+# self-motions are inside the wall, and so is the straight joint path from the last clear configuration. `nspace-sample`
+# takes the step all the same, and its plan is only as good as that joint path. `hybrid` refuses it and looks for
+# another start instead.
 
 # %%
 sampled = htcp_jax.plan(overrides=MEASURING, method="nspace-sample")
 frame = sampled.frame()
-frame[(frame.escape > 0) | (frame.path_clear == False)][["target", "status", "joint_step_rad", "path_clear"]]  # noqa: E712
+frame[(frame.recovery > 0) | (frame.path_clear == False)][["target", "status", "joint_step_rad", "path_clear"]]  # noqa: E712
 
 # %% [markdown]
 # ## Tracked is not yet driven
 #
 # Another pose, and the arm starts as in the default job. `nspace-sqp` tracks the targets, each of them reached and
 # clear. But an arm has to pass everything in between. Where a local optimiser escapes, it leaves its valley for
-# another one: the posture jumps, and on the straight joint path to the next target the tool leaves the weld. The motion
-# ends there. `roadmap` carries a front of postures along, in several valleys at once. Each is connected to the start by
-# a proven motion, and the one that leads furthest is chosen in the end.
+# another one: the configuration jumps, and on the straight joint path to the next target the tool leaves the weld. The
+# motion ends there. `beam` carries a beam of configurations along, in several valleys at once. Each is connected to the
+# start by a proven motion, and the one that leads furthest is chosen in the end.
 
 # %%
 POSE = {"workpiece.rotation_y_rad": 0.3, "workpiece.rotation_z_rad": -0.2}
-both = {method: htcp_jax.plan(overrides=POSE, method=method) for method in ("nspace-sqp", "roadmap")}
+both = {method: htcp_jax.plan(overrides=POSE, method=method) for method in ("nspace-sqp", "beam")}
 {method: {"tracked": str(plan.summary.tracked), **plan.motion_summary.facts()} for method, plan in both.items()}
 
 # %% [markdown]
 # Both plans along the path: the clearance at the targets, and how far the tool is from the line between two targets on
 # its way, looked at in 50 places of every joint path. Pale is what cannot be driven. Green lines, if there are any, are
-# dwells, where the arm changes its posture while the tool stays.
+# dwells, where the arm changes its configuration while the tool stays.
 
 # %%
 PLACES = 50
@@ -304,9 +305,9 @@ tcps = jax.jit(jax.vmap(tcp_position, (None, 0)))
 
 
 def off_line(plan, target):
-    """How far the TCP is at most from the line to a target of the path [m], on the way from the one before."""
+    """How far the TCP is at most from the line to a target of the path [m], on the segment from the one before."""
     plans, (a, b) = plan.plans, plan.scenario.targets[target - 1 : target + 1]
-    x = np.concatenate([plans.before(0, target)[None], plans.knots.on_the_way(0, target), plans.x[:1, target]])
+    x = np.concatenate([plans.before(0, target)[None], plans.via_points.on_segment(0, target), plans.x[:1, target]])
     places = np.concatenate([np.linspace(*ends, PLACES) for ends in pairwise(x)])
     along = np.asarray(tcps(plan.robot, places)) - a
     share = np.clip(along @ (b - a) / max((b - a) @ (b - a), 1e-12), 0, 1)
@@ -317,7 +318,7 @@ def motions_chart(plans_by_method):
     figure = Figure(figsize=(9, 5.6), dpi=120, layout="constrained")
     clearance, away = figure.subplots(2, sharex=True)
     for (method, plan), colour in zip(plans_by_method.items(), ("#0072b2", "#d55e00"), strict=True):
-        told, first = plan.motion_summary, int(plan.scenario.on_path) + 1
+        reported, first = plan.motion_summary, int(plan.scenario.on_path) + 1
         targets = np.arange(plan.summary.tracked)
         on_path = targets[targets >= first]
         distance = [1e3 * off_line(plan, t) for t in on_path]
@@ -325,10 +326,10 @@ def motions_chart(plans_by_method):
             (clearance, targets, 1e3 * plan.plans.clearance[0, targets]),
             (away, on_path, np.array(distance)),
         ):
-            driven = x < told.end.executable
+            driven = x < reported.end.executable
             axes.plot(x, y, ".-", color=colour, alpha=0.25, markersize=3, linewidth=0.8)
             axes.plot(x[driven], y[driven], ".-", color=colour, markersize=4, label=method)
-            for target in told.dwells:
+            for target in reported.dwells:
                 axes.axvline(target, color="#0b8f6a", linewidth=1.2, zorder=0)
     away.axhline(1e3 * settings.tube_m, color="#22303c", linewidth=1, linestyle="--")
     clearance.set(yscale="log", ylabel="clearance D [mm]")
@@ -342,22 +343,26 @@ def motions_chart(plans_by_method):
 motions_chart(both)
 
 # %% [markdown]
-# ## What the front is good for
+# ## What the beam width is good for
 #
-# The same method with fronts of other sizes: at most so many postures are kept at a target, and walks in the null space
-# spread them where there are fewer. With one posture it is a local search, too, which has to walk out of each dead end
-# that it leads into, and dwells to do so. With more the choice among them can wait until it is known which of them lead
-# on: the plan is the path with the fewest dwells, and then the least cost of equation (3).
+# The same method with beams of other sizes: at most so many configurations are kept at a target, and self-motions in
+# the null space spread them where there are fewer. With one configuration it is a local search, too, which has to walk
+# out of each dead end that it leads into, and dwells to do so. With more the choice among them can wait until it is
+# known which of them lead on: the plan is the path with the fewest dwells, and then the least cost of equation (3).
 
 # %%
-FRONTS = 1, 4, 16, 64
+BEAM_WIDTHS = 1, 4, 16, 64
 
 
-def with_front(count):
-    """The motion with fronts of at most so many postures, in figures."""
-    own = {"settings.front": count, "settings.thin_front": min(count, settings.thin_front)}
-    told = htcp_jax.plan(overrides=POSE | own, method="roadmap").motion_summary
-    return {"executable": told.end.executable, "dwells": len(told.dwells), "cost [rad2]": round(told.cost_rad2, 3)}
+def with_beam_width(count):
+    """The motion with beams of at most so many configurations, in figures."""
+    own = {"settings.beam_width": count, "settings.min_beam_width": min(count, settings.min_beam_width)}
+    reported = htcp_jax.plan(overrides=POSE | own, method="beam").motion_summary
+    return {
+        "executable": reported.end.executable,
+        "dwells": len(reported.dwells),
+        "cost [rad2]": round(reported.cost_rad2, 3),
+    }
 
 
-{count: with_front(count) for count in FRONTS}
+{count: with_beam_width(count) for count in BEAM_WIDTHS}

@@ -25,7 +25,7 @@ import pandas
 
 import htcp_jax
 from htcp_jax.report.place_charts import place_map
-from htcp_jax.report.place_pictures import best
+from htcp_jax.report.place_pictures import best_pictures
 from htcp_jax.report.place_tables import read_search
 
 FILE = Path("../configs/place/seams.yaml")
@@ -49,7 +49,9 @@ pandas.DataFrame(first.seams(), index=["complete in mountings", "share in the be
 # %%
 changes = {"seams": ["right", "invert"], "within": {"scenarios": 240}, "best": 1}
 found = htcp_jax.place(FILE, "../out/two-seams", changes=changes)
-print(f"{found.complete} of the mountings that were judged do both, {len(found.mountings)} were confirmed as motions")
+print(
+    f"{found.complete} of the mountings that were evaluated do both, {len(found.mountings)} were confirmed as motions"
+)
 
 # %% [markdown]
 # The ranked ones: the clearance that is proven all along both motions, the least of it while every parameter is off by
@@ -58,11 +60,11 @@ print(f"{found.complete} of the mountings that were judged do both, {len(found.m
 # %%
 searched = read_search("../out/two-seams")
 table = pandas.DataFrame(searched.ranked, columns=[one.label for one in searched.parameters])
-table["clearance [mm]"] = searched.spare[:, 0]
-table["when off [mm]"] = searched.off[:, 0]
-off = found.search.file.off
-table["tolerates [mm]"] = [one.tolerance and off.mm * one.tolerance.together for one in found.mountings]
-table["tolerates [°]"] = [one.tolerance and off.deg * one.tolerance.together for one in found.mountings]
+table["clearance [mm]"] = searched.objective[:, 0]
+table["when perturbed [mm]"] = searched.worst[:, 0]
+perturbation = found.search.file.perturbation
+table["tolerates [mm]"] = [one.tolerance and perturbation.mm * one.tolerance.together for one in found.mountings]
+table["tolerates [°]"] = [one.tolerance and perturbation.deg * one.tolerance.together for one in found.mountings]
 table.index = pandas.RangeIndex(1, len(table) + 1, name="rank")
 table.round(2)
 
@@ -81,4 +83,4 @@ place_map(searched)
 # At the seam where it is tightest.
 
 # %%
-best(Path("../out/two-seams"), searched)[1]
+best_pictures(Path("../out/two-seams"), searched)[1]

@@ -27,7 +27,7 @@ FLAGS += [f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"]
 
 
 @pytest.fixture(autouse=True, scope="module")
-def forget_programs():
+def forget_executables():
     """Clear compiled programs before they use up the 65,530 memory maps of a process, which crashes the compiler."""
     yield
     if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MAX_MAPS:

@@ -36,7 +36,7 @@ from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.jobs.build import scenario_of
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Workpiece
-from htcp_jax.model.mesh_points import cover
+from htcp_jax.model.mesh_points import cover_mesh
 from htcp_jax.runs import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.solvers import ClarabelSolver
@@ -273,7 +273,7 @@ def check_mesh(folder: Path, case: tuple[str, bytes]) -> bool:
         return False
     points, triangles = found
     if len(triangles):
-        refusal(lambda: cover(triangles, "mesh", spacing=max(float(np.ptp(points, axis=0).max()) / 10, 1e-3)))
+        refusal(lambda: cover_mesh(triangles, "mesh", spacing=max(float(np.ptp(points, axis=0).max()) / 10, 1e-3)))
     assert np.isfinite(points).all()
     said = re.findall(rb"^element vertex (\d+)\r?$", data, re.MULTILINE)
     if ending == ".ply" and len(said) == 1 and data.count(b"element") == 1:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from htcp_jax.motion import Knots, Plans
+from htcp_jax.motion import Plans, ViaPoints
 from htcp_jax.motion.plans import is_tracked
-from htcp_jax.status import Status, Way
+from htcp_jax.status import SegmentStatus, Status
 
 
 def plans_with(status: list[list[Status]], joints: int = 2, run_s: float = 1.0) -> Plans:
@@ -24,11 +24,11 @@ def plans_with(status: list[list[Status]], joints: int = 2, run_s: float = 1.0) 
         status=status,
         iterations=np.ones(shape, int),
         joint_step=np.where(tracked, 0.25, np.nan),
-        escape=(status == Status.TRACKED_AFTER_ESCAPE).astype(int),
+        recovery=(status == Status.TRACKED_AFTER_RECOVERY).astype(int),
         path_clear=np.where(tracked, 0, -1).astype(np.int8),
-        way=np.where(tracked, Way.COLLIDES, Way.UNKNOWN).astype(np.int8),
-        way_clearance=np.full(shape, np.nan),
-        knots=Knots.none(joints),
+        segment_status=np.where(tracked, SegmentStatus.IN_COLLISION, SegmentStatus.NOT_CHECKED).astype(np.int8),
+        segment_clearance=np.full(shape, np.nan),
+        via_points=ViaPoints.none(joints),
         compile_s=3.0,
         run_s=run_s,
     )

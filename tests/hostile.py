@@ -95,9 +95,9 @@ def listed(rows: pa.Table | None = None, data: bytes | None = None, promised: in
 def long_words(folder: Path, outside: Path) -> None:
     """Write a word of 4 MB, stored once, into every row."""
     rows = pq.read_table(folder / SHARD)
-    place = rows.schema.get_field_index("way")
-    words = pa.array(["x" * (4 * MIB)] * len(rows)).cast(rows.schema.field("way").type)
-    listed(rows.set_column(place, rows.schema.field("way"), words))(folder, outside)
+    place = rows.schema.get_field_index("segment_status")
+    words = pa.array(["x" * (4 * MIB)] * len(rows)).cast(rows.schema.field("segment_status").type)
+    listed(rows.set_column(place, rows.schema.field("segment_status"), words))(folder, outside)
 
 
 def archive(size: int, shape: str | None = None) -> Callable[[Path, Path], None]:

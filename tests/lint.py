@@ -69,9 +69,9 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
         "Workpiece": "type of what `workpiece_of` loads; its points, path and inlet are copied at once",
     },
     "motion": {"Plans Outcome": "saved results"},
-    "trajectory": {"Timed": "saved results"},
+    "trajectory": {"TimedMotion": "saved results"},
     "io": {
-        "read_bytes read_json read_yaml read_spec load_geometry Section validate": "readers of files",
+        "read_bytes read_json read_yaml read_spec load_geometry FileSection validate_model": "readers of files",
         "LinkMeshes": "meshes to which an arm's file refers, placed by MuJoCo and measured by FCL",
     },
     "jobs": {

@@ -53,7 +53,7 @@ def nominal() -> Scenario:
 def measured_duct() -> Workpiece:
     """Measured workpiece; skips the test where its data is missing."""
     if not MEASURED.exists():
-        pytest.skip("the measured workpiece is not here (../shared/data/duct beside the repository)")
+        pytest.skip("the measured workpiece is not here (../shared/data/duct next to the repository)")
     return load_workpiece(MEASURED / "cloud.xyz", MEASURED / "weld.csv", inlet=(0.0, 0.0, 0.19138))
 
 

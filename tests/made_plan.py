@@ -11,10 +11,10 @@ from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.model.duct import duct_cloud, weld
 from htcp_jax.model.scenario import make_scenario
-from htcp_jax.motion import Knots, Plans
-from htcp_jax.status import Status, Way
+from htcp_jax.motion import Plans, ViaPoints
+from htcp_jax.status import SegmentStatus, Status
 
-A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
+A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_RECOVERY, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 STATUSES = [A, A, A, A, A, A, E, A, LIMIT, NOT], [A] * 10  # of two scenarios: the first fails at target 8
 END = (-0.05, -1.7, 0.3, -0.1, 0.25, -2.0)
 
@@ -49,15 +49,17 @@ def made_plans(targets: np.ndarray, statuses: list[list[Status]]) -> Plans:
 def with_a_dwell(plans: Plans) -> Plans:
     """Plans with proven motions to targets 0 to 6, a wrist turn at target 4 and a small clearance before target 5."""
     turning = np.stack([plans.x[:, 4] + turn * np.eye(6)[3] for turn in (0.2, 0.5)], axis=1)
-    target = np.broadcast_to(np.arange(plans.way.shape[1]), plans.way.shape)
-    way = np.where(target < 7, Way.PROVEN, Way.UNKNOWN).astype(np.int8)
-    clear = np.where(way == Way.PROVEN, np.where(target == 5, 2e-4, 3e-3), np.nan)
-    knots = Knots.of([(s, 5, x) for s, x in enumerate(turning)], 6)
-    return plans._replace(way=way, way_clearance=clear, knots=knots)
+    target = np.broadcast_to(np.arange(plans.segment_status.shape[1]), plans.segment_status.shape)
+    segment_status = np.where(target < 7, SegmentStatus.VALID, SegmentStatus.NOT_CHECKED).astype(np.int8)
+    clear = np.where(segment_status == SegmentStatus.VALID, np.where(target == 5, 2e-4, 3e-3), np.nan)
+    via_points = ViaPoints.of([(s, 5, x) for s, x in enumerate(turning)], 6)
+    return plans._replace(segment_status=segment_status, segment_clearance=clear, via_points=via_points)
 
 
 def driven(plans: Plans) -> Plans:
     """Plans with proven motions to all tracked targets."""
-    way = np.where(plans.tracked, Way.PROVEN, Way.UNKNOWN).astype(np.int8)
+    segment_status = np.where(plans.tracked, SegmentStatus.VALID, SegmentStatus.NOT_CHECKED).astype(np.int8)
     clear = np.where(plans.tracked, 3e-3, np.nan)
-    return plans._replace(way=way, way_clearance=clear, residual=np.where(plans.tracked, 1e-4, np.nan))
+    return plans._replace(
+        segment_status=segment_status, segment_clearance=clear, residual=np.where(plans.tracked, 1e-4, np.nan)
+    )

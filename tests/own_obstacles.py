@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance import Obstacle, Posed
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Rows
+from htcp_jax.clearance import HasWorkpiecePose, Obstacle
+from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, RowPairs
 from htcp_jax.model import Robot
 from htcp_jax.pytree import register_pytree
 
@@ -20,26 +20,26 @@ class Floor(Obstacle):
 
     per_body = True
 
-    def rows(self, robot: Robot) -> Rows:
-        return Rows.of_bodies(robot)
+    def rows(self, robot: Robot) -> RowPairs:
+        return RowPairs.of_bodies(robot)
 
-    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         lower = jnp.where((bodies.p[:, 2] < bodies.q[:, 2])[:, None], bodies.p, bodies.q)
         up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), lower.shape)
         plane = jnp.ones(len(lower), bool)
         return Contacts(self._above(robot, bodies.p, bodies.q), lower, up, robot.capsule_radius, plane)
 
-    def smallest(self, robot: Robot, where: Posed, bodies: Bodies):
+    def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes):
         return jnp.min(self._above(robot, bodies.p, bodies.q))
 
-    def touches(self, robot: Robot, where: Posed, bodies: Bodies):
+    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes):
         return self.smallest(robot, where, bodies) <= 0
 
-    def room(self, robot: Robot, where: Posed, bodies: Bodies):
+    def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes):
         return self._above(robot, bodies.p, bodies.q)
 
-    def touches_along(self, robot: Robot, where: Posed, bodies: Bodies, body, asked):
-        return jnp.any(asked & (self._above(robot, bodies.p, bodies.q)[:, body] <= 0))
+    def touches_along(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, body, requested):
+        return jnp.any(requested & (self._above(robot, bodies.p, bodies.q)[:, body] <= 0))
 
     def _above(self, robot: Robot, p, q):
         lowest = jnp.minimum(p[..., 2], q[..., 2])

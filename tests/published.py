@@ -39,7 +39,7 @@ def path_of(name: str) -> Path:
     model = MODELS[name]
     path = _folder(model.package) / model.file
     if not path.is_file():
-        pytest.skip(f"{model.file} is not here ({model.package or '../shared/data/paths beside the repository'})")
+        pytest.skip(f"{model.file} is not here ({model.package or '../shared/data/paths next to the repository'})")
     return path
 
 

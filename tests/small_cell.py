@@ -22,7 +22,7 @@ def small_job(arm: Path, folder: Path, out: tuple = (0, 0, 1), seed: int = 0) ->
     tip, p, q = (tuple((length * ahead).tolist()) for length in (LENGTH_M, 0.02, 0.1))
     body = {"name": "spindle of the job", "p_m": p, "q_m": q, "radius_m": 0.015}
     robot = htcp_jax.load_robot(arm, tool=Tool(tip, bodies=(ToolBody(**body),)))
-    x = _handy_posture(robot, np.random.default_rng(seed))
+    x = _handy_configuration(robot, np.random.default_rng(seed))
     T = np.asarray(tcp_pose(robot, jnp.asarray(x)))
     ahead, across = T[:3, :3] @ ahead, np.linalg.svd((T[:3, :3] @ ahead)[None])[2][1:]
     path = T[:3, 3] + np.outer(STEP_M * np.arange(1, POINTS + 1), across[0])
@@ -36,7 +36,7 @@ def small_job(arm: Path, folder: Path, out: tuple = (0, 0, 1), seed: int = 0) ->
     }
 
 
-def _handy_posture(robot: Robot, draw: np.random.Generator) -> np.ndarray:
+def _handy_configuration(robot: Robot, draw: np.random.Generator) -> np.ndarray:
     """Random configuration in the middle half of the limits with the largest minimum singular value of the Jacobian."""
     low, high = (np.clip(np.asarray(limit), -np.pi, np.pi) for limit in (robot.lower, robot.upper))
     tried = draw.uniform(0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high, (TRIED, len(low)))

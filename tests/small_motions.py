@@ -1,4 +1,4 @@
-"""Small scenarios for the roadmap, and brute-force checks of motions at sampled points."""
+"""Small scenarios for the beam search, and brute-force checks of motions at sampled points."""
 
 from dataclasses import replace
 from functools import cache, partial
@@ -18,7 +18,7 @@ from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
 
 # A small search: none of these settings is compiled into a program.
-SMALL = Settings(front=6, thin_front=6, walks=6, walk_rounds=2, smooth=False)
+SMALL = Settings(beam_width=6, min_beam_width=6, self_motions=6, self_motion_rounds=2, smooth=False)
 PLACES = 200  # samples on every straight joint path
 D_everywhere = jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(clearance, robot, obstacle, where), x))
 _TCPS = jax.jit(jax.vmap(tcp_position, in_axes=(None, 0)))
@@ -44,13 +44,13 @@ def poses():
     )
 
 
-def roadmap(scenarios, settings=SMALL, **choices):
-    return plan(made_once.robot(), made_once.duct(), scenarios, "roadmap", settings, **choices)
+def plan_by_beam(scenarios, settings=SMALL, **choices):
+    return plan(made_once.robot(), made_once.duct(), scenarios, "beam", settings, **choices)
 
 
 @cache
 def planned():
-    return roadmap(poses(), threads=1)
+    return plan_by_beam(poses(), threads=1)
 
 
 def same(one, row, other, other_row, count):
@@ -61,14 +61,14 @@ def same(one, row, other, other_row, count):
             here, there = here[:count], there[:count]
         np.testing.assert_array_equal(here, there, err_msg=name)
     for t in range(count):
-        np.testing.assert_array_equal(one.knots.on_the_way(row, t), other.knots.on_the_way(other_row, t))
+        np.testing.assert_array_equal(one.via_points.on_segment(row, t), other.via_points.on_segment(other_row, t))
 
 
-def ways(plans, s):
+def segments(plans, s):
     """Yield (target, configurations from the previous row to its own) of the executable targets."""
     before = plans.start[s]
     for t in np.flatnonzero(plans.executable[s]).tolist():
-        yield t, np.concatenate([before[None], plans.knots.on_the_way(s, t), plans.x[s, t][None]])
+        yield t, np.concatenate([before[None], plans.via_points.on_segment(s, t), plans.x[s, t][None]])
         before = plans.x[s, t]
 
 
@@ -78,7 +78,7 @@ def off_line(start, end, points):
     return np.linalg.norm(points - start - along[:, None] * line, axis=1)
 
 
-def check_way(one, t, postures, radius):
+def check_segment(one, t, configurations, radius):
     """Check one segment by brute force; return the smallest D.
 
     It is clear everywhere. On the path the TCP stays near its line and never reverses; while the arm changes its
@@ -86,13 +86,13 @@ def check_way(one, t, postures, radius):
     """
     robot, where = lengthen_tool(made_once.robot(), float(one.tool_extension_m)), jax.tree.map(jnp.asarray, one)
     smallest = np.inf
-    for k, (a, b) in enumerate(pairwise(postures)):
+    for k, (a, b) in enumerate(pairwise(configurations)):
         x = jnp.asarray(a + np.linspace(0, 1, PLACES)[:, None] * (b - a))
         smallest = min(smallest, float(jnp.min(D_everywhere(robot, made_once.scene()[1], where, x))))
         if t <= one.on_path:
             continue
         points, (start, end) = np.asarray(_TCPS(robot, x)), one.targets[t - 1 : t + 1]
-        turns = k < len(postures) - 2
+        turns = k < len(configurations) - 2
         assert off_line(start, start if turns else end, points).max() <= radius
         assert turns or (np.diff(points @ (end - start)) >= -1e-15).all()
     return smallest
@@ -101,9 +101,9 @@ def check_way(one, t, postures, radius):
 def check_motions(scenarios, plans, radius):
     for s, one in enumerate(scenarios):
         np.testing.assert_array_equal(plans.start[s], one.x_start)
-        for t, postures in ways(plans, s):
-            smallest = check_way(one, t, postures, radius)
-            assert 0 < plans.way_clearance[s, t] <= smallest + 1e-9
+        for t, configurations in segments(plans, s):
+            smallest = check_segment(one, t, configurations, radius)
+            assert 0 < plans.segment_clearance[s, t] <= smallest + 1e-9
 
 
 def check_rows(scenarios, plans, settings):
@@ -122,5 +122,5 @@ def check_rows(scenarios, plans, settings):
         np.testing.assert_allclose(plans.residual[s, own], residual, atol=1e-13)
         assert residual.max() <= settings.tolerance_m
         assert (x >= lower).all() and (x <= upper).all()
-        walked = np.concatenate([[one.x_start], x])
-        np.testing.assert_allclose(plans.joint_step[s, own], np.linalg.norm(np.diff(walked, axis=0), axis=1))
+        null_space_steps = np.concatenate([[one.x_start], x])
+        np.testing.assert_allclose(plans.joint_step[s, own], np.linalg.norm(np.diff(null_space_steps, axis=0), axis=1))

@@ -38,10 +38,10 @@ def spoil(folder: Path, scenario: int, target: int, method: str = METHODS[0], **
     """Put other values into one row of the results."""
 
     def put(rows: pa.Table) -> pa.Table:
-        told = rows.to_pylist()
-        (row,) = (row for row in told if (row["scenario"], row["target"]) == (scenario, target))
+        reported = rows.to_pylist()
+        (row,) = (row for row in reported if (row["scenario"], row["target"]) == (scenario, target))
         row |= values
-        return pa.Table.from_pylist(told, rows.schema)
+        return pa.Table.from_pylist(reported, rows.schema)
 
     rewrite(folder, method, scenario, put)
 

@@ -70,8 +70,8 @@ def car_job(folder: Path) -> Path:
     """
     seam = np.column_stack([np.full(21, RIB[1] + 0.06), np.linspace(-0.2, 0.2, 21), np.full(21, 0.6)])
     walls = [face for face in _box((0, -0.9, 0), (1.4, 0.9, 1.1)) if np.ptp(face[:, 0]) or face[0, 0]]
-    front = [(-0.9, 0.9, 0, 0.4), (-0.9, 0.9, 1.0, 1.1), (-0.9, -0.4, 0.4, 1.0), (0.4, 0.9, 0.4, 1.0)]
-    window = [_quad((0, y, z), (0, y2, z), (0, y2, z2), (0, y, z2)) for y, y2, z, z2 in front]
+    pareto_front = [(-0.9, 0.9, 0, 0.4), (-0.9, 0.9, 1.0, 1.1), (-0.9, -0.4, 0.4, 1.0), (0.4, 0.9, 0.4, 1.0)]
+    window = [_quad((0, y, z), (0, y2, z), (0, y2, z2), (0, y, z2)) for y, y2, z, z2 in pareto_front]
     rib = _box((RIB[0], -0.9, 0), (RIB[1], 0.9, 0.8))
     faces = [*walls, *window, *rib]
     start = (-0.5, -2.52, 2.43, 3.1, 1.44, 0)

@@ -15,7 +15,7 @@ from htcp_jax.clearance import clearances
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES, GivenObstacle, given_obstacles, with_given
 from htcp_jax.clearance.proof.row_proof import between, rows_left
-from htcp_jax.device.programs import PROGRAMS
+from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
@@ -25,9 +25,9 @@ from htcp_jax.placement.ranges import read_ranges
 from htcp_jax.planning import batch
 from htcp_jax.report.validation import notes
 from htcp_jax.runs.identity import config_hash, identity
-from htcp_jax.status import Status, Way
-from htcp_jax.trajectory.held import with_rows
-from htcp_jax.trajectory.stretches import Spare
+from htcp_jax.status import SegmentStatus, Status
+from htcp_jax.trajectory.blends import MotionSlack
+from htcp_jax.trajectory.task_slack import with_rows
 
 PAGES = "docs/add-an-obstacle.md", "docs/add-a-task-row.md", "docs/add-a-planner.md"
 
@@ -128,7 +128,7 @@ def test_distances_are_those_of_a_dense_look_and_gradients_those_of_differences(
         dense = float(jax.vmap(own.distance)(points).min()) - float(robot.capsule_radius[k])
         found = float(clearances(robot, obstacles, scenario, x)[k])
         assert found <= dense + 1e-9 and found >= dense - 1e-3
-        assert obstacles[0].room(robot, scenario, bodies)[k] <= found
+        assert obstacles[0].free_radius(robot, scenario, bodies)[k] <= found
     gradient = jax.jacfwd(lambda x: clearances(robot, obstacles, scenario, x))(x)
     for j in range(len(x)):
         ahead = [clearances(robot, obstacles, scenario, x.at[j].add(h)) for h in (1e-6, -1e-6)]
@@ -145,7 +145,7 @@ def test_the_bound_of_an_obstacle_that_is_not_convex_holds_along_every_axis(kind
         points = bodies.p[:, None] + np.linspace(0, 1, 2001)[None, :, None] * (bodies.q - bodies.p)[:, None]
         dense = jax.vmap(jax.vmap(own.distance))(points).min(axis=1) - robot.capsule_radius
         moving = np.array(robot.capsule_link) > 0
-        least = np.asarray(obstacles[0].room(robot, scenario, bodies))
+        least = np.asarray(obstacles[0].free_radius(robot, scenario, bodies))
         assert (least[moving] <= np.asarray(dense)[moving] + 1e-12).all()
 
 
@@ -162,9 +162,9 @@ def test_scenarios_that_differ_in_the_balls_position_share_one_call_and_one_comp
         return batch.plan(cell.robot, cell.workpiece, scenarios, "baseline", cell.settings, **how)
 
     alone = [planned(jax.tree.map(lambda leaf, s=s: leaf[s : s + 1], found.scenarios)) for s in (0, 1)]
-    before = len(PROGRAMS)
+    before = len(EXECUTABLES)
     third = planned(jax.tree.map(lambda leaf: leaf[2:3], found.scenarios))
-    assert len(PROGRAMS) == before and third.tracked.any()
+    assert len(EXECUTABLES) == before and third.tracked.any()
     assert not np.array_equal(alone[0].clearance, alone[1].clearance)
 
 
@@ -202,11 +202,14 @@ def test_a_row_without_a_rate_is_sampled_and_nowhere_called_proven():
     plan = htcp_jax.plan({"task": [TRACK, SAMPLED], "method": "baseline"})
     on_path = int(plan.scenario.on_path)
     there = plan.plans.executable[0]
-    assert there.any() and (plan.plans.way[0, on_path + 1 :][there[on_path + 1 :]] == Way.SAMPLED).all()
-    assert "proven" not in set(plan.frame()["way"])
+    assert (
+        there.any()
+        and (plan.plans.segment_status[0, on_path + 1 :][there[on_path + 1 :]] == SegmentStatus.SAMPLED).all()
+    )
+    assert "proven" not in set(plan.frame()["segment_status"])
     with pytest.raises(htcp_jax.InputError, match="stays-above-sampled states no rate"):
         motion = plan.motion()
-        left = Spare(*np.zeros((2, len(motion.x) - 1)))
+        left = MotionSlack(*np.zeros((2, len(motion.x) - 1)))
         with_rows(left, plan.job, plan.robot, motion, np.asarray(plan.scenario.aims))
 
 
@@ -217,7 +220,10 @@ def test_a_row_holds_where_it_is_planned_and_its_proof_is_one(kinds):
     task = task_of_job(plan.job, plan.robot)
     height = np.array([task.value(plan.robot, q)[5] for q in x])[int(plan.scenario.on_path) :]
     assert len(height) and (height >= 1.4 - 1e-9).all()
-    assert not (plan.plans.way == Way.SAMPLED).any() and (plan.plans.way == Way.PROVEN).sum() > 50
+    assert (
+        not (plan.plans.segment_status == SegmentStatus.SAMPLED).any()
+        and (plan.plans.segment_status == SegmentStatus.VALID).sum() > 50
+    )
 
 
 def test_a_row_may_use_the_path_at_every_target():
@@ -314,7 +320,7 @@ def test_scenarios_of_a_job_take_no_further_kinds(kinds):
 
 
 def test_saved_numbers_of_statuses_stay():
-    assert (Status.NO_START, Status.NO_SOLUTION, Status.BUDGET_EXHAUSTED, Way.SAMPLED) == (14, 15, 16, 6)
+    assert (Status.NO_START, Status.NO_SOLUTION, Status.BUDGET_EXHAUSTED, SegmentStatus.SAMPLED) == (14, 15, 16, 6)
     assert all(status.message and status.words for status in Status)
 
 

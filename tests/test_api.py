@@ -17,7 +17,7 @@ from htcp_jax.cli import main
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.planning import batch, registry
 from htcp_jax.planning.tracking import StepQPs
-from htcp_jax.runs.tables import frame_of
+from htcp_jax.runs.tables import table_frame
 from htcp_jax.viewer import draw_plan
 from htcp_jax.viewer.replay import open_replays, replays_of
 
@@ -58,14 +58,14 @@ def test_a_plan_is_a_frame_a_figure_and_a_table(short, tmp_path):
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["tracked"] == 13
 
 
-def test_clearance_to_a_mesh_is_told_with_and_without_the_covering_radius(short):
+def test_clearance_to_a_mesh_is_reported_with_and_without_the_covering_radius(short):
     """Clearance of a mesh: what is measured, and what is subtracted (regression: 0.5 mm were 1.88 mm by MuJoCo)."""
     plan = htcp_jax.plan(overrides=short, method="baseline")
     assert "clearance measured" not in plan.facts()
     mesh = replace(plan, workpiece=replace(plan.workpiece, covering_radius_m=0.001))
     least = plan.summary.clearance_min_mm + 1
-    told = f"at least {least:.3g} mm to the mesh's points, less their covering radius of 1 mm"
-    assert mesh.facts()["clearance measured"] == told
+    reported = f"at least {least:.3g} mm to the mesh's points, less their covering radius of 1 mm"
+    assert mesh.facts()["clearance measured"] == reported
 
 
 def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, capsys):
@@ -85,9 +85,9 @@ def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, capsys):
 def test_a_failed_plan_says_where_and_why(short, tmp_path):
     (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")  # the second is in the wall
     plan = htcp_jax.plan(overrides=short, method="baseline")
-    reason, in_the_way = plan.failure().values()
+    reason, colliding_bodies = plan.failure().values()
     assert not plan.complete and "failed at target 12</td>" in plan._repr_html_() and reason in plan._repr_html_()
-    assert "inside the workpiece" in in_the_way and in_the_way in plan._repr_html_()
+    assert "inside the workpiece" in colliding_bodies and colliding_bodies in plan._repr_html_()
     assert plan.frame().clearance_m.isna().sum() == 1 and plan.frame().path_clear.isna().sum() == 1
 
 
@@ -138,12 +138,12 @@ def test_methods_are_a_frame():
     assert htcp_jax.methods().title["nspace-sqp"] == "N-Space SQP"
 
 
-def test_frames_keep_whole_numbers_and_truths_beside_nulls(monkeypatch):
-    frame = frame_of(pa.table({"k": pa.array([1, None], pa.int32()), "clear": pa.array([True, None])}))
+def test_frames_keep_whole_numbers_and_truths_next_to_nulls(monkeypatch):
+    frame = table_frame(pa.table({"k": pa.array([1, None], pa.int32()), "clear": pa.array([True, None])}))
     assert frame.k[0] == 1 and frame.k.dtype == "Int32" and frame.clear.dtype == "boolean"
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(htcp_jax.InputError, match="frames need pandas"):
-        frame_of(pa.table({}))
+        table_frame(pa.table({}))
 
 
 def test_a_job_is_a_mapping_as_a_sweep_is(short):

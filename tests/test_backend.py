@@ -12,9 +12,9 @@ import made_once
 import numpy as np
 
 from htcp_jax.backend import Backend, backend, compiled_for
-from htcp_jax.device import Kernels
-from htcp_jax.device.kernel import STEP, Kernel
-from htcp_jax.device.programs import Programs
+from htcp_jax.device import Executor
+from htcp_jax.device.executor import ExecutableCache
+from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.numerics import fold_keys
@@ -50,7 +50,7 @@ def test_loops_of_the_mathematics_are_unrolled_for_a_gpu_alone():
     assert (loops(CPU), loops(GPU)) == (1, 0)
 
 
-class Lowered(Kernel):
+class Lowered(LaneFunction):
     """A function that notes the backend of its trace, in place of one for a device that is not here."""
 
     def program(self, settings, device):
@@ -68,19 +68,19 @@ SEEN = []
 
 
 def test_a_function_compiled_for_a_gpu_takes_the_gpus_branch_and_one_for_a_cpu_the_cpus():
-    kernel, programs = Lowered("noted", abs, STEP), Programs()
+    lane_function, programs = Lowered("noted", abs, STEP), ExecutableCache()
     gpu = mock.Mock(spec=jax.Device, platform="gpu")  # none is here
-    programs.get(kernel, Settings(), gpu, (np.zeros(1),))
+    programs.get(lane_function, Settings(), gpu, (np.zeros(1),))
     with compiled_for(GPU):
-        programs.get(kernel, Settings(), jax.devices("cpu")[0], (np.zeros(1),))
+        programs.get(lane_function, Settings(), jax.devices("cpu")[0], (np.zeros(1),))
     assert SEEN == [GPU, CPU]
 
 
 def test_a_lane_function_gets_the_scene_with_the_lanes_own_tool():
-    kernel = Kernel("tool", lambda settings, scene, lane: scene.robot.T_link_tcp, STEP)
+    lane_function = LaneFunction("tool", lambda settings, scene, lane: scene.robot.T_link_tcp, STEP)
     lanes = lane_inputs(jax.tree.map(np.asarray, stack([made_once.nominal()] * 3)), np.arange(3), np.zeros(3, int))
     lanes = lanes._replace(tool_extension_m=np.array([0.0, 0.1, -0.02]))
-    found = Kernels(made_once.scene(), Settings())(kernel, lanes)
+    found = Executor(made_once.scene(), Settings())(lane_function, lanes)
     own = np.asarray(made_once.robot().T_link_tcp)
     np.testing.assert_allclose(found[:, :3, 3] - own[:3, 3], lanes.tool_extension_m[:, None] * own[:3, 2], atol=1e-15)
 

@@ -6,20 +6,20 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.device import Kernels
+from htcp_jax.device import Executor
 from htcp_jax.device.tables import concatenate, gather
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.motion import Plans
-from htcp_jax.motion.kernels import State
 from htcp_jax.motion.motion import transfers
 from htcp_jax.motion.plans import is_tracked
+from htcp_jax.motion.step_functions import State
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.tracking.backwards import BackwardPlans
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.lanes import Lanes, new_lanes
 from htcp_jax.planning.tracking.record import Record
-from htcp_jax.planning.tracking.stages import Escapes
+from htcp_jax.planning.tracking.stages import Recoveries
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
@@ -44,9 +44,9 @@ class Toy(LaneChecks):
     def inputs(self, lanes: Lanes, round_=0) -> Inputs:
         return Inputs(lanes, np.broadcast_to(round_, lanes.scenario.shape))
 
-    def kernels(self, kernel, inputs: Inputs, *tables) -> State:
-        self.calls.append((kernel.name, inputs.lanes.scenario.tolist(), inputs.lanes.target.tolist()))
-        if kernel.name == "draw":
+    def executor(self, lane_function, inputs: Inputs, *tables) -> State:
+        self.calls.append((lane_function.name, inputs.lanes.scenario.tolist(), inputs.lanes.target.tolist()))
+        if lane_function.name == "draw":
             name = 100.0 * inputs.lanes.scenario + 10.0 * inputs.round
             x = (name[:, None] + np.arange(DRAWN))[:, :, None]
         else:
@@ -56,7 +56,7 @@ class Toy(LaneChecks):
     def at_target(self, lanes: Lanes, here: State) -> np.ndarray:
         return np.array([self._good(int(x), row) for x, row in zip(here.x[:, 0], lanes.target, strict=True)], bool)
 
-    def path_clear(self, lanes: Lanes, x: np.ndarray, asked: bool) -> np.ndarray:
+    def path_clear(self, lanes: Lanes, x: np.ndarray, requested: bool) -> np.ndarray:
         return np.array([self._clear(int(one)) for one in x[:, 0]], np.int8)
 
     def measured(self, lanes: Lanes, x: np.ndarray) -> State:
@@ -76,13 +76,17 @@ def empty(scenarios: int, rows: int) -> Plans:
     return Plans.empty(np.zeros((scenarios, 1)), np.zeros((scenarios, rows, 3)))
 
 
-def planned_backwards(toy: Toy, lanes: Lanes, postures: int = 2) -> tuple[Plans, Record, dict[int, Lanes], int]:
+def planned_backwards(toy: Toy, lanes: Lanes, configurations: int = 2) -> tuple[Plans, Record, dict[int, Lanes], int]:
     """Plan failed lanes backwards; return plans, record, the continued lanes by scenario, and the number of rounds."""
     count = int(lanes.scenario.max()) + 1
     plans = empty(count, 6)
     record, found, rounds = Record(plans), {}, 0
     backwards = BackwardPlans(
-        toy, record, Escapes(replan_backwards=True), Settings(restart_rounds=postures), np.full((count, 1), -1.0)
+        toy,
+        record,
+        Recoveries(replan_backwards=True),
+        Settings(restart_rounds=configurations),
+        np.full((count, 1), -1.0),
     )
     replanned = backwards.begin(lanes)
     while replanned.going.size:
@@ -102,9 +106,9 @@ def test_the_clearest_chain_whose_paths_are_clear_replaces_the_rows_so_far():
     plans, record, found, _ = planned_backwards(toy, lost(3))
     np.testing.assert_allclose(plans.x[0, :4, 0], [2.3, 2.2, 2.1, 2.0])
     np.testing.assert_allclose(plans.joint_step[0, :4], [3.3, 0.1, 0.1, 0.1])  # the first is from the start, -1
-    np.testing.assert_array_equal(plans.status[0], [Status.TRACKED_AFTER_ESCAPE] * 4 + [Status.NOT_ATTEMPTED] * 2)
+    np.testing.assert_array_equal(plans.status[0], [Status.TRACKED_AFTER_RECOVERY] * 4 + [Status.NOT_ATTEMPTED] * 2)
     np.testing.assert_array_equal(plans.iterations[0, :4], [0, 0, 0, 7])
-    np.testing.assert_array_equal(plans.escape[0, :4], 1)  # no stages here: the number after the last stage is 1
+    np.testing.assert_array_equal(plans.recovery[0, :4], 1)  # no stages here: the number after the last stage is 1
     np.testing.assert_array_equal(plans.path_clear[0, :4], 1)
     assert found[0].target == 3 and record.tracked == 1  # the three targets before it were tracked already
 
@@ -114,7 +118,7 @@ def test_when_a_round_leads_nowhere_there_is_another_and_after_the_last_the_targ
     plans, _, found, _ = planned_backwards(toy, lost(2))
     np.testing.assert_allclose(plans.x[0, :3, 0], [10.2, 10.1, 10.0])
     for rounds in (0, 1):
-        plans, record, found, _ = planned_backwards(toy, lost(2), postures=rounds)
+        plans, record, found, _ = planned_backwards(toy, lost(2), configurations=rounds)
         assert not found and np.isnan(plans.x).all() and record.tracked == 0
 
 
@@ -124,7 +128,7 @@ def test_the_first_target_itself_can_be_lost():
 
 
 def test_scenarios_advance_together_and_each_comes_to_what_it_does_alone():
-    """Scenarios share kernel calls, and the number of rounds is that of the longest chain."""
+    """Scenarios share lane function calls, and the number of rounds is that of the longest chain."""
 
     def toy():
         return Toy(good=lambda x, row: x % 10 != 1 or row > 1, clear=lambda x: x % 100 >= 10 or x >= 200)
@@ -149,20 +153,20 @@ def crossed():
 @pytest.mark.slow
 def test_a_plan_made_backwards_says_so_and_holds_up_nobody(crossed, monkeypatch):
     """Check status and counts of a backward chain in real plans, and step QPs of other scenarios between its pushes."""
-    run, calls = Kernels.__call__, []
+    run, calls = Executor.__call__, []
 
-    def followed(self, kernel, inputs, *tables):
-        calls.append((kernel.name, set(np.asarray(inputs.number).tolist())))
-        return run(self, kernel, inputs, *tables)
+    def followed(self, lane_function, inputs, *tables):
+        calls.append((lane_function.name, set(np.asarray(inputs.number).tolist())))
+        return run(self, lane_function, inputs, *tables)
 
-    monkeypatch.setattr(Kernels, "__call__", followed)
+    monkeypatch.setattr(Executor, "__call__", followed)
     *scene, scenarios = crossed
     plans = plan(*scene, scenarios, "hybrid", threads=1)
-    back = plans.escape == HYBRID.backwards
+    back = plans.recovery == HYBRID.backwards
     assert back[0].sum() > 50 and not back[1].any() and HYBRID.backwards == 3
     last = np.flatnonzero(back[0])[-1]
     assert (plans.iterations[0, :last] == 0).all() and plans.iterations[0, last] > 0
-    assert (plans.status[back] == Status.TRACKED_AFTER_ESCAPE).all() and (plans.path_clear[back] == 1).all()
+    assert (plans.status[back] == Status.TRACKED_AFTER_RECOVERY).all() and (plans.path_clear[back] == 1).all()
     assert (plans.start == made_once.START).all() and transfers(plans).tolist() == [True, False, True]
     x = np.concatenate([[scenarios[0].x_start], plans.x[0]])
     np.testing.assert_allclose(plans.joint_step[0], np.linalg.norm(np.diff(x, axis=0), axis=1))

@@ -9,8 +9,8 @@ import numpy as np
 
 from htcp_jax.caching import cached_for_last
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.device.kernel import STEP, Kernel
-from htcp_jax.device.programs import Programs
+from htcp_jax.device.executor import ExecutableCache
+from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
 from htcp_jax.settings import Settings
 
@@ -49,7 +49,7 @@ def test_the_obstacles_of_a_workpiece_leave_the_device_with_it():
     assert points() is None
 
 
-class Compiled(Kernel):
+class Compiled(LaneFunction):
     """A function that needs no compiling and counts how often it is compiled."""
 
     def program(self, settings, device):
@@ -70,7 +70,7 @@ class Counts(list):
 
 
 def test_executables_beyond_the_most_are_dropped_those_first_that_were_not_asked_for_the_longest():
-    programs, device = Programs(most=2), jax.devices()[0]
+    programs, device = ExecutableCache(most=2), jax.devices()[0]
     a, b, c = (Compiled(name, abs, STEP, parts=(Counts(),)) for name in "abc")
     for each in (a, b, a, c, a, b):
         programs.get(each, Settings(), device, (np.zeros(1),))

@@ -5,12 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 import trimesh
-from held import are_held, from_axis
+from enclosed import are_held, from_axis
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as of_numpy
 
-from htcp_jax.io.capsule_fit import GRID_M, Capsule, Cut, clip, cover, fit_capsule, hull_volume
+from htcp_jax.io.capsule_fit import GRID_M, Capsule, Cut, clip, cover_with_capsules, fit_capsule, hull_volume
 
 SHIFTED = trimesh.transformations.translation_matrix((0.25, 0, 0.25))
 SOLIDS = {  # of convex parts
@@ -29,7 +29,7 @@ def triangles_of(name: str) -> np.ndarray:
 
 @cache
 def covered(name: str, most: int) -> list[Capsule]:
-    return [piece.capsule for piece in cover(triangles_of(name), most)]
+    return [piece.capsule for piece in cover_with_capsules(triangles_of(name), most)]
 
 
 @pytest.mark.parametrize(("name", "most"), [*((name, 1) for name in SOLIDS), ("slab", 3), ("elbow", 3)])

@@ -16,7 +16,7 @@ from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_di
 from htcp_jax.clearance.obstacles.fixtures import Fixtures
 from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance_rows
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures, solid_of
-from htcp_jax.clearance.proof.bisection import Verdict
+from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.io.cell import load_cell
 from htcp_jax.io.robot_import import import_robot
@@ -239,7 +239,7 @@ def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path)
     touching = 0
     for x in made_once.configurations(robot, 25):
         found = jitted(clearances)(robot, (own,), where, x)
-        every = np.where(own.heeds, each(x), np.inf)
+        every = np.where(own.is_checked, each(x), np.inf)
         expected = every.min(axis=0)
         np.testing.assert_allclose(found, expected, atol=1e-14)
         assert jitted(is_clear)(robot, (own,), where, x) == (expected.min() > 0)
@@ -272,7 +272,7 @@ def test_gradients_and_what_is_held_are_those_of_the_distance(tmp_path):
     assert odd <= 4
 
 
-def test_joint_paths_beside_solids_are_proven_and_refuted_as_they_are(tmp_path):
+def test_joint_paths_next_to_solids_are_proven_and_refuted_as_they_are(tmp_path):
     robot, where, own = made_once.robot(), made_once.nominal(), (everything(tmp_path),)
     proof = jax.jit(lambda a, b: prove(Scene(robot, own), where, a, b))
     rng, verdicts = np.random.default_rng(1), []
@@ -281,13 +281,13 @@ def test_joint_paths_beside_solids_are_proven_and_refuted_as_they_are(tmp_path):
         places = a + np.linspace(0, 1, 51)[:, None] * (b - a)
         truth = np.asarray(jitted(everywhere)(robot, own, where, places))
         found = proof(a, b)
-        if found.verdict == Verdict.PROVEN:
+        if found.verdict == PathVerdict.VALID:
             assert truth.min() >= float(found.clearance) - 1e-9 > 0
-        elif found.verdict == Verdict.COLLIDES:
+        elif found.verdict == PathVerdict.IN_COLLISION:
             assert jitted(clearances)(robot, own, where, a + float(found.place) * (b - a)).min() <= 0
         assert jitted(all_clear)(robot, own, where, places) == (truth.min() > 0)
         verdicts.append(int(found.verdict))
-    assert verdicts.count(Verdict.PROVEN) >= 3 and verdicts.count(Verdict.COLLIDES) >= 3
+    assert verdicts.count(PathVerdict.VALID) >= 3 and verdicts.count(PathVerdict.IN_COLLISION) >= 3
 
 
 def everywhere(robot, obstacles, where, places):

@@ -31,9 +31,9 @@ from htcp_jax.jobs.config import CellConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import GP50
-from htcp_jax.runs.identity import config_hash, differences, identity, refuse_changed
+from htcp_jax.runs.identity import config_hash, identity, identity_differences, refuse_changed
 from htcp_jax.runs.input_files import anchor_files, file_hashes
-from htcp_jax.validation import validate
+from htcp_jax.validation import validate_results
 from htcp_jax.viewer.colours import FIXTURE
 
 CELL = """<mujoco><worldbody>
@@ -117,8 +117,8 @@ def test_shapes_stand_where_mujoco_puts_them_and_where_they_are_moved(cell):
 
 def test_the_first_link_stands_on_its_pedestal_and_other_bodies_heed_it(cell):
     (found,) = make_fixtures(made_once.robot(), load_cell(cell))
-    heeds = dict(zip(found.names, np.asarray(found.heeds), strict=True))
-    assert not heeds["pedestal"][0] and heeds["pedestal"][1:].all() and heeds["table"].all()
+    is_checked = dict(zip(found.names, np.asarray(found.is_checked), strict=True))
+    assert not is_checked["pedestal"][0] and is_checked["pedestal"][1:].all() and is_checked["table"].all()
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ def job(tmp_path, cell):
 
 
 @pytest.mark.slow
-def test_a_plan_beside_a_fixture_is_as_mujoco_measures_it_and_refuted_where_the_fixture_is_in_the_way(job, tmp_path):
+def test_a_plan_next_to_a_fixture_is_as_mujoco_measures_it_and_refuted_where_the_fixture_is_in_collision(job, tmp_path):
     """A post next to the tool is nearest at the targets; moved into the tool, it collides."""
     p, q = (np.asarray(end)[-1] for end in capsule_segments(htcp_jax.load_robot(GP50), jnp.array(job["start_rad"])))
     aside = np.linalg.svd((q - p)[None])[2][1]
@@ -251,12 +251,12 @@ def test_a_plan_beside_a_fixture_is_as_mujoco_measures_it_and_refuted_where_the_
     tracked = plan.plans.tracked[0]
     assert tracked.any() and (alone(plan.plans.x[0, tracked]) > plan.plans.clearance[0, tracked] + 1e-3).all()
     plan.save(tmp_path / "plan")
-    found = validate(tmp_path / "plan")
+    found = validate_results(tmp_path / "plan")
     assert found.validated and found.methods["baseline"].clearance_off_max_mm < 1e-6
     summary = json.loads((tmp_path / "plan/summary.json").read_text())
     summary["config"]["cell"]["shift_m"] = (0.5 * (p + q) - [2, 2, 1]).tolist()
     (tmp_path / "plan/summary.json").write_text(json.dumps(summary))
-    found = validate(tmp_path / "plan")
+    found = validate_results(tmp_path / "plan")
     assert not found.validated and "the arm touches" in found.refuted[0].reason
 
 
@@ -311,7 +311,7 @@ def test_the_meshes_of_a_cell_and_what_models_include_are_part_of_a_runs_identit
     for part in ("parts/vice.stl", "posts.xml"):
         (tmp_path / "there" / part).write_bytes((tmp_path / "there" / part).read_bytes() + b"\n")
         changed = same(tmp_path / "there")[0]
-        (line,) = differences(here, changed)
+        (line,) = identity_differences(here, changed)
         assert line.startswith(f"parts.{Path(part).name} is SHA-256 ") and config_hash(here) != config_hash(changed)
         here = changed
     refuse_changed(files, tmp_path)

@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from htcp_jax.report import charts
-from htcp_jax.report.chart_style import LINES, line_of, spread
+from htcp_jax.report.chart_style import LINES, line_of, spread_labels
 from htcp_jax.report.document import png
 from htcp_jax.report.path_charts import REASONS
 from htcp_jax.status import Status
@@ -78,7 +78,7 @@ def test_what_is_not_planned_is_not_counted_as_tracked():
 
 def test_the_stops_show_each_reason_that_occurs_and_no_other():
     written = texts(charts.stops(STATUS))
-    assert "iteration limit" in written and "escape exhausted" not in written
+    assert "iteration limit" in written and "recovery exhausted" not in written
 
 
 def test_every_reason_to_fail_has_a_marker_of_its_own():
@@ -112,7 +112,7 @@ VISIONS = {
 
 
 @pytest.mark.parametrize("vision", VISIONS)
-def test_methods_are_told_apart_by_colour_or_by_line_style(vision):
+def test_methods_are_distinguished_by_colour_or_by_line_style(vision):
     for (a, (colour_a, style_a)), (b, (colour_b, style_b)) in itertools.combinations(LINES.items(), 2):
         seen = [VISIONS[vision] @ np.array(to_rgb(colour)) ** 2.2 for colour in (colour_a, colour_b)]
         apart = np.abs(np.subtract(*np.clip(seen, 0, 1) ** (1 / 2.2))).max()
@@ -128,7 +128,7 @@ def test_a_method_of_your_own_has_a_line_that_no_other_has():
 
 
 def test_labels_are_spread_in_their_order_and_stay_inside_where_there_is_room():
-    placed = spread({"a": 0.5, "b": 0.5, "c": 0.99, "d": 1.0, "e": 0.0}, 0.1)
+    placed = spread_labels({"a": 0.5, "b": 0.5, "c": 0.99, "d": 1.0, "e": 0.0}, 0.1)
     heights = sorted(placed.values())
     assert min(np.diff(heights)) >= 0.1 - 1e-12 and heights[0] >= 0 and heights[-1] <= 1
     assert sorted(placed, key=placed.get) == ["e", "a", "b", "c", "d"]

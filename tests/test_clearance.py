@@ -32,7 +32,7 @@ def posed(workpiece, wy=0.4, wz=0.1) -> Where:
 
 
 @cache
-def postures() -> np.ndarray:
+def configurations() -> np.ndarray:
     """Configurations of the GP50 far from the duct, at its mouth, deep in it and through its wall (M, N)."""
     robot = made_once.robot()
     inside = np.load(made_once.RECORDED)["x"]
@@ -79,7 +79,7 @@ def test_D_is_the_smallest_distance_to_all_points_and_minus_the_depth_outside_th
     decided = 0
     for wy, wz in ((0.4, 0.1), (0.2, -0.3)):
         where = posed(duct, wy, wz)
-        for x in postures()[::3]:
+        for x in configurations()[::3]:
             exact, hull = numpy_clearances(robot, duct, where, x)
             touch = jitted(contacts)(robot, obstacle, where, x)
             np.testing.assert_allclose(touch.distance, exact, rtol=0, atol=2e-15)
@@ -94,7 +94,7 @@ def test_all_forms_of_D_agree():
     signs = []
     for wy, wz in ((0.4, 0.1), (0.8, 0.3)):
         where = posed(made_once.duct(), wy, wz)
-        for x in postures():
+        for x in configurations():
             every = jitted(clearances)(robot, obstacle, where, x)
             np.testing.assert_allclose(jitted(clearance)(robot, obstacle, where, x), every.min(), rtol=0, atol=1e-15)
             linear = jitted(linearise)(robot, obstacle, where, x)
@@ -107,7 +107,7 @@ def test_all_forms_of_D_agree():
 def test_where_only_the_smallest_row_is_asked_for_it_is_right_and_no_other_is_nearer():
     """Check the smallest row, which then is the only row of a linearisation."""
     robot, obstacle = made_once.scene()[:2]
-    where, x = posed(made_once.duct()), postures()
+    where, x = posed(made_once.duct()), configurations()
 
     def rows(look, smallest):
         return jax.jit(jax.vmap(lambda x: look(robot, obstacle, where, x, smallest=smallest)))(x)
@@ -127,7 +127,7 @@ def test_contacts_lie_where_they_say():
     robot, obstacle = made_once.scene()[:2]
     duct, where = made_once.duct(), posed(made_once.duct())
     T = np.asarray(where.T_world_workpiece)
-    for x in postures()[::4]:
+    for x in configurations()[::4]:
         touch = jax.tree.map(np.asarray, jitted(contacts)(robot, obstacle, where, x))
         p, q = (np.asarray(end) for end in _ENDS(robot, x))
         along = np.linalg.norm(touch.point - p, axis=1) + np.linalg.norm(q - touch.point, axis=1)
@@ -168,7 +168,7 @@ def test_the_derivative_of_D_is_that_of_autodiff_through_what_is_nearest_and_of_
     robot, obstacle = made_once.scene()[:2]
     where = posed(made_once.duct())
     kinks, hull, total = 0, 0, 0
-    for x in postures()[::2]:
+    for x in configurations()[::2]:
         closed, forward, reverse, differences = gradients(robot, obstacle, where, x)
         np.testing.assert_allclose(forward, closed, rtol=0, atol=1e-12)
         np.testing.assert_allclose(reverse, closed, rtol=0, atol=1e-12)
@@ -208,7 +208,7 @@ def test_without_an_interior_only_the_points_count():
     workpiece = few_points(rng.normal((1.5, 0.0, 1.0), 1.0, (FEW, 3)))
     obstacle = make_obstacle(workpiece)
     where = Where(jnp.eye(4), jnp.array([1.0, 0, 0, -100.0]))
-    for x in postures()[:20]:
+    for x in configurations()[:20]:
         exact, hull = numpy_clearances(robot, _without_hull(workpiece), where, x)
         np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), exact, rtol=0, atol=2e-15)
         np.testing.assert_allclose(jitted(clearance)(robot, obstacle, where, x), exact.min(), rtol=0, atol=2e-15)
@@ -229,7 +229,7 @@ def _without_hull(workpiece):
 def test_the_gate_is_a_plane_and_only_ends_beyond_it_must_be_inside(direction):
     """Regression: the gate was only correct along the world's x axis."""
     robot, obstacle = made_once.scene()[:2]
-    x = jnp.asarray(postures()[0])
+    x = jnp.asarray(configurations()[0])
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
     T = jnp.asarray(made_once.duct().T_world(0.4, 0.1)).at[:3, 3].add(100.0)  # the hull is far from everything
     furthest = np.maximum(p @ np.array(direction), q @ np.array(direction))
@@ -281,7 +281,7 @@ def test_a_longer_tool_is_measured_longer(extension):
     """Compare D with numpy for a longer and a shorter tool."""
     robot = lengthen_tool(made_once.robot(), extension)
     obstacle, where = made_once.scene().obstacles, posed(made_once.duct())
-    for x in postures()[100:110]:
+    for x in configurations()[100:110]:
         exact, _ = numpy_clearances(robot, made_once.duct(), where, x)
         np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), exact, rtol=0, atol=2e-15)
 
@@ -297,7 +297,7 @@ def test_what_other_devices_compute_is_the_same():
     """Other devices search bodies in parallel and evaluate all facets and complete paths; the results are equal."""
     robot, obstacle = made_once.scene()[:2]
     where = posed(made_once.duct())
-    x = postures()[::3]
+    x = configurations()[::3]
     paths = x[:, None] + np.linspace(0, 0.05, 5)[:, None] * np.ones(x.shape[1])
 
     def look(x, path):

@@ -37,16 +37,16 @@ def test_a_complete_plan_exits_0_with_a_table_and_five_files(here, capsys):
     assert all(float(row["clearance_m"]) > 0 and float(row["residual_m"]) <= 1e-3 for row in rows)
     with np.load(here / "out" / "trajectory.npz") as arrays:
         assert arrays["x"].shape == (13, 6)
-    motion, told = summary["motion"], output.out
-    assert (motion["executable"], motion["way"], motion["dwells"]) == (13, "PROVEN", [])
-    assert f" mm; minimum on the segment to target {motion['tightest']}\n" in told
+    motion, reported = summary["motion"], output.out
+    assert (motion["executable"], motion["segment_status"], motion["dwells"]) == (13, "VALID", [])
+    assert f" mm; minimum on the segment to target {motion['tightest']}\n" in reported
     with open(here / "out" / "motion.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert [row["kind"] for row in rows] == ["APPROACH"] * 13 + ["FEED"]
+    assert [row["kind"] for row in rows] == ["APPROACH"] * 13 + ["PROCESS"]
     assert [int(row["target"]) for row in rows] == [0, *range(13)]
 
 
-def test_the_motion_leads_back_where_that_is_asked_for(here, capsys):
+def test_the_motion_leads_back_where_required(here, capsys):
     assert main(["plan", *SHORT, "--out", "out", "--retract", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["motion"]["executable"] == 13
     with open(here / "out" / "motion.csv", newline="") as stream:

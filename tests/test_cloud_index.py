@@ -8,11 +8,11 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, lower_bounds, single, spread
+from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, lower_bounds, single, with_axes
 from htcp_jax.clearance.distance.branch_and_bound import FAN
 from htcp_jax.clearance.distance.cloud_tree import TOP, build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.distance.cloud_tree_gpu import nearest_leaves
-from htcp_jax.gpu_kernel import HAS_KERNEL
+from htcp_jax.pallas import HAS_KERNEL
 
 LANES = 8  # segments per search, as the capsules of a configuration
 EPS = np.finfo(float).eps
@@ -118,7 +118,7 @@ def test_no_point_of_a_cluster_is_nearer_than_its_disc(name):
     groups = points[np.random.default_rng(1).integers(len(points), size=(60, 1))] + 0.02 * points[:48].reshape(1, -1, 3)
     p, q = segments(groups.reshape(-1, 3), 64, seed=2)
     bound = lower_bounds(
-        spread(single(as_segments(jnp.asarray(p), jnp.asarray(q))), 1),
+        with_axes(single(as_segments(jnp.asarray(p), jnp.asarray(q))), 1),
         jnp.asarray(bounding_discs(groups).T[:, None, :], jnp.float32),
     )
     exact = np.stack([smallest_distances(p, q, group) for group in groups], axis=1)

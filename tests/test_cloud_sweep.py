@@ -18,13 +18,13 @@ from htcp_jax.clearance.distance import cloud_sweep, cloud_tree_gpu, half_spaces
 from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import build_index
-from htcp_jax.clearance.distance.sweep import Sweep, Wanted
+from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
 from htcp_jax.clearance.proof import interval
-from htcp_jax.clearance.proof.bisection import Verdict
+from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import travel_bound
 from htcp_jax.clearance.proof.motion_proof import prove
-from htcp_jax.gpu_kernel import HAS_KERNEL
+from htcp_jax.pallas import HAS_KERNEL
 
 BODIES = 6
 STEP = 0.005  # between points on a circle [rad]
@@ -38,7 +38,7 @@ def swept(rng, points):
     moves = rng.normal(0, 1, (2, BODIES, 3)) * 10.0 ** rng.uniform(-4, -1, (BODIES, 1))
     bend = 0.3 * np.linalg.norm(moves, axis=2).max(axis=0) * rng.uniform(0, 1, BODIES)
     travel = np.linalg.norm(moves, axis=2).max(axis=0) + bend
-    return centre - half, centre + half, Sweep(*moves, bend, travel), rng.uniform(0.01, 0.05, BODIES)
+    return centre - half, centre + half, BodySweep(*moves, bend, travel), rng.uniform(0.01, 0.05, BODIES)
 
 
 def by_hand(points, p, q, sweep, reach):
@@ -64,7 +64,7 @@ def test_the_search_finds_what_a_look_at_every_point_does(size):
     index, all_ = build_index(points), jnp.ones(BODIES, bool)
     for _ in range(20):
         p, q, sweep, reach = swept(rng, points)
-        found = np.asarray(_FOUND(index, p, q, sweep, reach, all_, Wanted(-jnp.inf, jnp.array(0.02))))
+        found = np.asarray(_FOUND(index, p, q, sweep, reach, all_, RequiredClearance(-jnp.inf, jnp.array(0.02))))
         np.testing.assert_allclose(found, np.minimum(by_hand(points, p, q, sweep, reach), 0.02), atol=1e-12)
 
 
@@ -74,13 +74,13 @@ def test_the_search_ends_at_the_first_body_that_will_not_do_and_leaves_out_what_
     index = build_index(points)
     for _ in range(40):
         p, q, sweep, reach = swept(rng, points)
-        asked, wanted = rng.uniform(size=BODIES) < 0.5, Wanted(jnp.array(-0.01), jnp.array(0.01))
-        found = np.asarray(_FOUND(index, p, q, sweep, reach, asked, wanted))
+        requested, wanted = rng.uniform(size=BODIES) < 0.5, RequiredClearance(jnp.array(-0.01), jnp.array(0.01))
+        found = np.asarray(_FOUND(index, p, q, sweep, reach, requested, wanted))
         by_points = by_hand(points, p, q, sweep, reach)
-        will_do = (by_points[asked] >= -0.01).all()
-        assert (found[asked] >= -0.01).all() == will_do and (found[~asked] == 0.01).all()
+        will_do = (by_points[requested] >= -0.01).all()
+        assert (found[requested] >= -0.01).all() == will_do and (found[~requested] == 0.01).all()
         if will_do:
-            np.testing.assert_allclose(found[asked], np.minimum(by_points[asked], 0.01), atol=1e-12)
+            np.testing.assert_allclose(found[requested], np.minimum(by_points[requested], 0.01), atol=1e-12)
         verdicts.append(will_do)
     assert 5 < sum(verdicts) < 35
 
@@ -105,11 +105,13 @@ def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu):
     for _ in range(10):
         p, q, sweep, reach = swept(rng, points)
         lanes.append((p, q, sweep, reach, rng.uniform(size=BODIES) < 0.7, 10.0 ** rng.uniform(-2, 0)))
-    p, q, sweep, reach, asked, enough = jax.tree.map(lambda *each: np.stack(each), *lanes)
+    p, q, sweep, reach, requested, enough = jax.tree.map(lambda *each: np.stack(each), *lanes)
 
     def clear(least):
-        found = jax.jit(jax.vmap(lambda *lane: clear_along(index, *lane[:-1], Wanted(jnp.asarray(least), lane[-1]))))
-        return np.asarray(found(p, q, sweep, reach, asked, enough))
+        found = jax.jit(
+            jax.vmap(lambda *lane: clear_along(index, *lane[:-1], RequiredClearance(jnp.asarray(least), lane[-1])))
+        )
+        return np.asarray(found(p, q, sweep, reach, requested, enough))
 
     found, ended = clear(-jnp.inf), clear(0.01)
     np.testing.assert_array_equal(found, ended)  # none ends early
@@ -118,19 +120,19 @@ def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu):
     will_do = (clear(0.01) >= 0.01).all(axis=1)
     np.testing.assert_array_equal((ended >= 0.01).all(axis=1), will_do)
     assert (found < enough[:, None]).any() and (
-        found[~asked] == enough.repeat(BODIES).reshape(-1, BODIES)[~asked]
+        found[~requested] == enough.repeat(BODIES).reshape(-1, BODIES)[~requested]
     ).all()
 
 
 @pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu):
     """Compare proofs of a batch of motions by the GPU kernels, with points inside and outside the hull."""
-    ways = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions()[:40])
+    segments = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions()[:40])
     scene = Scene(*made_once.scene())
     proof = partial(prove, scene, kept=0.5)
-    found = jax.jit(jax.vmap(proof))(*ways)
+    found = jax.jit(jax.vmap(proof))(*segments)
     as_on_a_gpu.close()
-    expected = jax.jit(lambda ways: jax.lax.map(lambda way: proof(*way), ways))(ways)
+    expected = jax.jit(lambda segments: jax.lax.map(lambda segment_status: proof(*segment_status), segments))(segments)
     for name in ("verdict", "place", "queries", "depth"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)
     np.testing.assert_allclose(found.clearance, expected.clearance, rtol=0, atol=1e-12)
@@ -149,8 +151,8 @@ def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_a
             continue
         reached = near / float(travel(scene.robot, x, rates, 1.0).max())  # where travel is about the clearance
         for half in (0.3 * reached, 0.6 * reached, 1.2 * reached):
-            asked = *scene[:2], where, x, rates, half, 0.0, 0.5, jnp.array(True)
-            there, by_travel = (look(*asked, jnp.array(closely)) for closely in (True, False))
+            requested = *scene[:2], where, x, rates, half, 0.0, 0.5, jnp.array(True)
+            there, by_travel = (look(*requested, jnp.array(closely)) for closely in (True, False))
             assert there.middle == by_travel.middle and (there.proven or not by_travel.proven)
             if there.proven:
                 places = np.asarray(x) + np.linspace(-half, half, 200)[:, None] * np.asarray(rates)[None]
@@ -170,12 +172,12 @@ def floor_below(robot, where, x, gap_m):
     return cloud_of(points, 0.0)
 
 
-def test_a_way_along_a_wall_takes_few_looks(monkeypatch):
+def test_a_segment_along_a_wall_takes_few_looks(monkeypatch):
     """A turn about the vertical, 1 um above a floor: by travel alone it needs over 20 times as many queries."""
     robot, where, x = made_once.robot(), Where(jnp.eye(4), jnp.zeros(4)), jnp.array([0.0, 0.6, -0.3, 0.0, -0.6, 0.0])
     scene, turned = Scene(robot, (floor_below(robot, where, x, 1e-6),)), x.at[0].set(0.02)
     proof = jax.jit(prove)(scene, where, x, turned)
-    assert proof.verdict == Verdict.PROVEN and proof.queries < 100
+    assert proof.verdict == PathVerdict.VALID and proof.queries < 100
     monkeypatch.setattr(interval, "_closer", lambda kind, *about: about[4] - about[3].travel)
     again = jax.jit(lambda a, b: prove(scene, where, a, b))(x, turned)
-    assert again.verdict == Verdict.PROVEN and again.queries > 20 * proof.queries
+    assert again.verdict == PathVerdict.VALID and again.queries > 20 * proof.queries

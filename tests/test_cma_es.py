@@ -12,7 +12,7 @@ from htcp_jax.solvers import cma_es
 TELL = jax.jit(cma_es.tell, static_argnames="r")
 
 
-class Hashable(cma_es.Rates):
+class Hashable(cma_es.StrategyParameters):
     """Rates as a static argument of jit; compared by identity, one object per test."""
 
     __hash__ = object.__hash__
@@ -25,7 +25,7 @@ def package(mean, sigma, population, seed=1):
     return cma.CMAEvolutionStrategy(list(mean), sigma, options)
 
 
-def rates_of(es) -> cma_es.Rates:
+def rates_of(es) -> cma_es.StrategyParameters:
     """Strategy parameters of the package, whose two for the step size deliberately differ from the tutorial's."""
     weights = es.sp.weights
     es.adapt_sigma.initialize(es)

@@ -15,7 +15,7 @@ from sphere_references import place
 from htcp_jax.clearance import in_workpiece
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.clearance.proof.motion_proof import Tube
-from htcp_jax.device import Kernels
+from htcp_jax.device import Executor
 from htcp_jax.device.devices import choose
 from htcp_jax.device.tables import gather
 from htcp_jax.io.workpiece_file import load_workpiece
@@ -26,13 +26,13 @@ from htcp_jax.motion import CollisionChecker, Problem
 from htcp_jax.motion.collision_checker import PLACES
 from htcp_jax.motion.home import begin_at_home, leave_home
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.motion_check import check_remaining_paths, judge_motions, tighten
+from htcp_jax.motion.motion_check import check_remaining_paths, tighten, verify_motions
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.motion.smoothing import smooth
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
-from htcp_jax.status import Status, Way
+from htcp_jax.status import SegmentStatus, Status
 
 MANY, MARGIN_M = 200, 0.001
 TIPS = jax.jit(jax.vmap(lambda robot, where, x: in_workpiece(where, tip_segment(robot, x)), (None, None, 0)))
@@ -46,8 +46,8 @@ def guard():
 
 @cache
 def checker(threads=1, guarded=True):
-    kernels = Kernels(made_once.scene(), Settings(), threads=threads)
-    return CollisionChecker(kernels, Settings(), guard() if guarded else None)
+    executor = Executor(made_once.scene(), Settings(), threads=threads)
+    return CollisionChecker(executor, Settings(), guard() if guarded else None)
 
 
 @cache
@@ -115,13 +115,15 @@ def test_what_is_projected_is_on_its_target():
 def test_proven_edges_are_clear_at_all_places_and_refuted_ones_collide_where_they_say():
     inputs, a, b = lanes()
     bare, guarded = checker(guarded=False).edges(inputs, a, b), checker().edges(inputs, a, b)
-    passes = np.array([tip_passes(places(*way, PLACES)).any() for way in zip(a, b, strict=True)])
+    passes = np.array([tip_passes(places(*segment_status, PLACES)).any() for segment_status in zip(a, b, strict=True)])
     for k, verdict in enumerate(bare.verdict):
-        if verdict == Way.PROVEN:
+        if verdict == SegmentStatus.VALID:
             assert clearances(places(a[k], b[k], PLACES)).min() >= bare.clearance[k] > 0
         else:
-            assert verdict == Way.COLLIDES and clearances((a[k] + bare.place[k] * (b[k] - a[k]))[None]) <= 0
-    expected = np.where(passes & (bare.verdict == Way.PROVEN), int(Way.COLLIDES), bare.verdict)
+            assert (
+                verdict == SegmentStatus.IN_COLLISION and clearances((a[k] + bare.place[k] * (b[k] - a[k]))[None]) <= 0
+            )
+    expected = np.where(passes & (bare.verdict == SegmentStatus.VALID), int(SegmentStatus.IN_COLLISION), bare.verdict)
     assert guarded.verdict.tolist() == expected.tolist() != bare.verdict.tolist()
     assert len(np.unique(bare.verdict)) == 2
 
@@ -133,8 +135,8 @@ def test_the_tcp_of_a_proven_edge_stays_in_its_tube():
     found = checker(guarded=False).edges(inputs, a, b, Tube(start, end, radius)).verdict
     for k, verdict in enumerate(found):
         off = off_line(start[k], end[k], np.asarray(TCPS(robot, places(a[k], b[k], PLACES)))).max()
-        assert verdict != Way.PROVEN or off <= 1e-4
-    assert {Way.PROVEN, Way.LEAVES} <= set(found.tolist())
+        assert verdict != SegmentStatus.VALID or off <= 1e-4
+    assert {SegmentStatus.VALID, SegmentStatus.OFF_PATH} <= set(found.tolist())
 
 
 @pytest.mark.parametrize("test", ["bisection", "samples"])
@@ -143,9 +145,9 @@ def test_a_path_is_clear_by_the_test_of_the_settings(test):
     inputs, a, b = lanes()
     settings = Settings(path_test=test, path_steps=PLACES)
     found = CollisionChecker(
-        checker().kernels if test == "bisection" else Kernels(made_once.scene(), settings), settings, guard()
+        checker().executor if test == "bisection" else Executor(made_once.scene(), settings), settings, guard()
     )
-    sampled = [places(*way, PLACES) for way in zip(a, b, strict=True)]
+    sampled = [places(*segment_status, PLACES) for segment_status in zip(a, b, strict=True)]
     clear = np.array([clearances(x).min() > 0 and not tip_passes(x).any() for x in sampled])
     assert found.path_clear(inputs, a, b).tolist() == clear.tolist()
     assert clear.any() and not clear.all()
@@ -254,15 +256,18 @@ def test_goals_follow_the_targets_of_an_approach_that_left_its_lines():
 
 def test_steps_after_a_method_return_plans_and_change_none():
     """Arrays that cannot be written into go through every step."""
-    problem, ways = leave_home(problem_of(poses()))
+    problem, segments = leave_home(problem_of(poses()))
     plans = planned()
-    plans = plans._replace(path_clear=np.full_like(plans.path_clear, -1), way=np.full_like(plans.way, Way.UNKNOWN))
+    plans = plans._replace(
+        path_clear=np.full_like(plans.path_clear, -1),
+        segment_status=np.full_like(plans.segment_status, SegmentStatus.NOT_CHECKED),
+    )
     steps = (
         check_remaining_paths,
-        lambda p, each: begin_at_home(p, each, ways),
-        judge_motions,
+        lambda p, each: begin_at_home(p, each, segments),
+        verify_motions,
         smooth,
-        judge_motions,
+        verify_motions,
         tighten,
     )
     for step in steps:
@@ -273,4 +278,4 @@ def test_steps_after_a_method_return_plans_and_change_none():
         for name, array in before.items():
             np.testing.assert_array_equal(getattr(plans, name), array, err_msg=name)
         plans = after
-    assert (plans.way == planned().way).all() and plans.executable.any()
+    assert (plans.segment_status == planned().segment_status).all() and plans.executable.any()

@@ -78,14 +78,14 @@ def test_methods_are_listed_with_their_sentences(capsys):
 
 
 def test_plan_prints_its_summary_as_json(here, capsys):
-    told = json_of(capsys, ["plan", *SHORT, "--out", "out"])
-    assert told == json.loads((here / "out" / "summary.json").read_text())
-    assert told["tracked"] == 13 and told["config"]["method"] == "baseline"
+    reported = json_of(capsys, ["plan", *SHORT, "--out", "out"])
+    assert reported == json.loads((here / "out" / "summary.json").read_text())
+    assert reported["tracked"] == 13 and reported["config"]["method"] == "baseline"
 
 
 def test_sweep_and_reachability_print_what_they_found_as_json(here, capsys):
-    told = json_of(capsys, ["sweep", "two.yaml", "--methods", "baseline", *SHORT[:2]])
-    assert told["complete"] and told["methods"]["baseline"]["targets"] == 2 * 13
+    reported = json_of(capsys, ["sweep", "two.yaml", "--methods", "baseline", *SHORT[:2]])
+    assert reported["complete"] and reported["methods"]["baseline"]["targets"] == 2 * 13
     found = json_of(capsys, ["reachability", "two.yaml", "--limit", "1", *SHORT[:2], "--out", "c"])
     assert found == json.loads((here / "c" / "reachability.json").read_text())
 

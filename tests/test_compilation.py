@@ -1,4 +1,4 @@
-"""Compilation: once per kernel, in parallel, nothing unused, and with results that do not depend on batching."""
+"""Compilation: once per lane function, in parallel, nothing unused, and with results that do not depend on batching."""
 
 import threading
 import time
@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 
 from htcp_jax.clearance.proof.motion_proof import proven_clear
-from htcp_jax.device import Kernels, Loop
+from htcp_jax.device import Executor, Loop
 from htcp_jax.device.batching import chunked, refilled
-from htcp_jax.device.kernel import STEP, Kernel
-from htcp_jax.device.programs import COMPILER, Programs, Stopwatch
+from htcp_jax.device.executor import COMPILER, ExecutableCache, Stopwatch
+from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.collision_checker import prove_call
-from htcp_jax.motion.kernels import PROVE
 from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.step_functions import PROVE
 from htcp_jax.numerics import fold_keys
 from htcp_jax.settings import Settings
 
 
-def asked(count):
+def requested(count):
     """Lanes of the nominal scenario, and joint paths from near its start, some of them not clear."""
     scenarios = jax.tree.map(np.asarray, stack([made_once.nominal()]))
     a = made_once.configurations_near(np.array(made_once.START), count, 0.3)
@@ -33,30 +33,31 @@ def asked(count):
 
 
 def test_what_is_prepared_is_what_is_called():
-    """Check that a kernel is compiled once: the first call waits for the prepared program, later calls do not wait."""
-    programs = Programs()
-    kernels = Kernels(made_once.scene(), Settings(), programs=programs)
-    checker, (inputs, a, b) = CollisionChecker(kernels, Settings()), asked(20)
-    with kernels.preparing([prove_call(checker.task, inputs, a, b)]):
+    """Check that a lane function is compiled once: the first call waits for the prepared program, later calls do not
+    wait."""
+    executables = ExecutableCache()
+    executor = Executor(made_once.scene(), Settings(), executables=executables)
+    checker, (inputs, a, b) = CollisionChecker(executor, Settings()), requested(20)
+    with executor.preparing([prove_call(checker.task, inputs, a, b)]):
         clear = checker.path_clear(inputs, a, b)
-        assert len(programs) == 1 and kernels.compile_s > 0 and programs.of(PROVE)
-    before = kernels.compile_s
+        assert len(executables) == 1 and executor.compile_s > 0 and executables.of(PROVE)
+    before = executor.compile_s
     assert checker.path_clear(inputs, a, b).tolist() == clear.tolist()
-    assert len(programs) == 1 and kernels.compile_s == before
+    assert len(executables) == 1 and executor.compile_s == before
     one = jax.jit(lambda a, b: proven_clear(made_once.scene(), made_once.nominal(), a, b))
-    assert clear.tolist() == [bool(one(*way)) for way in zip(a, b, strict=True)]
+    assert clear.tolist() == [bool(one(*segment_status)) for segment_status in zip(a, b, strict=True)]
     assert clear.any() and not clear.all()
 
 
-def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_told():
-    programs = Programs()
-    kernels = Kernels(made_once.scene(), Settings(), programs=programs)
-    inputs, a, b = asked(2)
-    with kernels.preparing([prove_call(kernels.task, inputs, a, b)]):
+def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_reported():
+    executables = ExecutableCache()
+    executor = Executor(made_once.scene(), Settings(), executables=executables)
+    inputs, a, b = requested(2)
+    with executor.preparing([prove_call(executor.task, inputs, a, b)]):
         pass
-    assert programs.of(PROVE)
-    faulty = Kernel("faulty", lambda settings, scene, lane: settings.samples, STEP)
-    with pytest.raises(AttributeError, match="samples"), kernels.preparing([(faulty, inputs)]):
+    assert executables.of(PROVE)
+    faulty = LaneFunction("faulty", lambda settings, scene, lane: settings.samples, STEP)
+    with pytest.raises(AttributeError, match="samples"), executor.preparing([(faulty, inputs)]):
         pass
 
 
@@ -77,11 +78,11 @@ def test_a_clock_goes_while_anybody_waits():
 def test_lanes_one_by_one_are_lanes_side_by_side():
     """Loop whose length differs between lanes, with a float and an integer result."""
 
-    def kernel(scene, x, n):
+    def lane_function(scene, x, n):
         return jax.lax.fori_loop(0, n, lambda k, x: x + scene * k.astype(float), x), n + 1
 
     x, n, done = np.arange(16.0).reshape(8, 2), np.arange(8, dtype=np.int32), np.arange(8) < 6
-    alone, together = (chunked(kernel, width)(jnp.asarray(0.5), np.int32(6), x, n) for width in (1, 2))
+    alone, together = (chunked(lane_function, width)(jnp.asarray(0.5), np.int32(6), x, n) for width in (1, 2))
     for found in (alone, together):
         np.testing.assert_array_equal(found[0], np.where(done[:, None], x + (0.25 * n * (n - 1))[:, None], 0.0))
         np.testing.assert_array_equal(found[1], np.where(done, n + 1, 0))
@@ -93,16 +94,16 @@ def test_lanes_that_leave_their_slot_to_others_are_lanes_one_by_one():
     Each lane gives the same result as alone, in its own row; rows that were not requested stay zero.
     """
 
-    def kernel(scene, x, n):
+    def lane_function(scene, x, n):
         each = n.astype(float)
         return Loop((x, jnp.zeros((), jnp.int32)), lambda s: s[1] < n, lambda s: (s[0] * scene + each, s[1] + 1))
 
     rng = np.random.default_rng(0)
     x, n = rng.normal(size=(64, 2)), rng.integers(0, 41, 64).astype(np.int32)
     for lanes in (1, 7, 50, 64):
-        alone = chunked(kernel, 1)(jnp.asarray(0.9), np.int32(lanes), x, n)
+        alone = chunked(lane_function, 1)(jnp.asarray(0.9), np.int32(lanes), x, n)
         for width in (4, 8, 64):
-            together = refilled(kernel, width)(jnp.asarray(0.9), np.int32(lanes), x, n)
+            together = refilled(lane_function, width)(jnp.asarray(0.9), np.int32(lanes), x, n)
             for one, other in zip(alone, together, strict=True):
                 np.testing.assert_array_equal(one[:lanes], other[:lanes])
                 assert not np.asarray(other)[lanes:].any()
@@ -118,7 +119,7 @@ def test_a_key_is_folded_number_by_number():
 
 
 @pytest.mark.parametrize("platform", COMPILER)
-def test_what_the_compiler_is_told_it_understands(platform):
+def test_what_the_compiler_is_reported_it_understands(platform):
     """Compile with our options: an option that XLA has removed would stop every plan on this platform."""
     compiled = jax.jit(jnp.sin).lower(1.0).compile(COMPILER[platform])
     assert compiled(1.0) == pytest.approx(np.sin(1.0))

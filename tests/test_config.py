@@ -33,7 +33,7 @@ def test_paper_yaml_is_reading_c_with_j1_at_weight_one():
     assert paper.margin_m == 0
     chosen = paper.settings
     assert (chosen.cost_about, chosen.clearance_rows, chosen.j1_weight) == ("previous", "smallest", 1)
-    assert (chosen.path_check, chosen.after_escape) == ("none", "accept")
+    assert (chosen.path_check, chosen.after_recovery) == ("none", "accept")
     assert paper.start_rad == PlanConfig().start_rad and paper.workpiece == PlanConfig().workpiece
 
 

@@ -14,7 +14,7 @@ from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import workpiece_of
 from htcp_jax.jobs.config import WorkpieceConfig
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.jobs.grid_axes import from_record, record
+from htcp_jax.jobs.grid_axes import from_record, group_record
 from htcp_jax.model import duct
 from htcp_jax.runs.input_files import anchor_files
 
@@ -117,7 +117,7 @@ def test_the_sweep_takes_every_bead_to_every_pose_of_the_workpiece_sweep():
     assert [part.path for part in parts] == [name for name in BEADS for _ in range(49)]
     assert [part.model_copy(update={"path": "weld"}) for part in parts] == poses * len(BEADS)
     assert {point.config.start_rad for point in sweep.points()} == {(0.0, -2.3, 0.5, 0.0, 0.5, -2.0)}
-    assert from_record(record(sweep.groups[0], ()), sweep.robot.joint_names) == sweep.groups[0]
+    assert from_record(group_record(sweep.groups[0], ()), sweep.robot.joint_names) == sweep.groups[0]
 
 
 def test_scenarios_of_one_batch_have_their_own_seams():
@@ -130,7 +130,7 @@ def test_scenarios_of_one_batch_have_their_own_seams():
 
 def test_the_page_s_table_is_the_one_that_the_beads_are_made_from():
     rows = [line.split("|") for line in (ROOT / "docs" / "bring-your-own.md").read_text().splitlines()]
-    told = {row[1].strip(" `"): [cell.strip() for cell in row[2:5]] for row in rows if row[1:] and "`" in row[1]}
+    reported = {row[1].strip(" `"): [cell.strip() for cell in row[2:5]] for row in rows if row[1:] and "`" in row[1]}
     for name, bead in BEADS.items():
         spans = [" to ".join(f"{v:g}" for v in dict.fromkeys(pair)) for pair in (bead.x_m, bead.angle_deg)]
-        assert told[name] == [*spans, str(bead.points)], name
+        assert reported[name] == [*spans, str(bead.points)], name

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 import toy
 
-from htcp_jax.device import Kernels
+from htcp_jax.device import Executor
 from htcp_jax.device.devices import choose
-from htcp_jax.device.kernel import STEP, Kernel
-from htcp_jax.device.programs import PROGRAMS, Programs
+from htcp_jax.device.executor import EXECUTABLES, ExecutableCache
+from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.device.tables import gather_from
 from htcp_jax.model import Task
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion import CollisionChecker, Problem
-from htcp_jax.motion.kernels import ADVANCE, STEPS_A_BURST
 from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.step_functions import ADVANCE, STEPS_PER_CHUNK
 from htcp_jax.planning.registry import find
 from htcp_jax.planning.tracking import Engine
-from htcp_jax.planning.tracking.candidates import Waiting, nearest
+from htcp_jax.planning.tracking.candidates import PendingScenarios, nearest
 from htcp_jax.planning.tracking.lane_table import LaneTable
 from htcp_jax.planning.tracking.lanes import DRAWING, NEW, TRACK, Lanes
 from htcp_jax.planning.tracking.stages import ENTER
@@ -32,19 +32,19 @@ from htcp_jax.solvers.step_qp import QPSolution, QPStatus
 from htcp_jax.status import Status
 
 PAPER = replace(toy.SETTINGS, **made_once.PAPER_CHOICES)
-COMPARED = ("x", "status", "clearance", "residual", "iterations", "escape")
+COMPARED = ("x", "status", "clearance", "residual", "iterations", "recovery")
 
 
-class Noting(Kernels):
+class Noting(Executor):
     """Kernels that keep a log of their calls: name, number of lanes."""
 
     def __init__(self, *scene):
         super().__init__(*scene)
         self.log = []
 
-    def __call__(self, kernel, inputs, *tables):
-        self.log.append((kernel.name, len(inputs.row)))
-        return super().__call__(kernel, inputs, *tables)
+    def __call__(self, lane_function, inputs, *tables):
+        self.log.append((lane_function.name, len(inputs.row)))
+        return super().__call__(lane_function, inputs, *tables)
 
 
 class AsOnGpu(Noting):
@@ -53,7 +53,7 @@ class AsOnGpu(Noting):
     pays_by_lane = False
 
 
-class FourLanes(Kernels):
+class FourLanes(Executor):
     """Kernels for four lanes at a time."""
 
     lanes = 4
@@ -63,14 +63,14 @@ def clarabel(cls=ClarabelSolver):
     return cls(2 * np.array(PAPER.q_weights), 1, PAPER.qp_tolerance)
 
 
-def planned_by(kernels, method="baseline", settings=PAPER, solver=None):
-    """Plans that one engine makes of all scenarios with these kernels and this QP solver."""
+def planned_by(executor, method="baseline", settings=PAPER, solver=None):
+    """Plans that one engine makes of all scenarios with these lane functions and this QP solver."""
     scenarios = stack(toy.scenarios())
     task, devices = Task(tolerance_m=settings.tolerance_m), choose(None)
     problem = Problem(toy.robot(), toy.workpiece(), scenarios, settings, task, toy.scene().obstacles, devices, 1)
     work, plans = Work(list(range(len(scenarios.number))), 1), problem.empty_plans()
-    checker = CollisionChecker(kernels, settings)
-    Engine(problem, checker, solver or clarabel(), find(method), plans, work, Waiting()).run()
+    checker = CollisionChecker(executor, settings)
+    Engine(problem, checker, solver or clarabel(), find(method), plans, work, PendingScenarios()).run()
     return plans
 
 
@@ -83,23 +83,23 @@ def same(a, b, rows=slice(None)):
 
 
 @pytest.mark.parametrize("method", ["nspace-sqp", "cspace-sample"])
-@pytest.mark.parametrize("after_escape", ["accept", "track"])
-def test_which_phase_goes_first_changes_no_plan_and_on_a_gpu_calls_are_fuller(method, after_escape):
-    settings = replace(PAPER, after_escape=after_escape)
+@pytest.mark.parametrize("after_recovery", ["accept", "track"])
+def test_which_phase_goes_first_changes_no_plan_and_on_a_gpu_calls_are_fuller(method, after_recovery):
+    settings = replace(PAPER, after_recovery=after_recovery)
     every, fuller = Noting(toy.scene(), settings), AsOnGpu(toy.scene(), settings)
     same(planned_by(every, method, settings), planned_by(fuller, method, settings))
-    escape = "walk 0" if method == "nspace-sqp" else "sample 0"
-    lanes, fewer = ([count for name, count in kernels.log if name == escape] for kernels in (every, fuller))
+    recovery = "null space 0" if method == "nspace-sqp" else "sample 0"
+    lanes, fewer = ([count for name, count in executor.log if name == recovery] for executor in (every, fuller))
     assert sum(fewer) == sum(lanes) and len(fewer) < len(lanes)
 
 
 def test_fewer_slots_than_scenarios_change_no_plan():
-    same(planned_by(Kernels(toy.scene(), PAPER)), planned_by(FourLanes(toy.scene(), PAPER)))
+    same(planned_by(Executor(toy.scene(), PAPER)), planned_by(FourLanes(toy.scene(), PAPER)))
 
 
 def lanes_of(table: LaneTable) -> Lanes:
     """Lanes in flight, which leave the table."""
-    ((_, lanes),) = table.turn()
+    ((_, lanes),) = table.next_chunk()
     return lanes
 
 
@@ -177,20 +177,23 @@ def test_an_engine_that_breaks_lets_the_others_end():
         toy.planned(method="baseline", settings=PAPER, threads=3, progress=breaking)
 
 
-def test_a_walk_in_chunks_is_the_walk_in_one():
+def test_a_self_motion_in_chunks_is_the_walk_in_one():
     """Compare ten short null-space steps, where the baseline is stuck, with five and from their end five more."""
-    kernels, walk = Kernels(toy.scene(), replace(PAPER, alpha_rad=0.003)), find("nspace-sqp").stages[0].kernel(0)
+    executor, walk = (
+        Executor(toy.scene(), replace(PAPER, alpha_rad=0.003)),
+        find("nspace-sqp").stages[0].lane_function(0),
+    )
     plans = toy.planned(method="baseline", settings=PAPER)
     lost = plans.tracked.sum(axis=1)
     which = np.arange(len(lost))
     inputs, x = lane_inputs(stack(toy.scenarios()), which, lost), plans.x[which, lost - 1]
-    begin, zero, five = kernels(ENTER, inputs, x).x, np.zeros(len(lost), np.int32), np.int32(STEPS_A_BURST)
-    whole, walked = kernels(walk, inputs, x, begin, zero, zero + 2 * five)
-    half, at = kernels(walk, inputs, x, begin, zero, zero + five)
-    rest, end = kernels(walk, inputs, x, half.x, at, at + five)
-    more = walked > five  # the others are clear before
+    begin, zero, five = executor(ENTER, inputs, x).x, np.zeros(len(lost), np.int32), np.int32(STEPS_PER_CHUNK)
+    whole, null_space_steps = executor(walk, inputs, x, begin, zero, zero + 2 * five)
+    half, at = executor(walk, inputs, x, begin, zero, zero + five)
+    rest, end = executor(walk, inputs, x, half.x, at, at + five)
+    more = null_space_steps > five  # the others are clear before
     assert more.sum() >= 2 and (at[more] == five).all()
-    np.testing.assert_array_equal(end[more], walked[more])
+    np.testing.assert_array_equal(end[more], null_space_steps[more])
     np.testing.assert_array_equal(rest.x[more], whole.x[more])
 
 
@@ -225,45 +228,48 @@ def test_rows_of_many_places_come_in_their_order():
 
 def test_a_second_plan_compiles_nothing_whatever_the_number_of_scenarios():
     toy.planned(toy.scenarios()[:1], "baseline", PAPER)
-    before = len(PROGRAMS)
+    before = len(EXECUTABLES)
     again = toy.planned(toy.scenarios()[:3], "baseline", PAPER)
-    assert len(PROGRAMS) == before and again.compile_s == 0
+    assert len(EXECUTABLES) == before and again.compile_s == 0
 
 
 def test_another_seed_compiles_nothing_and_draws_others():
-    first, before = toy.planned(method="cspace-sample", settings=PAPER), len(PROGRAMS)
+    first, before = toy.planned(method="cspace-sample", settings=PAPER), len(EXECUTABLES)
     other = toy.planned(method="cspace-sample", settings=replace(PAPER, seed=1))
-    assert len(PROGRAMS) == before and other.compile_s == 0
+    assert len(EXECUTABLES) == before and other.compile_s == 0
     assert not np.array_equal(first.x, other.x, equal_nan=True)
 
 
-def test_a_setting_compiles_the_kernels_that_read_it_and_no_others():
+def test_a_setting_compiles_the_lane_functions_that_read_it_and_no_others():
     toy.planned(method="cspace-sample", settings=replace(PAPER, samples=8))
-    before = len(PROGRAMS)
+    before = len(EXECUTABLES)
     toy.planned(method="cspace-sample", settings=replace(PAPER, samples=9))
-    assert len(PROGRAMS) == before + 1  # the kernel that draws the samples
+    assert len(EXECUTABLES) == before + 1  # the lane function that draws the samples
     toy.planned(method="cspace-sample", settings=replace(PAPER, samples=9, max_null_space_steps=7, population=9))
-    assert len(PROGRAMS) == before + 1
+    assert len(EXECUTABLES) == before + 1
 
 
-def test_a_kernel_sees_no_setting_that_it_does_not_name():
+def test_a_lane_function_sees_no_setting_that_it_does_not_name():
     """Check that reading an undeclared setting fails: programs are shared by declared settings only."""
     reads = lambda settings, *_: settings.alpha_rad + settings.samples  # noqa: E731
-    kernel, lane = Kernel("mine", reads, STEP, ("alpha_rad",)), jax.tree.map(jnp.asarray, toy.scenarios()[0])
-    with pytest.raises(AttributeError, match="kernel 'mine' reads the setting samples, which it does not name"):
-        kernel.of(PAPER)(toy.scene(), lane)
+    lane_function, lane = (
+        LaneFunction("mine", reads, STEP, ("alpha_rad",)),
+        jax.tree.map(jnp.asarray, toy.scenarios()[0]),
+    )
+    with pytest.raises(AttributeError, match="lane function 'mine' reads the setting samples, which it does not name"):
+        lane_function.of(PAPER)(toy.scene(), lane)
 
 
 def test_programs_can_be_given_back():
-    programs = Programs()
-    kernels = Kernels(toy.scene(), PAPER, programs=programs)
+    executables = ExecutableCache()
+    executor = Executor(toy.scene(), PAPER, executables=executables)
     inputs = lane_inputs(stack(toy.scenarios()), np.arange(2), np.zeros(2, int))
     x = np.stack([toy.START, toy.START])
-    there = kernels(ADVANCE, inputs, x, np.zeros_like(x))
-    assert len(programs) == 1 and kernels.compile_s > 0
-    programs.clear()
-    assert len(programs) == 0
-    np.testing.assert_array_equal(kernels(ADVANCE, inputs, x, np.zeros_like(x)).x, there.x)
+    there = executor(ADVANCE, inputs, x, np.zeros_like(x))
+    assert len(executables) == 1 and executor.compile_s > 0
+    executables.clear()
+    assert len(executables) == 0
+    np.testing.assert_array_equal(executor(ADVANCE, inputs, x, np.zeros_like(x)).x, there.x)
 
 
 # A QP that breaks down
@@ -281,11 +287,11 @@ class Broken(ClarabelSolver):
 
 
 def test_a_qp_that_breaks_down_fails_its_scenario_and_no_other():
-    kernels = Kernels(toy.scene(), PAPER)
-    whole, victim = planned_by(kernels), 1
+    executor = Executor(toy.scene(), PAPER)
+    whole, victim = planned_by(executor), 1
     # The first actual step of the scenario leads to target 1.
     Broken.victim = toy.scenarios()[victim].targets[1] - whole.tcp[victim, 0]
-    broken = planned_by(kernels, solver=clarabel(Broken))
+    broken = planned_by(executor, solver=clarabel(Broken))
     same(broken, whole, [0, 2, 3, 4])
     assert broken.status[victim, 1] == Status.QP_FAILED
     assert (broken.status[victim, 2 : toy.scenarios()[victim].count] == Status.NOT_ATTEMPTED).all()

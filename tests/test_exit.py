@@ -57,7 +57,7 @@ def prepared(swept, tmp_path_factory) -> Path:
     """Folder with the inputs of all commands; read-only."""
     folder = tmp_path_factory.mktemp("prepared")
     shutil.copytree(swept, folder, dirs_exist_ok=True)
-    for words in ("plan job.yaml --out plan", "gate run --baseline baseline.yaml --bless"):
+    for words in ("plan job.yaml --out plan", "gate run --baseline baseline.yaml --update"):
         done = subprocess.run([sys.executable, "-m", "htcp_jax", *words.split()], cwd=folder, env=environment())
         assert done.returncode == 0
     return folder

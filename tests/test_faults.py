@@ -166,9 +166,11 @@ def test_on_a_read_only_disk_a_sweep_writes_nothing_and_a_finished_run_is_read(m
 
 def test_a_scenario_that_is_not_a_number_fails_and_the_others_are_as_without_it(here):
     """A margin of 1e300 m, which no job file may request, overflows the step QPs of its own scenario only."""
-    asked = load_sweep({"config": "job.yaml", "grid": [{"margin_m": [0, 0.0001, 0.0002]}]}).batch()
-    odd = dataclasses.replace(asked.scenarios, margin_m=np.array([0.0, 1e300, 0.0002]))
-    good, bad = (batch.plan(asked.robot, asked.workpiece, each, "baseline") for each in (asked.scenarios, odd))
+    requested = load_sweep({"config": "job.yaml", "grid": [{"margin_m": [0, 0.0001, 0.0002]}]}).batch()
+    odd = dataclasses.replace(requested.scenarios, margin_m=np.array([0.0, 1e300, 0.0002]))
+    good, bad = (
+        batch.plan(requested.robot, requested.workpiece, each, "baseline") for each in (requested.scenarios, odd)
+    )
     for name in ("status", "x", "clearance", "residual", "iterations", "path_clear"):
         before, after = getattr(good, name), getattr(bad, name)
         np.testing.assert_array_equal(after[[0, 2]], before[[0, 2]], err_msg=name)

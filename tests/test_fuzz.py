@@ -115,21 +115,21 @@ def model(tmp_path: Path, text: str, name: str = "arm.xml") -> Path:
 WAYS_OUT = ["../outside/", "{outside}/", "link/", "./x/../../outside/", "file://{outside}/", "package://../outside/"]
 
 
-@pytest.mark.parametrize("way", WAYS_OUT)
-def test_an_include_cannot_leave_the_models_folder(tmp_path, outside, way):
+@pytest.mark.parametrize("segment_status", WAYS_OUT)
+def test_an_include_cannot_leave_the_models_folder(tmp_path, outside, segment_status):
     folder, watch = outside
-    name = way.format(outside=folder) + "part.xml"
+    name = segment_status.format(outside=folder) + "part.xml"
     arm = model(tmp_path, SMALL.decode().replace("<worldbody>", f'<include file="{name}"/><worldbody>', 1))
     (arm.parent / "link").symlink_to(folder)
     refused(str(arm.parent), load_robot, arm)
     assert not watch.opened()
 
 
-@pytest.mark.parametrize("way", WAYS_OUT)
-def test_no_file_that_a_model_names_is_opened(tmp_path, outside, way):
+@pytest.mark.parametrize("segment_status", WAYS_OUT)
+def test_no_file_that_a_model_names_is_opened(tmp_path, outside, segment_status):
     """Meshes, textures and height fields are ignored, even if the files exist."""
     folder, watch = outside
-    at = way.format(outside=folder)
+    at = segment_status.format(outside=folder)
     assets = f'<mesh name="m" file="{at}m.obj"/><texture name="t" type="2d" file="{at}t.png"/>'
     assets += f'<material name="x" texture="t"/><hfield name="h" file="{at}t.png" size="1 1 1 1"/>'
     shapes = '<geom type="hfield" hfield="h"/><geom type="sphere" size=".1" material="x"/><site name="tcp"'

@@ -25,24 +25,24 @@ def write_reachability(run, prefix, resolution_rad=0.1):
 
 
 @pytest.fixture(scope="session")
-def blessed(planned):
+def updated(planned):
     """Small run with its reachability, and its baseline."""
     run = shutil.copytree(planned / "run", planned / "with-reachability")
     write_reachability(run, [TARGETS] * 4)
-    assert main(["gate", str(run), "--baseline", str(planned / "baseline.yaml"), "--bless"]) == PASSED
+    assert main(["gate", str(run), "--baseline", str(planned / "baseline.yaml"), "--update"]) == PASSED
     return planned
 
 
 @pytest.fixture
-def run(blessed, tmp_path):
+def run(updated, tmp_path):
     """Copy of the run that a test may damage."""
-    return shutil.copytree(blessed / "with-reachability", tmp_path / "run")
+    return shutil.copytree(updated / "with-reachability", tmp_path / "run")
 
 
 @pytest.fixture
-def baseline(blessed, tmp_path):
+def baseline(updated, tmp_path):
     """Copy of the baseline that a test may edit."""
-    return shutil.copy(blessed / "baseline.yaml", tmp_path / "baseline.yaml")
+    return shutil.copy(updated / "baseline.yaml", tmp_path / "baseline.yaml")
 
 
 def gate(run, baseline, *options) -> int:
@@ -85,7 +85,7 @@ def test_a_run_passes_its_own_baseline_and_the_table_lines_up(run, baseline, cap
 
 def test_the_baseline_says_what_was_planned_and_one_line_a_scenario(baseline):
     lines = baseline.read_text().splitlines()
-    assert lines.count(f"      3: {TARGETS} complete") == 2 and len(lines) < 140
+    assert lines.count(f"      3: {TARGETS} complete") == 2 and len(lines) < 150
     known = read_baseline(baseline)
     here = provenance()
     assert (known.sweep, known.seed, known.dtype, known.device) == ("grid", 0, "float64", here["device"])
@@ -108,13 +108,13 @@ def test_time_never_gates(run, baseline):
 def test_a_scenario_that_ends_earlier_fails_and_is_named_with_target_and_reason(run, baseline, capsys):
     end_early(run, 2, 12, Status.QP_INFEASIBLE)
     assert gate(run, baseline) == REGRESSION
-    told = capsys.readouterr().out
-    label = f"tilt y 0.4 rad, tool {LONGER} m"
+    reported = capsys.readouterr().out
+    label = f"rotation y 0.4 rad, tool {LONGER} m"
     line = f"baseline, scenario 2 ({label}): first at target 12, {TARGETS} tracked before, 12 now"
-    assert f"{line}; {Status.QP_INFEASIBLE.message}" in told.splitlines() and told.endswith("FAILED\n")
-    assert "failed  baseline: 7 targets fewer tracked, 69 of 76; 0 may be lost" in told
-    assert "failed  baseline: 1 scenario ended earlier; 0 may" in told
-    assert "failed  baseline: 90.79 % of the reachable targets are tracked, 100.00 % before" in told
+    assert f"{line}; {Status.QP_INFEASIBLE.message}" in reported.splitlines() and reported.endswith("FAILED\n")
+    assert "failed  baseline: 7 targets fewer tracked, 69 of 76; 0 may be lost" in reported
+    assert "failed  baseline: 1 scenario ended earlier; 0 may" in reported
+    assert "failed  baseline: 90.79 % of the reachable targets are tracked, 100.00 % before" in reported
 
 
 def test_as_much_as_the_baseline_allows_may_be_lost(run, baseline, capsys):
@@ -140,8 +140,8 @@ def test_on_another_device_or_with_other_versions_another_allowance_holds(run, b
 def test_gains_elsewhere_do_not_hide_a_scenario_that_ends_earlier(run, planned, tmp_path, capsys):
     worse = shutil.copytree(run, tmp_path / "worse")
     end_early(worse, 0, 10, Status.ITERATION_LIMIT)
-    assert gate(worse, tmp_path / "was.yaml", "--bless") == PASSED
-    end_early(run, 1, 15, Status.ESCAPE_EXHAUSTED)
+    assert gate(worse, tmp_path / "was.yaml", "--update") == PASSED
+    end_early(run, 1, 15, Status.RECOVERY_EXHAUSTED)
     capsys.readouterr()
     verdict = outcome(run, tmp_path / "was.yaml", capsys)
     (row, *_) = verdict["rows"]
@@ -152,28 +152,31 @@ def test_gains_elsewhere_do_not_hide_a_scenario_that_ends_earlier(run, planned, 
 def test_an_improvement_passes_and_is_listed(run, tmp_path, capsys):
     worse = shutil.copytree(run, tmp_path / "worse")
     end_early(worse, 0, 10, Status.ITERATION_LIMIT)
-    assert gate(worse, tmp_path / "was.yaml", "--bless") == PASSED
+    assert gate(worse, tmp_path / "was.yaml", "--update") == PASSED
     capsys.readouterr()
     assert gate(run, tmp_path / "was.yaml") == PASSED
-    told = capsys.readouterr().out
-    assert "better  baseline tracks 9 targets more" in told and "scenario 0 (tilt y 0.4 rad, tool 0 m): first" in told
-    assert Status.ITERATION_LIMIT.message in told
+    reported = capsys.readouterr().out
+    assert (
+        "better  baseline tracks 9 targets more" in reported
+        and "scenario 0 (rotation y 0.4 rad, tool 0 m): first" in reported
+    )
+    assert Status.ITERATION_LIMIT.message in reported
 
 
 def test_more_targets_fail_where_the_baseline_bounds_them(run, tmp_path, capsys):
     worse, was = shutil.copytree(run, tmp_path / "worse"), tmp_path / "was.yaml"
     end_early(worse, 0, 10, Status.ITERATION_LIMIT)
-    assert gate(worse, was, "--bless") == PASSED
+    assert gate(worse, was, "--update") == PASSED
     for most, verdict in ((9, PASSED), (8, REGRESSION)):
         edit(was, lambda raw, most=most: raw["allow"]["here"].update(more_targets=most))
         assert gate(run, was) == verdict
     assert "failed  baseline: 9 targets more tracked, 76 of 76; 8 may be gained" in capsys.readouterr().out
 
 
-def test_another_reason_at_the_same_target_is_told_and_passes(run, tmp_path, capsys):
+def test_another_reason_at_the_same_target_is_reported_and_passes(run, tmp_path, capsys):
     was = shutil.copytree(run, tmp_path / "was")
     end_early(was, 0, 10, Status.ITERATION_LIMIT)
-    gate(was, tmp_path / "was.yaml", "--bless")
+    gate(was, tmp_path / "was.yaml", "--update")
     end_early(run, 0, 10, Status.QP_INFEASIBLE)
     capsys.readouterr()
     verdict = outcome(run, tmp_path / "was.yaml", capsys)
@@ -190,7 +193,7 @@ def test_a_missing_method_fails(run, baseline, capsys):
     assert not verdict["passed"] and "cspace-sample: missing" in verdict["failures"]
 
 
-def test_a_method_that_the_baseline_lacks_is_told_and_passes(run, baseline, capsys):
+def test_a_method_that_the_baseline_lacks_is_reported_and_passes(run, baseline, capsys):
     edit(baseline, lambda raw: raw["methods"].pop("cspace-sample"))
     verdict = outcome(run, baseline, capsys)
     assert verdict["passed"] and verdict["improvements"] == ["cspace-sample is not in the baseline"]
@@ -273,7 +276,7 @@ def test_a_damaged_manifest_fails(run, baseline, capsys):
     assert "manifest.json is damaged" in capsys.readouterr().out
 
 
-def test_a_run_of_another_configuration_is_bad_input(blessed, run, baseline, capsys):
+def test_a_run_of_another_configuration_is_bad_input(updated, run, baseline, capsys):
     def other(manifest):
         manifest["config"]["margin_m"] = 0.001
         same = identity(*(manifest[key] for key in ("config", "grid", "dtype", "files")))
@@ -306,7 +309,7 @@ def test_a_damaged_baseline_is_one_line_and_exit_2(run, baseline, capsys, change
 def test_a_folder_without_a_run_and_a_missing_baseline_are_exit_2(run, baseline, tmp_path, capsys):
     assert gate(tmp_path, baseline) == BAD_INPUT
     assert gate(run, tmp_path / "nowhere.yaml") == BAD_INPUT
-    assert gate(tmp_path, tmp_path / "b.yaml", "--bless") == BAD_INPUT and not (tmp_path / "b.yaml").exists()
+    assert gate(tmp_path, tmp_path / "b.yaml", "--update") == BAD_INPUT and not (tmp_path / "b.yaml").exists()
     assert capsys.readouterr().err.count("\n") == 3
 
 
@@ -327,30 +330,30 @@ def limited(manifest):
         ),
     ],
 )
-def test_what_may_not_be_blessed_leaves_the_baseline_as_it_was(run, baseline, capsys, change, line):
+def test_what_may_not_be_a_baseline_leaves_the_baseline_as_it_was(run, baseline, capsys, change, line):
     before = baseline.read_bytes()
     edit_manifest(run, change)
-    assert gate(run, baseline, "--bless") == BAD_INPUT
+    assert gate(run, baseline, "--update") == BAD_INPUT
     assert line in capsys.readouterr().err and baseline.read_bytes() == before
 
 
-def test_a_refuted_run_and_a_damaged_one_are_not_blessed(run, tmp_path, capsys):
+def test_a_refuted_run_and_a_damaged_one_are_not_taken_as_the_baseline(run, tmp_path, capsys):
     spoil(run, 1, 7, joint2_rad=-1.5)
-    assert gate(run, tmp_path / "b.yaml", "--bless") == BAD_INPUT
+    assert gate(run, tmp_path / "b.yaml", "--update") == BAD_INPUT
     assert "1 tracked target refuted" in capsys.readouterr().err
     (run / "targets" / "baseline-000000-000001.parquet").write_bytes(b"")
-    assert gate(run, tmp_path / "b.yaml", "--bless") == BAD_INPUT and not (tmp_path / "b.yaml").exists()
+    assert gate(run, tmp_path / "b.yaml", "--update") == BAD_INPUT and not (tmp_path / "b.yaml").exists()
 
 
-def test_blessing_never_overwrites_what_is_no_baseline(run, tmp_path, capsys):
+def test_updating_never_overwrites_what_is_no_baseline(run, tmp_path, capsys):
     (tmp_path / "job.yaml").write_text("margin_m: 0.1\n")
-    assert gate(run, tmp_path / "job.yaml", "--bless") == BAD_INPUT
+    assert gate(run, tmp_path / "job.yaml", "--update") == BAD_INPUT
     assert (tmp_path / "job.yaml").read_text() == "margin_m: 0.1\n"
 
 
-def test_blessing_again_keeps_what_is_allowed(run, baseline):
+def test_updating_again_keeps_what_is_allowed(run, baseline):
     edit(baseline, lambda raw: raw["allow"]["elsewhere"].update(targets=21))
-    assert gate(run, baseline, "--bless") == PASSED
+    assert gate(run, baseline, "--update") == PASSED
     assert read_baseline(baseline).allow.elsewhere.targets == 21
 
 

@@ -103,7 +103,7 @@ def place(tmp_path_factory):
     place = tmp_path_factory.mktemp("faults")
     (place / "grid.yaml").write_text(GRID)
     for method in dict.fromkeys(PLANNED_BY.values()):
-        assert main(["gate", str(plan(place, method, method)), *baseline(place, method), "--bless"]) == 0
+        assert main(["gate", str(plan(place, method, method)), *baseline(place, method), "--update"]) == 0
         file = place / f"{method}.yaml"
         file.write_text(file.read_text().replace("    more_targets: null\n", "    more_targets: 0\n"))
     return place
@@ -126,6 +126,6 @@ def test_a_fault_does_not_pass_the_gate(place, fault, capsys):
     run = plan(place, PLANNED_BY[fault], f"fault-{list(FAULTS).index(fault)}", FAULTS[fault])
     capsys.readouterr()
     assert main(["gate", str(run), *baseline(place, PLANNED_BY[fault])]) == 1
-    told = capsys.readouterr().out
-    print(told)
-    assert told.endswith("FAILED\n")
+    reported = capsys.readouterr().out
+    print(reported)
+    assert reported.endswith("FAILED\n")

@@ -17,13 +17,13 @@ from htcp_jax.errors import InputError
 from htcp_jax.markup import printable
 from htcp_jax.report import Column, Table
 from htcp_jax.report.document import markdown
-from htcp_jax.report.gate import annotations, junit, summary
+from htcp_jax.report.gate import annotations, gate_summary, junit
 from htcp_jax.runs import open_run
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import append_text
 from htcp_jax.status import Status
 from htcp_jax.validation import read_baseline
-from htcp_jax.validation.gate import CHECKS, judge
+from htcp_jax.validation.gate import CHECKS, compare
 
 PASSED, REGRESSION, BAD_INPUT = 0, 1, 2
 HOSTILE = "a|b\\|c <b>&amp;</b> `d` *e* _f_ ~g~ $h$ [i](j) ::error::%0A, \x07\udcff\nk"
@@ -37,13 +37,13 @@ def place(planned, tmp_path_factory):
     run, worse = (shutil.copytree(planned / "run", place / name) for name in ("run", "worse"))
     end_early(worse, 2, 12, Status.QP_INFEASIBLE)
     end_early(worse, 1, 18, Status.ITERATION_LIMIT, "cspace-sample")
-    assert main(["gate", str(run), "--baseline", str(place / "baseline.yaml"), "--bless"]) == PASSED
+    assert main(["gate", str(run), "--baseline", str(place / "baseline.yaml"), "--update"]) == PASSED
     return place
 
 
 @pytest.fixture(scope="module")
 def verdict(place):
-    return judge(open_run(place / "worse"), read_baseline(place / "baseline.yaml"))
+    return compare(open_run(place / "worse"), read_baseline(place / "baseline.yaml"))
 
 
 @pytest.fixture(autouse=True)
@@ -85,7 +85,7 @@ def test_the_junit_file_has_one_test_case_per_method_and_check(place, tmp_path):
 
 def test_a_failed_test_case_names_the_scenarios(verdict):
     (failure,) = cases(junit(verdict))["grid.baseline", "scenarios ending earlier"]
-    assert "baseline, scenario 2 (tilt y 0.4 rad, tool 0.01 m): first at target 12" in failure.text
+    assert "baseline, scenario 2 (rotation y 0.4 rad, tool 0.01 m): first at target 12" in failure.text
 
 
 def test_the_markdown_has_method_baseline_now_difference_and_the_scenarios_that_changed(place, tmp_path):
@@ -94,16 +94,16 @@ def test_the_markdown_has_method_baseline_now_difference_and_the_scenarios_that_
     head = found.index("method")
     assert found[head : head + 5] == ["method", "verdict", "baseline", "now", "difference"]
     assert found[head + 8 : head + 13] == ["baseline", "FAILED", "76", "69", "-7"]
-    scenario = found.index("2 (tilt y 0.4 rad, tool 0.01 m)")
+    scenario = found.index("2 (rotation y 0.4 rad, tool 0.01 m)")
     assert found[scenario - 1 : scenario + 6] == [
-        *("baseline", "2 (tilt y 0.4 rad, tool 0.01 m)", "19", "12", "-7", "12", Status.QP_INFEASIBLE.message)
+        *("baseline", "2 (rotation y 0.4 rad, tool 0.01 m)", "19", "12", "-7", "12", Status.QP_INFEASIBLE.message)
     ]
 
 
 def test_figures_that_changed_are_listed_with_their_difference(verdict):
     first, *others = verdict.rows
     row = first._replace(was_clearance_min_mm=2.0, clearance_min_mm=0.5, was_held=3, held=None)
-    found = texts(summary(verdict._replace(rows=(row, *others))))
+    found = texts(gate_summary(verdict._replace(rows=(row, *others))))
     place = found.index("smallest clearance [mm]")
     assert found[place - 1 : place + 4] == ["baseline", "smallest clearance [mm]", "2.000", "0.500", "-1.500"]
     place = found.index("scenarios with the feed held")
@@ -156,7 +156,7 @@ def test_names_survive_whatever_is_in_them(verdict):
     hostile = verdict._replace(sweep=HOSTILE, changed=changed, checks=checks)
     hostile = hostile._replace(failures=(HOSTILE,), improvements=(HOSTILE,))
     line = printable(HOSTILE).replace("\n", " ")
-    found = texts(summary(hostile))
+    found = texts(gate_summary(hostile))
     assert f"htcp gate: {line} FAILED" in found and found.count(line) == 4
     (suite,) = JUnitXml.fromstring(junit(hostile).encode())
     assert suite.name == printable(HOSTILE)
@@ -176,8 +176,8 @@ def test_a_method_that_fails_is_an_annotation_on_github_actions_alone(place, cap
     assert "::error" not in capsys.readouterr().out
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     assert gate(place, "worse") == REGRESSION
-    told = [line for line in capsys.readouterr().out.splitlines() if line.startswith("::")]
-    assert told == [
+    reported = [line for line in capsys.readouterr().out.splitlines() if line.startswith("::")]
+    assert reported == [
         "::error title=htcp gate grid%3A baseline"
         "::7 targets fewer tracked, 69 of 76; 0 may be lost%0A1 scenario ended earlier; 0 may",
         "::error title=htcp gate grid%3A cspace-sample"
@@ -214,7 +214,7 @@ def test_an_annotation_is_one_line_that_holds_any_text(verdict, text):
         (["--markdown", "gate.md", "--junit", f"new/{'x' * 300}"], "File name too long"),
         (["--junit", "gate.xml", "--markdown", "./gate.xml"], "gate.xml is named twice"),
         (["--markdown", "baseline.yaml"], "baseline.yaml is named twice"),
-        (["--junit", "gate.xml", "--bless"], "--bless compares nothing, so gate.xml would be empty"),
+        (["--junit", "gate.xml", "--update"], "--update compares nothing, so gate.xml would be empty"),
     ],
 )
 def test_a_report_file_that_cannot_be_written_is_one_line_and_exit_2(

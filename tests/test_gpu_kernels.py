@@ -14,7 +14,7 @@ import qpsolvers
 from test_qp import ORACLE, dense_answer
 
 from htcp_jax.backend import Backend, compiled_for
-from htcp_jax.gpu_kernel import HAS_KERNEL
+from htcp_jax.pallas import HAS_KERNEL
 from htcp_jax.solvers import cma_es, interior_point_gpu, square_roots_gpu
 from htcp_jax.solvers.interior_point import DenseSolution, solve_dense
 
@@ -41,10 +41,10 @@ def residuals(qps, found: DenseSolution):
     """Violations of the KKT conditions, in numpy (count, 4)."""
     H, c, G, h = qps
     y, multipliers = np.asarray(found.y), np.asarray(found.multipliers)
-    room = h - np.einsum("bmn,bn->bm", G, y)
+    free_radius = h - np.einsum("bmn,bn->bm", G, y)
     dual = np.einsum("bij,bj->bi", H, y) + c + np.einsum("bmn,bm->bn", G, multipliers)
-    gap = np.abs(np.mean(multipliers * room, axis=1))
-    return np.stack([np.abs(dual).max(1), -room.min(1), -multipliers.min(1), gap], axis=1)
+    gap = np.abs(np.mean(multipliers * free_radius, axis=1))
+    return np.stack([np.abs(dual).max(1), -free_radius.min(1), -multipliers.min(1), gap], axis=1)
 
 
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (2, 5), (3, 16), (4, 84), (5, 130)])
@@ -120,7 +120,7 @@ def test_a_gpu_gets_the_kernels_and_a_cpu_what_it_had():
 
     def kernels(backend):
         with compiled_for(backend):
-            made = jax.make_jaxpr(solve_dense)(*qp), jax.make_jaxpr(cma_es._square_roots)(np.eye(3))
+            made = jax.make_jaxpr(solve_dense)(*qp), jax.make_jaxpr(cma_es._square_roots_of)(np.eye(3))
         return [str(program).count("pallas_call") for program in made]
 
     assert kernels(Backend.of("cpu")) == kernels(Backend("gpu")) == [0, 0]

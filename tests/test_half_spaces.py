@@ -12,8 +12,8 @@ from htcp_jax.backend import Backend, compiled_for
 from htcp_jax.clearance.distance import half_spaces as module
 from htcp_jax.clearance.distance.half_spaces import ROOM, crossed_facets, depths, half_spaces
 from htcp_jax.clearance.distance.half_spaces_gpu import highest
-from htcp_jax.gpu_kernel import HAS_KERNEL
 from htcp_jax.model.convex_hull import convex_hull
+from htcp_jax.pallas import HAS_KERNEL
 
 NEEDS_KERNEL = pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 RNG = np.random.default_rng(0)
@@ -24,10 +24,10 @@ def duct_hull():
     return np.asarray(duct.hull_normal), np.asarray(duct.hull_offset)
 
 
-def crossed(normal, offset, points, asked=None, vertices=None):
-    asked = np.ones(len(points), bool) if asked is None else asked
+def crossed(normal, offset, points, requested=None, vertices=None):
+    requested = np.ones(len(points), bool) if requested is None else requested
     hull = half_spaces(normal, offset, made_once.duct().hull_vertices if vertices is None else vertices)
-    return np.asarray(jax.jit(crossed_facets)(hull, jnp.asarray(points), jnp.asarray(asked)))
+    return np.asarray(jax.jit(crossed_facets)(hull, jnp.asarray(points), jnp.asarray(requested)))
 
 
 def points_about(normal, offset, count):
@@ -55,9 +55,9 @@ def test_the_facet_crossed_is_the_one_furthest_beyond():
 def test_a_point_not_asked_about_has_crossed_nothing():
     normal, offset = duct_hull()
     points = points_about(normal, offset, 200)
-    asked = RNG.random(len(points)) < 0.5
+    requested = RNG.random(len(points)) < 0.5
     np.testing.assert_array_equal(
-        crossed(normal, offset, points, asked), np.where(asked, crossed(normal, offset, points), -1)
+        crossed(normal, offset, points, requested), np.where(requested, crossed(normal, offset, points), -1)
     )
     assert (crossed(normal, offset, points, np.zeros(len(points), bool)) == -1).all()
 
@@ -121,9 +121,11 @@ def test_a_batch_equals_one_after_the_other():
     normal, offset = duct_hull()
     hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
     points = jnp.asarray(points_about(normal, offset, 40)).reshape(10, 8, 3)
-    asked = jnp.asarray(RNG.random((10, 8)) < 0.7)
-    together = jax.vmap(crossed_facets, in_axes=(None, 0, 0))(hull, points, asked)
-    np.testing.assert_array_equal(together, [crossed_facets(hull, *each) for each in zip(points, asked, strict=True)])
+    requested = jnp.asarray(RNG.random((10, 8)) < 0.7)
+    together = jax.vmap(crossed_facets, in_axes=(None, 0, 0))(hull, points, requested)
+    np.testing.assert_array_equal(
+        together, [crossed_facets(hull, *each) for each in zip(points, requested, strict=True)]
+    )
 
 
 def test_a_depth_is_never_more_than_the_true_one():
@@ -142,10 +144,10 @@ def test_a_gpu_finds_the_same_with_a_kernel_and_without(ask, kernel, monkeypatch
     normal, offset = duct_hull()
     hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
     points = jnp.asarray(points_about(normal, offset, 200)).reshape(25, 16, 3)
-    asked = jnp.asarray(RNG.random((25, 16)) < 0.7)
+    requested = jnp.asarray(RNG.random((25, 16)) < 0.7)
     find = jax.vmap(ask, in_axes=(None, 0, 0))
-    expected = find(hull, points, asked)
+    expected = find(hull, points, requested)
     monkeypatch.setattr(module, "highest", partial(highest, interpret=True))
     with compiled_for(Backend("gpu", kernel)):
-        found = find(hull, points, asked)
+        found = find(hull, points, requested)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)  # the kernel uses 32-bit values

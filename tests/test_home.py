@@ -9,14 +9,14 @@ from functools import cache
 import made_once
 import numpy as np
 import pytest
-from small_motions import SMALL, check_motions, check_way, first_of, roadmap, same, scenario, ways
+from small_motions import SMALL, check_motions, check_segment, first_of, plan_by_beam, same, scenario, segments
 from stranger_jobs import car_job
 
 import htcp_jax
-from htcp_jax.motion.motion import figures, motion, transfers
+from htcp_jax.motion.motion import motion, motion_figures, transfers
 from htcp_jax.planning.batch import check_start, plan
-from htcp_jax.status import Kind, Status, Way
-from htcp_jax.validation import validate
+from htcp_jax.status import Kind, SegmentStatus, Status
+from htcp_jax.validation import validate_results
 
 HOME = (0.9, -2.0, 0.2, 0.3, 0.9, -1.0)
 TOUCHES = (0.0, -1.2, -0.5, 0.0, 0.5, -2.0)
@@ -31,7 +31,7 @@ def at_home(number, rotation=(0.4, 0.1), start=None, targets=4, **changes):
 def begun():
     """Scenarios with chosen starts, a given start, and no home, and their plans from one batch."""
     scenarios = at_home(0), at_home(1, start=made_once.START), first_of(scenario(2), 14), at_home(3, (0.2, -0.3))
-    return scenarios, roadmap(scenarios, threads=1)
+    return scenarios, plan_by_beam(scenarios, threads=1)
 
 
 def test_motions_begin_at_home_and_are_proven_from_there_on():
@@ -39,8 +39,8 @@ def test_motions_begin_at_home_and_are_proven_from_there_on():
     assert (plans.executable == plans.tracked).all() and plans.tracked[:3].all(where=plans.exists[:3])
     for s, one in enumerate(scenarios):
         np.testing.assert_array_equal(plans.start[s], one.x_home)
-        for t, postures in ways(plans, s):
-            assert 0 < plans.way_clearance[s, t] <= check_way(one, t, postures, SMALL.tube_m) + 1e-9
+        for t, configurations in segments(plans, s):
+            assert 0 < plans.segment_clearance[s, t] <= check_segment(one, t, configurations, SMALL.tube_m) + 1e-9
         assert plans.joint_step[s, 0] == pytest.approx(np.linalg.norm(plans.x[s, 0] - plans.start[s]))
 
 
@@ -57,18 +57,18 @@ def test_a_chosen_start_is_at_the_first_point_of_the_path():
 def test_a_start_that_was_given_is_passed_on_the_way_from_home():
     """Check this also for a smoothed motion, where all other points move."""
     scenarios, plans = begun()
-    smoothed = roadmap(scenarios, replace(SMALL, smooth=True), threads=1)
+    smoothed = plan_by_beam(scenarios, replace(SMALL, smooth=True), threads=1)
     for found in (plans, smoothed):
-        assert (found.knots.on_the_way(1, 0) == made_once.START).all(axis=1).any()
-    cost, less = (figures(found, np.array([one.on_path for one in scenarios])) for found in (plans, smoothed))
+        assert (found.via_points.on_segment(1, 0) == made_once.START).all(axis=1).any()
+    cost, less = (motion_figures(found, np.array([one.on_path for one in scenarios])) for found in (plans, smoothed))
     assert (less.motion_cost_rad2 <= cost.motion_cost_rad2).all() and (smoothed.executable == plans.executable).all()
 
 
-def test_rows_say_that_the_arm_goes_from_home_to_another_posture_and_back():
+def test_rows_say_that_the_arm_goes_from_home_to_another_configuration_and_back():
     scenarios, plans = begun()
     for s, transferred in enumerate((True, True, False, True)):
         there = motion(plans, s, int(scenarios[s].on_path), retract=True)
-        kinds = there.kind[: int(plans.tracked[s].sum()) + 1 + (plans.knots.scenario == s).sum()]
+        kinds = there.kind[: int(plans.tracked[s].sum()) + 1 + (plans.via_points.scenario == s).sum()]
         assert ((kinds == Kind.TRANSFER) == ((there.target[: len(kinds)] == 0) & transferred)).all()
         assert (there.kind[len(kinds) :] == Kind.RETRACT).all() and len(there.kind) == 2 * len(kinds) - 1
         np.testing.assert_array_equal(there.x[-1], scenarios[s].x_home)
@@ -80,7 +80,7 @@ def test_any_method_begins_at_home():
     without = replace(one, x_home=one.x_start)
     from_start, from_home = (plan(made_once.robot(), made_once.duct(), s, "baseline", SMALL) for s in (without, one))
     np.testing.assert_array_equal(from_home.x, from_start.x)
-    assert (from_home.way == from_start.way).all() and (from_home.start == HOME).all()
+    assert (from_home.segment_status == from_start.segment_status).all() and (from_home.start == HOME).all()
     assert from_home.executable.sum() == from_start.executable.sum() > 0
 
 
@@ -91,10 +91,10 @@ def test_a_home_from_which_there_is_no_way_is_a_scenario_with_that_reason():
     starts_in_it = at_home(6, start=TOUCHES)
     nowhere = at_home(7, margin_m=0.5)  # no configuration keeps this margin
     fine, plans = begun()
-    found = roadmap([collides, starts_in_it, nowhere, fine[2]])
+    found = plan_by_beam([collides, starts_in_it, nowhere, fine[2]])
     ends = Status.HOME_IN_COLLISION, Status.START_IN_COLLISION, Status.NO_START
     assert found.status[:3, 0].tolist() == list(ends) and not found.tracked[:3].any()
-    assert (found.way[:3] == Way.UNKNOWN).all()
+    assert (found.segment_status[:3] == SegmentStatus.NOT_CHECKED).all()
     same(found, 3, plans, 2, int(fine[2].count))
 
 
@@ -120,21 +120,21 @@ def test_an_approach_leaves_its_lines_where_these_lead_nowhere():
     The targets of the new approach are the first point of the path.
     """
     scenarios = off_its_lines(0), first_of(scenario(1), 16), off_its_lines(2, (0.2, -0.3))
-    plans = roadmap(scenarios, threads=1)
+    plans = plan_by_beam(scenarios, threads=1)
     assert (plans.executable == plans.exists).all() and not transfers(plans).any()
     check_motions(scenarios, plans, SMALL.tube_m)
     for s, one in enumerate(scenarios):
-        first, asked = int(one.on_path), one.targets.copy()
+        first, requested = int(one.on_path), one.targets.copy()
         if s != 1:
-            asked[1:first] = asked[first]
+            requested[1:first] = requested[first]
             assert (plans.x[s, 1:first] == plans.x[s, first]).all()
-        np.testing.assert_array_equal(plans.target[s], asked)
-        np.testing.assert_allclose(plans.tcp[s], asked, atol=SMALL.tolerance_m)
+        np.testing.assert_array_equal(plans.target[s], requested)
+        np.testing.assert_allclose(plans.tcp[s], requested, atol=SMALL.tolerance_m)
         there = motion(plans, s, first)
         assert (there.kind[there.target < first] == Kind.APPROACH).all()
     assert (scenarios[0].targets[5] == 9).all()  # the scenario itself is unchanged
-    same(plans, 2, roadmap(scenarios[2:], threads=1), 0, 16)
-    same(plans, 1, roadmap(scenarios[1:], threads=2), 0, 16)
+    same(plans, 2, plan_by_beam(scenarios[2:], threads=1), 0, 16)
+    same(plans, 1, plan_by_beam(scenarios[1:], threads=2), 0, 16)
 
 
 @pytest.mark.slow
@@ -145,10 +145,10 @@ def test_a_stranger_s_arm_goes_behind_a_rib_from_home_and_mujoco_refutes_nothing
     The straight lines of the approach would lead through it.
     """
     home = {"home_rad": [0.0, -2.4, 2.3, 0.0, -1.57, 0.0]}
-    made = htcp_jax.plan(car_job(tmp_path), {"method": "roadmap", **home, **how})
+    made = htcp_jax.plan(car_job(tmp_path), {"method": "beam", **home, **how})
     made.save(tmp_path / "out", retract=True)
     assert made.motion_summary.end.executable == len(made.plans.x[0]) and made.motion_summary.transfer_legs
     rows = (tmp_path / "out" / "motion.csv").read_text().splitlines()[1:]
     assert rows[0].split(",")[1:] == ["TRANSFER", *map(str, home["home_rad"])]
     assert rows[-1].split(",")[1:] == ["RETRACT", *map(str, home["home_rad"])]
-    assert validate(tmp_path / "out", between=1000).refuted == ()
+    assert validate_results(tmp_path / "out", between=1000).refuted == ()

@@ -32,7 +32,7 @@ def good(planned, tmp_path_factory):
     place = shutil.copytree(planned, tmp_path_factory.mktemp("good") / "place")
     found = {"prefix": [1] * 4, "most": [9] * 4, "resolution_rad": 0.1, "seed": 0}
     (place / "run" / "reachability.json").write_text(json.dumps(found))
-    assert main(["gate", str(place / "run"), "--baseline", str(place / "baseline.yaml"), "--bless"]) == 0
+    assert main(["gate", str(place / "run"), "--baseline", str(place / "baseline.yaml"), "--update"]) == 0
     made_plan(place / "job").save(place / "plan")
     (place / "place.yaml").write_text(PLACE)
     (place / "search").mkdir()
@@ -135,10 +135,10 @@ def test_a_file_is_written_completely_or_not_at_all_and_never_through_a_link(tmp
     (tmp_path / "outside" / "own").write_text("as it was")
     (folder / "a.json").symlink_to(tmp_path / "outside" / "own")
     (folder / "sub").symlink_to(tmp_path / "outside")
-    files.write(folder, "a.json", b"{}")
+    files.write_atomically(folder, "a.json", b"{}")
     assert not (folder / "a.json").is_symlink() and (folder / "a.json").read_bytes() == b"{}"
     with pytest.raises(InputError, match=r"a link that leads out of .* is not followed"):
-        files.write(folder, "sub/b.json", b"{}")
+        files.write_atomically(folder, "sub/b.json", b"{}")
     assert contents(tmp_path / "outside") == {"own": b"as it was"}
     assert not list(folder.glob(".part-*"))
 

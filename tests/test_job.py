@@ -29,7 +29,7 @@ def pipe(tmp_path):
     folder = Path(shutil.copytree(CONFIGS / "pipe", tmp_path / "jobs"))
     np.savetxt(folder / "seam.csv", np.loadtxt(folder / "seam.csv", delimiter=",", ndmin=2)[:2], delimiter=",")
     text = (folder / "job.yaml").read_text().replace("workpiece:", "workpiece:\n  approach_to_path: 1", 1)
-    (folder / "job.yaml").write_text(text.replace("method: roadmap", "method: baseline"))
+    (folder / "job.yaml").write_text(text.replace("method: beam", "method: baseline"))
     return folder
 
 
@@ -60,9 +60,9 @@ def test_another_robot_has_its_model_s_limits_and_weights_of_one():
 def test_another_robot_without_a_start_is_refused_and_its_joints_are_named(tmp_path):
     """Regression: the GP50's start was used silently, or refused for its length."""
     (tmp_path / "job.yaml").write_text(f"robot: {{model: {ARM}}}\n")
-    told = refusal(tmp_path / "job.yaml")
-    assert told.startswith(f"{tmp_path / 'job.yaml'}: robot.model is arm.xml, so start_rad must be given: ")
-    assert told.endswith(": 7 joint positions (a1, a2, a3, a4, a5, a6, a7), or auto")
+    reported = refusal(tmp_path / "job.yaml")
+    assert reported.startswith(f"{tmp_path / 'job.yaml'}: robot.model is arm.xml, so start_rad must be given: ")
+    assert reported.endswith(": 7 joint positions (a1, a2, a3, a4, a5, a6, a7), or auto")
 
 
 def test_another_cloud_stands_at_its_own_origin_and_is_not_turned():

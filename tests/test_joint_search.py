@@ -13,8 +13,8 @@ from test_clearance import few_points
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
-from htcp_jax.clearance.proof.bisection import Verdict
-from htcp_jax.device import Kernels
+from htcp_jax.clearance.proof.bisection import PathVerdict
+from htcp_jax.device import Executor
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_file import load_robot
 from htcp_jax.io.workpiece_file import load_workpiece
@@ -24,7 +24,7 @@ from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.joint_search import join
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.settings import Settings, settings_of
-from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 
 PLACES = 1000
@@ -34,7 +34,7 @@ SETTINGS = Settings(search_rounds=150)
 
 @cache
 def checker(guard=None):
-    return CollisionChecker(Kernels(made_once.scene(), SETTINGS), SETTINGS, guard)
+    return CollisionChecker(Executor(made_once.scene(), SETTINGS), SETTINGS, guard)
 
 
 @cache
@@ -72,11 +72,11 @@ def found():
     return joined(range(len(NUMBERS)))
 
 
-def ways(knots=None):
+def paths(via_points=None):
     """Paths found, as (scenario, configurations from end to end)."""
     a, b = ends()
-    knots = found() if knots is None else knots
-    return [(s, np.concatenate([a[s][None], own, b[s][None]])) for s, own in enumerate(knots) if own is not None]
+    via_points = found() if via_points is None else via_points
+    return [(s, np.concatenate([a[s][None], own, b[s][None]])) for s, own in enumerate(via_points) if own is not None]
 
 
 def verdicts(s, a, b):
@@ -84,39 +84,39 @@ def verdicts(s, a, b):
     return checker().edges(lane_inputs(scenarios(), which, np.zeros_like(which)), a, b).verdict
 
 
-def length(way):
-    return np.linalg.norm(np.diff(way, axis=0), axis=1).sum()
+def length(path):
+    return np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
 
 
 def test_another_engine_finds_nothing_that_touches_at_a_thousand_places_of_every_step():
-    duct, arm, several = made_once.duct(), Arm(GP50, 0.0, "simulation"), 0
+    duct, arm, several = made_once.duct(), MujocoArm(GP50, 0.0, "simulation"), 0
     wall = Wall(np.asarray(duct.cloud), "hull")
-    for s, way in ways():
+    for s, path in paths():
         T = scenarios().T_world_workpiece[s]
         scene = CheckedScene(arm, wall, T[:3, :3], T[:3, 3], duct.interior_depth_m)
-        known = scene.at(way)
+        known = scene.at(path)
         assert known.clearance.min() > 0
-        row = np.repeat(np.arange(len(way) - 1), PLACES)
-        part = np.tile(np.linspace(0, 1, PLACES), len(way) - 1)[:, None]
-        _, clearance = scene.between(way[row] + part * (way[row + 1] - way[row]), row, known, 0.0)
+        row = np.repeat(np.arange(len(path) - 1), PLACES)
+        part = np.tile(np.linspace(0, 1, PLACES), len(path) - 1)[:, None]
+        _, clearance = scene.between(path[row] + part * (path[row + 1] - path[row]), row, known, 0.0)
         assert np.isinf(clearance).all()
-        several += len(way) > 3
+        several += len(path) > 3
     assert several >= 3
 
 
 def test_every_step_is_proven_and_within_the_limits():
     """Check with the kernel that validates the segments of plans; no two successive configurations are equal."""
-    lower, upper = checker().kernels.limits
-    for s, way in ways():
-        assert (verdicts(s, way[:-1], way[1:]) == Verdict.PROVEN).all()
-        assert (way >= lower).all() and (way <= upper).all()
-        assert (np.diff(way, axis=0) != 0).any(axis=1).all()
+    lower, upper = checker().executor.limits
+    for s, path in paths():
+        assert (verdicts(s, path[:-1], path[1:]) == PathVerdict.VALID).all()
+        assert (path >= lower).all() and (path <= upper).all()
+        assert (np.diff(path, axis=0) != 0).any(axis=1).all()
 
 
-def test_where_the_straight_joint_path_is_proven_there_are_no_knots_and_elsewhere_there_are():
+def test_where_the_straight_joint_path_is_proven_there_are_no_via_points_and_elsewhere_there_are():
     a, b = ends()
-    straight = [(verdicts(s, a[s][None], b[s][None]) == Verdict.PROVEN).all() for s, _ in ways()]
-    assert [len(way) == 2 for _, way in ways()] == straight and not all(straight)
+    straight = [(verdicts(s, a[s][None], b[s][None]) == PathVerdict.VALID).all() for s, _ in paths()]
+    assert [len(path) == 2 for _, path in paths()] == straight and not all(straight)
     near = a + 1e-3
     (none, same) = join(
         checker(), scenarios(), np.arange(2), np.zeros(2, int), a[:2], np.stack([near[0], a[1]]), SETTINGS
@@ -127,32 +127,32 @@ def test_where_the_straight_joint_path_is_proven_there_are_no_knots_and_elsewher
 def test_an_end_in_collision_is_joined_with_nothing():
     """Check a collision at either end; all other pairs, whose ends are clear, are joined."""
     a, b = ends()
-    clear = [(verdicts(s, b[s][None], b[s][None]) == Verdict.PROVEN).all() for s in range(len(NUMBERS))]
+    clear = [(verdicts(s, b[s][None], b[s][None]) == PathVerdict.VALID).all() for s in range(len(NUMBERS))]
     assert [own is not None for own in found()] == clear and not all(clear)
     s = np.array([clear.index(False)])
     assert join(checker(), scenarios(), s, s, b[s], a[s], SETTINGS) == [None]
 
 
 def test_another_pair_number_and_another_seed_are_other_searches():
-    s = max(ways(), key=lambda way: len(way[1]))[0]
+    s = max(paths(), key=lambda path: len(path[1]))[0]
     others = [joined([s], pair=1)[0], joined([s], replace(SETTINGS, seed=5))[0]]
     assert not any(np.array_equal(other, found()[s]) for other in others)
-    assert all((verdicts(s, *_steps(s, other)) == Verdict.PROVEN).all() for other in others)
+    assert all((verdicts(s, *_steps(s, other)) == PathVerdict.VALID).all() for other in others)
 
 
-def _steps(s, knots):
+def _steps(s, via_points):
     a, b = ends()
-    way = np.concatenate([a[s][None], knots, b[s][None]])
-    return way[:-1], way[1:]
+    path = np.concatenate([a[s][None], via_points, b[s][None]])
+    return path[:-1], path[1:]
 
 
 def test_shortcuts_make_a_way_shorter_and_never_longer():
     """Compare path lengths over rounds of shortcuts; without shortcuts, no step is longer than `search_step_rad`."""
     before, longest = None, 0.0
     for rounds in (0, 1, 4, 8):
-        now = [way for _, way in ways(joined(range(len(NUMBERS)), replace(SETTINGS, search_shortcuts=rounds)))]
+        now = [path for _, path in paths(joined(range(len(NUMBERS)), replace(SETTINGS, search_shortcuts=rounds)))]
         if before is None:
-            steps = [np.linalg.norm(np.diff(way, axis=0), axis=1).max() for way in now if len(way) > 2]
+            steps = [np.linalg.norm(np.diff(path, axis=0), axis=1).max() for path in now if len(path) > 2]
             longest = max(steps)
         else:
             assert all(length(new) <= length(old) for new, old in zip(now, before, strict=True))
@@ -171,8 +171,8 @@ def _at(angle, radius=0.35):
     return radius * np.array([np.cos(angle), np.sin(angle)])
 
 
-@pytest.mark.parametrize(("angles", "way"), [((-1.0, 1.0), False), ((-1.0,), True)])
-def test_an_arm_between_two_columns_does_not_get_out_and_beside_one_it_does(angles, way, tmp_path):
+@pytest.mark.parametrize(("angles", "path"), [((-1.0, 1.0), False), ((-1.0,), True)])
+def test_an_arm_between_two_columns_does_not_get_out_and_next_to_one_it_does(angles, path, tmp_path):
     """The first link extends beyond the columns and cannot turn past 175 degrees to get around them."""
     links = "".join(
         f'<body pos="{0.5 * (k > 0)} 0 0"><joint name="j{k}" axis="0 0 1" range="-175 175"/>'
@@ -185,23 +185,23 @@ def test_an_arm_between_two_columns_does_not_get_out_and_beside_one_it_does(angl
     robot, part = load_robot(file, limits="model"), few_points(columns(*angles))
     start, inside = np.array([2.0, 0.4, 0.0]), np.array([0.0, 0.5, -0.5])
     one = stack([make_scenario(robot, part, start, rotation=(0.0, 0.0))])
-    own = CollisionChecker(Kernels(Scene(robot, make_obstacle(part)), SETTINGS), SETTINGS)
+    own = CollisionChecker(Executor(Scene(robot, make_obstacle(part)), SETTINGS), SETTINGS)
     zero = np.zeros(1, int)
     for a, b in ((start, inside), (inside, start)):
-        (knots,) = join(own, one, zero, zero, a[None], b[None], replace(SETTINGS, search_rounds=60))
-        assert (knots is not None) == way
+        (via_points,) = join(own, one, zero, zero, a[None], b[None], replace(SETTINGS, search_rounds=60))
+        assert (via_points is not None) == path
 
 
 def test_the_bare_tip_keeps_out_of_the_walls():
     """Compare searches with and without the tip check: without it some paths pass through a wall, with it none."""
     guard = make_tip_guard(load_workpiece(tip_contact_m=0.01))
 
-    def passes(s, knots):
-        a, b = _steps(s, knots)
+    def passes(s, via_points):
+        a, b = _steps(s, via_points)
         inputs = lane_inputs(scenarios(), np.full(len(a), s), np.zeros(len(a), int))
         free, guarded = checker().edges(inputs, a, b), checker(guard).edges(inputs, a, b)
-        assert (free.verdict == Verdict.PROVEN).all()
-        return (guarded.verdict == Verdict.COLLIDES).any()
+        assert (free.verdict == PathVerdict.VALID).all()
+        return (guarded.verdict == PathVerdict.IN_COLLISION).any()
 
     which = [s for s, own in enumerate(found()) if own is not None][::2]
     heedful = dict(zip(which, joined(which, replace(SETTINGS, search_rounds=20), guard=guard), strict=True))
@@ -224,8 +224,8 @@ def test_of_each_scenario_s_pairs_that_is_joined_which_takes_least_whoever_else_
     scenario, pair = np.repeat(s, 3), np.tile(np.arange(3), 2)
     to = np.stack([b[s], b[s], a[s] + 1e-3], axis=1).reshape(6, -1)
     of = partial(join, checker(), scenarios())
-    ways = of(scenario, pair, a[scenario], to, SETTINGS, soonest=True)
-    assert [way is None for way in ways] == [True, True, False] * 2
+    paths = of(scenario, pair, a[scenario], to, SETTINGS, soonest=True)
+    assert [path is None for path in paths] == [True, True, False] * 2
     far = np.arange(6) % 3 < 2  # only the two long searches, where the one with fewer queries wins
     every = of(scenario[far], pair[far], a[scenario[far]], to[far], SETTINGS)
     sooner = of(scenario[far], pair[far], a[scenario[far]], to[far], SETTINGS, soonest=True)

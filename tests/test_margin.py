@@ -20,7 +20,7 @@ from htcp_jax.reachability import reachable_prefixes
 from htcp_jax.runs.summary import summarise
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
-from htcp_jax.validation import validate
+from htcp_jax.validation import validate_results
 
 SLOW = {"nspace-ip", "nspace-cmaes", "nspace-adam", "hybrid", "nspace-sample"}
 
@@ -107,5 +107,5 @@ def test_a_plan_that_leaves_its_start_says_so_and_its_way_there_is_clear(tmp_pat
     assert plan.plans.joint_step[0, 0] > 0.1 and plan.plans.path_clear[0, 0] == 1
     assert " rad to the first configuration, by " in plan.facts()["transfer"]
     plan.save(tmp_path / "out")
-    found = validate(tmp_path / "out", between=1000).methods["hybrid"]
+    found = validate_results(tmp_path / "out", between=1000).methods["hybrid"]
     assert found.refuted == 0 and found.paths_touching == 0 and found.paths == found.checked == 52

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.model.mesh_points import ABOUT, area, cover, covering_radius, pieces
+from htcp_jax.model.mesh_points import ABOUT, area, cover_mesh, covering_radius, pieces
 
 MESHES = {
     "box": trimesh.creation.box((0.4, 0.36, 0.02)),
@@ -30,7 +30,7 @@ def on(triangles: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
 def test_no_point_of_a_mesh_is_further_from_a_sample_than_it_says(shape, spacing):
     """Check the covering radius, which is at most half the requested spacing, for all kinds of triangles."""
     triangles = np.asarray(MESHES[shape].triangles)
-    found = cover(triangles, "mesh", spacing)
+    found = cover_mesh(triangles, "mesh", spacing)
     distance, _ = cKDTree(found.points).query(on(triangles, 20_000))
     assert 0.5 * found.radius_m < distance.max() <= found.radius_m <= spacing / 2 * (1 + 1e-6)
     assert len(np.unique(found.points, axis=0)) == len(found.points)
@@ -38,15 +38,15 @@ def test_no_point_of_a_mesh_is_further_from_a_sample_than_it_says(shape, spacing
 
 def test_the_points_are_on_the_mesh_and_the_same_each_time():
     triangles = np.asarray(MESHES["box"].triangles)
-    found = cover(triangles, "mesh", 0.01)
+    found = cover_mesh(triangles, "mesh", 0.01)
     depth = np.array([0.2, 0.18, 0.01]) - np.abs(found.points)
     assert np.abs(depth.min(axis=1)).max() < 1e-15
-    assert found.points.tobytes() == cover(triangles, "mesh", 0.01).points.tobytes()
+    assert found.points.tobytes() == cover_mesh(triangles, "mesh", 0.01).points.tobytes()
 
 
 def test_the_points_are_spread_evenly():
     """Regression: random sampling had neighbours at 1 mm next to gaps of 30 mm."""
-    found = cover(np.asarray(trimesh.creation.box((1, 1, 1)).triangles), "mesh", 0.05)
+    found = cover_mesh(np.asarray(trimesh.creation.box((1, 1, 1)).triangles), "mesh", 0.05)
     near = cKDTree(found.points).query(found.points, k=2)[0][:, 1]
     assert near.max() < 2 * near.min()
 
@@ -68,13 +68,13 @@ def test_a_triangles_covering_radius_is_attained_and_never_exceeded(corners):
 
 def test_a_sliver_takes_points_along_its_length_alone():
     sliver = np.array([[[0, 0, 0], [1, 0, 0], [0.3, 1e-7, 0]]])
-    found = cover(np.repeat(sliver, 50, axis=0), "mesh", 0.02)
+    found = cover_mesh(np.repeat(sliver, 50, axis=0), "mesh", 0.02)
     assert found.radius_m <= 0.01 * (1 + 1e-6) and len(found.points) < 300
 
 
 def test_by_itself_a_mesh_gets_many_points_and_more_where_a_thin_body_asks_for_them():
     triangles = np.asarray(trimesh.creation.box((1.4, 1.8, 1.1)).triangles)
-    itself, thin = cover(triangles, "mesh"), cover(triangles, "mesh", thinnest_m=0.008)
+    itself, thin = cover_mesh(triangles, "mesh"), cover_mesh(triangles, "mesh", thinnest_m=0.008)
     assert ABOUT <= len(itself.points) < 3 * ABOUT < len(thin.points)
     assert thin.radius_m <= 0.004 < itself.radius_m < 0.008
 
@@ -87,13 +87,13 @@ def test_by_itself_a_mesh_gets_many_points_and_more_where_a_thin_body_asks_for_t
 ])  # fmt: skip
 def test_what_cannot_be_sampled_is_one_line(options, words):
     with pytest.raises(InputError, match=words) as error:
-        cover(np.asarray(MESHES["box"].triangles), "part.stl", **options)
+        cover_mesh(np.asarray(MESHES["box"].triangles), "part.stl", **options)
     assert str(error.value).startswith("part.stl: ") and "\n" not in str(error.value)
 
 
 def test_a_mesh_without_an_area_is_refused():
     with pytest.raises(InputError, match="no area"):
-        cover(np.zeros((2, 3, 3)), "part.stl")
+        cover_mesh(np.zeros((2, 3, 3)), "part.stl")
 
 
 @pytest.mark.parametrize("shape", MESHES)

@@ -7,13 +7,13 @@ from hand_made import plans_with
 from htcp_jax.runs.summary import Failure, summarise
 from htcp_jax.status import Status
 
-DONE, ESCAPED, STUCK, LEFT = (Status(k) for k in (0, 1, 4, 7))
+DONE, RECOVERED, STUCK, LEFT = (Status(k) for k in (0, 1, 4, 7))
 
 
 def test_counts_times_and_distances():
-    summary = summarise(plans_with([[DONE, ESCAPED, DONE], [DONE, STUCK, LEFT]]))
+    summary = summarise(plans_with([[DONE, RECOVERED, DONE], [DONE, STUCK, LEFT]]))
     assert (summary.scenarios, summary.complete) == (2, 1)
-    assert (summary.tracked, summary.targets, summary.after_escape, summary.blocked_paths) == (4, 6, 1, 4)
+    assert (summary.tracked, summary.targets, summary.after_recovery, summary.blocked_paths) == (4, 6, 1, 4)
     assert summary.success_rate == pytest.approx(4 / 6)
     assert summary.step_ms == pytest.approx(1000 / 5)  # the failed target took a step, too
     assert (summary.compile_s, summary.run_s) == (3, 1)
@@ -33,4 +33,4 @@ def test_nothing_tracked_gives_nan_and_no_warning():
 
 def test_every_status_has_a_sentence():
     assert all(status.message and "\n" not in status.message for status in Status)
-    assert [status for status in Status if status.tracked] == [DONE, ESCAPED]
+    assert [status for status in Status if status.tracked] == [DONE, RECOVERED]

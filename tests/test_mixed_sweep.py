@@ -14,7 +14,7 @@ from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning import batch
-from htcp_jax.report.cell import RunScene
+from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.groups import read_parts
 from htcp_jax.runs import open_run
 from htcp_jax.runs.sweep import sweep
@@ -95,9 +95,9 @@ def test_the_scenarios_tell_what_varies_and_what_follows_from_it(run):
 
 
 def test_the_manifest_leads_to_the_same_configurations(place, run):
-    told = [point.config.model_dump(mode="json") for point in open_run(place / "run").points()]
-    asked = [point.config.model_dump(mode="json") for point in load_sweep(place / "grid.yaml").points()]
-    assert told == asked
+    reported = [point.config.model_dump(mode="json") for point in open_run(place / "run").points()]
+    requested = [point.config.model_dump(mode="json") for point in load_sweep(place / "grid.yaml").points()]
+    assert reported == requested
 
 
 def test_a_scenario_is_opened_with_its_own_robot_and_workpiece(place, run):
@@ -124,7 +124,7 @@ def test_it_is_validated_with_each_scenario_s_own_robot_and_workpiece(place, run
 
 
 def test_the_report_has_the_axes(place, run):
-    (part,) = read_parts(run, "mixed", RunScene)
+    (part,) = read_parts(run, "mixed", OpenedScene)
     assert list(part.axes) == ["start_j2_rad", "robot.model", "workpiece.cloud"]
     assert part.parameters["settings.max_step_qps"].tolist() == [20, 20, 30, 30] * 2
     assert main(["report", str(place / "run"), "--out", str(place / "report")]) == 0

@@ -8,22 +8,22 @@ from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.motion import Knots, Plans
+from htcp_jax.motion import Plans, ViaPoints
 from htcp_jax.motion.motion import (
     ONE_POINT_M,
     cost,
     curvature,
     dwells,
-    figures,
     largest_step,
     motion,
+    motion_figures,
     motions,
     tightest,
 )
-from htcp_jax.status import Kind, Status, Way
+from htcp_jax.status import Kind, SegmentStatus, Status
 
 TARGETS, ON_PATH, JOINTS = 8, 3, 2
-T, A, F, D, R = Kind.TRANSFER, Kind.APPROACH, Kind.FEED, Kind.DWELL, Kind.RETRACT
+T, A, F, D, R = Kind.TRANSFER, Kind.APPROACH, Kind.PROCESS, Kind.DWELL, Kind.RETRACT
 
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -35,41 +35,45 @@ def some_plans(seed: int, scenarios: int = 3) -> Plans:
     ends = rng.integers(0, TARGETS, scenarios, endpoint=True)
     tracked = np.arange(TARGETS) < TARGETS - 1 + (np.arange(scenarios) % 2)[:, None]
     status = np.where(tracked, Status.TRACKED, Status.QP_INFEASIBLE)
-    status[rng.random(scenarios) < 0.25, 0] = Status.TRACKED_AFTER_ESCAPE
+    status[rng.random(scenarios) < 0.25, 0] = Status.TRACKED_AFTER_RECOVERY
     plans = plans_with(status.tolist(), joints=JOINTS)
     ahead = rng.choice([0.0, 0.3 * ONE_POINT_M, 0.01, 0.02], (scenarios, TARGETS, 1)) * [1.0, 0.5, 0.0]
-    way = np.where(np.arange(TARGETS) < ends[:, None], Way.PROVEN, Way.UNKNOWN).astype(np.int8)
+    segment_status = np.where(
+        np.arange(TARGETS) < ends[:, None], SegmentStatus.VALID, SegmentStatus.NOT_CHECKED
+    ).astype(np.int8)
     keys = [(s, t) for s in range(scenarios) for t in range(TARGETS) if rng.random() < 0.25]
     return plans._replace(
         start=rng.normal(size=(scenarios, JOINTS)),
         x=np.where(tracked[..., None], rng.normal(size=(scenarios, TARGETS, JOINTS)), np.nan),
         target=np.cumsum(ahead, axis=1),
-        way=way,
-        way_clearance=np.where(way == Way.PROVEN, rng.choice([1e-3, 2e-3, 3e-3], way.shape), np.nan),
-        knots=Knots.of([(*key, rng.normal(size=(rng.integers(1, 4), JOINTS))) for key in keys], JOINTS),
+        segment_status=segment_status,
+        segment_clearance=np.where(
+            segment_status == SegmentStatus.VALID, rng.choice([1e-3, 2e-3, 3e-3], segment_status.shape), np.nan
+        ),
+        via_points=ViaPoints.of([(*key, rng.normal(size=(rng.integers(1, 4), JOINTS))) for key in keys], JOINTS),
     )
 
 
-def walked(plans: Plans, s: int) -> list[tuple[int, Kind, np.ndarray]]:
+def null_space_steps(plans: Plans, s: int) -> list[tuple[int, Kind, np.ndarray]]:
     """Target, kind and configuration of each point in the motion of scenario s, by a plain loop."""
     rows, count = [], int(plans.executable[s].sum())
     for t in range(count):
-        knots = plans.knots.on_the_way(s, t)
-        transfer = t == 0 and (len(knots) > 0 or plans.status[s, 0] == Status.TRACKED_AFTER_ESCAPE)
+        via_points = plans.via_points.on_segment(s, t)
+        transfer = t == 0 and (len(via_points) > 0 or plans.status[s, 0] == Status.TRACKED_AFTER_RECOVERY)
         if t == 0:
             rows.append((0, T if transfer else A, plans.start[s]))
         kind = D if t > ON_PATH else T if transfer else A
-        rows += [(t - (kind == D), kind, x) for x in knots]
+        rows += [(t - (kind == D), kind, x) for x in via_points]
         rows.append((t, F if t > ON_PATH else kind, plans.x[s, t]))
     return rows
 
 
 @given(SEEDS)
-def test_a_motion_is_the_start_the_knots_and_the_rows_in_their_order(seed):
+def test_a_motion_is_the_start_the_via_points_and_the_rows_in_their_order(seed):
     plans = some_plans(seed)
     together = motions(plans, ON_PATH)
     for s in range(len(plans.x)):
-        rows = walked(plans, s)
+        rows = null_space_steps(plans, s)
         for found in (motion(plans, s, ON_PATH), together.of(s)):
             assert [*zip(found.target, found.kind, strict=True)] == [row[:2] for row in rows]
             np.testing.assert_array_equal(found.x, np.array([x for *_, x in rows]).reshape(-1, JOINTS))
@@ -88,7 +92,7 @@ def curved(plans: Plans, s: int) -> dict[int, float]:
     points: list[tuple[int, bool]] = []  # the last target of each, and True if the arm reconfigures before it
     turns = False
     for t in range(ON_PATH, int(plans.executable[s].sum())):
-        turns |= bool(len(plans.knots.on_the_way(s, t))) and t > ON_PATH
+        turns |= bool(len(plans.via_points.on_segment(s, t))) and t > ON_PATH
         if points and t > ON_PATH and np.linalg.norm(plans.target[s, t] - plans.target[s, t - 1]) < ONE_POINT_M:
             points[-1] = t, points[-1][1] | turns
         else:
@@ -107,11 +111,11 @@ def curved(plans: Plans, s: int) -> dict[int, float]:
 @given(SEEDS)
 def test_the_figures_are_those_of_a_plain_loop(seed):
     plans = some_plans(seed)
-    found, bent, on_path = figures(plans, ON_PATH), curvature(plans, ON_PATH), motions(plans, ON_PATH)
+    found, bent, on_path = motion_figures(plans, ON_PATH), curvature(plans, ON_PATH), motions(plans, ON_PATH)
     turning, (least_at, least) = dwells(plans, ON_PATH), tightest(plans)
     costs, steps = cost(on_path, len(plans.x)), largest_step(on_path, len(plans.x))
     for s in range(len(plans.x)):
-        rows, count = walked(plans, s), int(plans.executable[s].sum())
+        rows, count = null_space_steps(plans, s), int(plans.executable[s].sum())
         x = np.array([x for *_, x in rows]).reshape(-1, JOINTS)
         V = np.kron(np.eye(max(len(x), 1))[1:] - np.eye(max(len(x), 1))[:-1], np.eye(JOINTS))  # of equation (3)
         assert costs[s] == pytest.approx(x.ravel() @ V.T @ V @ x.ravel() if len(x) else 0.0)
@@ -120,7 +124,7 @@ def test_the_figures_are_those_of_a_plain_loop(seed):
         assert np.flatnonzero(turning[s]).tolist() == sorted({t for t, kind, _ in rows if kind == D})
         assert {t: v for t, v in enumerate(bent[s]) if v == v} == pytest.approx(curved(plans, s))
         np.testing.assert_allclose(found.curvature_max_rad_m2[s], max(curved(plans, s).values(), default=np.nan))
-        clear = plans.way_clearance[s, :count].tolist()
+        clear = plans.segment_clearance[s, :count].tolist()
         assert least_at[s] == (clear.index(min(clear)) if count else -1)
         np.testing.assert_equal(least[s], min(clear, default=np.nan))
         np.testing.assert_equal(found.dwells[s], turning[s].sum() if count else np.nan)
@@ -132,8 +136,8 @@ def test_a_joint_that_follows_a_parabola_over_the_arc_length_has_its_curvature()
     plans = plans_with([[Status.TRACKED] * 9], joints=1)
     length = np.array([0.0, 0.1, 0.15, 0.3, 0.33, 0.5, 0.6, 0.8, 0.9])
     target = length[None, :, None] * np.array([0.6, 0.0, 0.8])
-    way = np.full_like(plans.way, Way.PROVEN)
-    bent = curvature(plans._replace(x=length[None, :, None] ** 2 / 2, target=target, way=way), 0)
+    segment_status = np.full_like(plans.segment_status, SegmentStatus.VALID)
+    bent = curvature(plans._replace(x=length[None, :, None] ** 2 / 2, target=target, segment_status=segment_status), 0)
     assert np.isnan(bent[0, [0, -1]]).all()
     np.testing.assert_allclose(bent[0, 1:-1], 1.0)
 
@@ -141,12 +145,18 @@ def test_a_joint_that_follows_a_parabola_over_the_arc_length_has_its_curvature()
 def test_many_scenarios_are_as_each_alone():
     rng = np.random.default_rng(0)
     plans = plans_with([[Status.TRACKED] * TARGETS] * 50, joints=JOINTS)
-    way = np.where(rng.random(plans.way.shape) < 0.9, Way.PROVEN, Way.LEAVES).astype(np.int8)
-    knots = Knots.of([(s, t, rng.normal(size=(2, JOINTS))) for s in range(50) for t in range(0, TARGETS, 2)], JOINTS)
-    plans = plans._replace(x=rng.normal(size=plans.x.shape), target=rng.normal(size=plans.target.shape), way=way)
-    plans = plans._replace(way_clearance=rng.random(way.shape), knots=knots)
+    segment_status = np.where(
+        rng.random(plans.segment_status.shape) < 0.9, SegmentStatus.VALID, SegmentStatus.OFF_PATH
+    ).astype(np.int8)
+    via_points = ViaPoints.of(
+        [(s, t, rng.normal(size=(2, JOINTS))) for s in range(50) for t in range(0, TARGETS, 2)], JOINTS
+    )
+    plans = plans._replace(
+        x=rng.normal(size=plans.x.shape), target=rng.normal(size=plans.target.shape), segment_status=segment_status
+    )
+    plans = plans._replace(segment_clearance=rng.random(segment_status.shape), via_points=via_points)
     on_path = rng.integers(0, 4, 50)
-    together = figures(plans, on_path)
+    together = motion_figures(plans, on_path)
     for s in range(50):
-        alone = figures(plans.rows([s]), int(on_path[s]))
+        alone = motion_figures(plans.rows([s]), int(on_path[s]))
         np.testing.assert_allclose([column[s] for column in together], [column[0] for column in alone], rtol=1e-12)

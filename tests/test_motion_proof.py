@@ -11,14 +11,14 @@ from sphere_references import Where, place
 from test_joint_path import rail
 
 from htcp_jax.clearance import Scene, clearance
-from htcp_jax.clearance.proof.bisection import Proof, Verdict
+from htcp_jax.clearance.proof.bisection import PathVerdict, Proof
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.proof.motion_proof import Tube, prove
 from htcp_jax.io.robot_file import load_robot
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.model.robot import GP50
-from htcp_jax.status import Way
-from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.status import SegmentStatus
+from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 
 PLACES = 1000
@@ -119,7 +119,7 @@ def test_a_slide_does_not_bend_the_way_of_the_tcp(tmp_path):
 
 def test_a_proven_motion_is_clear_in_its_tube_and_advances_at_a_thousand_places():
     lines = 0
-    for (where, a, b, around), proof in those(Verdict.PROVEN):
+    for (where, a, b, around), proof in those(PathVerdict.VALID):
         x = straight(a, b)
         smallest = float(jnp.min(_D_everywhere(*made_once.scene()[:2], where, jnp.asarray(x))))
         assert 0 < proof.clearance <= smallest + ROUNDING_M
@@ -133,12 +133,12 @@ def test_a_proven_motion_is_clear_in_its_tube_and_advances_at_a_thousand_places(
 
 
 def test_a_refuted_motion_is_wrong_where_it_says():
-    for (where, a, b, _), proof in those(Verdict.COLLIDES):
+    for (where, a, b, _), proof in those(PathVerdict.IN_COLLISION):
         assert float(_D(*made_once.scene()[:2], where, a + proof.place * (b - a))) <= 0
-    for (_, a, b, around), proof in those(Verdict.LEAVES):
+    for (_, a, b, around), proof in those(PathVerdict.OFF_PATH):
         point = tcp(a + proof.place * (b - a))
         assert off_line(np.asarray(around.start), np.asarray(around.end), point[None])[0] > float(around.radius)
-    for (_, a, b, around), proof in those(Verdict.TURNS_BACK):
+    for (_, a, b, around), proof in those(PathVerdict.REVERSES):
         line, h = np.asarray(around.end - around.start), 1e-7
         before, after = (tcp(a + (proof.place + side * h) * (b - a)) for side in (-1, 1))
         assert (after - before) @ line < 0
@@ -146,11 +146,11 @@ def test_a_refuted_motion_is_wrong_where_it_says():
 
 def test_nothing_is_left_open_but_what_grazes():
     """Check that no motion is undecided, and that a motion cut just after the refuted place is not proven."""
-    assert not [proof for proof in proofs() if proof.verdict == Verdict.OPEN]
-    for (where, a, b, around), proof in those(Verdict.LEAVES, Verdict.COLLIDES, Verdict.TURNS_BACK):
+    assert not [proof for proof in proofs() if proof.verdict == PathVerdict.UNDECIDED]
+    for (where, a, b, around), proof in those(PathVerdict.OFF_PATH, PathVerdict.IN_COLLISION, PathVerdict.REVERSES):
         assert 0 < proof.place < 1
         again = proof_of(where, a, a + proof.place * (b - a) * (1 + 1e-6), around)
-        assert again.verdict != Verdict.PROVEN
+        assert again.verdict != PathVerdict.VALID
 
 
 def test_with_fewer_halvings_what_needs_more_is_open_and_nothing_else_changes():
@@ -158,8 +158,8 @@ def test_with_fewer_halvings_what_needs_more_is_open_and_nothing_else_changes():
     for (where, a, b, around), proof in zip(motions(), proofs(), strict=True):
         again = Proof(*(leaf.item() for leaf in few(Scene(*made_once.scene()), where, a, b, around)))
         assert again.depth <= 1 and again.queries <= 3
-        assert again == proof if proof.depth <= 1 else again.verdict == Verdict.OPEN
-        opened += again.verdict == Verdict.OPEN
+        assert again == proof if proof.depth <= 1 else again.verdict == PathVerdict.UNDECIDED
+        opened += again.verdict == PathVerdict.UNDECIDED
     assert 5 < opened < 95
 
 
@@ -169,9 +169,9 @@ def test_what_touches_its_tube_all_along_is_open():
     here = tcp(start)
     line = tube(here + np.array([0, 0, 0.25]), here + np.array([1, 0, 0.25]), 0.25)
     proof = proof_of(where, start, start, line)
-    assert proof.verdict == Verdict.OPEN
-    assert proof_of(where, start, start, line._replace(radius=jnp.asarray(0.26))).verdict == Verdict.PROVEN
-    assert proof_of(where, start, start, line._replace(radius=jnp.asarray(0.24))).verdict == Verdict.LEAVES
+    assert proof.verdict == PathVerdict.UNDECIDED
+    assert proof_of(where, start, start, line._replace(radius=jnp.asarray(0.26))).verdict == PathVerdict.VALID
+    assert proof_of(where, start, start, line._replace(radius=jnp.asarray(0.24))).verdict == PathVerdict.OFF_PATH
 
 
 @pytest.mark.parametrize("turn", [0.3, 1.5, 1.65, 2.5])
@@ -189,12 +189,16 @@ def test_a_turn_of_the_base_leaves_its_tangent_and_turns_back_where_a_circle_doe
     here, (r, h) = tcp(start), (np.hypot(*tcp(start)[:2]), 1e-6)
     forwards = (tcp(start + h * first) - tcp(start - h * first)) / (2 * h * r)
     off = r * (1 - np.cos(turn))
-    for radius, verdict in ((0.999 * off, Verdict.LEAVES), (1.001 * off, Verdict.PROVEN), (10 * r, Verdict.PROVEN)):
+    for radius, verdict in (
+        (0.999 * off, PathVerdict.OFF_PATH),
+        (1.001 * off, PathVerdict.VALID),
+        (10 * r, PathVerdict.VALID),
+    ):
         around = tube(here - 2 * r * forwards, here + 2 * r * forwards, radius)
         proof = proof_of(where, jnp.asarray(start - turn * first), jnp.asarray(start + turn * first), around)
         beyond = turn > np.pi / 2
-        assert proof.verdict in ({Verdict.TURNS_BACK, Verdict.LEAVES} if beyond else {verdict})
-        assert proof.verdict != Verdict.LEAVES or verdict == Verdict.LEAVES
+        assert proof.verdict in ({PathVerdict.REVERSES, PathVerdict.OFF_PATH} if beyond else {verdict})
+        assert proof.verdict != PathVerdict.OFF_PATH or verdict == PathVerdict.OFF_PATH
 
 
 def test_with_an_infinite_radius_the_tcp_may_be_anywhere():
@@ -204,42 +208,46 @@ def test_with_an_infinite_radius_the_tcp_may_be_anywhere():
         anywhere = tube(around.end + 1.0, around.start, np.inf)
         with_tube = proof_of(where, a, b, anywhere)
         assert with_tube == proof_of(where, a, b)
-        clear += with_tube.verdict == Verdict.PROVEN
+        clear += with_tube.verdict == PathVerdict.VALID
     assert 5 <= clear < len(motions()[::3])
 
 
 def test_about_a_point_the_tcp_may_move_any_way():
     """Check motions that reverse on their line: valid in a ball that contains them, if they are clear."""
     turned = 0
-    for (where, a, b, _), _ in those(Verdict.TURNS_BACK):
+    for (where, a, b, _), _ in those(PathVerdict.REVERSES):
         points = np.asarray(_TCPS(made_once.robot(), jnp.asarray(straight(a, b))))
         middle = points.mean(axis=0)
         radius = np.linalg.norm(points - middle, axis=1).max()
-        is_clear = proof_of(where, a, b).verdict == Verdict.PROVEN
+        is_clear = proof_of(where, a, b).verdict == PathVerdict.VALID
         ball, tight = tube(middle, middle, 1.01 * radius), tube(middle, middle, 0.9 * radius)
-        assert (proof_of(where, a, b, ball).verdict == Verdict.PROVEN) == is_clear
-        assert proof_of(where, a, b, tight).verdict != Verdict.PROVEN
+        assert (proof_of(where, a, b, ball).verdict == PathVerdict.VALID) == is_clear
+        assert proof_of(where, a, b, tight).verdict != PathVerdict.VALID
         turned += is_clear
     assert turned >= 5
 
 
 def test_a_motion_and_its_reverse_are_clear_together_but_one_of_them_turns_back():
-    for (where, a, b, around), _ in those(Verdict.PROVEN)[::3]:
+    for (where, a, b, around), _ in those(PathVerdict.VALID)[::3]:
         if bool((around.start == around.end).all()):
             continue
-        assert proof_of(where, b, a, around).verdict == Verdict.TURNS_BACK
-        assert proof_of(where, b, a, Tube(around.end, around.start, around.radius)).verdict == Verdict.PROVEN
+        assert proof_of(where, b, a, around).verdict == PathVerdict.REVERSES
+        assert proof_of(where, b, a, Tube(around.end, around.start, around.radius)).verdict == PathVerdict.VALID
 
 
 def test_the_verdicts_are_those_that_a_plan_records():
-    assert {one.name: one.value for one in Verdict} == {way.name: way.value for way in Way if Way.UNKNOWN < way < 5}
+    assert {one.name: one.value for one in PathVerdict} == {
+        segment_status.name: segment_status.value
+        for segment_status in SegmentStatus
+        if SegmentStatus.NOT_CHECKED < segment_status < 5
+    }
 
 
 def test_another_engine_finds_nothing_that_touches_on_a_proven_motion():
     """Compare with MuJoCo at 100 samples of each: its minimum clearance is at least the guaranteed one."""
-    duct, arm = made_once.duct(), Arm(GP50, 0.0, "simulation")
+    duct, arm = made_once.duct(), MujocoArm(GP50, 0.0, "simulation")
     wall = Wall(np.asarray(duct.cloud), "hull")
-    for (where, a, b, _), proof in those(Verdict.PROVEN)[::4]:
+    for (where, a, b, _), proof in those(PathVerdict.VALID)[::4]:
         T = np.asarray(where.T_world_workpiece)
         scene = CheckedScene(arm, wall, T[:3, :3], T[:3, 3], duct.interior_depth_m)
         assert scene.at(straight(a, b, 100)).clearance.min() >= proof.clearance - ROUNDING_M

@@ -10,7 +10,7 @@ import pytest
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.report.place_charts import MARKS, place_front, place_map
+from htcp_jax.report.place_charts import MARKS, place_map, place_pareto_front
 from htcp_jax.report.place_tables import parameter, read_search
 from htcp_jax.runs import open_plans
 
@@ -22,33 +22,40 @@ LOST = ["iteration limit"] * 20 + ["QP infeasible"] * 10 + ["path blocked"] * 5
 COMPLETE, NEARLY = 25, 4
 
 
-def write_search(folder, d, aims=("clearance",), ranked=3, complete=COMPLETE):
+def write_search(folder, d, objectives=("clearance",), ranked=3, complete=COMPLETE):
     """Folder of a finished search: `complete` mountings complete the path, NEARLY others nearly do."""
     rng, n = np.random.default_rng(d), complete + len(LOST)
     values = rng.random((n, d))
     columns = {"round": np.zeros(n, int)} | {name: values[:, k] for k, name in enumerate(NAMES[:d])}
     columns["done"] = np.concatenate([np.ones(complete), np.full(NEARLY, 0.95), np.full(n - complete - NEARLY, 0.4)])
     columns["complete"] = np.arange(n) < complete
-    for aim in aims:
-        columns[aim.replace(" ", "_")] = pa.array(rng.random(n) * 1e-2, mask=np.arange(n) >= complete)
+    for objective_name in objectives:
+        columns[objective_name.replace(" ", "_")] = pa.array(rng.random(n) * 1e-2, mask=np.arange(n) >= complete)
     columns["lost"] = [None] * complete + LOST
     folder.mkdir()
     pq.write_table(pa.table(columns), folder / "mountings.parquet")
     rows = [
         {
             "parameters": dict(zip(NAMES, values[k].tolist(), strict=False)),
-            "spare": {aim: (k + 1) * (-1) ** j for j, aim in enumerate(aims)},
-            "spare_when_off": dict.fromkeys(aims),
-            "front": k != 1,
+            "objective": {objective_name: (k + 1) * (-1) ** j for j, objective_name in enumerate(objectives)},
+            "worst_objective": dict.fromkeys(objectives),
+            "pareto_front": k != 1,
             "margin_m": 5e-4,
         }
         for k in range(ranked)
     ]
     seams = {"weld": {"complete": complete, "in_the_best": 1.0}}
-    told = {"name": "made", "scenarios": n, "complete": complete, "seams": seams, "spare": list(aims), "ranked": rows}
-    told["finished"] = True
-    (folder / "ranked.json").write_text(json.dumps(told))
-    (folder / "place.json").write_text(json.dumps({"seams": [], "off": {"mm": 3.0, "deg": 0.5}}))
+    reported = {
+        "name": "made",
+        "scenarios": n,
+        "complete": complete,
+        "seams": seams,
+        "objective": list(objectives),
+        "ranked": rows,
+    }
+    reported["finished"] = True
+    (folder / "ranked.json").write_text(json.dumps(reported))
+    (folder / "place.json").write_text(json.dumps({"seams": [], "perturbation": {"mm": 3.0, "deg": 0.5}}))
     return folder
 
 
@@ -64,8 +71,8 @@ def test_each_panel_of_the_map_shows_every_mounting_once(tmp_path, d, panels):
     maps = [axes for axes in figure.axes if len(axes.collections) == len(set(LOST)) + 3]
     assert len(maps) == panels
     for axes in maps:
-        *judged, ranked = [len(dots.get_offsets()) for dots in axes.collections]
-        assert sum(judged) == COMPLETE + len(LOST) and ranked == 3 and written(axes)[0] == "1"
+        *scores, ranked = [len(dots.get_offsets()) for dots in axes.collections]
+        assert sum(scores) == COMPLETE + len(LOST) and ranked == 3 and written(axes)[0] == "1"
 
 
 def test_the_map_counts_what_works_what_nearly_does_and_what_blocks_elsewhere(tmp_path):
@@ -91,7 +98,7 @@ def test_the_map_is_drawn_where_nothing_works(tmp_path):
     assert len(found.ranked) == 0 and len(figure.axes[0].collections) == len(set(LOST)) + 3
 
 
-def test_mountings_are_drawn_of_which_nobody_knows_yet_what_is_spare(tmp_path):
+def test_mountings_are_drawn_of_which_nobody_knows_yet_the_objective(tmp_path):
     found = read_search(write_search(tmp_path / "made", 2))
     (axes, *_) = place_map(found._replace(left=np.full_like(found.left, np.nan))).axes
     works = axes.collections[-2]
@@ -106,9 +113,9 @@ def test_more_reasons_than_marks_share_the_last(tmp_path):
     assert len(set(filter(None, many.lost))) > len(MARKS)
 
 
-def test_the_front_joins_what_none_beats_and_every_axis_has_its_unit(tmp_path):
+def test_the_pareto_front_joins_what_none_beats_and_every_axis_has_its_unit(tmp_path):
     found = read_search(write_search(tmp_path / "made", 2, ("clearance", "joint motion")))
-    (axes,) = place_front(found).axes
+    (axes,) = place_pareto_front(found).axes
     (line,) = [line for line in axes.lines if line.get_marker() == "o"]
     assert line.get_xydata().tolist() == [
         [1000.0, 1.0],
@@ -118,10 +125,10 @@ def test_the_front_joins_what_none_beats_and_every_axis_has_its_unit(tmp_path):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("clearance [mm]", "joint motion [rad]")
 
 
-def test_parameters_are_told_as_a_person_reads_them():
-    told = [parameter(name).label for name in NAMES]
-    assert told[:2] == ["rotation y [°]", "shift x [mm]"] and told[3] == "tool extension [mm]"
-    assert told[7:] == ["task 2 cone [°]", "cell 1 height [mm]"]
+def test_parameters_are_reported_as_a_person_reads_them():
+    reported = [parameter(name).label for name in NAMES]
+    assert reported[:2] == ["rotation y [°]", "shift x [mm]"] and reported[3] == "tool extension [mm]"
+    assert reported[7:] == ["task 2 cone [°]", "cell 1 height [mm]"]
     assert np.isclose(parameter(NAMES[0]).scale, 180 / np.pi) and parameter(NAMES[1]).scale == 1000
 
 

@@ -6,7 +6,7 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.model.inverse_kinematics import inside, reanchor
+from htcp_jax.model.inverse_kinematics import reanchor, within_limits
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.numerics import null_basis
 
@@ -32,7 +32,7 @@ def test_the_basis_spans_what_a_singular_value_decomposition_spans():
         np.testing.assert_allclose(N @ N.T, V @ V.T, atol=1e-11)
 
 
-def test_near_a_singular_posture_the_basis_is_still_orthonormal():
+def test_near_a_singular_configuration_the_basis_is_still_orthonormal():
     """Orthonormal basis near a singularity: N' N = 1 exactly, even where two rows of J are nearly parallel."""
     for parallel in (1e-4, 1e-8, 1e-12):
         J = RNG.normal(size=(3, 6))
@@ -105,7 +105,7 @@ def test_reanchoring_ends_inside_the_limits_and_on_the_target_or_says_that_it_di
     for k, (start, goal) in enumerate(zip(starts, goals, strict=True)):
         target = np.asarray(tcp_position(arm, jnp.asarray(goal))) + (10.0 if k % 10 == 9 else 0.0)
         x, error = REANCHOR(arm, jnp.asarray(start), jnp.asarray(target), tolerance_m=TOLERANCE_M)
-        assert (x >= arm.lower).all() and (x <= arm.upper).all() and inside(arm, x)
+        assert (x >= arm.lower).all() and (x <= arm.upper).all() and within_limits(arm, x)
         actual = np.linalg.norm(np.asarray(tcp_position(arm, x)) - target)
         np.testing.assert_allclose(error, actual, rtol=0, atol=1e-14)
         on_target += bool(error <= TOLERANCE_M)
@@ -167,7 +167,7 @@ def test_a_joint_at_its_limit_is_held_there_while_the_others_make_up_for_it():
     assert held > 20
 
 
-def test_reanchoring_survives_a_singular_posture(arm):
+def test_reanchoring_survives_a_singular_configuration(arm):
     """Finite re-anchoring at singular configurations: the GP50 upright, the seven joints in a line."""
     x = jnp.zeros(len(arm.slides))
     for offset in ([0.0, 0.0, -0.05], [0.02, 0.0, 0.0], [0.0, 0.02, 0.0]):
@@ -178,7 +178,7 @@ def test_reanchoring_survives_a_singular_posture(arm):
 
 def test_inside_means_every_joint_and_the_limits_themselves():
     robot = made_once.robot()
-    assert inside(robot, robot.lower) and inside(robot, robot.upper)
+    assert within_limits(robot, robot.lower) and within_limits(robot, robot.upper)
     for joint in range(6):
-        assert not inside(robot, robot.upper.at[joint].add(1e-12))
-        assert not inside(robot, robot.lower.at[joint].add(-1e-12))
+        assert not within_limits(robot, robot.upper.at[joint].add(1e-12))
+        assert not within_limits(robot, robot.lower.at[joint].add(-1e-12))

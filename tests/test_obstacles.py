@@ -14,7 +14,7 @@ from own_obstacles import Floor
 from htcp_jax.clearance import Obstacle, Scene, clearance, clearances, contacts, is_clear, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
-from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance_rows, room
+from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance_rows, free_radius
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.motion_proof import proven_clear
@@ -34,7 +34,7 @@ def jitted(function):
 
 
 @cache
-def postures() -> np.ndarray:
+def configurations() -> np.ndarray:
     """Random configurations, then some near the start (M, 6)."""
     robot = made_once.robot()
     return np.concatenate(
@@ -65,7 +65,7 @@ def test_every_kind_is_an_obstacle_and_the_rows_are_those_of_the_bodies_and_of_t
 def test_a_bodys_row_is_the_nearest_of_all_kinds_and_a_pair_has_its_own():
     robot, where = made_once.robot(), made_once.nominal()
     decided = 0
-    for x in postures():
+    for x in configurations():
         own = by_hand(x)
         part = np.asarray(jitted(clearances)(robot, obstacles()[:2], where, x))
         found = np.asarray(jitted(clearances)(robot, obstacles(), where, x))
@@ -80,7 +80,7 @@ def test_a_bodys_row_is_the_nearest_of_all_kinds_and_a_pair_has_its_own():
 
 def test_the_gradient_is_that_of_the_distance_also_where_both_bodies_move():
     robot, where, h = made_once.robot(), made_once.nominal(), 1e-6
-    for x in postures()[::4]:
+    for x in configurations()[::4]:
         rows = jitted(clearance_rows)(robot, obstacles(), where, x)
         steps = h * np.eye(6)
         ends = [[np.asarray(jitted(clearances)(robot, obstacles(), where, x + s * d)) for d in steps] for s in (1, -1)]
@@ -93,7 +93,7 @@ def test_the_gradient_is_that_of_the_distance_also_where_both_bodies_move():
 def test_a_contact_held_never_predicts_less_than_the_truth_and_the_truth_where_it_was_seen():
     robot, where = made_once.robot(), made_once.nominal()
     rows, rng = rows_of(robot, obstacles()), np.random.default_rng(0)
-    for x in postures()[60::2]:
+    for x in configurations()[60::2]:
         touch = jitted(contacts)(robot, obstacles(), where, x)
         held = hold_contacts(robot, jnp.asarray(x), rows, touch)
         np.testing.assert_allclose(predict_distances(robot, x, rows, held)[0], touch.distance, atol=1e-12)
@@ -108,7 +108,7 @@ def test_paths_are_clear_where_no_place_of_them_touches_any_kind():
     robot, where, scene = made_once.robot(), made_once.nominal(), Scene(made_once.robot(), obstacles())
     proven = jax.jit(lambda a, b: proven_clear(scene, where, a, b))
     verdicts, rng = [], np.random.default_rng(1)
-    for x in postures()[20:80]:  # the first forty are random, often in collision
+    for x in configurations()[20:80]:  # the first forty are random, often in collision
         end = x + rng.uniform(-0.2, 0.2, 6)
         places = x + np.linspace(0, 1, 41)[:, None] * (end - x)
         truth = all(bool(jitted(is_clear)(robot, obstacles(), where, place)) for place in places)
@@ -116,18 +116,18 @@ def test_paths_are_clear_where_no_place_of_them_touches_any_kind():
         assert truth or not bool(proven(x, end))
         verdicts.append(bool(proven(x, end)))
         if truth:
-            assert (np.asarray(jitted(room)(robot, obstacles(), where, x)) > 0).all()
+            assert (np.asarray(jitted(free_radius)(robot, obstacles(), where, x)) > 0).all()
     assert 5 <= sum(verdicts) <= len(verdicts) - 5
 
 
 def test_contacts_alone_answer_every_query():
     robot, where, floor = made_once.robot(), made_once.nominal(), Floor(jnp.asarray(0.0))
-    for x in postures()[:20]:
+    for x in configurations()[:20]:
         bodies = bodies_at(robot, where, jnp.asarray(x))
-        for query in ("smallest", "touches", "room"):
+        for query in ("smallest", "touches", "free_radius"):
             by_contacts = getattr(Obstacle, query)(floor, robot, where, bodies)
             np.testing.assert_array_equal(by_contacts, getattr(floor, query)(robot, where, bodies))
-    along = jax.vmap(lambda x: bodies_at(robot, where, x))(jnp.asarray(postures()[:20]))
+    along = jax.vmap(lambda x: bodies_at(robot, where, x))(jnp.asarray(configurations()[:20]))
     for body in range(len(robot.capsule_link)):
-        asked = robot, where, along, jnp.asarray(body), jnp.ones(20, bool)
-        assert bool(Obstacle.touches_along(floor, *asked)) == bool(floor.touches_along(*asked))
+        requested = robot, where, along, jnp.asarray(body), jnp.ones(20, bool)
+        assert bool(Obstacle.touches_along(floor, *requested)) == bool(floor.touches_along(*requested))

@@ -133,7 +133,7 @@ def test_a_target_out_of_reach_says_by_how_much(scenario, workpiece):
     assert not found.reached and 5 < found.residual_m < 9 and "comes only to within" in found.description
 
 
-def test_a_body_is_in_the_way_at_the_first_failed_target_unless_the_status_says_that_none_is():
+def test_a_body_is_in_collision_at_the_first_failed_target_unless_the_status_says_that_none_is():
     A, LIMIT, NOT, TIP = (Status.TRACKED, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED, Status.TIP_BLOCKED)
     rows = [[A, A, LIMIT, NOT], [LIMIT, NOT, NOT, NOT], [A, A, A, A], [A, A, -1, -1], [A, TIP, NOT, NOT]]
     plans = plans_with(rows, joints=6)
@@ -145,6 +145,6 @@ def test_a_failed_plan_tells_it_in_its_table_its_files_and_its_picture(tmp_path)
     plan = made_plan(tmp_path)
     sentence = plan.obstruction.description
     assert plan.failure()["colliding body"] == sentence
-    assert plan.record()["in_the_way"]["description"] == sentence
+    assert plan.record()["colliding_body"]["description"] == sentence
     texts = [text.get_text() for axes in plan.figure().axes for text in axes.texts]
     assert any(sentence in text for text in texts)

@@ -63,7 +63,7 @@ def test_a_plan_opens_as_it_was_written_and_is_scenario_0(made):
         np.testing.assert_array_equal(getattr(found.plans("baseline"), name), getattr(plan.plans, name))
 
 
-@pytest.mark.parametrize("name", ["start", "way", "orientation_error", "knot_x"])
+@pytest.mark.parametrize("name", ["start", "segment_status", "orientation_error", "via_point_x"])
 def test_a_plan_without_one_of_the_arrays_is_of_another_format(made, tmp_path, name):
     other = rewritten(made[1], tmp_path / "other", **{name: None})
     with pytest.raises(InputError, match=f"other {OTHER}: summary.json or trajectory.npz has no {name}$"):
@@ -97,12 +97,12 @@ def test_the_plan_s_own_start_wins_for_the_way_and_the_job_s_for_the_targets(mad
 
 
 def test_who_looks_and_who_checks_say_the_same_of_a_folder_of_neither(tmp_path):
-    told = []
+    reported = []
     for opener in (open_plans, open_replays, read_results):
         with pytest.raises(InputError, match="holds neither a run of htcp sweep") as error:
             opener(tmp_path)
-        told.append(str(error.value))
-    assert len(set(told)) == 1
+        reported.append(str(error.value))
+    assert len(set(reported)) == 1
 
 
 @pytest.mark.parametrize("name", ["start", "x", "status", "clearance"])

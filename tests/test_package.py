@@ -26,7 +26,7 @@ def test_the_command_is_where_the_project_says():
 def test_a_run_records_whether_anything_of_the_package_was_edited(edited, tmp_path, monkeypatch):
     copy = tmp_path / "htcp_jax"
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "notes.txt").write_text("beside the package\n")
+    (tmp_path / "notes.txt").write_text("next to the package\n")
     _git(tmp_path, "init", "--quiet")
     _git(tmp_path, "add", "htcp_jax")
     _git(tmp_path, "-c", "user.name=n", "-c", "user.email=e", "commit", "--quiet", "--message", "all of it")

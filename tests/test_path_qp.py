@@ -104,7 +104,7 @@ def test_without_an_active_inequality_it_solves_the_equations_of_its_multipliers
         np.testing.assert_allclose(solve_path_qp(free(x, w, held=held, A=A)), expected, atol=EXACT)
 
 
-def test_a_path_whose_last_posture_stays_becomes_straight_and_even():
+def test_a_path_whose_last_configuration_stays_becomes_straight_and_even():
     """Straight path with even steps from the fixed start to the fixed end, for any weights."""
     rng = np.random.default_rng(3)
     x, bound = rng.normal(size=(7, 5)), np.full((6, 5), 1e3)
@@ -120,7 +120,7 @@ def test_a_path_that_may_end_anywhere_stays_at_its_start():
     np.testing.assert_allclose(x[1:] + solve_path_qp(free(x)), np.tile(x[0], (5, 1)), atol=EXACT)
 
 
-def test_one_posture_on_its_task_gives_way_where_joints_are_light():
+def test_one_configuration_on_its_task_gives_way_where_joints_are_light():
     """Closed form for one configuration: the nearest to the start in the weighted norm, on the plane of the task."""
     rng = np.random.default_rng(5)
     for weights in (np.ones(3), np.array([1.0, 30.0, 1.0])):

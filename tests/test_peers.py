@@ -39,7 +39,7 @@ def problem(batch):
 
 
 @pytest.mark.slow
-def test_postures_that_are_brought_onto_a_target_are_there_and_clear_by_mujoco(batch, problem):
+def test_configurations_that_are_brought_onto_a_target_are_there_and_clear_by_mujoco(batch, problem):
     cell, task = Cell(problem, 0), Task(batch, cKDTree(batch.workpiece.cloud), 0)
     draws = cell.start + 0.3 * np.random.default_rng(0).normal(size=(40, 6))
     here = cell.brought_clear(np.clip(draws, cell.lower, cell.upper), 30)
@@ -51,7 +51,7 @@ def test_postures_that_are_brought_onto_a_target_are_there_and_clear_by_mujoco(b
 
 
 @pytest.mark.slow
-def test_a_way_off_the_path_is_not_proven_on_it_and_may_be_before_it(problem):
+def test_a_segment_off_the_path_is_not_proven_on_it_and_may_be_before_it(problem):
     """Proof of a segment that swings the TCP out and back: refused on the path, accepted before it."""
     cell = Cell(problem, 0)
     a, x = cell.start[None], cell.start[None] + np.array([0.02, 0, 0, 0, 0, 0])
@@ -59,7 +59,7 @@ def test_a_way_off_the_path_is_not_proven_on_it_and_may_be_before_it(problem):
 
 
 def test_a_planner_that_is_none_is_refused_in_one_line(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["peers", "--motions", "--planners", "ompl,roadmap"])
+    monkeypatch.setattr(sys, "argv", ["peers", "--motions", "--planners", "ompl,beam"])
     with pytest.raises(SystemExit) as ended:
         main()
     last = capsys.readouterr().err.splitlines()[-1]
@@ -95,21 +95,21 @@ def test_ompls_constraint_has_the_jacobian_of_its_function():
 def test_descartes_finds_the_shortest_path_through_a_ladder():
     """Shortest path through a small ladder graph with one edge in three missing, compared with all paths."""
     descartes, draw = module("descartes-ladder"), np.random.default_rng(1)
-    postures = [draw.normal(size=(count, 6)) for count in (1, 4, 5, 4)]
-    rungs = [Brought(x, *np.zeros((2, len(x))), np.zeros((len(x), 3))) for x in postures]
+    configurations = [draw.normal(size=(count, 6)) for count in (1, 4, 5, 4)]
+    rungs = [Brought(x, *np.zeros((2, len(x))), np.zeros((len(x), 3))) for x in configurations]
     edges = [
         {
             (i, j): float(np.linalg.norm(a[i] - b[j]))
             for i, j in itertools.product(range(len(a)), range(len(b)))
             if draw.random() < 0.67
         }
-        for a, b in itertools.pairwise(postures)
+        for a, b in itertools.pairwise(configurations)
     ]
 
     def length(path):
         return sum(found.get(pair, np.inf) for found, pair in zip(edges, itertools.pairwise(path), strict=True))
 
-    shortest = min(itertools.product(*(range(len(x)) for x in postures)), key=length)
+    shortest = min(itertools.product(*(range(len(x)) for x in configurations)), key=length)
     assert np.isfinite(length(shortest)) and descartes._shortest(rungs, edges) == list(shortest)
 
 

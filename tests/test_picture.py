@@ -13,7 +13,7 @@ from htcp_jax.model.kinematics import ArmShape, capsule_segments, capsules_and_t
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.status import Status
 from htcp_jax.viewer import draw_plan
-from htcp_jax.viewer.picture import poses, stadium
+from htcp_jax.viewer.picture import shown_targets, stadium
 
 COORDINATE = st.floats(-3, 3)
 POINT = st.tuples(COORDINATE, COORDINATE).map(np.array)
@@ -28,10 +28,10 @@ def test_every_point_of_a_stadium_is_one_radius_from_its_segment(p, q, radius):
     np.testing.assert_allclose(distance, radius, rtol=1e-9, atol=1e-9)
 
 
-def test_the_last_tracked_posture_is_the_last_drawn():
+def test_the_last_tracked_configuration_is_the_last_drawn():
     status = [[Status.TRACKED] * 5 + [Status.ITERATION_LIMIT] + [Status.NOT_ATTEMPTED] * 2]
-    assert poses(plans_with(status), 0)[-1] == 4
-    assert poses(plans_with([[Status.ITERATION_LIMIT]]), 0) == []
+    assert shown_targets(plans_with(status), 0)[-1] == 4
+    assert shown_targets(plans_with([[Status.ITERATION_LIMIT]]), 0) == []
 
 
 def test_the_shape_of_the_arm_is_that_of_its_kinematics_with_one_rule_for_the_bare_tip():
@@ -46,7 +46,7 @@ def test_the_shape_of_the_arm_is_that_of_its_kinematics_with_one_rule_for_the_ba
         np.testing.assert_allclose(np.stack([p[-1], q[-1]]), tip_segment(gp50(), x[w]), atol=1e-12)
 
 
-def test_the_shapes_of_as_many_postures_are_compiled_once():
+def test_the_shapes_of_as_many_configurations_are_compiled_once():
     """One compilation for every picture with as many configurations (regression: each picture compiled anew)."""
     x = jnp.zeros((4, 6))
     capsules_and_tcp(gp50(), x)

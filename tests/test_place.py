@@ -22,24 +22,24 @@ from sweep_process import JOB, environment, make_sweep
 import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import Interrupted
-from htcp_jax.placement import Placed, place
-from htcp_jax.placement.judge import Judged, sweep_of
+from htcp_jax.placement import PlacementResult, place
 from htcp_jax.placement.place_file import load_search
+from htcp_jax.placement.scores import MountingScores, sweep_of
 from htcp_jax.report.place_tables import read_search
 from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
-from htcp_jax.status import Way
+from htcp_jax.status import SegmentStatus
 from htcp_jax.trajectory import time_run
-from htcp_jax.trajectory.of_plan import program_of
+from htcp_jax.trajectory.plan_program import program_of
 
 FILE = """
 config: job.yaml
 place:
   workpiece.rotation_y_rad: [0.3, 0.5]
   workpiece.shift_m: [[-1.85, -0.8], 0.02, 0.0]
-spare: [clearance, joint motion]
+objective: [clearance, joint motion]
 within: {scenarios: 12}
-off: {mm: 20, deg: 1}
+perturbation: {mm: 20, deg: 1}
 best: 4
 """
 RESULTS = "ranked.json", "mountings.parquet", "ranked/manifest.json"
@@ -60,7 +60,7 @@ def results(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory) -> Placed:
+def found(tmp_path_factory) -> PlacementResult:
     """An uninterrupted search."""
     folder = make(tmp_path_factory.mktemp("placed"))
     return place(folder / "place.yaml", folder / "out")
@@ -94,7 +94,7 @@ def test_some_mountings_are_complete_and_some_are_not_and_the_table_has_them_all
     assert len(table["complete"]) == 12 == found.scenarios and 0 < sum(table["complete"]) < 12
     assert [words is None for words in table["lost"]] == table["complete"]
     assert [share == 1 for share in table["done"]] == table["complete"]
-    assert set(table["workpiece.rotation_y_rad"]) == set(np.concatenate([e.values for e in found.judged])[:, 0])
+    assert set(table["workpiece.rotation_y_rad"]) == set(np.concatenate([e.values for e in found.scores])[:, 0])
 
 
 def test_a_driver_killed_goes_on_to_the_same_bytes_with_another_number_of_threads(found, here):
@@ -107,25 +107,25 @@ def test_a_driver_killed_goes_on_to_the_same_bytes_with_another_number_of_thread
 def test_every_ranked_mounting_planned_alone_is_the_motion_that_the_table_says(found):
     """Plans of the ranked placements: the same motion, margin and clearance as in the table (regression)."""
     assert found.mountings
-    told = json.loads((found.folder / "ranked.json").read_text())["ranked"]
+    reported = json.loads((found.folder / "ranked.json").read_text())["ranked"]
     for rank, one in enumerate(found.mountings):
-        (name,) = told[rank]["jobs"]
+        (name,) = reported[rank]["jobs"]
         plan = htcp_jax.plan(found.folder / name)
-        assert plan.complete and plan.job.margin_m == told[rank]["margin_m"] == one.margin_m
-        assert plan.plans.way_clearance.min() == one.spare[0]
-        ranked = open_run(found.folder / "ranked").plans("roadmap")
+        assert plan.complete and plan.job.margin_m == reported[rank]["margin_m"] == one.margin_m
+        assert plan.plans.segment_clearance.min() == one.objective[0]
+        ranked = open_run(found.folder / "ranked").plans("beam")
         np.testing.assert_array_equal(plan.plans.x[0], ranked.x[rank])
 
 
 def test_complete_are_mountings_in_which_a_motion_leads_to_the_end(found):
     """Complete placements: only those with a proven motion to the end (regression: tracked ones counted, too)."""
-    for judged in found.judged:
-        assert (judged.complete == judged.plans.outcomes.can_be_driven).all()
-    no_motion = found.judged[0].plans
-    no_motion = no_motion._replace(way=np.full_like(no_motion.way, Way.TURNS_BACK))
-    tracked = Judged(found.search, found.judged[0].run, "roadmap", found.judged[0].values, plans=no_motion)
+    for scores in found.scores:
+        assert (scores.complete == scores.plans.outcomes.can_be_driven).all()
+    no_motion = found.scores[0].plans
+    no_motion = no_motion._replace(segment_status=np.full_like(no_motion.segment_status, SegmentStatus.REVERSES))
+    tracked = MountingScores(found.search, found.scores[0].run, "beam", found.scores[0].values, plans=no_motion)
     assert no_motion.outcomes.complete.any() and not tracked.complete.any() and not tracked.done.any()
-    assert "turns back" in tracked.lost()
+    assert "reverses" in tracked.lost()
 
 
 def test_the_default_screen_finds_motions_in_a_box_whether_the_start_is_given_or_chosen(tmp_path):
@@ -135,7 +135,7 @@ def test_the_default_screen_finds_motions_in_a_box_whether_the_start_is_given_or
     for start in ({}, {"start_rad": "auto"}):
         search = load_search({"place": ranges}, job, [f"{key}={value}" for key, value in start.items()])
         run = sweep(sweep_of(search, np.array([[0.15], [0.17]])), [search.file.screen])
-        assert Judged(search, run, search.file.screen, np.array([[0.15], [0.17]])).complete.any()
+        assert MountingScores(search, run, search.file.screen, np.array([[0.15], [0.17]])).complete.any()
 
 
 def test_a_search_that_is_stopped_before_the_end_leaves_a_ranking_that_says_so(here):
@@ -147,8 +147,8 @@ def test_a_search_that_is_stopped_before_the_end_leaves_a_ranking_that_says_so(h
 
     with pytest.raises(Interrupted):
         place("place.yaml", "out", changes={"best": 1}, progress=stop)
-    told = json.loads((here / "out" / "ranked.json").read_text())
-    assert told["ranked"] and told["finished"] is False and told["ranked"][0]["complete_when_off"] is None
+    reported = json.loads((here / "out" / "ranked.json").read_text())
+    assert reported["ranked"] and reported["finished"] is False and reported["ranked"][0]["success_rate"] is None
     assert read_search(here / "out").is_final is False
     assert htcp_jax.plan(here / "out" / "best-1.yaml").complete
 
@@ -165,39 +165,41 @@ def test_progress_counts_the_plans_of_each_stage_that_was_announced(here):
         assert counts == sorted(counts) and counts[-1] > 0
 
 
-def test_the_aims_are_those_of_the_programs_and_plans(found):
-    for judged in found.judged:
-        told = judged.spare[judged.complete]
-        plans = judged.plans.rows(np.flatnonzero(judged.complete))
-        np.testing.assert_array_equal(told[:, 0], plans.clearance.min(axis=1))
+def test_the_objectives_are_those_of_the_programs_and_plans(found):
+    for scores in found.scores:
+        reported = scores.objective[scores.complete]
+        plans = scores.plans.rows(np.flatnonzero(scores.complete))
+        np.testing.assert_array_equal(reported[:, 0], plans.clearance.min(axis=1))
         steps = np.diff(np.concatenate([plans.start[:, None], plans.x], axis=1), axis=1)
-        np.testing.assert_allclose(-told[:, 1], np.linalg.norm(steps, axis=2).sum(axis=1), rtol=1e-9)
+        np.testing.assert_allclose(-reported[:, 1], np.linalg.norm(steps, axis=2).sum(axis=1), rtol=1e-9)
 
 
 def test_cycle_time_is_that_of_the_program_and_unknown_where_there_is_no_motion(found):
-    search = found.search._replace(file=found.search.file.model_copy(update={"spare": ("cycle time",)}))
+    search = found.search._replace(file=found.search.file.model_copy(update={"objective": ("cycle time",)}))
     ranked = time_run(open_run(found.folder / "ranked"), "20mm/s")
-    times = Judged(search, ranked, "roadmap", np.array([one.values for one in found.mountings])).spare[:, 0]
-    told = [program_of(open_plans(ranked.folder), 0.02, "roadmap", k).program.duration_s for k in range(len(times))]
-    assert times.tolist() == [-seconds for seconds in told]
-    (judged,) = found.judged
-    screened = Judged(search, time_run(judged.run, "20mm/s"), judged.method, judged.values)
-    assert np.isneginf(screened.spare[~screened.complete]).all()
+    times = MountingScores(search, ranked, "beam", np.array([one.values for one in found.mountings])).objective[:, 0]
+    reported = [program_of(open_plans(ranked.folder), 0.02, "beam", k).program.duration_s for k in range(len(times))]
+    assert times.tolist() == [-seconds for seconds in reported]
+    (scores,) = found.scores
+    screened = MountingScores(search, time_run(scores.run, "20mm/s"), scores.method, scores.values)
+    assert np.isneginf(screened.objective[~screened.complete]).all()
 
 
-def test_the_ranking_is_by_what_is_left_when_off_and_the_best_of_either_aim_are_on_the_front(found):
-    spare = np.array([one.spare for one in found.mountings])
-    order = [(-one.held, -one.worst[0], -one.spare[0]) for one in found.mountings]
+def test_the_ranking_is_by_what_is_left_under_perturbation_and_the_best_of_either_objective_are_on_the_pareto_front(
+    found,
+):
+    objective = np.array([one.objective for one in found.mountings])
+    order = [(-one.success_rate, -one.worst[0], -one.objective[0]) for one in found.mountings]
     assert order == sorted(order)
-    for aim in range(2):
-        assert found.mountings[int(spare[:, aim].argmax())].front
-    assert all((one.worst <= one.spare).all() for one in found.mountings)
+    for objective_name in range(2):
+        assert found.mountings[int(objective[:, objective_name].argmax())].pareto_front
+    assert all((one.worst <= one.objective).all() for one in found.mountings)
 
 
-def disturbances_hold(found: Placed, folder: Path, count: int, seed: int) -> None:
+def disturbances_hold(found: PlacementResult, folder: Path, count: int, seed: int) -> None:
     """Check that `count` random placements within the stated tolerance of the first are complete when planned anew."""
-    first, axes, off = found.mountings[0], found.search.ranges.axes, found.search.file.off
-    half = np.array([axis.disturbed(1e-3 * off.mm, off.deg) for axis in axes]) * first.tolerance.together
+    first, axes, off = found.mountings[0], found.search.ranges.axes, found.search.file.perturbation
+    half = np.array([axis.perturbed(1e-3 * off.mm, off.deg) for axis in axes]) * first.tolerance.together
     assert (half > 0).all()
     shifts = np.random.default_rng(seed).uniform(-1, 1, (count, len(axes))) * half
     run = sweep(sweep_of(found.search, first.values + shifts), [found.search.file.confirm], folder)
@@ -205,12 +207,12 @@ def disturbances_hold(found: Placed, folder: Path, count: int, seed: int) -> Non
 
 
 def test_a_few_disturbances_within_the_stated_tolerance_are_complete(found, tmp_path):
-    disturbances_hold(found, tmp_path / "off", 20, 5)
+    disturbances_hold(found, tmp_path / "perturbation", 20, 5)
 
 
 @pytest.mark.slow
 def test_1000_disturbances_within_the_stated_tolerance_are_complete(found, tmp_path):
-    disturbances_hold(found, tmp_path / "off", 1000, 6)
+    disturbances_hold(found, tmp_path / "perturbation", 1000, 6)
 
 
 def test_mujoco_refutes_none_of_the_ranked_motions(found, capsys):
@@ -218,11 +220,11 @@ def test_mujoco_refutes_none_of_the_ranked_motions(found, capsys):
 
 
 def test_the_numbers_in_the_files_are_json_and_ranked_in_their_order(found):
-    told = json.loads((found.folder / "ranked.json").read_text(), parse_constant=pytest.fail)
-    assert [row["parameters"]["workpiece.rotation_y_rad"] for row in told["ranked"]] == [
+    reported = json.loads((found.folder / "ranked.json").read_text(), parse_constant=pytest.fail)
+    assert [row["parameters"]["workpiece.rotation_y_rad"] for row in reported["ranked"]] == [
         one.values[0] for one in found.mountings
     ]
-    assert told["complete"] == found.complete
+    assert reported["complete"] == found.complete
 
 
 # Slow
@@ -278,20 +280,20 @@ def test_a_search_by_time_that_was_stopped_repeats_its_rounds_and_goes_on(here):
         if now.scenarios > 600:
             raise KeyboardInterrupt
 
-    changes = {"within": {"seconds": 20}, "best": 1, "spare": "clearance"}
+    changes = {"within": {"seconds": 20}, "best": 1, "objective": "clearance"}
     with pytest.raises(Interrupted, match="what is finished is in out"):
         place("place.yaml", "out", changes=changes, progress=stop)
     rounds = sorted((here / "out" / "rounds").glob("[0-9]*"))
     found = place("place.yaml", "out", changes=changes)
-    assert len(found.judged) > len(rounds) > 1
+    assert len(found.scores) > len(rounds) > 1
     again = place("place.yaml", "out", changes=changes)
-    assert again.record() == found.record() and len(again.judged) == len(found.judged)
+    assert again.record() == found.record() and len(again.scores) == len(found.scores)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("within", [1, 2, 5])
 def test_a_budget_of_a_few_scenarios_is_kept_to(here, within):
-    found = place("place.yaml", "out", changes={"within": {"scenarios": within}, "spare": "joint motion"})
+    found = place("place.yaml", "out", changes={"within": {"scenarios": within}, "objective": "joint motion"})
     assert found.scenarios == within and len(found.mountings) <= within
 
 
@@ -305,7 +307,7 @@ def test_a_budget_of_a_few_scenarios_is_kept_to(here, within):
     ],
 )
 def test_what_may_vary_is_searched(here, ranges):
-    changes = {"place": ranges, "best": 1, "within": {"scenarios": 6}, "spare": "clearance"}
+    changes = {"place": ranges, "best": 1, "within": {"scenarios": 6}, "objective": "clearance"}
     found = place("place.yaml", "out", changes=changes)
     assert found.mountings and len(found.mountings[0].values) == len(found.search.ranges.axes)
 
@@ -314,7 +316,7 @@ def test_what_may_vary_is_searched(here, ranges):
 def test_several_seams_are_done_only_where_all_of_them_are(here):
     (here / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
     near = {"workpiece.shift_m.x": [-0.1, 0.1]}
-    changes = {"place": near, "seams": ["path.csv", "behind.csv"], "confirm": "keep-clear", "spare": "clearance"}
+    changes = {"place": near, "seams": ["path.csv", "behind.csv"], "confirm": "keep-clear", "objective": "clearance"}
     changes["screen"] = "keep-clear"
     found = place("place.yaml", "out", changes=changes)
     assert found.scenarios == 12 and found.complete == 0 and not found.mountings

@@ -47,7 +47,7 @@ def place(text: str, *words: str) -> int:
         (PLACE + "seams: [path.csv, ./path.csv]", (), "seams: one stands there twice"),
         (PLACE + "seams: [path.csv, empty.csv]", (), "empty.csv: the tool path is empty"),
         (PLACE + "seams: [helix]", (), "a cloud needs a tool path of its own"),
-        (PLACE + "spare: speed", (), "unknown spare 'speed'; valid: clearance, cycle time, joint motion"),
+        (PLACE + "objective: speed", (), "unknown objective 'speed'; valid: clearance, cycle time, joint motion"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(here, capsys, text, words, says):
@@ -78,8 +78,8 @@ def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_bes
     output = " ".join(capsys.readouterr().out.split())
     assert "1 of 2 seams; prevented by behind (" in output and "path 2, behind 0" in output
     assert place(text, "--json") == 3
-    told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert told["ranked"] == [] and told["seams"]["path"] == {"complete": 2, "in_the_best": 1.0}
+    reported = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert reported["ranked"] == [] and reported["seams"]["path"] == {"complete": 2, "in_the_best": 1.0}
 
 
 def test_the_number_of_plans_is_printed_first_and_the_command_that_plans_the_best_last(here, capsys):

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.placement.place import _front
+from htcp_jax.placement.place import _is_on_pareto_front
 from htcp_jax.placement.place_file import load_search
 from htcp_jax.placement.ranges import Ranges, read_ranges
-from htcp_jax.placement.search import APART, FROM, POPULATION, Evolution, Known, best_apart, even, score
+from htcp_jax.placement.search import APART, FROM, POPULATION, Evolution, SearchResults, best_apart, even, score
 
 JOINTS = tuple(f"joint{k}" for k in range(1, 7))
 NUMBER = st.floats(-1e3, 1e3)
@@ -56,8 +56,8 @@ def test_the_grid_of_mountings_holds_the_same_jobs_as_the_values_say():
     raw = {"robot.base_m": [[-0.1, 0.1], 0.0, [0, 0.2]], "task.2.cone_deg": [60, 120], "start_rad.joint3": [0.4, 0.6]}
     values = ranges(raw, task=rows).values(even(4, 0, 5, 0))
     jobs = load_sweep({"grid": [ranges(raw, task=rows).columns(values)]}, None, {"task": rows}).batch().points
-    told = [(*p.config.robot.base_m, p.config.task[1].cone_deg, p.config.start_rad[2]) for p in jobs]
-    assert told == [(x, 0.0, z, cone, joint) for x, z, cone, joint in values.tolist()]
+    reported = [(*p.config.robot.base_m, p.config.task[1].cone_deg, p.config.start_rad[2]) for p in jobs]
+    assert reported == [(x, 0.0, z, cone, joint) for x, z, cone, joint in values.tolist()]
 
 
 @pytest.mark.parametrize(
@@ -104,12 +104,12 @@ RANGE = {"place": {"workpiece.rotation_y_rad": [0, 1]}}
         ({"seams": ["left", "right"], "within": {"scenarios": 1}}, "1 scenarios are fewer than the 2 seams"),
         ({"seams": ["left", "nowhere.csv"]}, "seams: there is no file nowhere.csv"),
         ({"seams": ["left", "left"]}, "seams: one stands there twice"),
-        ({"spare": "speed"}, "unknown spare 'speed'; valid: clearance, cycle time, joint motion"),
-        ({"spare": ["clearance", "clearance"]}, "it is one aim, or a list of two"),
-        ({"spare": []}, "it is one aim, or a list of two"),
+        ({"objective": "speed"}, "unknown objective 'speed'; valid: clearance, cycle time, joint motion"),
+        ({"objective": ["clearance", "clearance"]}, "it is one objective, or a list of two"),
+        ({"objective": []}, "it is one objective, or a list of two"),
         ({"screen": "fast"}, "unknown method 'fast'; valid: baseline"),
         ({"confirm": "fast"}, "unknown method 'fast'; valid: baseline"),
-        ({"off": {"mm": 0}}, "off.mm is 0"),
+        ({"perturbation": {"mm": 0}}, "perturbation.mm is 0"),
         ({"best": 0}, "best is 0"),
         ({"sead": 1}, "sead"),
     ],
@@ -123,13 +123,13 @@ def test_what_is_wrong_with_the_file_is_refused_in_one_line(more, says):
 # The search
 
 
-def known(u, spare, complete=None, done=None) -> Known:
-    spare = np.array(spare, float).reshape(len(u), -1)
+def known(u, objective, complete=None, done=None) -> SearchResults:
+    objective = np.array(objective, float).reshape(len(u), -1)
     complete = np.ones(len(u), bool) if complete is None else np.array(complete)
-    return Known(np.asarray(u, float), np.ones(len(u)) if done is None else np.array(done), complete, spare)
+    return SearchResults(np.asarray(u, float), np.ones(len(u)) if done is None else np.array(done), complete, objective)
 
 
-def bowl(u) -> Known:
+def bowl(u) -> SearchResults:
     """An objective with its optimum at 0.3 in every parameter; only points near it are complete."""
     off = np.abs(np.asarray(u) - 0.3).max(axis=1)
     complete = off < 0.2
@@ -139,18 +139,18 @@ def bowl(u) -> Known:
 @pytest.mark.parametrize("d", [1, 2, 6])
 def test_evolution_is_a_pure_function_of_answers_and_seed_and_betters_the_best(d):
     def rounds(seed: int) -> list[np.ndarray]:
-        evolution, asked = Evolution(bowl(even(d, 0, 60, 0)), 1, seed), []
+        evolution, requested = Evolution(bowl(even(d, 0, 60, 0)), 1, seed), []
         for _ in range(12):
-            asked.append(evolution.ask())
-            evolution.tell(bowl(asked[-1]))
-        return asked
+            requested.append(evolution.ask())
+            evolution.tell(bowl(requested[-1]))
+        return requested
 
     first, again, other = rounds(0), rounds(0), rounds(1)
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
     assert all(u.shape == (FROM * POPULATION, d) and u.min() >= 0 and u.max() <= 1 for u in first)
-    best = bowl(even(d, 0, 60, 0)).spare.max()
-    assert bowl(np.concatenate(first)).spare.max() > (0.7 * best if np.isfinite(best) else best)
+    best = bowl(even(d, 0, 60, 0)).objective.max()
+    assert bowl(np.concatenate(first)).objective.max() > (0.7 * best if np.isfinite(best) else best)
 
 
 def test_even_mountings_come_in_one_sequence_however_it_is_cut():
@@ -166,23 +166,23 @@ def test_even_mountings_come_in_one_sequence_however_it_is_cut():
         max_size=12,
     )
 )
-def test_what_is_complete_scores_before_what_is_not_then_by_spare_or_by_the_share_done(rows):
+def test_what_is_complete_scores_before_what_is_not_then_by_objective_or_by_the_share_done(rows):
     complete = np.array([c for c, _, _ in rows])
     done = np.array([1.0 if c else share / 21 for c, share, _ in rows])
-    spare = np.array([-np.inf if v is None or not c else v for c, _, v in rows])
-    found = score(known(np.zeros((len(rows), 1)), spare, complete, done), np.ones(1))
+    objective = np.array([-np.inf if v is None or not c else v for c, _, v in rows])
+    found = score(known(np.zeros((len(rows), 1)), objective, complete, done), np.ones(1))
     assert np.isfinite(found).all()
     for i in range(len(rows)):
         for j in range(len(rows)):
             if complete[i] and not complete[j]:
                 assert found[i] < found[j]
-            elif complete[i] and complete[j] and np.isfinite(spare[[i, j]]).all() and spare[i] > spare[j]:
+            elif complete[i] and complete[j] and np.isfinite(objective[[i, j]]).all() and objective[i] > objective[j]:
                 assert found[i] <= found[j]
             elif not complete[i] and not complete[j] and done[i] > done[j]:
                 assert found[i] < found[j]
 
 
-def test_an_aim_of_which_nothing_is_known_does_not_hide_the_other():
+def test_an_objective_of_which_nothing_is_known_does_not_hide_the_other():
     found = score(known([[0.0], [0.1]], [[1.0, -np.inf], [2.0, -np.inf]]), np.array([0.5, 0.5]))
     assert found[1] < found[0]
 
@@ -199,6 +199,6 @@ def test_chosen_mountings_keep_apart_and_none_that_could_be_chosen_is_passed_ove
 
 
 @given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=1, max_size=12))
-def test_the_front_is_what_no_other_beats(spare):
-    beaten = [any(a >= x and b >= y and (a, b) != (x, y) for a, b in spare) for x, y in spare]
-    assert _front(np.array(spare, float)).tolist() == [not b for b in beaten]
+def test_the_pareto_front_is_what_no_other_beats(objective):
+    beaten = [any(a >= x and b >= y and (a, b) != (x, y) for a, b in objective) for x, y in objective]
+    assert _is_on_pareto_front(np.array(objective, float)).tolist() == [not b for b in beaten]

@@ -11,12 +11,12 @@ import pytest
 import toy
 
 from htcp_jax.clearance import is_clear
-from htcp_jax.device.programs import PROGRAMS
+from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.model.scenario import make_scenario, stack
-from htcp_jax.motion.kernels import ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, PREPARE
+from htcp_jax.motion.step_functions import ADVANCE, ADVANCE_SMALLEST, PATH_CLEAR, PREPARE
 from htcp_jax.planning import start_clearance
 from htcp_jax.planning.batch import check_start, plan
 from htcp_jax.planning.registry import find, names
@@ -75,7 +75,7 @@ def numpy_D(robot, workpiece, scenario, x):
 def test_a_tracked_target_is_reached_clear_and_within_the_limits(method):
     """Tracked targets, checked independently: TCP error at most 1 mm, D > 0 over all points, and the same on record."""
     plans, (robot, duct) = planned(method), scene()
-    tracked = np.argwhere(plans.status <= Status.TRACKED_AFTER_ESCAPE)
+    tracked = np.argwhere(plans.status <= Status.TRACKED_AFTER_RECOVERY)
     assert len(tracked) > 60
     for s, t in tracked[:: 1 + len(tracked) // 60]:
         x = plans.x[s, t]
@@ -98,21 +98,23 @@ def test_plans_are_consistent(method):
     assert plans.compile_s >= 0 and plans.run_s > 0
     np.testing.assert_array_equal(plans.target, stack(poses()).targets)
     for s, one in enumerate(poses()):
-        status, count = plans.status[s], int((plans.status[s] <= Status.TRACKED_AFTER_ESCAPE).sum())
-        assert (status[:count] <= Status.TRACKED_AFTER_ESCAPE).all()
+        status, count = plans.status[s], int((plans.status[s] <= Status.TRACKED_AFTER_RECOVERY).sum())
+        assert (status[:count] <= Status.TRACKED_AFTER_RECOVERY).all()
         assert (status[count + 1 :] == Status.NOT_ATTEMPTED).all()
         assert count == len(status) or status[count] not in (Status.NOT_ATTEMPTED, Status.TRACKED)
-        np.testing.assert_array_equal(plans.escape[s] > 0, status == Status.TRACKED_AFTER_ESCAPE)
+        np.testing.assert_array_equal(plans.recovery[s] > 0, status == Status.TRACKED_AFTER_RECOVERY)
         assert (plans.iterations[s, count + 1 :] == 0).all()
         if isinstance(own, StepQPs):
-            back = plans.escape[s] == own.backwards
-            assert (plans.escape[s][~back] <= len(own.stages)).all() and (own.replan_backwards or not back.any())
+            back = plans.recovery[s] == own.backwards
+            assert (plans.recovery[s][~back] <= len(own.stages)).all() and (own.replan_backwards or not back.any())
             assert (plans.iterations[s, : count + 1][~back[: count + 1]] >= 1).all()
             assert (plans.iterations[s, :count] <= PAPER.max_step_qps).all() or own.stages
         for rows in (plans.x, plans.tcp, plans.clearance, plans.residual, plans.joint_step):
             assert np.isfinite(rows[s, :count]).all() and np.isnan(rows[s, count:]).all()
-        walked = np.concatenate([[one.x_start], plans.x[s, :count]])
-        np.testing.assert_allclose(plans.joint_step[s, :count], np.linalg.norm(np.diff(walked, axis=0), axis=1))
+        null_space_steps = np.concatenate([[one.x_start], plans.x[s, :count]])
+        np.testing.assert_allclose(
+            plans.joint_step[s, :count], np.linalg.norm(np.diff(null_space_steps, axis=0), axis=1)
+        )
         assert (plans.path_clear[s, :count] >= 0).all() and (plans.path_clear[s, count:] == -1).all()
 
 
@@ -123,19 +125,19 @@ def test_paths_are_called_clear_where_their_interpolated_configurations_are():
     blocked = 0
     for s, one in enumerate(poses()):
         where = jax.tree.map(jax.numpy.asarray, one)
-        count = int((plans.status[s] <= Status.TRACKED_AFTER_ESCAPE).sum())
-        walked = np.concatenate([[one.x_start], plans.x[s, :count]])
+        count = int((plans.status[s] <= Status.TRACKED_AFTER_RECOVERY).sum())
+        null_space_steps = np.concatenate([[one.x_start], plans.x[s, :count]])
         jumps = {*np.argsort(-plans.joint_step[s, :count])[:6], *range(0, count, 9)}
         for t in jumps:
             fractions = np.arange(1, PATH_STEPS)[:, None] / PATH_STEPS
-            between = walked[t] + fractions * (walked[t + 1] - walked[t])
+            between = null_space_steps[t] + fractions * (null_space_steps[t + 1] - null_space_steps[t])
             clear = bool(np.all(verdict(robot, obstacle, where, between)))
             assert plans.path_clear[s, t] == clear
             blocked += not clear
     assert blocked > 0
 
 
-def test_an_escape_gets_further_than_the_baseline():
+def test_a_recovery_gets_further_than_the_baseline():
     tracked = {method: planned(method).tracked.sum() for method in ("baseline", "nspace-sqp")}
     assert tracked["nspace-sqp"] > tracked["baseline"] + 20
 
@@ -148,10 +150,10 @@ def test_on_a_cpu_a_kernel_is_one_native_function():
     fail, and everything would take twice the time.
     """
     planned("nspace-sqp")
-    programs = PROGRAMS.of(PREPARE, ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, ENTER)
-    assert {kernel.name for kernel, _ in programs} >= {"prepare", "advance", "check_path", "enter"}
-    for kernel, program in programs:
-        assert " while(" not in program.as_text().partition("\nENTRY ")[2], kernel.name
+    programs = EXECUTABLES.of(PREPARE, ADVANCE, ADVANCE_SMALLEST, PATH_CLEAR, ENTER)
+    assert {lane_function.name for lane_function, _ in programs} >= {"prepare", "advance", "check_path", "enter"}
+    for lane_function, program in programs:
+        assert " while(" not in program.as_text().partition("\nENTRY ")[2], lane_function.name
 
 
 def test_an_unchecked_path_is_unknown():
@@ -165,7 +167,7 @@ def test_scenarios_of_different_lengths_and_tools_share_a_batch():
     plans = plan(*scene(), mixed, "baseline", PAPER)
     assert not plans.exists[0, 99:].any() and plans.exists[0, :99].all() and np.isnan(plans.x[0, 99:]).all()
     longer = lengthen_tool(made_once.robot(), 0.03)
-    tracked = np.flatnonzero(plans.status[1] <= Status.TRACKED_AFTER_ESCAPE)
+    tracked = np.flatnonzero(plans.status[1] <= Status.TRACKED_AFTER_RECOVERY)
     assert len(tracked) > 5
     for t in tracked[::5]:
         np.testing.assert_allclose(plans.tcp[1, t], _TCP(longer, plans.x[1, t]), atol=1e-14)
@@ -179,7 +181,7 @@ def test_progress_counts_up_to_everything_that_was_done():
     last, several = heard[-1], toy.scenarios()
     assert last.scenarios_done == last.scenarios == len(several)
     assert last.targets == sum(int(one.count) for one in several)
-    assert last.targets_tracked == (plans.status <= Status.TRACKED_AFTER_ESCAPE).sum(where=plans.exists)
+    assert last.targets_tracked == (plans.status <= Status.TRACKED_AFTER_RECOVERY).sum(where=plans.exists)
     for field in ("scenarios_done", "targets_tracked"):
         counts = [getattr(p, field) for p in heard]
         assert counts == sorted(counts)
@@ -193,35 +195,35 @@ def test_the_start_itself_is_the_first_target():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("check", ["escapes", "all"])
+@pytest.mark.parametrize("check", ["recoveries", "all"])
 def test_a_checked_path_is_never_blocked(check):
     settings = Settings(**{**made_once.PAPER_CHOICES, "path_check": check})
     plans = plan(*scene(), poses(), "nspace-sqp", settings)
-    escaped = plans.status == Status.TRACKED_AFTER_ESCAPE
-    must = escaped if check == "escapes" else plans.status <= Status.TRACKED_AFTER_ESCAPE
+    recovered = plans.status == Status.TRACKED_AFTER_RECOVERY
+    must = recovered if check == "recoveries" else plans.status <= Status.TRACKED_AFTER_RECOVERY
     assert must.sum() > 2 and (plans.path_clear[must] == 1).all()
 
 
 @pytest.mark.slow
 def test_every_path_of_the_hybrid_is_clear():
     plans = planned("hybrid")
-    assert (plans.path_clear[plans.status <= Status.TRACKED_AFTER_ESCAPE] == 1).all()
+    assert (plans.path_clear[plans.status <= Status.TRACKED_AFTER_RECOVERY] == 1).all()
 
 
 @pytest.mark.slow
-def test_the_prose_of_the_paper_tracks_again_after_an_escape():
-    """after_escape="track", as in the paper's prose: the step QP tracks again after a recovery.
+def test_the_prose_of_the_paper_tracks_again_after_a_recovery():
+    """after_recovery="track", as in the paper's prose: the step QP tracks again after a recovery.
 
     An escaped target is reached like any other. With the QP's cost about x_{t-1}, equation (4), it goes straight back
     to where it was stuck: no recovery lasts.
     """
     lasted = {}
     for about in ("reference", "previous"):
-        settings = Settings(**{**made_once.PAPER_CHOICES, "cost_about": about}, after_escape="track")
+        settings = Settings(**{**made_once.PAPER_CHOICES, "cost_about": about}, after_recovery="track")
         plans = plan(*scene(), poses(), "nspace-sqp", settings, check_paths=False)
-        escaped = plans.status == Status.TRACKED_AFTER_ESCAPE
-        lasted[about] = escaped.sum()
-        assert (plans.residual[escaped] <= settings.tolerance_m).all() and (plans.clearance[escaped] > 0).all()
+        recovered = plans.status == Status.TRACKED_AFTER_RECOVERY
+        lasted[about] = recovered.sum()
+        assert (plans.residual[recovered] <= settings.tolerance_m).all() and (plans.clearance[recovered] > 0).all()
     assert lasted["reference"] >= 1 and lasted["previous"] == 0
 
 

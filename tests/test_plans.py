@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from htcp_jax.motion import Plans
 from htcp_jax.motion.plans import ARRAYS, NO_TARGET, Outcome, is_tracked, outcomes
-from htcp_jax.status import Status, Way
+from htcp_jax.status import SegmentStatus, Status
 
-A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
+A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_RECOVERY, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 FAILURES = [status for status in Status if not status.tracked and status is not NOT]
 MOST = 6  # targets of a scenario
 
@@ -31,15 +31,17 @@ def some_plans(draw):
     plans = plans_with(draw(st.lists(scenarios(), min_size=1, max_size=4)))
     size, shape = plans.status.size, plans.status.shape
     known = draw(st.lists(st.sampled_from([-1, 0, 1]), min_size=size, max_size=size))
-    ways = draw(st.lists(st.sampled_from([Way.PROVEN] * 6 + [*Way]), min_size=size, max_size=size))
-    path_clear, way = (np.array(codes, np.int8).reshape(shape) for codes in (known, ways))
-    return plans._replace(path_clear=path_clear, way=way)
+    segments = draw(
+        st.lists(st.sampled_from([SegmentStatus.VALID] * 6 + [*SegmentStatus]), min_size=size, max_size=size)
+    )
+    path_clear, segment_status = (np.array(codes, np.int8).reshape(shape) for codes in (known, segments))
+    return plans._replace(path_clear=path_clear, segment_status=segment_status)
 
 
 @given(some_plans())
 def test_an_outcome_is_what_one_reads_off_a_row(plans):
-    rows = zip(plans.status.tolist(), plans.path_clear.tolist(), plans.way.tolist(), strict=True)
-    for s, (row, clear, ways) in enumerate(rows):
+    rows = zip(plans.status.tolist(), plans.path_clear.tolist(), plans.segment_status.tolist(), strict=True)
+    for s, (row, clear, segments) in enumerate(rows):
         known, end = [code for code in row if code != NO_TARGET], plans.outcome(s)
         tracked = [code in (A, E) for code in known]
         blocked = [good and path == 0 for good, path in zip(tracked, clear, strict=False)]
@@ -47,10 +49,13 @@ def test_an_outcome_is_what_one_reads_off_a_row(plans):
         assert end.failed == (None if all(tracked) else tracked.index(False))
         assert end.status == (None if all(tracked) else known[tracked.index(False)])
         assert end.blocked_paths == sum(blocked)
-        best = Way.SAMPLED if Way.SAMPLED in ways else Way.PROVEN
-        proven = [good and way in (Way.PROVEN, Way.SAMPLED) for good, way in zip(tracked, ways, strict=False)]
+        best = SegmentStatus.SAMPLED if SegmentStatus.SAMPLED in segments else SegmentStatus.VALID
+        proven = [
+            good and segment_status in (SegmentStatus.VALID, SegmentStatus.SAMPLED)
+            for good, segment_status in zip(tracked, segments, strict=False)
+        ]
         assert end.executable == (proven.index(False) if not all(proven) else len(proven))
-        assert end.way == (ways[end.executable] if end.executable < sum(tracked) else best)
+        assert end.segment_status == (segments[end.executable] if end.executable < sum(tracked) else best)
         assert end.complete == (bool(known) and all(tracked))
         assert end.can_be_driven == (bool(known) and all(proven) and all(tracked))
 
@@ -102,9 +107,9 @@ def test_empty_plans_attempt_nothing_and_have_the_targets_that_they_are_given():
     assert plans.exists.tolist() == [[True] * 4, [True, True, False, False]]
     assert (plans.status[plans.exists] == NOT).all() and not plans.tracked.any() and not plans.attempted.any()
     assert np.isnan(plans.x).all() and plans.x.shape == (2, 4, 3) and np.isnan(plans.step_s)
-    for own, asked in ((plans.target, target), (plans.start, start)):
-        assert (own == asked).all() and not np.shares_memory(own, asked)
-    assert plans.outcome(1) == Outcome(1, 2, 0, 0, 0, NOT, 0, Way.PROVEN)
+    for own, requested in ((plans.target, target), (plans.start, start)):
+        assert (own == requested).all() and not np.shares_memory(own, requested)
+    assert plans.outcome(1) == Outcome(1, 2, 0, 0, 0, NOT, 0, SegmentStatus.VALID)
 
 
 def test_a_joint_path_leaves_the_row_before_and_the_first_one_the_start():

@@ -16,7 +16,7 @@ from benchmarks.path_problems import CHECKED, arm_xml, made, poses, problems, re
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config
 from htcp_jax.model.kinematics import tcp_pose
-from htcp_jax.validation import validate
+from htcp_jax.validation import validate_results
 
 DATA = Path(__file__).parents[2] / "shared/data/paths"
 TASK = [{"point": "tcp", "on": "path"}, {"orientation": "path"}]
@@ -39,11 +39,11 @@ def job(tmp_path):
         "workpiece": {"cloud": "none", "path": str(file)},
         "start_rad": "auto",
         "task": TASK,
-        "settings": {"tolerance_m": 1e-4, "tolerance_rad": 1e-3, "path_tolerance_m": 0.01, "front": 8},
+        "settings": {"tolerance_m": 1e-4, "tolerance_rad": 1e-3, "path_tolerance_m": 0.01, "beam_width": 8},
     }
 
 
-@pytest.mark.parametrize("method", ["baseline", pytest.param("roadmap", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["baseline", pytest.param("beam", marks=pytest.mark.slow)])
 def test_an_arm_with_a_joint_to_spare_follows_poses_in_empty_space_from_where_it_likes(job, tmp_path, method):
     plan = htcp_jax.plan(job | {"method": method})
     assert plan.complete and plan.facts(verbose=True)["clearance is to"] == "none"
@@ -60,7 +60,7 @@ def test_an_arm_with_a_joint_to_spare_follows_poses_in_empty_space_from_where_it
         assert np.linalg.norm(data.site_xpos[0] - place) <= 1e-4
         assert (Rotation.from_matrix(data.site_xmat[0].reshape(3, 3)).inv() * rotation).magnitude() <= 1e-3
     plan.save(tmp_path / "plan")
-    found = validate(tmp_path / "plan")
+    found = validate_results(tmp_path / "plan")
     assert not found.refuted
 
 
@@ -89,7 +89,7 @@ def test_what_a_job_without_a_cloud_lacks_is_said_in_one_line(job, change, messa
 @pytest.fixture
 def data():
     if not DATA.is_dir():
-        pytest.skip("../shared/data/paths is not beside the repository")
+        pytest.skip("../shared/data/paths is not next to the repository")
     return DATA
 
 

@@ -50,17 +50,17 @@ def workers(parent):
 def same(a, b):
     for name, array in a.arrays().items():
         np.testing.assert_array_equal(array, b.arrays()[name], err_msg=name)
-    for one, other in zip(a.knots, b.knots, strict=True):
+    for one, other in zip(a.via_points, b.via_points, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("method", ["cspace-sample", "roadmap"])
+@pytest.mark.parametrize("method", ["cspace-sample", "beam"])
 def test_the_number_of_processes_has_no_influence(count, method):
     """All arrays and via points, bitwise the same as in one process, with one engine or with two."""
     here = toy.planned(scenarios(), method, threads=2)
     same(here, toy.planned(scenarios(), method, processes=count))
-    assert here.tracked.any() and bool(len(here.knots.scenario)) == (method == "roadmap")
+    assert here.tracked.any() and bool(len(here.via_points.scenario)) == (method == "beam")
 
 
 def again(progress=None, times=1):
@@ -95,7 +95,7 @@ def test_what_progress_raises_ends_the_work_and_the_next_plan_begins_anew():
 
 
 @has_proc
-def test_a_worker_that_is_killed_is_told_of():
+def test_a_worker_that_is_killed_is_reported_of():
     """A killed worker: an error at once, and the next call works."""
 
     def kill(now):
@@ -213,11 +213,11 @@ def test_who_comes_second_compiles_after_the_first(tmp_path):
     entered = threading.Event()
 
     def second():
-        with compile_cache.alone("walk 0"):
+        with compile_cache.alone("null space 0"):
             entered.set()
 
     try:
-        with compile_cache.alone("walk 0"):
+        with compile_cache.alone("null space 0"):
             waiting = threading.Thread(target=second)
             waiting.start()
             with compile_cache.alone("advance"):

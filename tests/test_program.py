@@ -25,14 +25,14 @@ from htcp_jax.model.robot import GP50
 from htcp_jax.motion import Motion
 from htcp_jax.motion.motion import motion as motion_of
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.curve import FARTHEST, Curve, Stretch
-from htcp_jax.trajectory.figures import figures
+from htcp_jax.trajectory.blends import SHARE, MotionSlack, motion_slack
+from htcp_jax.trajectory.curve import FARTHEST, Blend, Curve
+from htcp_jax.trajectory.displacement import arm_at, displacement_bound
+from htcp_jax.trajectory.figures import program_figures
 from htcp_jax.trajectory.limits import joint_limits
-from htcp_jax.trajectory.nudge import arm_at, nudge_bound
-from htcp_jax.trajectory.path import path_of
-from htcp_jax.trajectory.program import program
-from htcp_jax.trajectory.stretches import SHARE, Spare, spare
-from htcp_jax.trajectory.time_law import law_of
+from htcp_jax.trajectory.path import path_of_blend
+from htcp_jax.trajectory.program import time_motion
+from htcp_jax.trajectory.time_scaling import time_scaling
 
 _, A, F, D, R = Kind
 STEP_S = 1e-3
@@ -48,8 +48,8 @@ def tcp_by_mujoco(x):
     """TCP of the GP50 in the world frame [m]."""
     model = mujoco_model()
     data, found = mujoco.MjData(model), []
-    for posture in x:
-        data.qpos[:] = posture
+    for configuration in x:
+        data.qpos[:] = configuration
         mujoco.mj_kinematics(model, data)
         found.append(data.site("tcp").xpos.copy())
     return np.array(found)
@@ -105,16 +105,16 @@ def whole_motion(seed=0, rough=0.002):
     )
 
 
-def room(motion, clearance=5e-3, tube=1e-3):
+def free_radius(motion, clearance=5e-3, tube=1e-3):
     """Equal slack for every segment."""
     kept = np.isin(motion.kind[1:], (F, D))
-    return Spare(np.full(len(kept), clearance), np.where(kept, tube, np.inf))
+    return MotionSlack(np.full(len(kept), clearance), np.where(kept, tube, np.inf))
 
 
 @cache
 def made(feed=0.02, seed=0, rough=0.002):
     motion, robot = whole_motion(seed, rough), made_once.robot()
-    return program(robot, motion, room(motion), joint_limits(robot), feed)
+    return time_motion(robot, motion, free_radius(motion), joint_limits(robot), feed)
 
 
 def shares(timed, limits):
@@ -137,14 +137,18 @@ def test_legs_a_thousand_times_shorter_than_others_keep_the_limits_within_a_mill
     step = rng.normal(size=(30, 6)) * 10 ** rng.uniform(-5, -0.5, size=(30, 1))
     x = np.array([0.0, -2.0, 0.5, 0.0, 0.5, -1.0]) + np.cumsum(step, axis=0)
     motion = Motion(x, np.zeros(30, int), np.full(30, A))
-    one = program(made_once.robot(), motion, room(motion, clearance=2e-5), joint_limits(made_once.robot()), 0.02)
-    assert max(law.speed.slower for law in one.laws) < 1.005, "one corner does not slow the whole motion down"
+    one = time_motion(
+        made_once.robot(), motion, free_radius(motion, clearance=2e-5), joint_limits(made_once.robot()), 0.02
+    )
+    assert max(scaling.speed.slower for scaling in one.scalings) < 1.005, (
+        "one corner does not slow the whole motion down"
+    )
     for k, limit in enumerate(joint_limits(made_once.robot()), 1):
         found = np.diff(one.timed(1e-4).x, n=k, axis=0) / 1e-4**k
         assert np.abs(found / limit).max() <= 1 + 100 * ROUNDING
 
 
-def test_velocities_and_accelerations_are_the_differences_of_the_postures():
+def test_velocities_and_accelerations_are_the_differences_of_the_configurations():
     timed = made().timed(STEP_S)
     x, limits = timed.x, joint_limits(made_once.robot())
     middle = (x[2:] - x[:-2]) / (2 * STEP_S)
@@ -153,7 +157,7 @@ def test_velocities_and_accelerations_are_the_differences_of_the_postures():
     assert (np.abs(second - timed.acceleration[1:-1]) <= STEP_S * limits.jerk).all()
 
 
-def test_times_rise_and_the_motion_goes_from_its_first_posture_to_its_last_standing_at_both():
+def test_times_rise_and_the_motion_goes_from_its_first_configuration_to_its_last_standing_at_both():
     one = made()
     timed = one.timed(STEP_S)
     assert (
@@ -162,8 +166,8 @@ def test_times_rise_and_the_motion_goes_from_its_first_posture_to_its_last_stand
     np.testing.assert_allclose(timed.x[[0, -1]], one.motion.x[[0, -1]], atol=1e-9)
     assert np.abs(timed.velocity[[0, -1]]).max() < 1e-9
     passed = timed.target[np.append(True, np.diff(timed.target) != 0)]
-    asked = one.motion.target[1:]
-    assert set(passed.tolist()) <= set(asked.tolist()) and len(passed) >= len(set(asked.tolist()))
+    requested = one.motion.target[1:]
+    assert set(passed.tolist()) <= set(requested.tolist()) and len(passed) >= len(set(requested.tolist()))
     kinds = timed.kind[np.append(True, np.diff(timed.kind) != 0)].tolist()
     assert kinds == [A, F, D, F, R]
 
@@ -175,23 +179,23 @@ def test_the_feed_is_held_by_mujoco_but_where_the_arm_stops():
     tcp = tcp_by_mujoco(timed.x)
     speed = np.linalg.norm(np.diff(tcp, axis=0), axis=1)[:-1] / STEP_S
     feeding = feeding[feeding < len(speed)]
-    dips = one.dips()
-    assert [dip.reason for dip in dips].count("stop") >= 3  # at the start, the dwell and the end
-    dipping = sum(dip.end_m - dip.begin_m for dip in dips)
+    drops = one.drops()
+    assert [drop.reason for drop in drops].count("stop") >= 3  # at the start, the dwell and the end
+    dipping = sum(drop.end_m - drop.begin_m for drop in drops)
     off = np.abs(speed[feeding] - 0.02) > 0.01 * 0.02
     assert speed[feeding].max() < 1.001 * 0.02
     assert speed[feeding][off].sum() * STEP_S == pytest.approx(dipping, abs=5e-4)
     assert dipping < 0.03 * 0.3
 
 
-def test_the_table_of_dips_names_the_joint_whose_limit_is_reached():
+def test_the_table_of_drops_names_the_joint_whose_limit_is_reached():
     """Feed drops of a motion with one slow joint: each names that joint as its reason."""
     motion, robot = whole_motion(rough=0.0), made_once.robot()
     slopes = np.abs(np.diff(motion.x[3:24], axis=0)).max(axis=0) / (0.3 / 39)
     joint = int(slopes.argmax())
     slow = replace(robot, speed=robot.speed.at[joint].set(0.8 * 0.05 * slopes[joint]))
-    dips = program(slow, motion, room(motion), joint_limits(slow), 0.05).dips()
-    reasons = {dip.reason for dip in dips} - {"stop"}
+    drops = time_motion(slow, motion, free_radius(motion), joint_limits(slow), 0.05).drops()
+    reasons = {drop.reason for drop in drops} - {"stop"}
     assert reasons and all(slow.joint_names[joint] in reason for reason in reasons)
 
 
@@ -205,10 +209,10 @@ def test_the_feed_reached_is_the_least_speed_by_mujoco_between_run_up_and_run_do
     slopes = np.abs(np.diff(x, axis=0)).max(axis=0) / (0.3 / 39)
     joint = int(slopes.argmax())
     slow = replace(robot, speed=robot.speed.at[joint].set(0.75 * 0.05 * slopes[joint]))
-    held = figures(program(robot, motion, room(motion), limits, 0.05), limits)
+    held = program_figures(time_motion(robot, motion, free_radius(motion), limits, 0.05), limits)
     assert held.reason is None and held.reached_m_s == pytest.approx(0.05, rel=0.01)
-    made = program(slow, motion, room(motion), joint_limits(slow), 0.05)
-    found = figures(made, joint_limits(slow))
+    made = time_motion(slow, motion, free_radius(motion), joint_limits(slow), 0.05)
+    found = program_figures(made, joint_limits(slow))
     speed = np.linalg.norm(np.diff(tcp_by_mujoco(made.timed(STEP_S).x), axis=0), axis=1) / STEP_S
     middle = speed[len(speed) // 20 : -len(speed) // 20]
     assert 0.03 < found.reached_m_s < 0.045
@@ -218,14 +222,14 @@ def test_the_feed_reached_is_the_least_speed_by_mujoco_between_run_up_and_run_do
 
 
 def test_a_dwell_is_a_stop_and_the_feed_reached_is_0():
-    found = figures(made(), joint_limits(made_once.robot()))
+    found = program_figures(made(), joint_limits(made_once.robot()))
     assert (found.reached_m_s, found.reason) == (0.0, "stop")
-    assert found.path_s == found.seconds["feed"] + found.seconds["dwell"]
+    assert found.path_s == found.seconds["process"] + found.seconds["dwell"]
 
 
 def test_shares_on_the_path_are_those_of_the_rows_that_feed():
     one, limits = made(0.1), joint_limits(made_once.robot())
-    timed, found = one.timed(STEP_S), figures(one, limits)
+    timed, found = one.timed(STEP_S), program_figures(one, limits)
     feeding = timed.kind == F
     for each, rates, limit in zip(found.path_shares, (timed.velocity, timed.acceleration), limits, strict=False):
         share = np.abs(rates[feeding]) / limit
@@ -238,7 +242,7 @@ def test_shares_on_the_path_are_those_of_the_rows_that_feed():
 @pytest.mark.parametrize("tube", [1e-3, 5e-5])
 def test_the_tool_stays_within_the_share_of_the_tolerance_by_mujoco(tube):
     motion, robot = whole_motion(rough=0.01), made_once.robot()
-    timed = program(robot, motion, room(motion, tube=tube), joint_limits(robot), 0.02).timed(4 * STEP_S)
+    timed = time_motion(robot, motion, free_radius(motion, tube=tube), joint_limits(robot), 0.02).timed(4 * STEP_S)
     weld_y = tcp_by_mujoco(motion.x[3:24])
     begin, end = weld_y[0], tcp_by_mujoco(motion.x[motion.kind == F][-1:])[0]
     along = (end - begin) / np.linalg.norm(end - begin)
@@ -249,21 +253,21 @@ def test_the_tool_stays_within_the_share_of_the_tolerance_by_mujoco(tube):
         [a + np.linspace(0, 1, 21)[:, None] * (b - a) for a, b in zip(motion.x[3:47], motion.x[4:48], strict=True)]
     )
     polyline = tcp_by_mujoco(between) - begin
-    sag = np.linalg.norm(polyline - (polyline @ along)[:, None] * along, axis=1).max()
-    assert off.max() <= sag + SHARE * tube
+    chord_deviation = np.linalg.norm(polyline - (polyline @ along)[:, None] * along, axis=1).max()
+    assert off.max() <= chord_deviation + SHARE * tube
 
 
 @pytest.mark.parametrize("model", ["gp50", "rail"])
-def test_no_point_of_the_arm_is_nudged_further_than_the_bound(model, tmp_path):
+def test_no_point_of_the_arm_is_displaced_further_than_the_bound(model, tmp_path):
     """Bound on the displacement of the arm's points, by random configurations and displacements; also with a slide."""
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     rng, n = np.random.default_rng(1), len(robot.slides)
     x = rng.uniform(-1, 1, (50, n))
-    within, nudge = rng.uniform(0, 0.05, (50, n)), rng.normal(scale=0.02, size=(50, n))
-    most, tightest = nudge_bound(arm_at(robot, x), within, nudge), 0.0
+    within, displacement = rng.uniform(0, 0.05, (50, n)), rng.normal(scale=0.02, size=(50, n))
+    most, tightest = displacement_bound(arm_at(robot, x), within, displacement), 0.0
     for _ in range(20):
         near = x + within * rng.choice([-1.0, 1.0, 0.3], (50, n))
-        moved = np.linalg.norm(_points(robot, near + nudge) - _points(robot, near), axis=2)
+        moved = np.linalg.norm(_points(robot, near + displacement) - _points(robot, near), axis=2)
         assert (moved <= most + 1e-12).all()
         tightest = max(tightest, float((moved / np.maximum(most, 1e-9)).max()))
     assert tightest > 0.8
@@ -276,9 +280,9 @@ def _points(robot, x):
 
 def test_no_body_is_further_from_the_polyline_than_the_share_of_its_clearance():
     motion, robot = whole_motion(rough=0.01), made_once.robot()
-    one = program(robot, motion, room(motion, clearance=2e-3), joint_limits(robot), 0.02)
+    one = time_motion(robot, motion, free_radius(motion, clearance=2e-3), joint_limits(robot), 0.02)
     pairs = []
-    for curve in (stretch.curve for stretch in one.stretches):
+    for curve in (blend.curve for blend in one.blends):
         u = curve.grid(9, 3)
         pairs.append((curve.at(u).x, np.stack([np.interp(u, curve.u, joint) for joint in curve.x.T], axis=1)))
     rounded, straight = (_points(robot, np.concatenate(part)) for part in zip(*pairs, strict=True))
@@ -302,7 +306,7 @@ def test_a_rounded_corner_has_the_derivatives_that_it_says_and_leaves_its_knot_b
 
 def one_leg(robot, ends, kind=A):
     motion = Motion(np.array(ends, float), np.arange(2), np.array([A, kind], np.int8))
-    return program(robot, motion, room(motion), joint_limits(robot), 0.02)
+    return time_motion(robot, motion, free_radius(motion), joint_limits(robot), 0.02)
 
 
 def test_a_single_leg_takes_as_long_as_the_double_s_of_the_joint_that_takes_longest():
@@ -311,16 +315,20 @@ def test_a_single_leg_takes_as_long_as_the_double_s_of_the_joint_that_takes_long
     distance / v + v / a + a / j of the slowest joint (Biagiotti and Melchiorri, section 3.4).
     """
     robot, limits = made_once.robot(), joint_limits(made_once.robot())
-    way = np.array([0.1, -0.2, 1.5, 0.3, 0.0, 0.1])
-    times = np.abs(way) / limits.velocity + limits.velocity / limits.acceleration + limits.acceleration / limits.jerk
-    assert one_leg(robot, [0 * way, way]).duration_s == pytest.approx(times.max(), rel=0.02)
+    segment_status = np.array([0.1, -0.2, 1.5, 0.3, 0.0, 0.1])
+    times = (
+        np.abs(segment_status) / limits.velocity
+        + limits.velocity / limits.acceleration
+        + limits.acceleration / limits.jerk
+    )
+    assert one_leg(robot, [0 * segment_status, segment_status]).duration_s == pytest.approx(times.max(), rel=0.02)
 
 
 def test_an_arm_on_a_rail_is_timed_in_metres_and_radians(tmp_path):
     robot = replace(load_robot(rail(tmp_path), limits="model"), speed=jnp.array([0.5, 2.0, 3.0]))
     x = np.array([[0, 0, 0], [1, 0.5, 0], [1, 1.0, 1.0], [-0.5, 1.0, 0]], float)
     motion = Motion(x, np.arange(4), np.full(4, A, np.int8))
-    one = program(robot, motion, room(motion), joint_limits(robot), 0.02)
+    one = time_motion(robot, motion, free_radius(motion), joint_limits(robot), 0.02)
     assert max(shares(one.timed(STEP_S), joint_limits(robot))) <= 1 + ROUNDING
     np.testing.assert_allclose(one.timed().x[-1], x[-1], atol=1e-9)
     assert one.duration_s > (1 + 1.5) / 0.5
@@ -331,7 +339,8 @@ def test_a_corner_with_room_is_passed_faster_than_one_that_is_as_good_as_a_stop(
     x = np.array([[0, -1, 0, 0, 0, 0], [1, -1, 0, 0, 0, 0], [1, -1, 1, 0, 0, 0]], float)
     motion = Motion(x, np.arange(3), np.full(3, A, np.int8))
     tight, wide = (
-        program(robot, motion, room(motion, clearance=c), joint_limits(robot), 0.02).duration_s for c in (1e-4, 1.0)
+        time_motion(robot, motion, free_radius(motion, clearance=c), joint_limits(robot), 0.02).duration_s
+        for c in (1e-4, 1.0)
     )
     assert wide < 0.8 * tight
 
@@ -343,8 +352,8 @@ def test_corners_that_all_but_touch_do_not_slow_the_tool_down(off):
     for more in (0.0, off):
         u = np.cumsum([0.0, 0.005, 0.005, 0.005 + more, 0.005, 0.005])
         reach = np.array([0.0, 0.0025, 0.0025, 0.0025, 0.0025, 0.0])
-        path = path_of(robot, Stretch(Curve(u, line, reach), np.arange(1, 6), True))
-        durations.append(law_of(path, joint_limits(robot), 0.3).speed.duration_s)
+        path = path_of_blend(robot, Blend(Curve(u, line, reach), np.arange(1, 6), True))
+        durations.append(time_scaling(path, joint_limits(robot), 0.3).speed.duration_s)
     assert durations[1] == pytest.approx(durations[0], rel=0.05)
 
 
@@ -361,7 +370,7 @@ def test_the_arms_own_accelerations_count_where_it_has_any():
 def test_a_feed_that_is_not_above_0_is_refused(feed):
     motion = whole_motion()
     with pytest.raises(InputError, match="feed is"):
-        program(made_once.robot(), motion, room(motion), joint_limits(made_once.robot()), feed)
+        time_motion(made_once.robot(), motion, free_radius(motion), joint_limits(made_once.robot()), feed)
 
 
 def test_an_arm_without_velocity_limits_is_refused_by_the_joint(tmp_path):
@@ -378,10 +387,12 @@ def test_a_jobs_own_limits_come_first_and_are_a_number_a_joint():
         joint_limits(robot, ProgramConfig(acceleration=(1.0, 2.0)))
 
 
-def test_a_motion_without_postures_is_refused():
+def test_a_motion_without_configurations_is_refused():
     none = Motion(np.zeros((0, 6)), np.zeros(0, int), np.zeros(0, np.int8))
     with pytest.raises(InputError, match="no target is executable"):
-        program(made_once.robot(), none, Spare(np.zeros(0), np.zeros(0)), joint_limits(made_once.robot()), 0.02)
+        time_motion(
+            made_once.robot(), none, MotionSlack(np.zeros(0), np.zeros(0)), joint_limits(made_once.robot()), 0.02
+        )
 
 
 def test_a_motion_in_which_nothing_moves_is_refused():
@@ -389,12 +400,12 @@ def test_a_motion_in_which_nothing_moves_is_refused():
         one_leg(made_once.robot(), np.zeros((2, 6)))
 
 
-def test_what_is_left_beside_a_leg_is_that_of_its_way_there_and_back():
+def test_what_is_left_next_to_a_leg_is_that_of_its_way_there_and_back():
     """Slack of each segment there and back: the arm dwells at target 4; the three segments to target 5 are tight."""
     plans = with_a_dwell(made_plans(np.zeros((10, 3)), STATUSES[:1]))
     plans.residual[:] = 3e-4
     there_and_back = motion_of(plans, 0, 2, retract=True)
-    left = spare(plans, 0, there_and_back, tube_m=1e-3)
+    left = motion_slack(plans, 0, there_and_back, tube_m=1e-3)
     tight = np.flatnonzero(left.clearance == 2e-4)
     assert tight.tolist() == [5, 6, 7, 10, 11, 12] and len(left.clearance) == len(there_and_back.x) - 1
     held = np.isfinite(left.tube)
@@ -406,8 +417,8 @@ def test_what_is_left_beside_a_leg_is_that_of_its_way_there_and_back():
 def test_the_default_job_holds_its_feed_over_99_percent_of_the_weld():
     plan = api.plan()
     there_and_back, limits = plan.motion(retract=True), joint_limits(plan.robot)
-    left = spare(plan.plans, 0, there_and_back, plan.job.settings.tube_m)
-    one = program(plan.robot, there_and_back, left, limits, 0.02)
+    left = motion_slack(plan.plans, 0, there_and_back, plan.job.settings.tube_m)
+    one = time_motion(plan.robot, there_and_back, left, limits, 0.02)
     timed = one.timed(STEP_S)
     assert max(shares(timed, limits)) <= 1 + ROUNDING
     speed = np.linalg.norm(np.diff(tcp_by_mujoco(timed.x), axis=0), axis=1)[:-1] / STEP_S

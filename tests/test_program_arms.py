@@ -14,7 +14,7 @@ from htcp_jax.jobs.build import robot_of
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.runs import open_plans
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.of_plan import program_of
+from htcp_jax.trajectory.plan_program import program_of
 from htcp_jax.validation import check_timed
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.validate import parts_of
@@ -55,8 +55,8 @@ def test_an_arm_with_a_task_in_a_cell_is_timed_within_its_limits_and_nothing_is_
     assert found.refuted == 0 and found.clearance_min_m > 0
     assert 0 < made.load.share < 1 and abs(made.load.torque) > 1
     if kind != "cone":
-        passed = made.program.at(made.program.at_postures().time_s)
+        passed = made.program.at(made.program.at_configurations().time_s)
         results = read_results(tmp_path / "plan")
         seen, _, _ = parts_of(results, next(iter(results.tracks)))
-        axes = seen.frames(np.vstack([job["start_rad"], passed.x[passed.kind == Kind.FEED]]), "tcp")[1][:, :, 2]
+        axes = seen.frames(np.vstack([job["start_rad"], passed.x[passed.kind == Kind.PROCESS]]), "tcp")[1][:, :, 2]
         assert np.arccos(np.minimum(axes[1:] @ axes[0], 1.0)).max() <= made.job.settings.tolerance_rad

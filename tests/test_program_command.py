@@ -19,7 +19,7 @@ from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, write_json
 from htcp_jax.status import Kind
 from htcp_jax.trajectory import FORMATS
 from htcp_jax.trajectory.limits import joint_limits
-from htcp_jax.trajectory.of_plan import program_of
+from htcp_jax.trajectory.plan_program import program_of
 from htcp_jax.validation import check_timed
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.track import scene_of
@@ -53,7 +53,7 @@ def run(plans, *words: str) -> int:
     return main(["program", str(plans / "good"), "--feed", "20mm/s", *words])
 
 
-def test_the_table_says_how_long_it_takes_where_the_feed_dips_and_what_is_used_of_each_limit(plans, here, capsys):
+def test_the_table_says_how_long_it_takes_where_the_feed_drops_and_what_is_used_of_each_limit(plans, here, capsys):
     assert run(plans, "--out", "weld.csv") == 0
     output = capsys.readouterr()
     assert output.err == ""
@@ -63,7 +63,7 @@ def test_the_table_says_how_long_it_takes_where_the_feed_dips_and_what_is_used_o
     assert run(plans, "--out", "weld.csv", "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["path_m"] == pytest.approx(0.0093, abs=2e-4) and 0 < record["held_share"] < 1
-    assert set(record["seconds"]) == {"approach", "feed", "retract"}
+    assert set(record["seconds"]) == {"approach", "process", "retract"}
     assert sum(record["seconds"].values()) == pytest.approx(record["duration_s"])
     assert all(0 < record["shares"][kind]["share"] <= 1 for kind in ("velocity", "acceleration", "jerk"))
 
@@ -98,7 +98,7 @@ def test_limits_of_the_job_are_kept_and_cost_time(plans, here, capsys):
 
 def test_the_motion_is_clear_by_mujoco_every_millisecond_and_the_tool_within_its_tolerance(plans):
     made = program_of(open_plans(plans / "good"), 0.02)
-    found = check_timed(plans / "good", made.program.timed(STEP_S), "roadmap")
+    found = check_timed(plans / "good", made.program.timed(STEP_S), "beam")
     assert found.refuted == 0 and found.clearance_min_m > 0
     assert 0 < found.off_max_m <= made.job.settings.tube_m
 
@@ -107,10 +107,10 @@ def test_a_motion_that_leaves_its_path_or_goes_through_the_wall_is_refuted(plans
     made = program_of(open_plans(plans / "good"), 0.02, retract=False)
     timed = made.program.timed(0.02)
     aside = timed._replace(x=timed.x + np.array([0.005, 0, 0, 0, 0, 0]))  # at a metre and a half: 7 mm
-    found = check_timed(plans / "good", aside, "roadmap")
-    assert found.leaves[timed.kind == Kind.FEED].all() and not found.leaves[timed.kind != Kind.FEED].any()
+    found = check_timed(plans / "good", aside, "beam")
+    assert found.leaves[timed.kind == Kind.PROCESS].all() and not found.leaves[timed.kind != Kind.PROCESS].any()
     down = timed._replace(x=timed.x + np.array([0, 0.3, 0, 0, 0, 0]))
-    assert check_timed(plans / "good", down, "roadmap").touches.any()
+    assert check_timed(plans / "good", down, "beam").touches.any()
 
 
 def changed(plans, folder, **sections) -> Path:
@@ -125,7 +125,7 @@ def changed(plans, folder, **sections) -> Path:
 
 def tool_axis(plans) -> list[float]:
     """Direction of the tool where the weld begins."""
-    x = open_plans(plans / "good").plans("roadmap").x[0, -3]
+    x = open_plans(plans / "good").plans("beam").x[0, -3]
     return np.asarray(tcp_pose(gp50(), jnp.asarray(x)))[:3, 2].tolist()
 
 
@@ -151,8 +151,8 @@ def test_every_kind_of_row_is_looked_at_every_millisecond_of_the_path(plans, her
     """
     timed = program_of(open_plans(plans / "good"), 0.02, retract=False).program.timed(0.02)
     folder = changed(plans, here / "other", task=[{"point": "tcp", "on": "path"}, row])
-    found = check_timed(folder, timed, "roadmap")
-    np.testing.assert_array_equal(found.breaks, timed.kind == Kind.FEED)
+    found = check_timed(folder, timed, "beam")
+    np.testing.assert_array_equal(found.breaks, timed.kind == Kind.PROCESS)
     assert found.refuted == found.breaks.sum() > 0
 
 
@@ -161,16 +161,16 @@ def test_rows_that_hold_are_not_refuted(plans, here):
     tool = tool_axis(plans)
     task = [{"point": "tcp", "on": "path"}, {"axis": "tcp.z", "towards": tool, "cone_deg": 20}]
     task.append({"point": "tcp", "on": "path", "axes": "xz", "within_m": 0.002})
-    assert check_timed(changed(plans, here / "other", task=task), timed, "roadmap").refuted == 0
+    assert check_timed(changed(plans, here / "other", task=task), timed, "beam").refuted == 0
 
 
 def test_a_tool_that_goes_back_along_its_path_is_refuted(plans):
     timed = program_of(open_plans(plans / "good"), 0.02, retract=False).program.timed(STEP_S)
-    feeding = np.flatnonzero(timed.kind == Kind.FEED)
+    feeding = np.flatnonzero(timed.kind == Kind.PROCESS)
     x, target = timed.x.copy(), timed.target.copy()
     part = feeding[100:200]
     x[part], target[part] = x[part[::-1]], target[part[::-1]]
-    found = check_timed(plans / "good", timed._replace(x=x, target=target), "roadmap")
+    found = check_timed(plans / "good", timed._replace(x=x, target=target), "beam")
     assert found.turns_back[part[1:]].all() and not found.leaves.any()
     assert not found.turns_back[: part[0]].any() and found.turns_back.sum() <= 101
 
@@ -179,26 +179,26 @@ def test_a_bare_tip_that_passes_through_a_wall_is_refuted_where_the_job_guards_i
     """A bare tip in a wall: refuted if the job guards the tip; the bodies stay clear."""
     timed = program_of(open_plans(plans / "good"), 0.02, retract=False).program.timed(0.02)
     on = timed._replace(x=timed.x + np.array([0, 0.04, 0, 0, 0, 0]))
-    free = check_timed(plans / "good", on, "roadmap")
-    guarded = check_timed(changed(plans, here / "other", workpiece={"tip_contact_m": 0.01}), on, "roadmap")
+    free = check_timed(plans / "good", on, "beam")
+    guarded = check_timed(changed(plans, here / "other", workpiece={"tip_contact_m": 0.01}), on, "beam")
     assert guarded.clearance_min_m == free.clearance_min_m > 0
     assert not free.touches.any() and guarded.touches.any() and not guarded.touches[0]
 
 
-def test_an_arm_that_heeds_itself_is_rounded_by_half_for_two_bodies_may_move_towards_each_other(plans, here):
+def test_an_arm_that_respects_itself_is_rounded_by_half_for_two_bodies_may_move_towards_each_other(plans, here):
     """Corner rounding with self-collision: half as wide, as two bodies may move towards each other.
 
     The recorded clearance is made small, so that corners are as wide as it allows.
     """
     little, farthest = 2e-4, []
-    for heeds in (False, True):
-        folder = changed(plans, here / str(heeds), cell={"self_collision": heeds})
+    for is_checked in (False, True):
+        folder = changed(plans, here / str(is_checked), cell={"self_collision": is_checked})
         with np.load(folder / TRAJECTORY) as file:
             arrays = dict(file)
-        arrays["way_clearance"] = np.full_like(arrays["way_clearance"], little)
+        arrays["segment_clearance"] = np.full_like(arrays["segment_clearance"], little)
         np.savez(folder / TRAJECTORY, **arrays)
         made = program_of(open_plans(folder), 0.02, retract=False)
-        farthest.append(max(from_polyline(each.curve) for each in made.program.stretches))
+        farthest.append(max(from_polyline(each.curve) for each in made.program.blends))
     assert 0.25 * little < farthest[0] <= 0.5 * little
     assert 0.125 * little < farthest[1] <= 0.25 * little
 
@@ -215,7 +215,7 @@ def from_polyline(curve) -> float:
 def test_check_looks_at_all_of_it_by_mujoco_and_says_what_it_found(plans, here, capsys):
     assert run(plans, "--check", "--json", "--out", "weld.csv") == 0
     found = json.loads(capsys.readouterr().out)["check"]
-    assert found["postures"] == len(table(here / "weld.csv")) and found["refuted"] == 0
+    assert found["configurations"] == len(table(here / "weld.csv")) and found["refuted"] == 0
     assert found["clearance_min_mm"] > 0 and 0 < found["off_max_mm"] <= 1
 
 
@@ -229,12 +229,12 @@ def test_every_format_is_written_from_a_plan_on_record_the_same_twice(plans, her
     assert one == two and "tool data" in one.replace("\r\n'", " ")
 
 
-def test_a_job_of_pulses_passes_the_postures_of_the_motion_on_record(plans, here):
+def test_a_job_of_pulses_passes_the_configurations_of_the_motion_on_record(plans, here):
     assert run(plans, "--format", "jbi-pulses", "--set", PULSES, "--one-way", "--out", "weld.jbi") == 0
     lines = [line for line in (here / "weld.jbi").read_text().splitlines() if line.startswith("C0")]
     pulses = np.array([[int(cell) for cell in line.split("=")[1].split(",")] for line in lines])
     x = pulses / PER_RAD + np.array(ZERO_RAD)
-    known = open_plans(plans / "good").plans("roadmap")
+    known = open_plans(plans / "good").plans("beam")
     passed = np.concatenate([known.start[:1], known.x[0]])
     nearest = np.abs(x[:, None] - passed).max(axis=2).min(axis=1)
     assert len(x) >= 13 and nearest.max() <= 0.5 / 3e4
@@ -264,11 +264,11 @@ WRONG = [
         ["--format", "jbi-pulses", "--set", "program.pulses={per_rad: [1, 2], source: x}"],
         "program.pulses.per_rad has 2 values, the robot gp50 has 6 joints",
     ),
-    (["--format", "jbi-pulses", "--step-ms", "2"], "jbi-pulses holds the postures that the motion is made of"),
+    (["--format", "jbi-pulses", "--step-ms", "2"], "jbi-pulses holds the configurations that the motion is made of"),
     (["--format", "urscript", "--step-ms", "3"], "times must be multiples of the controller's 0.002 s"),
     (["--step-ms", "0"], "--step-ms is 0.0; from 0.1 to 1000 are possible"),
     (["--scenario", "1"], "has no scenario 1; there are 0 to 0"),
-    (["--method", "hybrid"], "has no plans by 'hybrid'; there are roadmap"),
+    (["--method", "hybrid"], "has no plans by 'hybrid'; there are beam"),
 ]
 
 
@@ -286,7 +286,7 @@ def test_a_plan_that_is_not_executable_says_how_far_it_is(plans, here, capsys):
 
 
 @pytest.mark.parametrize("self_collision", [False, True])
-def test_the_check_says_of_every_posture_what_measuring_each_says(plans, here, self_collision):
+def test_the_check_says_of_every_configuration_what_measuring_each_says(plans, here, self_collision):
     """Clearances and contacts of the check, equal to those measured at each sample.
 
     Most samples are decided by how far the arm has moved; some motions swing into the part and out of the limits.
@@ -300,7 +300,7 @@ def test_the_check_says_of_every_posture_what_measuring_each_says(plans, here, s
     touched = []
     for share in (0.0, 0.02, 1.0):
         moved = timed._replace(x=timed.x + share * swing)
-        found, each = check_timed(folder, moved, "roadmap"), scene.at(moved.x).clearance
+        found, each = check_timed(folder, moved, "beam"), scene.at(moved.x).clearance
         assert found.clearance_min_m == pytest.approx(each.min(), abs=1e-12)
         np.testing.assert_array_equal(found.touches, each <= 0)
         touched.append(int(found.touches.sum()))

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from htcp_jax.errors import InputError
 from htcp_jax.model.robot import GP50
 from htcp_jax.status import Kind
-from htcp_jax.trajectory import FORMATS, Timed
-from htcp_jax.trajectory.beside import Beside, Pulses, UserFrame
+from htcp_jax.trajectory import FORMATS, TimedMotion
+from htcp_jax.trajectory.controller_data import ControllerData, Pulses, UserFrame
 from htcp_jax.trajectory.formats.writers import program_text
 
 STEP_S = 0.002
@@ -37,7 +37,7 @@ def motions(draw, joints=None):
     """Motions of one to six configurations, at multiples of a controller's step."""
     n, N = draw(st.integers(1, 6)), joints or draw(st.integers(1, 8))
     steps = draw(st.lists(st.integers(1, 700), min_size=n, max_size=n))
-    return Timed(
+    return TimedMotion(
         time_s=STEP_S * (np.cumsum(steps) - steps[0]),
         x=draw(states(n, N)),
         velocity=draw(states(n, N)),
@@ -48,16 +48,16 @@ def motions(draw, joints=None):
     )
 
 
-def beside(timed: Timed, **given) -> Beside:
+def controller(timed: TimedMotion, **given) -> ControllerData:
     N = len(timed.joint_names)
-    return Beside("WELD", (False,) * N, speed=np.full(N, FULL_SPEED))._replace(**given)
+    return ControllerData("WELD", (False,) * N, speed=np.full(N, FULL_SPEED))._replace(**given)
 
 
-def a_motion(joints=6) -> Timed:
+def a_motion(joints=6) -> TimedMotion:
     rows = np.arange(3.0)
     x = rows[:, None] * np.linspace(-0.02, 0.01, joints)
-    kind = np.array([Kind.TRANSFER, Kind.FEED, Kind.RETRACT], np.int8)
-    return Timed(0.1 * rows, x, x, x, kind, rows.astype(int), tuple(f"j{k}" for k in range(joints)))
+    kind = np.array([Kind.TRANSFER, Kind.PROCESS, Kind.RETRACT], np.int8)
+    return TimedMotion(0.1 * rows, x, x, x, kind, rows.astype(int), tuple(f"j{k}" for k in range(joints)))
 
 
 # --- tables
@@ -67,7 +67,7 @@ def a_motion(joints=6) -> Timed:
 @given(motions())
 def test_a_table_reads_back_exactly(timed):
     slides = tuple(k % 2 == 1 for k in range(len(timed.joint_names)))
-    text = program_text("csv", timed, beside(timed, slides=slides))
+    text = program_text("csv", timed, controller(timed, slides=slides))
     head, *rows = csv.reader(line for line in text.splitlines() if not line.startswith("#"))
     names = [name + ("_m" if slide else "_rad") for name, slide in zip(timed.joint_names, slides, strict=True)]
     assert head == ["time_s", "kind", "target", *names, *(f"{n}_s" for n in names), *(f"{n}_s2" for n in names)]
@@ -111,7 +111,7 @@ def check_message(value, kind: str) -> None:
 @FEW
 @given(motions())
 def test_a_ros_message_is_as_defined_and_reads_back_exactly_and_to_half_a_nanosecond(format, timed):
-    text = program_text(format, timed, beside(timed))
+    text = program_text(format, timed, controller(timed))
     message = yaml.safe_load(text) if format == "ros" else json.loads(text)["message"]
     check_message(message, "JointTrajectory")
     assert tuple(message["joint_names"]) == timed.joint_names
@@ -134,15 +134,15 @@ class Job:
         assert lines[0] == "/JOB" and lines[-1] == "END"
         at = lines.index("//INST")
         begin = lines.index("NOP")
-        self.positions, self.forms, self.fields, form = {}, [], {}, None
+        self.positions, self.forms, self.fields, flags = {}, [], {}, None
         for line in lines[1:at] + lines[at + 1 : begin]:
             if found := re.fullmatch(r"C(\d{5})=(.*)", line):
                 assert int(found[1]) == len(self.positions)
                 self.positions[f"C{found[1]}"] = [float(cell) for cell in found[2].split(",")]
-                self.forms.append(form)
+                self.forms.append(flags)
             elif line.startswith("///RCONF "):
-                form = [int(cell) for cell in line[9:].split(",")]
-                assert len(form) == 24
+                flags = [int(cell) for cell in line[9:].split(",")]
+                assert len(flags) == 24
             else:
                 key, _, value = line.lstrip("/").partition(" ")
                 self.fields[key] = value
@@ -164,7 +164,7 @@ def test_pulses_read_back_to_half_a_pulse(timed, data):
     table = np.array(data.draw(st.lists(st.sampled_from([85000.5, -73000.0, 1e6]), min_size=N, max_size=N)))
     zero = np.linspace(-1, 1, N)
     pulses = Pulses(table, zero, "a drawing")
-    job = Job(program_text("jbi-pulses", timed, beside(timed, pulses=pulses, tool=4)))
+    job = Job(program_text("jbi-pulses", timed, controller(timed, pulses=pulses, tool=4)))
     assert (job.fields["TOOL"], job.fields["POSTYPE"], job.fields["NAME"]) == ("4", "PULSE", "WELD")
     assert (np.abs(job.array() / table + zero - timed.x) <= 0.5 / np.abs(table) + 1e-15).all()
     assert {move[0] for move in job.moves} == {"MOVJ"}
@@ -178,10 +178,10 @@ def test_rectan_reads_back_to_half_of_its_last_digits(timed, data):
     T = np.tile(np.eye(4), (n, 1, 1))
     T[:, :3, :3] = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
     T[:, :3, 3] = data.draw(of_numpy.arrays(float, (n, 3), elements=st.floats(-4, 4)))
-    form = np.array(data.draw(st.lists(st.tuples(*[st.integers(0, 1)] * 6), min_size=n, max_size=n)))
-    job = Job(program_text("jbi", timed, beside(timed, user_frame=UserFrame(7, T, form), tool=2)))
+    flags = np.array(data.draw(st.lists(st.tuples(*[st.integers(0, 1)] * 6), min_size=n, max_size=n)))
+    job = Job(program_text("jbi", timed, controller(timed, user_frame=UserFrame(7, T, flags), tool=2)))
     assert [job.fields[key] for key in ("USER", "TOOL", "POSTYPE", "FRAME")] == ["7", "2", "USER", "USER 7"]
-    assert job.forms == [[*row, *[0] * 18] for row in form.tolist()]
+    assert job.forms == [[*row, *[0] * 18] for row in flags.tolist()]
     read = job.array()
     assert np.abs(read[:, :3] - 1e3 * T[:, :3, 3]).max() <= 0.5e-3 + 1e-9
     turned = Rotation.from_matrix(T[:, :3, :3]).inv() * Rotation.from_euler("xyz", read[:, 3:], degrees=True)
@@ -193,7 +193,7 @@ def test_a_jobs_speeds_are_those_of_the_motion():
     T = np.tile(np.eye(4), (3, 1, 1))
     T[1, 0, 3] = 0.002  # 2 mm in 0.1 s
     frame = UserFrame(1, T, np.zeros((3, 6), int))
-    given = beside(timed, user_frame=frame, speed=np.full(6, 2.0), date=datetime.datetime(2024, 5, 6, 7, 8))
+    given = controller(timed, user_frame=frame, speed=np.full(6, 2.0), date=datetime.datetime(2024, 5, 6, 7, 8))
     job = Job(program_text("jbi", timed, given))
     # |dx| = 0.02 rad in 0.1 s: a tenth of 2 rad/s
     assert job.moves == [
@@ -212,23 +212,23 @@ def read_urscript(text: str) -> tuple[np.ndarray, np.ndarray]:
     lines = [line.strip() for line in text.splitlines() if not line.startswith("#")]
     name = re.fullmatch(r"def (\w+)\(\):", lines[0])[1]
     assert lines[-3:] == ["stopj(1.0)", "end", f"{name}()"]
-    postures, times = [], [0.0]
+    configurations, times = [], [0.0]
     for line in lines[1:-3]:
         call, inside, rest = re.fullmatch(r"(\w+)\(\[(.*)\], (.*)\)", line).groups()
         numbers = [float(cell) for cell in rest.split(",")]
-        assert (call, len(numbers)) == (("servoj", 5) if postures else ("movej", 2))
-        postures.append([float(cell) for cell in inside.split(",")])
+        assert (call, len(numbers)) == (("servoj", 5) if configurations else ("movej", 2))
+        configurations.append([float(cell) for cell in inside.split(",")])
         if call == "servoj":
             _, _, t, lookahead, gain = numbers
             assert 0.03 <= lookahead <= 0.2 and 100 <= gain <= 2000  # the manual's ranges
             times.append(times[-1] + t)
-    return np.array(postures), np.array(times)
+    return np.array(configurations), np.array(times)
 
 
 @FEW
 @given(motions(joints=6))
 def test_urscript_reads_back_to_half_a_microradian_at_the_same_times(timed):
-    x, times = read_urscript(program_text("urscript", timed, beside(timed)))
+    x, times = read_urscript(program_text("urscript", timed, controller(timed)))
     assert np.abs(x - timed.x).max() <= 0.5e-6 + 1e-15
     assert np.abs(times - timed.time_s).max() <= 1e-9
 
@@ -240,11 +240,11 @@ def test_mujoco_reads_the_keyframes_exactly_with_the_built_in_arm():
     timed = a_motion()._replace(x=np.random.default_rng(0).uniform(-1, 1, (3, 6)))
     model = GP50.read_text().replace("</mujoco>", '<include file="weld.xml"/></mujoco>')
     model = mujoco.MjModel.from_xml_string(
-        model, {"weld.xml": program_text("keyframes", timed, beside(timed)).encode()}
+        model, {"weld.xml": program_text("keyframes", timed, controller(timed)).encode()}
     )
     assert (model.key_time == timed.time_s).all()
     assert (model.key_qpos == timed.x).all() and (model.key_qvel == timed.velocity).all()
-    assert [model.key(k).name for k in range(3)] == ["0_transfer", "1_feed", "2_retract"]
+    assert [model.key(k).name for k in range(3)] == ["0_transfer", "1_process", "2_retract"]
 
 
 # --- all of them
@@ -254,10 +254,10 @@ def table_of(joints: int) -> Pulses:
     return Pulses(np.full(joints, 1e4), np.zeros(joints), "a drawing")
 
 
-def whole(timed: Timed) -> Beside:
+def whole(timed: TimedMotion) -> ControllerData:
     """Controller data with all that any format needs."""
     frame = UserFrame(1, np.tile(np.eye(4), (len(timed.x), 1, 1)), np.zeros((len(timed.x), 6), int))
-    return beside(timed, user_frame=frame, pulses=table_of(timed.x.shape[1]))
+    return controller(timed, user_frame=frame, pulses=table_of(timed.x.shape[1]))
 
 
 @pytest.mark.parametrize("format", FORMATS)
@@ -273,11 +273,11 @@ def test_a_file_depends_on_its_motion_alone(format):
     assert program_text(format, a_motion(), whole(a_motion())) == program_text(format, a_motion(), whole(a_motion()))
 
 
-NO_POSTURE = Timed(*(column[:0] for column in a_motion()[:6]), a_motion().joint_names)
+NO_CONFIGURATION = TimedMotion(*(column[:0] for column in a_motion()[:6]), a_motion().joint_names)
 STILL = a_motion()._replace(time_s=np.array([0.0, 0.2, 0.2]))
 OFF_STEP = a_motion()._replace(time_s=np.array([0.0, 0.1, 0.2013]))
 FRAME_0 = whole(a_motion()).user_frame._replace(number=0)
-MANY = Timed(*(np.repeat(column, 4000, axis=0) for column in a_motion()[:6]), a_motion().joint_names)
+MANY = TimedMotion(*(np.repeat(column, 4000, axis=0) for column in a_motion()[:6]), a_motion().joint_names)
 MANY = MANY._replace(time_s=np.arange(12000.0))
 
 
@@ -285,8 +285,8 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
     ("format", "timed", "given", "said"),
     [
         ("krl", a_motion(), {}, "'krl' is no format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses"),
-        ("csv", NO_POSTURE, {}, "has none"),
-        ("csv", STILL, {}, "posture 2 comes no later"),
+        ("csv", NO_CONFIGURATION, {}, "has none"),
+        ("csv", STILL, {}, "configuration 2 comes no later"),
         ("jbi", a_motion(), {"user_frame": None}, "program.user_frame names it"),
         ("jbi", a_motion(), {"user_frame": FRAME_0}, "user frame 0; there are 1 to 63"),
         ("jbi", a_motion(7), {}, "an arm of 7 joints; RECTAN holds 6"),
@@ -306,7 +306,7 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
         ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),
         ("urscript", a_motion(), {"slides": (True, *[False] * 5)}, "1 of which slide"),
         ("urscript", a_motion(), {"name": "2 welds"}, "'2 welds' is no name of a function"),
-        ("urscript", OFF_STEP, {}, "a posture at 0.2013 s; times must be multiples of the controller's 0.002 s"),
+        ("urscript", OFF_STEP, {}, "a configuration at 0.2013 s; times must be multiples of the controller's 0.002 s"),
     ],
 )
 def test_what_a_format_cannot_hold_is_one_line_that_names_it(format, timed, given, said):

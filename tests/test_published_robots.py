@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from held import are_held
+from enclosed import are_held
 from published import MODELS, path_of
 from small_cell import small_job
 

@@ -245,8 +245,8 @@ def test_the_step_qp_is_equation_9_row_by_row(rows, cost_about):
         np.testing.assert_allclose(qp.A @ (x - x_ref) - qp.b, jac @ (x - x_ref) - to_target, atol=1e-13)
         for row, body in enumerate(kept):
             linearised = D[body] + gradient[body] @ (x - x_ref)
-            room = qp.h[row] - qp.G[row] @ (x - x_ref)
-            np.testing.assert_allclose(room, linearised - margin, atol=1e-13)
+            free_radius = qp.h[row] - qp.G[row] @ (x - x_ref)
+            np.testing.assert_allclose(free_radius, linearised - margin, atol=1e-13)
         np.testing.assert_allclose(qp.ub - (x - x_ref), upper - x, atol=1e-13)
         np.testing.assert_allclose((x - x_ref) - qp.lb, x - lower, atol=1e-13)
 

@@ -63,7 +63,7 @@ def test_a_joint_without_limits_is_free():
     np.testing.assert_allclose(solved(free).y, solved(wide).y, rtol=0, atol=1e-10)
 
 
-def test_a_task_that_a_singular_posture_cannot_do_is_infeasible():
+def test_a_task_that_a_singular_configuration_cannot_do_is_infeasible():
     qps, _ = random_batch(20, 2, seed=5)
     A, b = qps.A.copy(), qps.b.copy()
     A[:, 2] = A[:, 0] + A[:, 1]

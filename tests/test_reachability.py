@@ -13,7 +13,7 @@ from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.proof.arm_exclusion import arm_cell, has_wrist, tool_cell, wrist
 from htcp_jax.clearance.proof.exclusion import tool_collides
 from htcp_jax.cli import main
-from htcp_jax.device import Kernels
+from htcp_jax.device import Executor
 from htcp_jax.io.robot_file import gp50
 from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.model import Workpiece
@@ -62,7 +62,7 @@ def test_the_arm_behind_the_tool_proves_that_the_end_of_a_path_is_out_of_reach(f
     assert result.prefix[1] < result.most[1] < scenarios[1].count
 
 
-def test_a_posture_is_in_the_cells_about_it_with_its_wrist_and_excluded_by_none_where_it_is_clear(found):
+def test_a_configuration_is_in_the_cells_about_it_with_its_wrist_and_excluded_by_none_where_it_is_clear(found):
     robot, workpiece, scenarios, result = found
     scene, draw = Scene(robot, make_obstacle(workpiece)), np.random.default_rng(2)
     assert has_wrist(robot)
@@ -94,7 +94,7 @@ def test_an_arm_whose_last_axes_pass_each_other_has_no_wrist(found):
     assert not has_wrist(replace(robot, slides=(False,) * 5 + (True,)))
 
 
-def test_no_orientation_near_that_of_a_clear_posture_is_excluded(found):
+def test_no_orientation_near_that_of_a_clear_configuration_is_excluded(found):
     """No orientation near a clear configuration's is excluded, for any radius."""
     robot, workpiece, scenarios, result = found
     scene, draw = Scene(robot, make_obstacle(workpiece)), np.random.default_rng(0)
@@ -153,7 +153,7 @@ def test_the_cells_cover_every_orientation_in_which_the_tool_is_clear(found):
     robot, workpiece, scenarios, _ = found
     scene, where, row = Scene(robot, make_obstacle(workpiece)[:1]), scenarios[0], 60
     inputs = lane_inputs(stack([where]), np.zeros(1, int), np.array([row]))
-    cells = tool_cells(Kernels(scene, Settings()), inputs, COARSE, 10**6)
+    cells = tool_cells(Executor(scene, Settings()), inputs, COARSE, 10**6)
     outer = np.array(robot.capsule_link) >= 4
     only = replace(robot, capsule_radius=jnp.where(outer, robot.capsule_radius, -1e3))
 

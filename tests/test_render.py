@@ -21,7 +21,7 @@ from htcp_jax.viewer import Studio, offscreen
 from htcp_jax.viewer.camera import fitted, kept, open_side
 from htcp_jax.viewer.colours import DWELL, FAILED, NEAREST, TargetStyle, rgb, target_styles
 from htcp_jax.viewer.movie import HELD, RATE, Film, write_movie
-from htcp_jax.viewer.playback import STRIDE_M, way
+from htcp_jax.viewer.playback import STRIDE_M, poses_along
 from htcp_jax.viewer.replay import replays_of
 
 SIZE = 320, 220
@@ -74,7 +74,7 @@ def test_a_picture_is_not_blank_and_shows_the_failed_target(replay, screenless):
 
 
 def test_a_movie_moves_and_the_targets_take_their_colours_as_they_are_met(replay, frames):
-    assert len(frames) == len(way(replay)) + 1
+    assert len(frames) == len(poses_along(replay)) + 1
     changes = [np.abs(a.astype(int) - b).max(axis=2) > 30 for a, b in pairwise(frames)]
     assert all(change.any() for change in changes)
     assert (np.abs(frames[0].astype(int) - frames[-1]).max(axis=2) > 30).mean() > 0.02
@@ -84,14 +84,14 @@ def test_a_movie_moves_and_the_targets_take_their_colours_as_they_are_met(replay
 
 
 def test_the_way_passes_every_tracked_target_in_small_strides(replay):
-    postures = way(replay)
-    met = [posture.target for posture in postures]
+    poses = poses_along(replay)
+    met = [pose.target for pose in poses]
     assert met == sorted(met) and set(met) == set(range(8))
     for t in range(8):
-        first = postures[met.index(t)].arm
+        first = poses[met.index(t)].arm
         np.testing.assert_allclose(first.p, replay.p[t], atol=1e-12)
         np.testing.assert_allclose(first.tcp, replay.tcp[t], atol=1e-12)
-    points = np.array([np.vstack([arm.p, arm.q, arm.tcp]) for arm, *_ in postures])
+    points = np.array([np.vstack([arm.p, arm.q, arm.tcp]) for arm, *_ in poses])
     # Along an arc a point moves a little further than along its chord.
     assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 1.3 * STRIDE_M
 
@@ -102,24 +102,24 @@ def dwelling(made):
     return replays_of("by hand", replace(made[0], plans=with_a_dwell(made[0].plans))).replay(0, "baseline")
 
 
-def test_the_way_passes_the_postures_between_targets_and_knows_where_the_arm_dwells(dwelling):
+def test_the_way_passes_the_configurations_between_targets_and_knows_where_the_arm_dwells(dwelling):
     """Frames of a motion with a dwell: they pass all its configurations, and mark where the arm dwells.
 
     Joint values are not part of a frame, so configurations are identified by the arm's shape.
     """
-    postures = way(dwelling)
-    at_target = [k for k, posture in enumerate(postures) if posture.target == 4]
-    turning = [k for k, posture in enumerate(postures) if posture.dwells]
+    poses = poses_along(dwelling)
+    at_target = [k for k, pose in enumerate(poses) if pose.target == 4]
+    turning = [k for k, pose in enumerate(poses) if pose.dwells]
     assert set(turning) < set(at_target) and turning == list(range(turning[0], turning[-1] + 1))
     passed = dwelling.motion.x[dwelling.motion.kind == Kind.DWELL]
     assert len(passed) == 2
-    tips = np.array([posture.arm.tcp for posture in postures])
+    tips = np.array([pose.arm.tcp for pose in poses])
     for x in passed:
         shape = capsules_and_tcp(dwelling.robot, x[None])
         assert np.abs(tips[turning] - np.asarray(shape.tcp)).max(axis=1).min() < 1e-12
-    points = np.array([np.vstack([posture.arm.p, posture.arm.q, posture.arm.tcp]) for posture in postures])
+    points = np.array([np.vstack([pose.arm.p, pose.arm.q, pose.arm.tcp]) for pose in poses])
     assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 1.3 * STRIDE_M
-    assert [posture.target for posture in postures] == sorted(posture.target for posture in postures)
+    assert [pose.target for pose in poses] == sorted(pose.target for pose in poses)
 
 
 def test_a_picture_marks_the_dwells_and_the_tightest_place(replay, dwelling, screenless):
@@ -159,12 +159,12 @@ def test_every_sphere_is_seen_whole_and_one_touches_the_edge(spheres, azimuth, a
     seen = (spheres[:, :3] - eye) @ np.stack([right, np.cross(right, ahead), ahead], axis=1)
     slope = 0.94 * np.tan(fovy / 2) * np.array([aspect, 1.0])
     # Distance to each of the four planes through the eye that bound the view, less the radius.
-    room = [
+    free_radius = [
         (seen[:, 2] * s - sign * seen[:, k]) / np.hypot(1, s) - spheres[:, 3]
         for k, s in enumerate(slope)
         for sign in (1, -1)
     ]
-    assert np.min(room) > -1e-9 and np.min(room) < 1e-9
+    assert np.min(free_radius) > -1e-9 and np.min(free_radius) < 1e-9
 
 
 def test_a_gif_holds_all_frames_and_runs_for_ever(frames, tmp_path):
@@ -225,7 +225,7 @@ def test_any_arm_is_drawn(made, screenless, tmp_path):
         assert studio.still(3).std() > 20
 
 
-def test_at_the_failed_target_the_body_in_the_way_stands_out(replay, screenless):
+def test_at_the_failed_target_the_body_in_collision_stands_out(replay, screenless):
     """Colliding body at the failed target: coloured as failed (regression: it was not marked)."""
     assert replay.obstruction is not None
     with Studio(replay, *SIZE, close=True, fine=False) as studio:
@@ -233,13 +233,13 @@ def test_at_the_failed_target_the_body_in_the_way_stands_out(replay, screenless)
     assert near(failed, FAILED) > near(before, FAILED) + 20
 
 
-def test_the_command_says_what_is_in_the_way_and_which_scenario_it_is(made, planned, screenless, tmp_path, capsys):
+def test_the_command_says_what_is_in_collision_and_which_scenario_it_is(made, planned, screenless, tmp_path, capsys):
     """Colliding body and scenario parameters in the output of the command (regression: only the scenario's number)."""
     words = ["--movie", "none", "--width", "160", "--out", str(tmp_path)]
     assert main(["render", str(made[1]), *words]) == 0
     assert f"{made[0].obstruction.description}\n" in capsys.readouterr().out
     assert main(["render", str(planned / "run"), "--scenario", "1", *words]) == 0
-    assert "baseline, scenario 1: tilt y 0.5 rad, tool 0 m" in capsys.readouterr().out
+    assert "baseline, scenario 1: rotation y 0.5 rad, tool 0 m" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -283,7 +283,7 @@ def test_osmesa_stands_in_where_egl_fails(monkeypatch):
         offscreen.platform.__wrapped__()
 
 
-def test_the_statuses_are_all_told_apart():
+def test_the_statuses_are_all_distinguished():
     found = target_styles(np.array(STATUSES[0], np.int8))
     assert sum(style.where for style in found).tolist() == [1] * 10
     assert all(isinstance(style, TargetStyle) for style in found) and len({style.colour for style in found}) == 4

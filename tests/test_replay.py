@@ -17,7 +17,7 @@ from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status
 from htcp_jax.viewer.replay import Replays, open_replays, replays_of
 
-A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
+A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_RECOVERY, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 DUCT = Path(__file__).parents[1] / "configs" / "duct.yaml"  # the pose of the cloud
 GRID = "config: job.yaml\ngrid:\n  - start_rad.joint3: {offsets: [-0.1, 0, 0.1]}\n"
 
@@ -67,7 +67,7 @@ def test_the_witnesses_are_as_far_apart_as_the_clearance_says(replay):
     assert np.isclose(np.linalg.norm(p + s * (q - p) - at), replay.robot.capsule_radius[k])  # on the capsule's surface
 
 
-def test_at_the_failed_target_the_arm_is_brought_into_what_is_in_the_way(replay):
+def test_at_the_failed_target_the_arm_is_brought_into_what_is_in_collision(replay):
     """Configuration at the failed target: in collision with the blocking obstacle (regression: it was unknown)."""
     found = replay.obstruction
     assert np.isnan(replay.clearance[12]) and replay.failed == 12
@@ -90,18 +90,18 @@ def by_hand(status: list[list[Status]], folder) -> Replays:
 
 def test_failed_scenarios_come_first_and_what_is_not_planned_does_not(tmp_path):
     replays = by_hand([[A, A, A], [A, LIMIT, NOT], [-1, -1, -1], [E, A, LIMIT], [A, A, -1]], tmp_path)
-    outcomes = replays.outcomes("roadmap")
+    outcomes = replays.outcomes("beam")
     assert [outcome.scenario for outcome in outcomes] == [1, 3, 0, 4]
     assert [(outcome.tracked, outcome.targets) for outcome in outcomes] == [(1, 3), (2, 3), (3, 3), (2, 2)]
-    with pytest.raises(InputError, match="ball has no scenario 2 by roadmap; it has 0 to 1, 3 to 4"):
-        replays.replay(2, "roadmap")
-    with pytest.raises(InputError, match="ball has no results of 'hybrid'; it has roadmap"):
+    with pytest.raises(InputError, match="ball has no scenario 2 by beam; it has 0 to 1, 3 to 4"):
+        replays.replay(2, "beam")
+    with pytest.raises(InputError, match="ball has no results of 'hybrid'; it has beam"):
         replays.replay(0, "hybrid")
 
 
 def test_any_arm_is_shown_with_its_scenario_s_tool(tmp_path):
     replays = by_hand([[LIMIT, NOT, NOT]], tmp_path)
-    replay = replays.replay(0, "roadmap")
+    replay = replays.replay(0, "beam")
     assert replay.p.shape == (3, 8, 3) and replay.tracked == 0
     held = replay.tcp[1:]  # at the failed target the arm is moved there
     # The seven links of 0.3 m stand upright; the TCP is offset 0.05 m and 0.35 m above the last, z axis up.
@@ -119,13 +119,13 @@ def test_damage_is_one_line(folder, tmp_path, name, data):
     assert "\n" not in str(error.value)
 
 
-def test_a_plan_beside_another_configuration_is_refused(folder, tmp_path):
+def test_a_plan_next_to_another_configuration_is_refused(folder, tmp_path):
     for file in (folder / "plan").iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     summary = json.loads((tmp_path / "summary.json").read_text())
     summary["config"]["workpiece"]["approach_to_path"] += 1
     (tmp_path / "summary.json").write_text(json.dumps(summary))
-    with pytest.raises(InputError, match=r"trajectory\.npz is no plan of the configuration beside it"):
+    with pytest.raises(InputError, match=r"trajectory\.npz is no plan of the configuration next to it"):
         open_replays(tmp_path)
 
 

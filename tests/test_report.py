@@ -19,17 +19,17 @@ from htcp_jax.motion.motion import MotionFigures
 from htcp_jax.planning import batch
 from htcp_jax.reachability import Obstruction
 from htcp_jax.report import Column, Table, make_report, paper, tables, write_report
-from htcp_jax.report.best import best
-from htcp_jax.report.cell import RunScene
-from htcp_jax.report.chapter import chapter, choice, facts, label, tables_of
+from htcp_jax.report.best import best_scenarios
+from htcp_jax.report.cell import OpenedScene
+from htcp_jax.report.chapter import chapter, choice, label, part_facts, tables_of
 from htcp_jax.report.document import Heading, html, markdown
 from htcp_jax.report.groups import read_parts
-from htcp_jax.report.motions import meaning, motions
+from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.report import overview
 from htcp_jax.runs import open_run
 from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.sweep import sweep
-from htcp_jax.status import Status, Way
+from htcp_jax.status import SegmentStatus, Status
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*a gap of")  # a cloud of eight points
 ALONG = "along-task-2-cone_deg"
@@ -54,8 +54,10 @@ def by_hand(robot, workpiece, scenarios, method, settings, *, progress=None, **h
     plans = plans_with([[Status.TRACKED] * (targets - len(end)) + end for end in ends], joints=6)
     open_path = np.where(plans.status <= 1, 1, -1).astype(np.int8)
     open_path[:, 1::2] -= (method == "baseline") * (open_path[:, 1::2] == 1).astype(np.int8)
-    ways = np.where(open_path == 1, Way.PROVEN, Way.COLLIDES).astype(np.int8)
-    return plans._replace(start=scenarios.x_start, target=scenarios.targets, path_clear=open_path, way=ways)
+    segments = np.where(open_path == 1, SegmentStatus.VALID, SegmentStatus.IN_COLLISION).astype(np.int8)
+    return plans._replace(
+        start=scenarios.x_start, target=scenarios.targets, path_clear=open_path, segment_status=segments
+    )
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +116,7 @@ def test_no_script_in_the_name_of_a_run_runs_in_its_report(folder, tmp_path, bro
 
 def part_of(folder, name: str):
     run = open_run(folder / name)
-    (part,) = read_parts(run, name, RunScene)
+    (part,) = read_parts(run, name, OpenedScene)
     return part
 
 
@@ -158,7 +160,7 @@ def test_the_papers_four_columns_stand_next_to_ours_for_its_methods_on_its_grids
 
 
 def test_the_stops_count_reasons_and_name_the_targets(folder):
-    (row,) = tables.stops(part_of(folder, "poses")).records()
+    (row,) = tables.stop_table(part_of(folder, "poses")).records()
     assert (row["method"], row["reason"], row["scenarios"]) == ("baseline", "iteration limit", 36)
     assert (row["first_target"], row["median_target"], row["last_target"]) == (102, 103, 104)
     assert row["targets"] == "102 (12), 103 (12), 104 (12)"
@@ -189,7 +191,7 @@ def test_cells_are_means_over_the_other_axes_and_leave_out_what_is_not_known(fol
     assert np.isnan(part.cells(unknown, ["start_joint4_rad"])).tolist() == [True, False]
 
 
-def test_the_headline_counts_what_can_be_driven_beside_what_is_tracked(folder):
+def test_the_headline_counts_what_can_be_driven_next_to_what_is_tracked(folder):
     """Headline with executable targets next to tracked ones (regression: 97.28 % tracked, 69.66 % executable)."""
     part = part_of(folder, "one")
     base, hybrid = tables.results(part).records()
@@ -221,7 +223,7 @@ def test_the_report_shows_the_cell_and_the_best_scenarios_with_their_parameters(
     given = part_of(folder, "poses").parameters["rotation_y_rad"]
     assert [row["rotation_y_rad"] for row in rows] == [given[row["scenario"]] for row in rows]
     table = next(block for block in made.blocks if isinstance(block, Table) and block.name == "best")
-    assert "tilt y [rad]" in [column.title for column in table.columns]
+    assert "rotation y [rad]" in [column.title for column in table.columns]
 
 
 def test_the_best_scenario_is_the_one_that_gets_furthest_then_the_clearest(folder):
@@ -229,11 +231,11 @@ def test_the_best_scenario_is_the_one_that_gets_furthest_then_the_clearest(folde
     plans = part.plans["hybrid"]
     clearance = plans.clearance + np.array([[0.0], [0.001]])
     clearer = replace(part, plans={"hybrid": plans._replace(clearance=clearance)})
-    assert [row["scenario"] for row in best(clearer).records()] == [1, 0]
+    assert [row["scenario"] for row in best_scenarios(clearer).records()] == [1, 0]
     status = plans.status.copy()
     status[1, -1] = Status.ITERATION_LIMIT
     shorter = replace(part, plans={"hybrid": plans._replace(clearance=clearance, status=status)})
-    assert [row["scenario"] for row in best(shorter).records()] == [0, 1]
+    assert [row["scenario"] for row in best_scenarios(shorter).records()] == [0, 1]
 
 
 def test_a_run_whose_cloud_is_gone_is_reported_without_its_picture(folder):
@@ -247,11 +249,11 @@ def test_a_run_whose_cloud_is_gone_is_reported_without_its_picture(folder):
     )
 
 
-def test_the_stops_say_which_bodies_are_in_the_way(folder):
-    """Colliding bodies in the table of stops (regression: only `escape exhausted`)."""
+def test_the_stops_say_which_bodies_are_in_collision(folder):
+    """Colliding bodies in the table of stops (regression: only `recovery exhausted`)."""
     part = part_of(folder, "poses")
-    (row,) = tables.stops(part).records()
-    counts = [int(count) for count in re.findall(r"\((\d+)\)", row["in_the_way"])]
+    (row,) = tables.stop_table(part).records()
+    counts = [int(count) for count in re.findall(r"\((\d+)\)", row["colliding_body"])]
     assert sum(counts) == row["scenarios"] and counts == sorted(counts, reverse=True)
 
 
@@ -260,7 +262,7 @@ class _Found:
 
     problem = ""
 
-    def in_the_way(self, method):
+    def colliding_bodies(self, method):
         one = Obstruction("spindle", np.zeros(3), 0.002, 0.0, True, np.zeros(6))
         return {number: one if number == 1 else one._replace(depth_m=-0.041) for number in range(49)}
 
@@ -268,27 +270,27 @@ class _Found:
         return None
 
 
-def test_a_body_counts_as_colliding_only_where_it_collides_and_else_the_end_of_the_search_is_told(folder):
+def test_a_body_counts_as_colliding_only_where_it_collides_and_else_the_end_of_the_search_is_reported(folder):
     """Stops by colliding body, else by the end of the search (regression: bodies that were 41 to 75 mm clear)."""
     part = replace(part_of(folder, "poses"), scene=_Found())
-    (row,) = tables.stops(part).records()
-    assert row["in_the_way"] == f"none: step QPs out of iterations ({row['scenarios'] - 1}), spindle (1)"
-    told = [each["in_the_way"] for each in tables.scenarios(part).records()]
-    assert sum(text.startswith("no body collides") for text in told if text) == 2 * 48
+    (row,) = tables.stop_table(part).records()
+    assert row["colliding_body"] == f"none: step QPs out of iterations ({row['scenarios'] - 1}), spindle (1)"
+    reported = [each["colliding_body"] for each in tables.scenarios(part).records()]
+    assert sum(text.startswith("no body collides") for text in reported if text) == 2 * 48
 
 
 def test_tracked_targets_that_are_not_executable_are_counted_by_the_result_of_the_motion_check(folder):
     """Tracked targets that are not executable, by the result of the motion check (regression: no reason given)."""
     part = part_of(folder, "poses")
     plans = part.plans["baseline"]
-    way = plans.way.copy()
-    way[0, 1], way[1, 1] = Way.TURNS_BACK, Way.OPEN
-    part = replace(part, plans={"baseline": plans._replace(way=way)})
+    segment_status = plans.segment_status.copy()
+    segment_status[0, 1], segment_status[1, 1] = SegmentStatus.REVERSES, SegmentStatus.UNDECIDED
+    part = replace(part, plans={"baseline": plans._replace(segment_status=segment_status)})
     table = tables.motion_ends(part)
     rows = {row["reason"]: row for row in table.records()}
     (result,) = tables.results(part).records()
-    assert set(rows) == {"blocked", "turns back", "undecided"}
-    assert rows["turns back"]["scenarios"] == rows["undecided"]["scenarios"] == 1
+    assert set(rows) == {"in collision", "reverses", "undecided"}
+    assert rows["reverses"]["scenarios"] == rows["undecided"]["scenarios"] == 1
     assert sum(row["targets"] for row in rows.values()) == result["tracked"] - result["executable"]
     assert table in chapter(part, tables_of(part) | {table.name: table}, "", 2)
 
@@ -307,18 +309,18 @@ def test_a_study_with_a_scene_of_its_own_is_not_compared_with_the_paper_s(folder
 
 
 def test_ranges_and_slices_carry_their_units(folder):
-    """Units of ranges and slices (regression: "workpiece about y = 0.2", without a unit)."""
-    told = " ".join(facts(part_of(folder, "poses")))
-    assert "workpiece about y (0.2 to 0.8 rad, 11.5 to 45.8 degrees)" in told
+    """Units of ranges and slices (regression: "rotation y = 0.2", without a unit)."""
+    reported = " ".join(part_facts(part_of(folder, "poses")))
+    assert "rotation y (0.2 to 0.8 rad, 11.5 to 45.8 degrees)" in reported
     titles = [axes.get_title() for axes in make_report([folder / "starts"]).figures["map"].axes]
     assert "start joint 3 = 0.3 rad" in titles
 
 
-def test_what_was_run_is_told_with_every_deviation(folder):
+def test_what_was_run_is_reported_with_every_deviation(folder):
     assert choice(part_of(folder, "poses")).startswith("paper.yaml, apart from workpiece.cloud box.xyz, ")
-    told = choice(part_of(folder, "measuring"))
-    assert told == "margin 0.5 mm, settings as they are by default"
-    assert str(folder) not in " ".join(facts(part_of(folder, "poses")))
+    reported = choice(part_of(folder, "measuring"))
+    assert reported == "margin 0.5 mm, settings as they are by default"
+    assert str(folder) not in " ".join(part_facts(part_of(folder, "poses")))
 
 
 def test_groups_are_parts_with_tables_of_their_own(folder):
@@ -340,7 +342,7 @@ def test_groups_are_parts_with_tables_of_their_own(folder):
     assert [row["run"] for row in scenarios].count("groups: second") == 6
 
 
-def test_an_unfinished_run_is_told_as_far_as_it_is(folder, monkeypatch, tmp_path):
+def test_an_unfinished_run_is_reported_as_far_as_it_is(folder, monkeypatch, tmp_path):
     def gives_up(robot, workpiece, scenarios, method, settings, **how):
         if method == "hybrid" and scenarios.number[0] > 0:
             raise InputError("stopped")
@@ -352,7 +354,7 @@ def test_an_unfinished_run_is_told_as_far_as_it_is(folder, monkeypatch, tmp_path
     report = make_report([tmp_path / "half"])
     first, second = report.parts
     assert rows_of(tables.results(first))["hybrid"]["scenarios"] == 1
-    assert "Scenarios still to plan: hybrid 4, keep-clear 5." in " ".join(facts(second))
+    assert "Scenarios still to plan: hybrid 4, keep-clear 5." in " ".join(part_facts(second))
     assert list(second.plans) == ["baseline"]
 
 
@@ -361,7 +363,7 @@ def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tm
     try:
         file.write_text(json.dumps({"prefix": [12, 13], "most": [13, 13], "resolution_rad": 0.1, "seed": 0}))
         part = part_of(folder, "one")
-        rows = rows_of(tables.reachability(part))
+        rows = rows_of(tables.reachability_table(part))
         assert (rows["baseline"]["reachable"], rows["baseline"]["of_reachable_percent"]) == (25, 100)
         assert (rows["baseline"]["short"], rows["baseline"]["beyond"]) == (1, 1)
         assert "Got further than the search: baseline in 1 (0); hybrid in 1 (0)." in markdown(
@@ -402,7 +404,7 @@ def test_the_motions_of_a_part_are_counted_and_measured(folder):
 
     The arm of `by_hand` goes from its start to zero, and rests; the baseline's motions end before the second target.
     """
-    rows = rows_of(motions(part_of(folder, "poses")))
+    rows = rows_of(motion_table(part_of(folder, "poses")))
     base, hybrid = rows["baseline"], rows["hybrid"]
     assert (base["executable"], base["whole"], hybrid["executable"], hybrid["whole"]) == (49, 0, 5145, 49)
     assert hybrid["dwells"] == hybrid["dwelling"] == hybrid["path_step_max_rad"] == hybrid["curvature_max_rad_m2"] == 0
@@ -417,8 +419,12 @@ def test_costs_are_compared_where_every_method_s_motion_leads_to_the_end(folder)
     """
     part = part_of(folder, "one")
     plans = plans_with([[Status.TRACKED] * 3] * 4)
-    plans = plans._replace(way=np.full_like(plans.way, Way.PROVEN))
-    short = plans._replace(way=np.where(np.arange(12).reshape(4, 3) == 5, Way.LEAVES, plans.way).astype(np.int8))
+    plans = plans._replace(segment_status=np.full_like(plans.segment_status, SegmentStatus.VALID))
+    short = plans._replace(
+        segment_status=np.where(np.arange(12).reshape(4, 3) == 5, SegmentStatus.OFF_PATH, plans.segment_status).astype(
+            np.int8
+        )
+    )
 
     def figures(dwells, costs, steps, bends):
         return MotionFigures(*(np.array(column, float) for column in (dwells, costs, steps, bends, [1e-3] * 4)))
@@ -429,7 +435,7 @@ def test_costs_are_compared_where_every_method_s_motion_leads_to_the_end(folder)
         "b": figures([0, 0, nan, 0], [1.0, 9.0, nan, 4.0], [0.3, 0.1, nan, 0.2], [1, 2, nan, 3]),
     }
     made = replace(part, numbers=np.arange(4), plans={"a": plans, "b": short}, motions=known)
-    a, b = rows_of(motions(made)).values()
+    a, b = rows_of(motion_table(made)).values()
     assert (a["executable"], a["whole"], b["executable"], b["whole"]) == (12, 4, 11, 3)
     assert (a["dwells"], a["dwelling"], b["dwells"], b["dwelling"]) == (3, 2, 0, 0)
     assert (a["cost_median_rad2"], b["cost_median_rad2"]) == (3.0, 2.5)
@@ -438,12 +444,12 @@ def test_costs_are_compared_where_every_method_s_motion_leads_to_the_end(folder)
     assert "the 3 in which that is so with every method" in meaning(made)
 
 
-def test_success_is_drawn_along_a_parameter_of_the_task_with_what_is_reachable_beside_it(folder):
+def test_success_is_drawn_along_a_parameter_of_the_task_with_what_is_reachable_next_to_it(folder):
     part = part_of(folder, "four")
     [name, *_], reachability = part.axes, np.arange(len(part.numbers))
     parameters = {"task.2.cone_deg": part.parameters[name], **part.parameters}
-    asked = replace(part, parameters=parameters, reachability=reachability)
-    [drawn] = [one for one in chapter(asked, tables_of(asked), "", 2) if getattr(one, "name", "") == ALONG]
+    requested = replace(part, parameters=parameters, reachability=reachability)
+    [drawn] = [one for one in chapter(requested, tables_of(requested), "", 2) if getattr(one, "name", "") == ALONG]
     [dashed] = [line for line in drawn.figure.axes[0].lines if line.get_linestyle() == "--"]
     np.testing.assert_allclose(dashed.get_ydata(), part.cells(reachability.astype(float), [name]))
     assert not [one for one in chapter(part, tables_of(part), "", 2) if getattr(one, "name", "") == ALONG]
@@ -496,7 +502,7 @@ def test_tables_are_aligned_and_safe_in_markdown_and_html():
     ("name", "text"),
     [
         ("start_joint3_rad", "start joint 3 [rad]"),
-        ("rotation_y_rad", "workpiece about y [rad]"),
+        ("rotation_y_rad", "rotation y [rad]"),
         ("shift_x_m", "workpiece along x [m]"),
         ("tool_extension_m", "tool extension [m]"),
         ("path", "path"),

@@ -20,7 +20,7 @@ from htcp_jax.runs.provenance import provenance
 from htcp_jax.runs.summary import summarise
 from htcp_jax.status import Status
 
-PLANS = plans_with([[Status.TRACKED, Status.ESCAPE_EXHAUSTED, Status.NOT_ATTEMPTED]], joints=6)
+PLANS = plans_with([[Status.TRACKED, Status.RECOVERY_EXHAUSTED, Status.NOT_ATTEMPTED]], joints=6)
 
 
 def test_the_csv_reads_back_exactly_and_leaves_the_unknown_empty(tmp_path):
@@ -28,7 +28,7 @@ def test_the_csv_reads_back_exactly_and_leaves_the_unknown_empty(tmp_path):
     write_trajectory_csv(tmp_path / "t.csv", gp50(), plans)
     with open(tmp_path / "t.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert [row["status"] for row in rows] == ["TRACKED", "ESCAPE_EXHAUSTED", "NOT_ATTEMPTED"]
+    assert [row["status"] for row in rows] == ["TRACKED", "RECOVERY_EXHAUSTED", "NOT_ATTEMPTED"]
     joints = [f"{name}_rad" for name in gp50().joint_names]
     assert [float(rows[0][joint]) for joint in joints] == plans.x[0, 0].tolist()
     assert float(rows[0]["clearance_m"]) == plans.clearance[0, 0]

@@ -12,7 +12,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robot_file import gp50, load_robot
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model.robot import lengthen_tool
-from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_arm import MujocoArm
 
 # Standard DH of the GP50: d, a, alpha; and its capsules: frame, p, q, radius.
 DH = (
@@ -133,7 +133,7 @@ def test_gp50_is_the_scenes_robot():
         assert robot.capsule_radius[k] == radius
 
 
-def test_gp50_start_posture():
+def test_gp50_start_configuration():
     """TCP at the start, as the scene states it; its y is 0.28 um off what its own table gives."""
     tcp = kinematics.tcp_position(gp50(), jnp.array(START))
     np.testing.assert_allclose(tcp, (1.1213389, -0.0983330, 1.4193919), rtol=0, atol=3e-7)
@@ -258,7 +258,7 @@ def test_speeds_of_a_urdf_are_its_joints_wherever_they_stand_in_the_file(tmp_pat
     text = URDF[: URDF.index('  <joint name="lift"')] + "".join(f"  <joint{each}" for each in reversed(joints))
     text = text.replace('upper="1.5" effort="1" velocity="1"', 'upper="1.5" effort="1" velocity="2.5"') + "</robot>"
     file = written(tmp_path, text, "lifter.urdf")
-    for arm in (load_robot(file), Arm(file)):
+    for arm in (load_robot(file), MujocoArm(file)):
         np.testing.assert_array_equal(arm.speed, (1, 2.5, np.inf))
 
 

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from held import are_held
+from enclosed import are_held
 
 import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_import import Cover, import_robot
+from htcp_jax.io.robot_import import BodyCover, import_robot
 from htcp_jax.model.kinematics import tcp_pose
 
 # A slide, three hinges, a gripper of two fingers; shapes of every kind that URDF has.
@@ -314,7 +314,7 @@ def test_an_arm_that_is_there_is_not_written_over(crane, folder, capsys):
     assert main([*words, "--replace"]) == 0 and crane.read_bytes() == before
 
 
-def test_a_job_that_names_the_model_itself_is_told_the_next_step(folder):
+def test_a_job_that_names_the_model_itself_is_reported_the_next_step(folder):
     """Message for a job with an unconverted model: the command to run.
 
     The model has joints off the chain, or a capsule that is fitted to a mesh.
@@ -328,4 +328,4 @@ def test_a_job_that_names_the_model_itself_is_told_the_next_step(folder):
 
 def test_outside_is_nothing_without_a_mesh():
     empty = np.empty((0, 3, 3))
-    assert Cover({}, {}, empty, empty, ()).outside_m == 0 and np.isnan(Cover({}, {}, empty, empty, ()).ratio)
+    assert BodyCover({}, {}, empty, empty, ()).outside_m == 0 and np.isnan(BodyCover({}, {}, empty, empty, ()).ratio)

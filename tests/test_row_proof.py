@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.clearance import Scene
-from htcp_jax.clearance.proof.bisection import Verdict
+from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.motion_proof import Tube, prove
 from htcp_jax.clearance.proof.row_proof import between, rows_hold
 from htcp_jax.model import PathFrames, Task, TaskRow, Workpiece
@@ -18,33 +18,35 @@ from htcp_jax.model.kinematics import link_poses, tcp_pose
 from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.settings import Settings
-from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.records import data_of
-from htcp_jax.validation.task_check import Place, hold_between
+from htcp_jax.validation.task_check import PartPose, hold_between
 
-WAYS, PLACES, INTERVALS = 32, 1000, 128
+PATHS, PLACES, INTERVALS = 32, 1000, 128
 TOLERANCE_M, TOLERANCE_RAD = 1e-3, 2e-3
 SETTINGS = Settings(tolerance_m=TOLERANCE_M, tolerance_rad=TOLERANCE_RAD)
 NOWHERE = jnp.zeros(3)
 
 
 @cache
-def postures() -> np.ndarray:
+def configurations() -> np.ndarray:
     """Steps of all lengths, there and back, from the start (WAYS + 1, 6)."""
-    way = np.zeros((WAYS + 1, 6))
-    way[1::2] = np.random.default_rng(0).normal(size=(WAYS // 2, 6)) * np.geomspace(2e-4, 0.1, WAYS // 2)[:, None]
-    return np.array(made_once.START) + way
+    segment_status = np.zeros((PATHS + 1, 6))
+    segment_status[1::2] = (
+        np.random.default_rng(0).normal(size=(PATHS // 2, 6)) * np.geomspace(2e-4, 0.1, PATHS // 2)[:, None]
+    )
+    return np.array(made_once.START) + segment_status
 
 
 @cache
-def ways() -> tuple[np.ndarray, np.ndarray]:
+def segments() -> tuple[np.ndarray, np.ndarray]:
     """Ends of the segments, twice (WAYS, 6): the configurations, each with a displacement of random size."""
     rng = np.random.default_rng(1)
-    beside = rng.normal(size=(2, WAYS, 6)) * rng.permutation(np.geomspace(1e-5, 0.05, WAYS))[:, None]
-    return postures()[:-1] + beside[0], postures()[1:] + beside[1]
+    beside = rng.normal(size=(2, PATHS, 6)) * rng.permutation(np.geomspace(1e-5, 0.05, PATHS))[:, None]
+    return configurations()[:-1] + beside[0], configurations()[1:] + beside[1]
 
 
-class Posed(Arm):
+class Posed(MujocoArm):
     """An arm that caches the frames of each configuration."""
 
     def frames(self, x, name):
@@ -56,7 +58,7 @@ class Posed(Arm):
 
 
 def tool() -> np.ndarray:
-    return np.asarray(jax.vmap(partial(tcp_pose, made_once.robot()))(jnp.asarray(postures())))
+    return np.asarray(jax.vmap(partial(tcp_pose, made_once.robot()))(jnp.asarray(configurations())))
 
 
 @cache
@@ -108,7 +110,7 @@ def bounded():
     pairs = jnp.asarray(np.stack([goals[:-1], goals[1:]], axis=1))
     places = jnp.linspace(half, 1.0 - half, INTERVALS)
     each = jax.jit(jax.vmap(jax.vmap(on, in_axes=(None, None, None, 0)), in_axes=(0, 0, 0, None)))
-    inside, broken = each(pairs, *map(jnp.asarray, ways()), places)
+    inside, broken = each(pairs, *map(jnp.asarray, segments()), places)
     return np.asarray(inside).all(axis=1), np.asarray(broken)
 
 
@@ -117,12 +119,12 @@ def arm() -> Posed:
     return Posed(GP50, limits="simulation")
 
 
-def by_mujoco(way: int, share: np.ndarray) -> np.ndarray:
+def by_mujoco(segment_status: int, share: np.ndarray) -> np.ndarray:
     """Rows that hold at these points of a segment, by MuJoCo (rows, n)."""
     _, _, part = held()
-    a, b = (end[way] for end in ways())
-    points = [np.full(len(share), t) for t in (way, way + 1)]
-    places = [Place(np.eye(3), np.zeros(3), data_of(part), point) for point in points]
+    a, b = (end[segment_status] for end in segments())
+    points = [np.full(len(share), t) for t in (segment_status, segment_status + 1)]
+    places = [PartPose(np.eye(3), np.zeros(3), data_of(part), point) for point in points]
     x = a + share[:, None] * (b - a)
     return hold_between(rows(), arm(), x, *places, SETTINGS)
 
@@ -130,27 +132,31 @@ def by_mujoco(way: int, share: np.ndarray) -> np.ndarray:
 def test_a_row_that_is_proven_to_hold_does_so_at_a_thousand_places_and_one_that_is_broken_does_not():
     inside, broken = bounded()
     middles = (np.arange(INTERVALS) + 0.5) / INTERVALS
-    for way in range(WAYS):
-        good = by_mujoco(way, np.linspace(0, 1, PLACES)).all(axis=1)
-        assert good[inside[way]].all(), [str(rows()[k]) for k in np.flatnonzero(inside[way] & ~good)]
-        assert not (by_mujoco(way, middles).T & broken[way]).any()
+    for segment_status in range(PATHS):
+        good = by_mujoco(segment_status, np.linspace(0, 1, PLACES)).all(axis=1)
+        assert good[inside[segment_status]].all(), [
+            str(rows()[k]) for k in np.flatnonzero(inside[segment_status] & ~good)
+        ]
+        assert not (by_mujoco(segment_status, middles).T & broken[segment_status]).any()
     # For every kind some segments are proven, some are not, and nearly all are decided.
     assert ((inside.sum(axis=0) >= 3) & (broken.any(axis=1).sum(axis=0) >= 3)).all(), inside.sum(axis=0)
     assert ((inside | broken.any(axis=1)).mean(axis=0) > 0.8).all()
 
 
 @pytest.mark.slow
-def test_the_proof_of_a_motion_heeds_them_where_they_are_asked_for():
+def test_the_proof_of_a_motion_respects_them_where_they_are_asked_for():
     """Proof of a motion with the task's rows: it implies them by MuJoCo; without rows the verdict is as before."""
     task, goals, _ = held()
     scene, proven = Scene(*made_once.scene()[:2], task), jax.jit(prove)
     inside, broken = bounded()
-    for way in range(0, WAYS, 3):
-        a, b = (end[way] for end in ways())
-        pair = jnp.asarray(goals[way : way + 2])
+    for segment_status in range(0, PATHS, 3):
+        a, b = (end[segment_status] for end in segments())
+        pair = jnp.asarray(goals[segment_status : segment_status + 2])
         tubes = [Tube(NOWHERE, NOWHERE, jnp.asarray(jnp.inf), pair, jnp.asarray(held)) for held in (True, False)]
         heeding, free = (proven(scene, made_once.nominal(), a, b, tube) for tube in tubes)
         assert free.verdict == proven(scene, made_once.nominal(), a, b).verdict
-        if free.verdict == Verdict.PROVEN:
-            assert heeding.verdict == Verdict.PROVEN or broken[way].any() or not inside[way].all()
-            assert heeding.verdict != Verdict.PROVEN or by_mujoco(way, np.linspace(0, 1, PLACES)).all()
+        if free.verdict == PathVerdict.VALID:
+            assert (
+                heeding.verdict == PathVerdict.VALID or broken[segment_status].any() or not inside[segment_status].all()
+            )
+            assert heeding.verdict != PathVerdict.VALID or by_mujoco(segment_status, np.linspace(0, 1, PLACES)).all()

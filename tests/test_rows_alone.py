@@ -11,20 +11,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from htcp_jax.clearance.proof.motion_proof import Tube
-from htcp_jax.device import Kernels
+from htcp_jax.device import Executor
 from htcp_jax.device.tables import gather
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.joint_search import join
-from htcp_jax.motion.kernels import ADVANCE, CHECK_PATH, PREPARE, PROVE, SETTLE, TRACK_BURST, Closely
 from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.step_functions import ADVANCE, PATH_CLEAR, PREPARE, PROVE, SETTLE, TRACK_CHUNK, ProofResolution
 from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.registry import find
 from htcp_jax.planning.tracking.stages import ENTER
 from htcp_jax.reachability import reachable_prefixes
 
 LANES = 150  # more than a table holds
-KERNELS = {kernel.name: kernel for kernel in (ADVANCE, PREPARE, TRACK_BURST, SETTLE, ENTER, CHECK_PATH, PROVE)}
+KERNELS = {
+    lane_function.name: lane_function
+    for lane_function in (ADVANCE, PREPARE, TRACK_CHUNK, SETTLE, ENTER, PATH_CLEAR, PROVE)
+}
 
 
 @cache
@@ -36,24 +39,24 @@ def calls() -> dict[str, tuple]:
     a = np.array(toy.START) + random.normal(scale=0.2, size=(LANES, 4))
     b = a + random.normal(scale=0.3, size=a.shape)
     zero = np.zeros(LANES, np.int32)
-    state = Kernels(toy.scene(), toy.SETTINGS)(ADVANCE, inputs, a, np.zeros_like(a))
+    state = Executor(toy.scene(), toy.SETTINGS)(ADVANCE, inputs, a, np.zeros_like(a))
     tube = Tube(np.zeros((LANES, 3)), np.zeros((LANES, 3)), np.full(LANES, np.inf))
-    closely = Closely(np.zeros(LANES), np.full(LANES, 1e-5), np.full(LANES, 20))
+    closely = ProofResolution(np.zeros(LANES), np.full(LANES, 1e-5), np.full(LANES, 20))
     tables = {
         ADVANCE: (a, b - a),
         PREPARE: (state.x, a, state.linear),
-        TRACK_BURST: (state.x, a, state.linear, zero),
+        TRACK_CHUNK: (state.x, a, state.linear, zero),
         SETTLE: (a,),
         ENTER: (a,),
-        CHECK_PATH: (a, b),
+        PATH_CLEAR: (a, b),
         PROVE: (a, b, tube, closely),
     }
-    return {kernel.name: (inputs, *own) for kernel, own in tables.items()}
+    return {lane_function.name: (inputs, *own) for lane_function, own in tables.items()}
 
 
 @cache
 def results(name: str):
-    return Kernels(toy.scene(), toy.SETTINGS)(KERNELS[name], *calls()[name])
+    return Executor(toy.scene(), toy.SETTINGS)(KERNELS[name], *calls()[name])
 
 
 @pytest.mark.parametrize("name", KERNELS)
@@ -61,7 +64,7 @@ def results(name: str):
 @given(rows=st.lists(st.integers(0, LANES - 1), min_size=1, max_size=2 * LANES), threads=st.integers(1, 3))
 def test_a_row_of_a_lane_function_does_not_depend_on_the_other_rows_of_its_batch(name, rows, threads):
     """Call with any rows, repeated ones too, in any order: each has the result that it has in the first call."""
-    found = Kernels(toy.scene(), toy.SETTINGS, threads=threads)(KERNELS[name], *gather(calls()[name], np.array(rows)))
+    found = Executor(toy.scene(), toy.SETTINGS, threads=threads)(KERNELS[name], *gather(calls()[name], np.array(rows)))
     jax.tree.map(np.testing.assert_array_equal, found, gather(results(name), np.array(rows)))
 
 
@@ -69,10 +72,10 @@ PAPER = {"path_check": "none", "cost_about": "previous", "clearance_rows": "smal
 CASES = {
     **{method.name: (method.name, {}) for method in BUILT_IN},
     **{f"{name} of the paper": (name, PAPER) for name in ("baseline", "cspace-sample", "nspace-sample", "nspace-sqp")},
-    "nspace-sqp, tracked after it": ("nspace-sqp", {"path_check": "none", "after_escape": "track"}),
+    "nspace-sqp, tracked after it": ("nspace-sqp", {"path_check": "none", "after_recovery": "track"}),
     "nspace-sqp on the device": ("nspace-sqp", {"path_check": "none", "qp": "device"}),
-    "roadmap, not smoothed": ("roadmap", {"smooth": False}),
-    "roadmap with transfers": ("roadmap", {"transfers": True, "smooth": False}),
+    "beam, not smoothed": ("beam", {"smooth": False}),
+    "beam with transfers": ("beam", {"transfers": True, "smooth": False}),
     "baseline, smoothed": ("baseline", {"smooth": True}),
 }
 
@@ -110,7 +113,7 @@ def test_a_motion_from_home_does_not_depend_on_the_others_of_its_batch():
 def test_a_joint_path_does_not_depend_on_the_others_searched_for():
     """Join pairs alone, in another order, repeatedly, and more of them than are searched for at a time."""
     chosen = replace(toy.SETTINGS, search_rounds=30)
-    checker, scenarios = CollisionChecker(Kernels(toy.scene(), chosen), chosen), stack(toy.scenarios())
+    checker, scenarios = CollisionChecker(Executor(toy.scene(), chosen), chosen), stack(toy.scenarios())
     plans = toy.planned()
 
     def joined(pairs):
@@ -141,8 +144,8 @@ def test_reachability_does_not_depend_on_the_other_scenarios():
 def test_the_scenarios_need_all_that_methods_do():
     """Check what makes the tests above count: recoveries, backward chains, via points, transfers, smoothed motions."""
     plain, smooth = (toy.planned(settings=replace(toy.SETTINGS, smooth=smooth)) for smooth in (False, True))
-    assert len(plain.knots.x) > 10 and not np.array_equal(plain.x, smooth.x, equal_nan=True)
+    assert len(plain.via_points.x) > 10 and not np.array_equal(plain.x, smooth.x, equal_nan=True)
     for method in ("nspace-sqp", "cspace-sample"):
-        assert toy.planned(method=method, settings=replace(toy.SETTINGS, path_check="none")).escape.any()
+        assert toy.planned(method=method, settings=replace(toy.SETTINGS, path_check="none")).recovery.any()
     hybrid = toy.planned(method="hybrid")
-    assert (hybrid.escape == find("hybrid").backwards).any()
+    assert (hybrid.recovery == find("hybrid").backwards).any()

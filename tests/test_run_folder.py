@@ -15,7 +15,7 @@ from hand_made import plans_with
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_file import gp50
 from htcp_jax.jobs import PlanConfig, load_config
-from htcp_jax.jobs.grid_axes import Point
+from htcp_jax.jobs.grid_axes import ScenarioPoint
 from htcp_jax.motion.plans import ARRAYS, NO_TARGET
 from htcp_jax.runs import Run, open_run, tables, writer
 from htcp_jax.runs.identity import config_hash, identity
@@ -24,24 +24,24 @@ from htcp_jax.runs.manifest import Manifest, Span
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.status import Status
 
-A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
+A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_RECOVERY, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NO_TARGET]]  # the last scenario has one target fewer
 JOINTS = tables.joint_columns(gp50())
 PLANS = plans_with(STATUS, joints=6)._replace(start=np.arange(24.0).reshape(4, 6) / 7)
-POINTS = tuple(Point(k, "starts", load_config(None, [f"margin_m={k / 10}"])) for k in range(4))
+POINTS = tuple(ScenarioPoint(k, "starts", load_config(None, [f"margin_m={k / 10}"])) for k in range(4))
 SPANS = Span(0, 1), Span(2, 3)
 BY = planned_by()
 
 
 def manifest(**changes) -> Manifest:
-    asked = {
+    requested = {
         "name": "four", "config": load_config().model_dump(mode="json"), "grid": (), "dtype": "float64", "files": {},
         "seed": 0, "joints": JOINTS, "targets": 11, "full": 4, "limit": None, "count": 4,
         "shard_scenarios": 2, "methods": ("baseline",),
     }  # fmt: skip
-    asked |= changes
-    same = identity(asked["config"], asked["grid"], asked["dtype"], asked["files"])
-    return Manifest(**asked | {"config_hash": config_hash(same)})
+    requested |= changes
+    same = identity(requested["config"], requested["grid"], requested["dtype"], requested["files"])
+    return Manifest(**requested | {"config_hash": config_hash(same)})
 
 
 def rows(method: str, span: Span) -> tuple:
@@ -86,7 +86,7 @@ def test_a_scenario_s_row_tells_what_became_of_it_and_its_parameters(tmp_path):
     assert table["failed_target"] == [None, 2, 1, None]
     assert table["failure"] == [None, "ITERATION_LIMIT", "ITERATION_LIMIT", None]
     assert table["reason"][1] == LIMIT.message
-    assert table["after_escape"] == [0, 1, 0, 0] and table["blocked_paths"] == table["tracked"]
+    assert table["after_recovery"] == [0, 1, 0, 0] and table["blocked_paths"] == table["tracked"]
     assert (table["margin_m"], table["group"], table["path"]) == ([0, 0.1, 0.2, 0.3], ["starts"] * 4, ["weld"] * 4)
     assert table["start_joint2_rad"] == PLANS.start[:, 1].tolist()  # that the plans start from, not the job's
 
@@ -168,7 +168,7 @@ def test_lost_files_are_one_line_a_method_and_only_those_asked_for_are_planned_a
     assert run.unfinished() == {"baseline": 4, "hybrid": 4}
 
 
-def test_the_folder_of_a_plan_is_told_from_one_that_holds_nothing(tmp_path):
+def test_the_folder_of_a_plan_is_reported_from_one_that_holds_nothing(tmp_path):
     """Error for a plan's folder opened as a run: it names the commands for plans (regression: no manifest.json)."""
     (tmp_path / "summary.json").write_text("{}")
     with pytest.raises(InputError, match="holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate"):

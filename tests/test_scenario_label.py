@@ -13,15 +13,15 @@ def test_scenarios_are_named_by_what_varies_in_their_run(planned):
     """Labels of scenarios by the parameters that vary (regression: only the data files had the values)."""
     labels = labels_of(open_run(planned / "run").scenarios())
     assert labels == {
-        0: "tilt y 0.4 rad, tool 0 m",
-        1: "tilt y 0.5 rad, tool 0 m",
-        2: f"tilt y 0.4 rad, tool {LONGER} m",
-        3: f"tilt y 0.5 rad, tool {LONGER} m",
+        0: "rotation y 0.4 rad, tool 0 m",
+        1: "rotation y 0.5 rad, tool 0 m",
+        2: f"rotation y 0.4 rad, tool {LONGER} m",
+        3: f"rotation y 0.5 rad, tool {LONGER} m",
     }
 
 
 def test_a_shelf_knows_the_labels_of_its_run(planned):
-    assert open_replays(planned / "run").label(3) == f"3: tilt y 0.5 rad, tool {LONGER} m"
+    assert open_replays(planned / "run").label(3) == f"3: rotation y 0.5 rad, tool {LONGER} m"
 
 
 def test_any_column_that_is_no_result_is_a_parameter():
@@ -42,9 +42,9 @@ def test_no_result_of_a_sweep_is_a_parameter():
     assert parameter_names(table) == ["start_joint1_rad", *own.split()]
 
 
-def test_parameters_that_go_together_are_told_once():
+def test_parameters_that_go_together_are_reported_once():
     table = {"scenario": [0, 1], "group": [None, None], "rotation_y_rad": [0.1, 0.2], "rotation_z_rad": [0.3, 0.4]}
-    assert labels_of(pa.table(table)) == {0: "tilt y 0.1 rad", 1: "tilt y 0.2 rad"}
+    assert labels_of(pa.table(table)) == {0: "rotation y 0.1 rad", 1: "rotation y 0.2 rad"}
 
 
 def test_numbers_are_short_and_carry_their_unit():

@@ -14,7 +14,7 @@ from htcp_jax.clearance import Scene, clearances
 from htcp_jax.clearance.distance.segments import nearest_points
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision, self_collision
-from htcp_jax.clearance.proof.bisection import Verdict
+from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import row_travel_bound
 from htcp_jax.clearance.proof.motion_bound import travel_bound
 from htcp_jax.clearance.proof.motion_proof import prove
@@ -36,10 +36,10 @@ def arm(name: str, folder) -> tuple[Robot, mujoco.MjModel]:
     return load_robot(file), mujoco.MjModel.from_xml_path(str(file))
 
 
-def mujoco_distances(model: mujoco.MjModel, pairs, postures) -> np.ndarray:
+def mujoco_distances(model: mujoco.MjModel, pairs, configurations) -> np.ndarray:
     """Distances of all pairs of geoms at all configurations (n, R)."""
-    data, found = mujoco.MjData(model), np.empty((len(postures), len(pairs)))
-    for k, x in enumerate(postures):
+    data, found = mujoco.MjData(model), np.empty((len(configurations), len(pairs)))
+    for k, x in enumerate(configurations):
         data.qpos[:] = x
         mujoco.mj_kinematics(model, data)
         found[k] = [mujoco.mj_geomDistance(model, data, a, b, 1e3, None) for a, b in pairs]
@@ -49,9 +49,9 @@ def mujoco_distances(model: mujoco.MjModel, pairs, postures) -> np.ndarray:
 @pytest.mark.parametrize("name", ["gp50", "seven", "rail"])
 def test_the_distances_of_pairs_are_mujocos(name, tmp_path):
     robot, model = arm(name, tmp_path)
-    own, postures = self_collision(robot), made_once.configurations(robot, 300)
-    ours = jax.jit(jax.vmap(partial(clearances, robot, (own,), made_once.nominal())))(postures)
-    theirs = mujoco_distances(model, own.pairs, postures)
+    own, configurations = self_collision(robot), made_once.configurations(robot, 300)
+    ours = jax.jit(jax.vmap(partial(clearances, robot, (own,), made_once.nominal())))(configurations)
+    theirs = mujoco_distances(model, own.pairs, configurations)
     crossing = theirs < -0.99 * np.asarray(robot.capsule_radius)[np.array(own.pairs)].sum(axis=1)  # axis through axis
     np.testing.assert_allclose(np.where(crossing, 0, ours), np.where(crossing, 0, theirs), atol=1e-9)
     assert name == "rail" or (theirs < 0).any()
@@ -111,14 +111,14 @@ def test_a_proven_joint_path_keeps_the_pairs_apart_at_a_thousand_places_and_a_re
     for a in made_once.configurations(robot, 24):
         b = a + rng.uniform(-0.6, 0.6, 7)
         found = proof(a, b)
-        places = a + np.linspace(0, 1, PLACES if found.verdict == Verdict.PROVEN else 2)[:, None] * (b - a)
-        if found.verdict == Verdict.PROVEN:
+        places = a + np.linspace(0, 1, PLACES if found.verdict == PathVerdict.VALID else 2)[:, None] * (b - a)
+        if found.verdict == PathVerdict.VALID:
             assert mujoco_distances(model, own.pairs, places).min() >= float(found.clearance) - 1e-9 > 0
-        elif found.verdict == Verdict.COLLIDES:
+        elif found.verdict == PathVerdict.IN_COLLISION:
             there = (a + float(found.place) * (b - a))[None]
             assert mujoco_distances(model, own.pairs, there).min() <= 1e-9
         verdicts.append(int(found.verdict))
-    assert verdicts.count(Verdict.PROVEN) >= 3 and verdicts.count(Verdict.COLLIDES) >= 3
+    assert verdicts.count(PathVerdict.VALID) >= 3 and verdicts.count(PathVerdict.IN_COLLISION) >= 3
 
 
 def test_turning_the_base_moves_no_pair_that_turns_with_it(tmp_path):
@@ -127,7 +127,7 @@ def test_turning_the_base_moves_no_pair_that_turns_with_it(tmp_path):
     own = SelfCollision(tuple(pair for pair in self_collision(robot).pairs if robot.capsule_link[pair[1]] >= 0))
     x = jnp.array([0.0, 0.3, 0.0, 0.3, 0.0, 0.3, 0.0])
     found = prove(Scene(robot, (own,)), made_once.nominal(), x, x + jnp.eye(7)[0] * 3.0)
-    assert found.verdict == Verdict.PROVEN and found.queries == 1
+    assert found.verdict == PathVerdict.VALID and found.queries == 1
 
 
 def test_the_gradient_of_a_pair_is_that_of_its_distance(tmp_path):

@@ -177,9 +177,9 @@ def test_validate_works_out_for_itself_that_an_excluded_pair_does_not_always_ove
 
 def test_validate_names_the_deepest_overlap_of_capsules_that_are_not_checked(htcp, imported, tmp_path):
     htcp_jax.plan(job(imported(-0.1), tmp_path, FOLDED)).save(tmp_path / "plan")
-    told = htcp("validate", tmp_path / "plan")
+    reported = htcp("validate", tmp_path / "plan")
     assert re.search(
-        r"Deepest overlap of two capsules that are not checked against each other: \w+ and \w+, [\d.]+ mm", told
+        r"Deepest overlap of two capsules that are not checked against each other: \w+ and \w+, [\d.]+ mm", reported
     )
 
 
@@ -266,8 +266,8 @@ def test_the_srdf_of_another_robot_is_refused_before_capsules_are_fitted(htcp, t
     model, other, fitted = tmp_path / "shelf.xml", tmp_path / "other.srdf", []
     model.write_text(ARM.format(z=0.0))
     other.write_text(text)
-    told = htcp("robot", model, "--srdf", other, "--out", tmp_path / "arm.xml", code=2)
-    assert message in told and not (tmp_path / "arm.xml").exists()
+    reported = htcp("robot", model, "--srdf", other, "--out", tmp_path / "arm.xml", code=2)
+    assert message in reported and not (tmp_path / "arm.xml").exists()
     with pytest.raises(InputError, match=re.escape(message)):
         import_robot(model, srdf=other, progress=lambda *numbers: fitted.append(numbers))
     assert not fitted
@@ -277,7 +277,7 @@ def test_a_list_that_leaves_nothing_to_check_is_refused(htcp, tmp_path):
     pairs = [f'<disable_collisions link1="{a}" link2="{b}"/>' for a, b in ("ab", "ac", "ad", "bc", "bd", "cd")]
     (tmp_path / "all.srdf").write_text(f'<robot name="shelf">{"".join(pairs)}</robot>')
     (tmp_path / "shelf.xml").write_text(ARM.format(z=0.0))
-    told = htcp(
+    reported = htcp(
         "robot",
         tmp_path / "shelf.xml",
         "--srdf",
@@ -289,7 +289,8 @@ def test_a_list_that_leaves_nothing_to_check_is_refused(htcp, tmp_path):
         code=2,
     )
     assert (
-        "all 6 pairs of capsules are excluded; nothing is left to check" in told and not (tmp_path / "arm.xml").exists()
+        "all 6 pairs of capsules are excluded; nothing is left to check" in reported
+        and not (tmp_path / "arm.xml").exists()
     )
 
 

@@ -15,12 +15,12 @@ from small_motions import (
     check_motions,
     check_rows,
     first_of,
+    plan_by_beam,
     planned,
     poses,
-    roadmap,
     same,
     scenario,
-    ways,
+    segments,
 )
 
 from htcp_jax.device.devices import choose
@@ -28,8 +28,8 @@ from htcp_jax.errors import InputError
 from htcp_jax.model import Task
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.model.scenario import stack
-from htcp_jax.motion import Knots, Problem, smoothing
-from htcp_jax.motion.motion_check import judge_motions
+from htcp_jax.motion import Problem, ViaPoints, smoothing
+from htcp_jax.motion.motion_check import verify_motions
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.planning.batch import plan
 
@@ -40,7 +40,7 @@ _TCPS, _JACOBIANS = (jax.jit(jax.vmap(of, in_axes=(None, 0))) for of in (tcp_pos
 
 @cache
 def smoothed():
-    return roadmap(poses(), SMOOTH, threads=1)
+    return plan_by_beam(poses(), SMOOTH, threads=1)
 
 
 @cache
@@ -51,7 +51,7 @@ def of_baseline(smooth):
 
 def steps(plans, s):
     """Steps of all joint paths of a motion, via points included (n, N)."""
-    return np.concatenate([np.diff(postures, axis=0) for _, postures in ways(plans, s)])
+    return np.concatenate([np.diff(configurations, axis=0) for _, configurations in segments(plans, s)])
 
 
 def cost(plans, s):
@@ -61,7 +61,7 @@ def cost(plans, s):
 
 def dwells(plans, s):
     """Targets before which the arm changes its configuration."""
-    return set(plans.knots.target[plans.knots.scenario == s].tolist())
+    return set(plans.via_points.target[plans.via_points.scenario == s].tolist())
 
 
 def smooth_again(scenarios, plans, settings=SMOOTH, **changes):
@@ -69,14 +69,14 @@ def smooth_again(scenarios, plans, settings=SMOOTH, **changes):
     plans = plans._replace(**{name: array.copy() for name, array in plans.arrays().items()})._replace(**changes)
     scene, devices, task = made_once.scene(), choose(None), Task(tolerance_m=settings.tolerance_m)
     problem = Problem(scene[0], made_once.duct(), stack(scenarios), settings, task, scene[1], devices, 1)
-    plans = smoothing.smooth(problem, judge_motions(problem, plans))
-    return judge_motions(problem, plans)
+    plans = smoothing.smooth(problem, verify_motions(problem, plans))
+    return verify_motions(problem, plans)
 
 
 @pytest.mark.parametrize(
     ("before", "after", "settings"),
     [(planned, smoothed, SMOOTH), (lambda: of_baseline(False), lambda: of_baseline(True), NARROW)],
-    ids=["roadmap", "baseline"],
+    ids=["beam", "baseline"],
 )
 def test_the_same_targets_by_a_cheaper_motion(before, after, settings):
     """Cheaper motions to the same targets.
@@ -114,13 +114,13 @@ def test_what_is_no_motion_stays_to_the_last_bit():
     assert (after.path_clear == before.path_clear).all() and (after.iterations == before.iterations).all()
 
 
-def test_knots_behind_the_end_of_a_motion_stay():
+def test_via_points_behind_the_end_of_a_motion_stay():
     before = of_baseline(False)
     s = 0
     lost = int(before.executable[s].sum())
-    beyond = Knots.of([(s, lost, before.x[s, [lost]]), (s, lost + 3, before.x[s, [lost, lost + 3]])], 6)
-    after = smooth_again(poses(), before, replace(NARROW, smooth=True), knots=beyond)
-    assert all(np.array_equal(a, b) for a, b in zip(after.knots, beyond, strict=True))
+    beyond = ViaPoints.of([(s, lost, before.x[s, [lost]]), (s, lost + 3, before.x[s, [lost, lost + 3]])], 6)
+    after = smooth_again(poses(), before, replace(NARROW, smooth=True), via_points=beyond)
+    assert all(np.array_equal(a, b) for a, b in zip(after.via_points, beyond, strict=True))
     assert cost(after, s) < 0.9 * cost(before, s)
 
 
@@ -128,10 +128,10 @@ def test_a_scenario_without_a_motion_is_left_alone():
     """Scenario without a motion: unchanged, next to one with a motion."""
     one = first_of(scenario(2, (0.4, 0.0)), 6)
     lost = replace(one, targets=one.targets + 5.0)
-    plans = roadmap([lost, one], SMOOTH)
+    plans = plan_by_beam([lost, one], SMOOTH)
     assert not plans.tracked[0].any() and plans.executable[1].all()
-    same(plans, 1, roadmap([one], SMOOTH), 0, 6)
-    assert not roadmap([lost], SMOOTH).tracked.any()
+    same(plans, 1, plan_by_beam([one], SMOOTH), 0, 6)
+    assert not plan_by_beam([lost], SMOOTH).tracked.any()
 
 
 def test_a_smooth_motion_has_next_to_nothing_left_to_gain():
@@ -141,13 +141,13 @@ def test_a_smooth_motion_has_next_to_nothing_left_to_gain():
         assert 0.95 * cost(smoothed(), s) < cost(again, s) <= cost(smoothed(), s)
 
 
-def test_where_nothing_is_in_the_way_it_is_the_shortest_path_over_the_targets():
+def test_where_nothing_is_in_collision_it_is_the_shortest_path_over_the_targets():
     """Shortest path over the targets where no obstacle is near, by a dense optimiser.
 
     A few targets of the approach, before the walls are near.
     """
     one, robot = first_of(scenario(2, (0.4, 0.0)), 8), made_once.robot()
-    plans = roadmap([one], SMOOTH)
+    plans = plan_by_beam([one], SMOOTH)
     shape = 8, 6
     path = lambda y: np.concatenate([one.x_start[None], y.reshape(shape)])  # noqa: E731
     on_target = {
@@ -171,7 +171,7 @@ def test_a_heavy_joint_moves_less():
     free = steps(smoothed(), 0)
     most = int((free**2).sum(axis=0).argmax())
     weights[most] = 30.0
-    plans = roadmap(poses()[0], replace(SMOOTH, path_weights=tuple(weights)))
+    plans = plan_by_beam(poses()[0], replace(SMOOTH, path_weights=tuple(weights)))
     heavy = steps(plans, 0)
     assert (plans.executable[0] == smoothed().executable[0][: plans.executable.shape[1]]).all()
     assert (heavy**2).sum(axis=0)[most] < 0.8 * (free**2).sum(axis=0)[most]
@@ -181,20 +181,20 @@ def test_a_heavy_joint_moves_less():
 
 def test_weights_of_another_arm_are_refused():
     with pytest.raises(InputError, match=r"path_weights has 2 values, the robot gp50 has 6 joints"):
-        roadmap(poses()[0], replace(SMOOTH, path_weights=(1.0, 1.0)))
+        plan_by_beam(poses()[0], replace(SMOOTH, path_weights=(1.0, 1.0)))
 
 
 def test_it_is_for_the_settings_to_say_and_for_the_method_to_wish():
     """Smoothing by the settings, else by the method's default.
 
-    The `roadmap` method is smoothed by default, the baseline is not; without path checks there are no motions to
+    The `beam` method is smoothed by default, the baseline is not; without path checks there are no motions to
     smooth.
     """
 
     def made(method, smooth, **more):
         return toy.planned(method=method, settings=replace(toy.SETTINGS, smooth=smooth), **more).x
 
-    for method, wishes in (("roadmap", True), ("baseline", False)):
+    for method, wishes in (("beam", True), ("baseline", False)):
         plain, smoothed = made(method, False), made(method, True)
         assert not np.array_equal(plain, smoothed)
         np.testing.assert_array_equal(made(method, None), smoothed if wishes else plain)

@@ -109,7 +109,7 @@ def test_printed_clearance_rows_are_read():
     ]
 
 
-def test_a_job_is_told_by_what_its_files_hold_and_not_by_where_they_are(tmp_path):
+def test_a_job_is_reported_by_what_its_files_hold_and_not_by_where_they_are(tmp_path):
     def job(folder, text, angle):
         file = tmp_path / folder / "job.yaml"
         file.parent.mkdir(exist_ok=True)
@@ -117,8 +117,8 @@ def test_a_job_is_told_by_what_its_files_hold_and_not_by_where_they_are(tmp_path
         file.write_text(f"workpiece: {{cloud: cloud.xyz, rotation_y_rad: {angle}}}\n")
         part = speed.part_of(file)
         assert part["cloud"] == str(file.parent / "cloud.xyz")
-        asked = argparse.Namespace(quick=True, warm=False, methods=None, device=None, changes=["margin_m=0"])
-        return speed.job_of(part, asked)
+        requested = argparse.Namespace(quick=True, warm=False, methods=None, device=None, changes=["margin_m=0"])
+        return speed.job_of(part, requested)
 
     first = job("a", "0 0 0", 0.4)
     assert first == job("b", "0 0 0", 0.4) and first.endswith(", --quick, margin_m=0")
@@ -151,7 +151,7 @@ def test_cases_on_gpus_need_some():
         cases(0, "clearance", "cross-gpu")
 
 
-def test_what_fails_in_a_checkout_is_told_by_its_last_line(tmp_path):
+def test_what_fails_in_a_checkout_is_reported_by_its_last_line(tmp_path):
     with pytest.raises(speed_cases.Broken, match=r"^no more$"):
         speed_cases.Checkout("here", tmp_path, {}).python("-c", "raise SystemExit('first\\nno more')")
 

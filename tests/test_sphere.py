@@ -108,9 +108,9 @@ def test_sqp_is_no_worse_than_slsqp_at_joint_limits():
         scene = made_once.Scene(dataclasses.replace(robot, lower=x - 0.07, upper=x + 0.07), obstacle)
         p = references.problem(k, SETTINGS, scene)
         best = compiled("sqp", SETTINGS)(scene, where, x)
-        room = (p.h - p.G @ np.asarray(best.w)).min()
-        assert room > -1e-9
-        active += room < 1e-6
+        free_radius = (p.h - p.G @ np.asarray(best.w)).min()
+        assert free_radius > -1e-9
+        active += free_radius < 1e-6
         gaps.append(p.merit(references.slsqp(p)) - float(best.value))
     assert active >= 10
     assert np.sum(np.array(gaps) > 1e-6) <= 1, gaps

@@ -59,9 +59,9 @@ def test_each_scenario_is_planned_as_it_would_be_alone_however_the_grid_is_cut(h
     cut = sweep("grid.yaml", ["baseline"], "cut", shard_scenarios=2)
     assert whole.complete and whole.methods == ("baseline", "keep-clear")
     assert cut.targets().equals(whole.targets("baseline")) and cut.scenarios().equals(whole.scenarios("baseline"))
-    asked = load_sweep("grid.yaml").batch()
+    requested = load_sweep("grid.yaml").batch()
     alone = batch.plan(
-        asked.robot, asked.workpiece, asked.scenarios, "baseline", load_sweep("grid.yaml").config.settings
+        requested.robot, requested.workpiece, requested.scenarios, "baseline", load_sweep("grid.yaml").config.settings
     )
     for name, value in whole.plans("baseline")._asdict().items():
         if isinstance(value, np.ndarray):
@@ -156,8 +156,8 @@ def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_
     words = ["sweep", "grid.yaml", "--methods", "baseline", "--out", "run"]
     assert main(words) == 0
     shown = capsys.readouterr()
-    told = "unfinished  hybrid: 3 of 3 scenarios left; run again with --methods hybrid to plan them"
-    assert shown.err == "" and told in shown.out and "baseline" in shown.out
+    reported = "unfinished  hybrid: 3 of 3 scenarios left; run again with --methods hybrid to plan them"
+    assert shown.err == "" and reported in shown.out and "baseline" in shown.out
     assert main([*words, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert (list(record["methods"]), record["unfinished"], record["complete"]) == (["baseline"], {"hybrid": 3}, False)
@@ -165,15 +165,15 @@ def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_
 
 
 def test_a_signal_stops_the_planner_in_the_middle_of_a_shard_and_leaves_nothing(here):
-    told = []
+    reported = []
 
     def interrupt(now):
-        told.append(now)
+        reported.append(now)
         os.kill(os.getpid(), signal.SIGTERM)
 
     with pytest.raises(Interrupted, match="stopped before anything was finished; nothing was written"):
         sweep("grid.yaml", "baseline", "run", progress=interrupt)
-    assert told[-1].targets_tracked < told[-1].targets and not (here / "run").exists()
+    assert reported[-1].targets_tracked < reported[-1].targets and not (here / "run").exists()
 
 
 def test_the_command_says_how_to_go_on_after_a_signal(here, capsys, monkeypatch):
@@ -215,9 +215,9 @@ def test_killed_at_any_write_a_sweep_continues_to_the_same_bytes(here, planned, 
 
 def test_progress_counts_what_was_kept(planned):
     sweep("grid.yaml", "baseline", "run", limit=2, shard_scenarios=2)
-    told = []
-    sweep("grid.yaml", "baseline", "run", progress=told.append)
-    assert told[0] == ("baseline", 2, 3, 26, 39) and told[-1] == ("baseline", 3, 3, 39, 39)
+    reported = []
+    sweep("grid.yaml", "baseline", "run", progress=reported.append)
+    assert reported[0] == ("baseline", 2, 3, 26, 39) and reported[-1] == ("baseline", 3, 3, 39, 39)
 
 
 def test_without_a_folder_the_results_live_as_long_as_the_run(planned):

@@ -140,7 +140,7 @@ def test_a_cluster_that_is_started_here_listens_to_this_machine_alone_and_requir
     assert seen == [("127.0.0.1", "token")]
 
 
-def test_a_device_beside_ray_and_gpus_that_this_machine_has_not_are_one_line(here, capsys, one_worker):
+def test_a_device_next_to_ray_and_gpus_that_this_machine_has_not_are_one_line(here, capsys, one_worker):
     """Errors for a device next to Ray and for missing GPUs: one line, and no waiting.
 
     GPUs belong to the workers; a Ray of this machine would wait for one that never comes.

@@ -32,7 +32,7 @@ def test_every_table_of_the_command_line_fits_80_columns(planned, tmp_path, monk
     monkeypatch.setenv("COLUMNS", "80")
     run = str(planned / "run")
     if command == "gate":
-        assert main(["gate", run, "--baseline", str(tmp_path / "base.yaml"), "--bless"]) == 0
+        assert main(["gate", run, "--baseline", str(tmp_path / "base.yaml"), "--update"]) == 0
         capsys.readouterr()
     words = {
         "sweep": ["sweep", str(planned / "grid.yaml"), "--methods", "baseline,cspace-sample", "--out", run],
@@ -72,7 +72,7 @@ def test_a_pipe_has_80_columns(monkeypatch, capsys):
     assert max(map(len, printed(WIDE, capsys))) <= 80
 
 
-def test_a_long_last_text_is_wrapped_beside_its_row(monkeypatch, capsys):
+def test_a_long_last_text_is_wrapped_next_to_its_row(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "60")
     rows = (("a", "word " * 30), ("b", "short"))
     lines = printed(Table("t", (Column("m", "method"), Column("s", "sentence")), rows), capsys)

@@ -98,7 +98,7 @@ def test_a_step_without_a_choice_that_breaks_a_limit_is_infeasible():
     assert jax.jit(solve_step)(qp).status == step_qp.QPStatus.INFEASIBLE
 
 
-def test_what_counts_is_clear_by_the_margin_and_on_the_target():
+def test_the_success_criterion_is_clear_by_the_margin_and_on_the_target():
     task = Task(tolerance_m=1e-3)
     clearance, residual = np.array([-1e-9, 0.0, 1e-9, 4e-4, 5e-4]), np.array([0.0, 1e-3, 1.001e-3, 0.0, 1e-3])
     np.testing.assert_array_equal(task.counts(clearance, 0.0, 0.0), [False, False, True, True, True])
@@ -132,7 +132,7 @@ def along(task: Task, xs: np.ndarray, number: int = 0) -> Scenario:
     return dataclasses.replace(given, targets=targets, count=np.asarray(len(targets), np.int32))
 
 
-def test_a_task_with_as_many_rows_as_joints_is_planned_and_says_where_there_is_no_null_space_to_escape_in():
+def test_a_task_with_as_many_rows_as_joints_is_planned_and_says_where_there_is_no_null_space_to_recover_in():
     task = dataclasses.replace(TASKS["as many rows as joints"], tolerance_m=1e-6)
     start = np.array(made_once.START)
     xs = start + np.linspace(0, 1, 4)[:, None] * np.array([0.02, 0.03, -0.02, 0.04, 0.03, 0.05])

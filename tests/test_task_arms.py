@@ -14,7 +14,7 @@ from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
 from htcp_jax.model.kinematics import link_poses, tcp_pose
 from htcp_jax.runs import open_plans
-from htcp_jax.validation import validate
+from htcp_jax.validation import validate_results
 
 ON_PATH = {"point": "tcp", "on": "path"}
 
@@ -53,7 +53,7 @@ def test_an_arm_is_given_a_task_of_any_number_of_equalities(job, rows, tmp_path)
     held = plan.plans
     assert plan.complete and held.executable.all()
     plan.save(tmp_path / "plan")
-    assert validate(tmp_path / "plan").validated
+    assert validate_results(tmp_path / "plan").validated
 
 
 def test_the_tcp_distance_is_the_position_alone_and_the_orientation_has_a_row_of_its_own(job, tmp_path):

@@ -70,9 +70,9 @@ def by_scipy(name: str, x) -> np.ndarray:
 def test_a_row_is_off_by_what_scipy_says_in_its_own_unit(name):
     task, goal = task_of(name, tolerance_m=1e-3, tolerance_rad=1e-3)  # with equal tolerances an angle is not scaled
     robot = made_once.robot()
-    error, room = (jax.jit(lambda x, f=f: f(task.value(robot, x), goal)) for f in (task.error, task.room))
+    error, slack = (jax.jit(lambda x, f=f: f(task.value(robot, x), goal)) for f in (task.error, task.slack))
     for x in made_once.configurations(robot, 10):
-        found = room(x) if task.bands else np.linalg.norm(error(x))
+        found = slack(x) if task.bands else np.linalg.norm(error(x))
         np.testing.assert_allclose(found, by_scipy(name, x)[0], atol=1e-9)
     assert task.rows + task.bands == len(np.atleast_1d(error(x))) + task.bands
 
@@ -82,7 +82,7 @@ def test_its_jacobian_is_that_of_jacfwd_and_of_differences(name):
     task, goal = task_of(name)
     robot = made_once.robot()
     linear = jax.jit(lambda x: task.linear_at(robot, x, goal))
-    both = jax.jit(lambda x: jnp.concatenate([-task.error(task.value(robot, x), goal), rooms(task, robot, x, goal)]))
+    both = jax.jit(lambda x: jnp.concatenate([-task.error(task.value(robot, x), goal), slacks(task, robot, x, goal)]))
     forward = jax.jit(jax.jacfwd(both))
     for x in made_once.configurations(robot, 6):
         found = np.concatenate([linear(x).jacobian, linear(x).gradient])
@@ -109,10 +109,10 @@ def test_the_least_turn_of_the_last_link_is_what_scipy_says_and_none_where_a_row
         np.testing.assert_allclose(found(jnp.asarray(x)), max(off, 0.0) if counts else 0.0, atol=1e-9)
 
 
-def rooms(task, robot, x, goal):
+def slacks(task, robot, x, goal):
     """Slack of every row, without the inner margin of a step, which depends on the goal alone."""
     linear = task.linear_at(robot, x, goal)
-    return linear.room
+    return linear.slack
 
 
 @pytest.mark.parametrize("name", PARTS)

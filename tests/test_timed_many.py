@@ -12,7 +12,7 @@ from small_cell import small_job
 from htcp_jax.cli import main
 from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
-from htcp_jax.trajectory.of_plan import program_of
+from htcp_jax.trajectory.plan_program import program_of
 
 SCENARIOS, MOST_BYTES = 1000, 4 * 2**30
 TIME_ALL = """

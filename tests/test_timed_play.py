@@ -13,13 +13,13 @@ from htcp_jax.cli import main
 from htcp_jax.model.kinematics import capsules_and_tcp
 from htcp_jax.runs import open_plans
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.of_plan import program_of
+from htcp_jax.trajectory.plan_program import program_of
 from htcp_jax.viewer import Studio
-from htcp_jax.viewer.course import ByTarget, ByTime
 from htcp_jax.viewer.movie import RATE
+from htcp_jax.viewer.plot_strip import PlotStrip
 from htcp_jax.viewer.replay import open_replays
-from htcp_jax.viewer.strip import Strip
 from htcp_jax.viewer.timed_play import Curves, arms_of, frame_times, played
+from htcp_jax.viewer.timeline import ByTarget, ByTime
 
 FEED, SIZE = "200mm/s", (320, 220)
 DARK, STEP_S = 90, 1e-5  # of a line's pixels; of a finite difference
@@ -52,8 +52,8 @@ def test_the_arm_in_each_frame_is_where_the_timed_curve_has_it_then(made, speed)
 
 
 def test_the_targets_are_come_to_when_the_tool_passes_them(made, folder):
-    passed = made.program.at_postures()
-    on_path = np.flatnonzero(passed.kind == Kind.FEED)
+    passed = made.program.at_configurations()
+    on_path = np.flatnonzero(passed.kind == Kind.PROCESS)
     for k in on_path.tolist():
         before, after = (played(made, passed.time_s[k : k + 1] + d).target[0] for d in (-0.01, 0.01))
         assert (before, after) == (passed.target[k] - 1, passed.target[k])
@@ -90,11 +90,11 @@ def test_what_is_plotted_is_how_fast_the_timed_curve_is(made):
 
 def test_the_line_in_the_strip_is_at_the_present_time_and_the_curves_are_beneath(made):
     times = frame_times(made.program.duration_s)
-    strip = Strip(made, played(made, times), 640)
+    strip = PlotStrip(made, played(made, times), 640)
     above, below = strip.figure.axes
     curves = Curves.of(made)
-    drawn = [line for line in above.lines if line.get_label() in ("approach", "feed", "retract")]
-    for line, kind in zip(drawn, (Kind.APPROACH, Kind.FEED, Kind.RETRACT), strict=True):
+    drawn = [line for line in above.lines if line.get_label() in ("approach", "process", "retract")]
+    for line, kind in zip(drawn, (Kind.APPROACH, Kind.PROCESS, Kind.RETRACT), strict=True):
         np.testing.assert_array_equal(line.get_ydata(), curves.tcp_mm_s[kind])
     drawn = {line.get_label(): line.get_ydata() for line in below.lines}
     assert all(np.array_equal(drawn[name], share) for name, share in curves.share_percent.items())
@@ -111,7 +111,7 @@ def test_the_line_in_the_strip_is_at_the_present_time_and_the_curves_are_beneath
 
 def test_the_picture_says_at_which_speed_it_is_shown(made):
     def words(speed: float) -> list[str]:
-        return [text.get_text() for text in Strip(made, played(made, np.zeros(1)), 320, speed).figure.texts]
+        return [text.get_text() for text in PlotStrip(made, played(made, np.zeros(1)), 320, speed).figure.texts]
 
     assert "in real time" in words(1.0) and "at 4 times real time" in words(4.0)
 
@@ -121,7 +121,7 @@ def test_the_film_is_the_scene_over_the_strip_and_sees_all_of_the_arm(made, fold
     play = played(made, frame_times(made.program.duration_s, 4.0))
     with Studio(replay, *SIZE, fine=False) as studio:
         alone = studio.film(arms_of(made, play))
-        film = alone.over(Strip(made, play, studio.width, 4.0).at)
+        film = alone.over(PlotStrip(made, play, studio.width, 4.0).at)
         first, last, scene = film[0], film[len(film) - 1], alone[0]
     np.testing.assert_array_equal(first[: SIZE[1]], scene)
     edges = np.concatenate([scene[0], scene[:, 0], scene[:, -1]]).astype(int)
@@ -164,26 +164,26 @@ def test_a_gif_takes_its_time_too_and_the_way_back_can_be_left_out(folder, scree
 
 
 def test_play_by_time_goes_on_with_the_clock_and_ends_with_the_program(made):
-    course = ByTime(made)
-    assert course.after(1.0, 0.25, 1.0) == 1.25 and course.after(1.0, 0.25, 4.0) == 2.0
-    assert course.after(1.0, 1e3, 1.0) == course.last and 0 <= course.last - made.program.duration_s <= 0.01
-    posture, said = course.look(1.234)
+    timeline = ByTime(made)
+    assert timeline.after(1.0, 0.25, 1.0) == 1.25 and timeline.after(1.0, 0.25, 4.0) == 2.0
+    assert timeline.after(1.0, 1e3, 1.0) == timeline.last and 0 <= timeline.last - made.program.duration_s <= 0.01
+    pose, said = timeline.look(1.234)
     now = played(made, np.array([1.234]))
-    np.testing.assert_array_equal(posture.arm.tcp, arms_of(made, now)[0].arm.tcp)
+    np.testing.assert_array_equal(pose.arm.tcp, arms_of(made, now)[0].arm.tcp)
     assert "1.23 s" in said and f"{1e3 * now.tcp_m_s[0]:.1f} mm/s" in said and Kind(now.kind[0]).words in said
 
 
-def test_play_by_targets_leaves_no_posture_out_and_stands_where_nothing_is_tracked(folder):
+def test_play_by_targets_leaves_no_configuration_out_and_stands_where_nothing_is_tracked(folder):
     replay = open_replays(folder.parent / "bad").replay(0, "baseline")
-    course = ByTarget(replay, "Not timed.")
-    places = [course.begin]
-    while places[-1] < course.last:
-        places.append(course.after(places[-1], 1e3, 40.0))
-    assert len(places) == len(course.passed) and places == sorted(set(places))
+    timeline = ByTarget(replay, "Not timed.")
+    places = [timeline.begin]
+    while places[-1] < timeline.last:
+        places.append(timeline.after(places[-1], 1e3, 40.0))
+    assert len(places) == len(timeline.passed) and places == sorted(set(places))
     for target in range(10):
-        posture, said = course.look(float(target))
-        assert course.on_slider(float(target)) == target == posture.target and said == "Not timed."
-        np.testing.assert_allclose(posture.arm.tcp, replay.tcp[target], atol=1e-12)
+        pose, said = timeline.look(float(target))
+        assert timeline.on_slider(float(target)) == target == pose.target and said == "Not timed."
+        np.testing.assert_allclose(pose.arm.tcp, replay.tcp[target], atol=1e-12)
 
 
 NO_FEED = "needs --feed: it belongs to a timed motion"

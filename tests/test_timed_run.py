@@ -18,8 +18,8 @@ from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.runs.timing_file import COLUMNS, timing_file
 from htcp_jax.trajectory import time_run, whole_run
-from htcp_jax.trajectory.figures import figures
-from htcp_jax.trajectory.of_plan import program_of
+from htcp_jax.trajectory.figures import program_figures
+from htcp_jax.trajectory.plan_program import program_of
 
 WELD = "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n0.195,-0.1739,0.1703\n"
 METHOD, LOST = "baseline", 3  # the scenario that has no motion
@@ -73,8 +73,8 @@ def test_the_columns_are_the_figures_of_the_single_programs(timed):
             assert row["feed_m_s"] == 0.02 and not any(row[name] is not None for name in COLUMNS[1:])
             continue
         made = program_of(plans, 0.02, METHOD, number)
-        found = figures(made.program, made.limits)
-        assert row["cycle_time_s"] == found.duration_s and row["path_time_s"] == found.seconds["feed"]
+        found = program_figures(made.program, made.limits)
+        assert row["cycle_time_s"] == found.duration_s and row["path_time_s"] == found.seconds["process"]
         assert row["feed_held_share"] == found.held_share and row["feed_reached_m_s"] == found.reached_m_s
         for share in found.path_shares:
             assert (row[f"{share.limit}_share"], row[f"{share.limit}_joint"]) == (share.share, share.joint)
@@ -101,8 +101,10 @@ def test_a_sweep_with_a_feed_leaves_the_same_file_as_timing_it_afterwards(timed,
     assert (record["feed_m_s"], record["timed"], record["scenarios"]) == (0.02, 3, 4)
     assert record["cycle_median_s"] == pytest.approx(np.median([r["cycle_time_s"] for r in rows(timed)[:LOST]]))
     assert main([*words[:-1], "--feed", "30mm/s"]) == 0
-    told = capsys.readouterr().out
-    assert "Timed at 30 mm/s; limits: velocity by the model, full speed in 0.2 s" in told and "cycle time" in told
+    reported = capsys.readouterr().out
+    assert (
+        "Timed at 30 mm/s; limits: velocity by the model, full speed in 0.2 s" in reported and "cycle time" in reported
+    )
 
 
 @pytest.mark.slow
@@ -176,7 +178,7 @@ def test_the_report_has_a_table_charts_and_columns(timed):
 @pytest.fixture(scope="module")
 def baseline(timed, tmp_path_factory):
     file = tmp_path_factory.mktemp("baseline") / "baseline.yaml"
-    assert main(["gate", str(timed), "--baseline", str(file), "--bless"]) == 0
+    assert main(["gate", str(timed), "--baseline", str(file), "--update"]) == 0
     return file
 
 

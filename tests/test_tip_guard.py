@@ -8,7 +8,7 @@ import pytest
 import stranger_jobs
 import trimesh
 
-from htcp_jax.clearance.obstacles.tip_guard import TipGuard, Triangles, make_tip_guard
+from htcp_jax.clearance.obstacles.tip_guard import TipGuard, WallTriangles, make_tip_guard
 from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of, workpiece_of
@@ -53,7 +53,7 @@ def test_what_passes_through_a_mesh_is_found_and_nothing_else(shape):
     length = np.linalg.norm(q - p, axis=1, keepdims=True)
     end = p + (q - p) * np.maximum(1 - 0.01 / length, 0)
     expected = [through(mesh, a, b) for a, b in zip(p, end, strict=True)]
-    found = TipGuard(Triangles(np.asarray(mesh.triangles)), 0.01).passes(p, q)
+    found = TipGuard(WallTriangles(np.asarray(mesh.triangles)), 0.01).passes(p, q)
     assert found.tolist() == expected and 50 < sum(expected) < 500
 
 
@@ -61,12 +61,12 @@ def test_an_edge_between_two_triangles_is_no_way_through():
     square = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]], float)
     s = np.linspace(0.01, 0.99, 97)
     p, q = (np.column_stack([s, s, np.full(97, z)]) for z in (-0.05, 0.05))
-    assert TipGuard(Triangles(square), 0.0).passes(p, q).all()
+    assert TipGuard(WallTriangles(square), 0.0).passes(p, q).all()
 
 
 def test_the_end_may_touch_as_far_as_the_key_says():
     wall = np.array([[[-1, -1, 0], [1, -1, 0], [0, 1, 0]]], float)
-    guard = TipGuard(Triangles(wall), 0.01)
+    guard = TipGuard(WallTriangles(wall), 0.01)
     p = np.tile([0.0, 0.0, 0.05], (3, 1))
     assert guard.passes(p, np.array([[0, 0, -0.009], [0, 0, -0.011], [0, 0, 0.051]])).tolist() == [False, True, False]
     assert not guard.passes(p, p).any() and guard.passes(p[:0], p[:0]).shape == (0,)
@@ -78,7 +78,7 @@ def test_the_discs_of_a_cloud_are_a_wall_too():
     cloud = np.asarray(trimesh.sample.sample_surface(mesh, 20_000, seed=1)[0])
     part = Workpiece("cloud", cloud, cloud[:1], interior="none", tip_contact_m=0.01)
     p, q = tips(mesh, 2000)
-    truth = TipGuard(Triangles(np.asarray(mesh.triangles)), 0.01).passes(p, q)
+    truth = TipGuard(WallTriangles(np.asarray(mesh.triangles)), 0.01).passes(p, q)
     found = make_tip_guard(part).passes(p, q)
     assert (truth & ~found).sum() <= 0.01 * truth.sum() and (found & ~truth).sum() <= 0.05 * (~truth).sum()
 

@@ -14,7 +14,7 @@ from htcp_jax.model import Robot, Tool
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.robot import GP50, lengthen_tool
 from htcp_jax.model.tool import ZERO, ToolBody, pose
-from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_arm import MujocoArm
 
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "arm.xml"
 SPINDLE = ToolBody("spindle", (0.0, 0.0, 0.05), (0.01, 0.0, 0.22), 0.008)
@@ -40,9 +40,9 @@ FLANGED = """
 """
 
 
-def assert_same(arm: Arm, robot: Robot) -> None:
+def assert_same(arm: MujocoArm, robot: Robot) -> None:
     x = np.random.default_rng(3).uniform(-1, 1, (10, len(robot.joint_names)))
-    found = arm.postures(x)
+    found = arm.arm_poses(x)
     order = [arm.names.index(name) for name in robot.capsule_names]
     for k, row in enumerate(jnp.asarray(x)):
         p, q = map(np.asarray, capsule_segments(robot, row))
@@ -57,7 +57,7 @@ def assert_same(arm: Arm, robot: Robot) -> None:
 @pytest.mark.parametrize("path", [GP50, PIPE], ids=["gp50", "pipe"])
 def test_mujoco_and_the_planner_see_the_same_tool_and_base(path, tool, extension):
     cell = {"base_m": (0.3, -0.2, 0.5), "base_rpy_rad": (0.2, 0.5, -1.1), "tool": TOOLS[tool]}
-    assert_same(Arm(path, extension, **cell), lengthen_tool(load_robot(path, **cell), extension))
+    assert_same(MujocoArm(path, extension, **cell), lengthen_tool(load_robot(path, **cell), extension))
 
 
 def test_a_cell_in_the_job_is_the_cell_written_into_the_model(tmp_path):
@@ -76,9 +76,9 @@ def test_a_cell_in_the_job_is_the_cell_written_into_the_model(tmp_path):
         "tool": Tool((0.01, 0.02, 0.25), tuple(np.radians([10.0, -20.0, 40.0]).tolist()), (SPINDLE, BALL)),
     }
     whole = load_robot(tmp_path / "whole.xml")
-    assert_same(Arm(tmp_path / "bare.xml", tcp="tool0", **cell), whole)
+    assert_same(MujocoArm(tmp_path / "bare.xml", tcp="tool0", **cell), whole)
     said = load_robot(tmp_path / "bare.xml", tcp_site="tool0", **cell)
-    assert_same(Arm(tmp_path / "whole.xml"), said)
+    assert_same(MujocoArm(tmp_path / "whole.xml"), said)
     z = np.asarray(whole.T_link_tcp)[:3, 2]
     np.testing.assert_allclose(np.asarray(said.T_link_tcp)[:3, 2], z, atol=1e-15)
 

@@ -19,7 +19,7 @@ from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Workpiece
-from htcp_jax.model.kinematics import reach, tcp_position
+from htcp_jax.model.kinematics import max_reach, tcp_position
 from htcp_jax.model.scenario import make_scenario
 
 UNITS = {"millimetres": 1e3, "inches": 1 / 0.0254, "centimetres": 1e2, "kilometres": 1e-3}
@@ -37,7 +37,7 @@ def box(part=1.0, path=1.0, at=(0.0, 0.0, 0.0)) -> Workpiece:
 
 def check(part: Workpiece) -> None:
     units.check_extent(gp50(), part.cloud, part.path, part.name)
-    units.check_path(part.cloud, part.path, part.name)
+    units.check_path_unit(part.cloud, part.path, part.name)
 
 
 def refusal(part: Workpiece) -> str:
@@ -151,24 +151,24 @@ def sliding():
 
 
 @pytest.mark.parametrize("robot", [gp50(), gp50("datasheet"), sliding()])
-def test_no_posture_reaches_beyond_the_reach(robot):
+def test_no_configuration_reaches_beyond_the_reach(robot):
     x = np.random.default_rng(0).uniform(robot.lower, robot.upper, (2000, 6))
     tcp = jax.vmap(tcp_position, in_axes=(None, 0))(robot, jnp.asarray(x))
     far = np.linalg.norm(np.asarray(tcp) - np.asarray(robot.T_parent_joint)[0, :3, 3], axis=1)
-    assert 0.8 * reach(robot) < far.max() <= reach(robot)
+    assert 0.8 * max_reach(robot) < far.max() <= max_reach(robot)
 
 
 def test_a_rail_adds_its_travel_to_the_reach_of_the_targets():
     arm, part = sliding(), box(at=(40.0, 0.0, 0.0))
-    assert reach(arm) == pytest.approx(reach(gp50()) + 3.0)
-    with pytest.raises(InputError, match=f"reaches {reach(arm):.3f} m at most"):
+    assert max_reach(arm) == pytest.approx(max_reach(gp50()) + 3.0)
+    with pytest.raises(InputError, match=f"reaches {max_reach(arm):.3f} m at most"):
         make_scenario(arm, part, np.zeros(6))
     endless = dataclasses.replace(arm, upper=arm.upper.at[0].set(np.inf))
     assert make_scenario(endless, part, np.zeros(6)).count == 52
 
 
 @pytest.mark.parametrize(
-    "change, told",
+    "change, reported",
     [
         ({"robot.tool_extension_m": 60}, "m, and the TCP lies 60.6 m beyond"),
         ({"robot.tool": {"tip_m": [0, 30, 270], "bodies": []}}, "and the TCP lies 2"),
@@ -176,7 +176,7 @@ def test_a_rail_adds_its_travel_to_the_reach_of_the_targets():
         ({"robot.base_m": [0.1, 0.2]}, "robot.base_m is [0.1, 0.2]: 3 values or more are needed"),
     ],
 )
-def test_a_tool_in_millimetres_and_a_base_in_degrees_are_refused(change, told):
+def test_a_tool_in_millimetres_and_a_base_in_degrees_are_refused(change, reported):
     """Tool in millimetres, base in degrees: refused (regression: planned with a TCP 270 m from the flange)."""
-    with pytest.raises(InputError, match=re.escape(told)):
+    with pytest.raises(InputError, match=re.escape(reported)):
         scene(load_config(None, change))

@@ -30,8 +30,8 @@ from htcp_jax.report.validation import notes, read_validation, validated, verdic
 from htcp_jax.runs import open_run
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.sweep import sweep
-from htcp_jax.validation import STEP_RAD, validate
-from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation import STEP_RAD, validate_results
+from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.records import data_of
 
@@ -49,7 +49,7 @@ def scene(extension_m: float, rotation_y_rad: float, points: int = POINTS) -> Ch
     part = load_workpiece(GeneratedDuct(points=points))
     T = part.T_world(rotation_y_rad, 0.1)
     wall = Wall(np.asarray(part.cloud), "hull")
-    return CheckedScene(Arm(GP50, extension_m, "simulation"), wall, T[:3, :3], T[:3, 3], part.interior_depth_m)
+    return CheckedScene(MujocoArm(GP50, extension_m, "simulation"), wall, T[:3, :3], T[:3, 3], part.interior_depth_m)
 
 
 def clearance(where: CheckedScene, x: np.ndarray) -> float:
@@ -93,8 +93,10 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
     checked, paths, touching = (
         sum(check[name] for check in found["methods"].values()) for name in ("checked", "paths", "paths_touching")
     )
-    told = f"Validated: MuJoCo refutes none of {checked} tracked targets; {touching} of the {paths} joint paths between"
-    assert "## Validation" in text and told in text
+    reported = (
+        f"Validated: MuJoCo refutes none of {checked} tracked targets; {touching} of the {paths} joint paths between"
+    )
+    assert "## Validation" in text and reported in text
 
 
 def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monkeypatch, capsys):
@@ -119,7 +121,7 @@ def test_the_cover_of_a_mesh_is_not_subtracted_from_distances_to_the_cell(tmp_pa
         f'<mujoco><worldbody><geom type="box" size="1 1 .01" pos="0 0 {top - 0.01}"/></worldbody></mujoco>'
     )
     sweep({"grid": [{"cell.model": [str(table)]}]}, ["baseline"], run, config=job)
-    found = validate(run, between=0).methods["baseline"]
+    found = validate_results(run, between=0).methods["baseline"]
     np.testing.assert_allclose([found.clearance_min_mm, found.clearance_less_cover_min_mm], 1.0, atol=1e-3)
 
 
@@ -168,27 +170,27 @@ def test_a_damaged_validation_is_named(run):
 
 
 def test_between_two_targets_no_joint_turns_far_from_one_look_to_the_next(planned, monkeypatch):
-    ways, between = [], CheckedScene.between
+    segments, between = [], CheckedScene.between
 
     def recorded(self, x, a, known, below):
-        ways.extend(x[a == one] for one in np.unique(a))
+        segments.extend(x[a == one] for one in np.unique(a))
         return between(self, x, a, known, below)
 
     monkeypatch.setattr(CheckedScene, "between", recorded)
-    validate(planned / "run", between=3)
-    furthest = max(abs(np.diff(way, axis=0)).max() for way in ways)
-    assert 0.8 * STEP_RAD < furthest <= STEP_RAD * (1 + 1e-9) and min(map(len, ways)) == 2
+    validate_results(planned / "run", between=3)
+    furthest = max(abs(np.diff(segment_status, axis=0)).max() for segment_status in segments)
+    assert 0.8 * STEP_RAD < furthest <= STEP_RAD * (1 + 1e-9) and min(map(len, segments)) == 2
 
 
 def test_the_tip_passes_through_the_discs_that_the_planner_places_in_its_own_way():
     part = load_workpiece(tip_contact_m=0.01)
     where = scene(0.0, 0.4)
     nominal, rng = np.array([0.0, -2.3, 0.5, 0.0, 0.5, -2.0]), np.random.default_rng(0)
-    postures = where.arm.postures(nominal + rng.uniform(-0.05, 0.05, (1000, 6)))
-    where.translate = postures.tcp[0] - where.rotate @ part.cloud[0]  # the wall lies at the TCP
-    ends = (where.local(end) for end in (where.arm.tip_start(postures), postures.tcp))
+    arm_poses = where.arm.arm_poses(nominal + rng.uniform(-0.05, 0.05, (1000, 6)))
+    where.translate = arm_poses.tcp[0] - where.rotate @ part.cloud[0]  # the wall lies at the TCP
+    ends = (where.local(end) for end in (where.arm.tip_start(arm_poses), arm_poses.tcp))
     expected = make_tip_guard(part).passes(*ends)
-    assert where.tip_goes_through(postures, 0.01).tolist() == expected.tolist() and 100 < expected.sum() < 900
+    assert where.tip_goes_through(arm_poses, 0.01).tolist() == expected.tolist() and 100 < expected.sum() < 900
 
 
 @pytest.mark.parametrize("seam", SEAMS)
@@ -211,7 +213,7 @@ def test_a_configuration_5_mm_in_the_wall_is_refuted_and_named(run, capsys):
     x = into_the_wall(scene(LONGER, 0.5), plans.x[3, target], 5e-3)
     spoil(run, 3, target, **{f"joint{j + 1}_rad": float(value) for j, value in enumerate(x)})
     assert main(["validate", str(run), "--between", "0"]) == 1
-    label = f"tilt y 0.5 rad, tool {LONGER} m"
+    label = f"rotation y 0.5 rad, tool {LONGER} m"
     assert f"baseline, scenario 3 ({label}), target {target}: " in capsys.readouterr().out
     found = json.loads((run / VALIDATION).read_text())
     (refuted,) = found["refuted"]
@@ -221,7 +223,7 @@ def test_a_configuration_5_mm_in_the_wall_is_refuted_and_named(run, capsys):
 def test_a_recorded_clearance_that_is_1_mm_off_is_refuted(run):
     recorded = open_run(run).plans("baseline").clearance[1, 7]
     spoil(run, 1, 7, clearance_m=float(recorded + 1e-3))
-    found = validate(run, between=0)
+    found = validate_results(run, between=0)
     (refuted,) = found.refuted
     assert (refuted.scenario, refuted.target) == (1, 7) and f"{1e3 * recorded + 1:.3f} mm on record" in refuted.reason
     assert found.methods["baseline"].clearance_off_max_mm == pytest.approx(1.0)
@@ -231,7 +233,7 @@ def test_a_joint_beyond_its_limits_and_a_configuration_that_is_not_there_are_ref
     x = open_run(run).plans("baseline").x[0, 3]
     spoil(run, 0, 3, joint6_rad=float(x[5] - 2 * np.pi))
     spoil(run, 2, 4, joint1_rad=None)
-    reasons = {(one.scenario, one.target): one.reason for one in validate(run).refuted}
+    reasons = {(one.scenario, one.target): one.reason for one in validate_results(run).refuted}
     assert set(reasons) == {(0, 3), (2, 4)}
     assert "joint6 is outside its limits" in reasons[0, 3] and reasons[2, 4] == "no configuration on record"
 
@@ -239,12 +241,12 @@ def test_a_joint_beyond_its_limits_and_a_configuration_that_is_not_there_are_ref
 def test_a_longer_tool_is_the_planner_s():
     x = np.random.default_rng(1).uniform(-3, 3, (20, 6))
     for extension in (0.0, 0.05, -0.02):
-        _assert_same_postures(Arm(GP50, extension), lengthen_tool(gp50(), extension), x)
+        _assert_same_configurations(MujocoArm(GP50, extension), lengthen_tool(gp50(), extension), x)
 
 
-def _assert_same_postures(arm: Arm, robot: Robot, x: np.ndarray) -> None:
+def _assert_same_configurations(arm: MujocoArm, robot: Robot, x: np.ndarray) -> None:
     """Check both readings of the arm; MuJoCo has the ends of an axis in either order."""
-    at = arm.postures(x)
+    at = arm.arm_poses(x)
     p, q = jax.vmap(capsule_segments, (None, 0))(robot, jnp.asarray(x))
     np.testing.assert_allclose(at.tcp, jax.vmap(tcp_position, (None, 0))(robot, jnp.asarray(x)), atol=1e-12)
     np.testing.assert_allclose(at.p + at.q, p + q, atol=1e-12)
@@ -271,9 +273,9 @@ def test_models_of_one_s_own_are_read_as_the_planner_reads_them(tmp_path):
     file = tmp_path / "own.xml"
     file.write_text(OWN)
     robot, x = load_robot(file, limits="simulation"), np.random.default_rng(4).uniform(-1, 1, (20, 3))
-    arm = Arm(file, 0.1, "simulation")
+    arm = MujocoArm(file, 0.1, "simulation")
     np.testing.assert_array_equal([arm.lower, arm.upper, arm.speed], [robot.lower, robot.upper, robot.speed])
-    _assert_same_postures(arm, lengthen_tool(robot, 0.1), x)
+    _assert_same_configurations(arm, lengthen_tool(robot, 0.1), x)
 
 
 def test_no_point_is_left_out_that_could_be_the_nearest(planned):
@@ -295,9 +297,9 @@ def test_between_two_configurations_nothing_below_the_bound_is_missed(planned):
     where = scene(0.0, 0.4, points=2000)
     ends = inside(planned, 0.02, 12)
     steps = np.arange(1, 10) / 10
-    way = (ends[:-1, None] + steps[None, :, None] * np.diff(ends, axis=0)[:, None]).reshape(-1, 6)
-    _, found = where.between(way, np.repeat(np.arange(11), 9), where.at(ends), 0.005)
-    each = where.at(way).clearance
+    segment_status = (ends[:-1, None] + steps[None, :, None] * np.diff(ends, axis=0)[:, None]).reshape(-1, 6)
+    _, found = where.between(segment_status, np.repeat(np.arange(11), 9), where.at(ends), 0.005)
+    each = where.at(segment_status).clearance
     assert (each < 0).any() and (each > 0.005).any()
     np.testing.assert_allclose(found, np.where(each <= 0.005, each, np.inf), atol=1e-12)
 
@@ -316,7 +318,7 @@ ROUND = """
 """
 
 
-def test_round_numbers_in_a_model_are_cut_into_the_same_pieces_in_every_posture(tmp_path):
+def test_round_numbers_in_a_model_are_cut_into_the_same_pieces_in_every_configuration(tmp_path):
     """Samples of an axis in a model with round numbers: the same count in every configuration.
 
     Axes of 4, 10 and 6 radii. If computed from poses, rounding decided between n and n + 1 samples (regression).
@@ -324,13 +326,13 @@ def test_round_numbers_in_a_model_are_cut_into_the_same_pieces_in_every_posture(
     file = tmp_path / "round.xml"
     file.write_text(ROUND)
     cloud = np.random.default_rng(0).uniform(-1, 1, (500, 3))
-    where = CheckedScene(Arm(file), Wall(cloud, "none"), np.eye(3), np.zeros(3), 0.2)
-    ways = np.random.default_rng(1).uniform(-3, 3, (40, 3))
-    counts = {where.at(x[None]).samples.shape[1] for x in ways}
+    where = CheckedScene(MujocoArm(file), Wall(cloud, "none"), np.eye(3), np.zeros(3), 0.2)
+    segments = np.random.default_rng(1).uniform(-3, 3, (40, 3))
+    counts = {where.at(x[None]).samples.shape[1] for x in segments}
     assert counts == {4 + 2 + 10 + 2 + 6 + 2}
-    known = where.at(ways)
+    known = where.at(segments)
     for k in range(39):
-        _, found = where.between(ways[k : k + 1] * (1 + 1e-9), np.array([k]), known, 1.0)
+        _, found = where.between(segments[k : k + 1] * (1 + 1e-9), np.array([k]), known, 1.0)
         assert found[0] == pytest.approx(known.clearance[k], abs=1e-6)
 
 
@@ -343,7 +345,9 @@ def test_the_documented_job_validates(tmp_path):
 
 
 def test_joint_speeds_are_in_proportion_to_the_feed_rate(planned):
-    slow, fast = (validate(planned / "run", between=0, feed_mm_s=feed).methods["baseline"] for feed in (10.0, 30.0))
+    slow, fast = (
+        validate_results(planned / "run", between=0, feed_mm_s=feed).methods["baseline"] for feed in (10.0, 30.0)
+    )
     assert fast.speed_ratio_max == pytest.approx(3 * slow.speed_ratio_max) and slow.paths_touching is None
 
 
@@ -392,6 +396,6 @@ def test_a_path_that_has_changed_since_is_bad_input(planned, run, monkeypatch, c
 def test_without_a_column_of_joint_speeds_the_notes_say_why():
     """Notes on missing joint speeds: the reason is named (regression)."""
     method = {"paths": 3, "speed_ratio_max": None}
-    told = {"between": 0, "feed_mm_s": 10.0, "methods": {"baseline": method}}
-    assert notes(told) == ["There are no joint speeds, because the model states no limits."]
-    assert "feed rate of 10 mm/s" in notes(told | {"methods": {"baseline": method | {"speed_ratio_max": 0.5}}})[0]
+    reported = {"between": 0, "feed_mm_s": 10.0, "methods": {"baseline": method}}
+    assert notes(reported) == ["There are no joint speeds, because the model states no limits."]
+    assert "feed rate of 10 mm/s" in notes(reported | {"methods": {"baseline": method | {"speed_ratio_max": 0.5}}})[0]

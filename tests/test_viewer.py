@@ -28,13 +28,13 @@ from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import capsules_and_tcp
 from htcp_jax.process_exit import INTERRUPTED
-from htcp_jax.status import Way
-from htcp_jax.trajectory.of_plan import program_of_plans
+from htcp_jax.status import SegmentStatus
+from htcp_jax.trajectory.plan_program import program_of_plans
 from htcp_jax.viewer.colours import FAILED
-from htcp_jax.viewer.playback import way
+from htcp_jax.viewer.playback import poses_along
 from htcp_jax.viewer.replay import Replays
-from htcp_jax.viewer.sides import View
 from htcp_jax.viewer.timed_play import Curves
+from htcp_jax.viewer.viewpoints import View
 from htcp_jax.viewer.workcell import GivenCell, Workcell
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
@@ -44,7 +44,7 @@ import websockets.sync.client
 import websockets.sync.server
 
 from htcp_jax.viewer import Viewer, access
-from htcp_jax.viewer.browser_looks import grazing
+from htcp_jax.viewer.browser_display import grazing
 from htcp_jax.viewer.browser_scene import lit, side_by_side, turned_to
 
 
@@ -63,7 +63,7 @@ def replays(tmp_path_factory) -> Replays:
     plans = {
         "baseline": made_plans(plan.scenario.targets, STATUSES[::-1]),  # scenario 1 fails
         "hybrid": made_plans(plan.scenario.targets, [STATUSES[1], STATUSES[1]]),
-        "roadmap": with_a_dwell(made_plans(plan.scenario.targets, [STATUSES[1], STATUSES[1]])),
+        "beam": with_a_dwell(made_plans(plan.scenario.targets, [STATUSES[1], STATUSES[1]])),
     }
     cell = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
     return Replays("two", tuple(plans), plans.__getitem__, cell)
@@ -138,7 +138,7 @@ def test_the_slider_moves_the_arm_in_the_browser(page, viewer, replays):
     replay = replays.replay(1, "baseline")
     np.testing.assert_allclose(viewer.stage.arm_positions[:8], (replay.p[6] + replay.q[6]) / 2, atol=1e-6)
     assert np.abs(viewer.stage.arm_positions - start).max() > 0.1
-    page.get_by_text("tracked after an escape.").wait_for()
+    page.get_by_text("tracked after a recovery.").wait_for()
     clearance = f"{1e3 * replay.clearance[6]:.4g} mm"
     page.get_by_text(clearance, exact=True).wait_for()
     assert viewer.stage._label.text == f"{clearance} at target 6"
@@ -160,15 +160,15 @@ def test_the_pickers_show_failed_scenarios_first_and_other_methods(page, viewer)
 
 def test_the_picker_names_scenarios_by_what_sets_them_apart(replays):
     """Scenarios in the picker, named by the parameters that vary (regression)."""
-    labels = {0: "tilt y 0.2 rad", 1: "tilt y 0.4 rad"}
+    labels = {0: "rotation y 0.2 rad", 1: "rotation y 0.4 rad"}
     named = Replays("two", replays.methods, replays.plans, replays._cells, labels)
     viewer = Viewer(named, port=0)
     names = list(viewer._names("baseline"))
     viewer.stop()
-    assert names == ["1: failed at 8 of 10; tilt y 0.4 rad", "0: all 10 tracked; tilt y 0.2 rad"]
+    assert names == ["1: failed at 8 of 10; rotation y 0.4 rad", "0: all 10 tracked; rotation y 0.2 rad"]
 
 
-def test_at_the_failed_target_the_body_in_the_way_is_red_and_named(viewer, replays):
+def test_at_the_failed_target_the_body_in_collision_is_red_and_named(viewer, replays):
     """Colliding body at the failed target: red and named (regression)."""
     replay = replays.replay(*viewer.shown)
     body = replay.robot.capsule_names.index(replay.obstruction.body)
@@ -193,20 +193,20 @@ def test_play_stops_at_the_last_target_that_is_tracked(page, viewer, replays):
     until(lambda: play.locator("svg").inner_html() == icon)
 
 
-def test_play_passes_the_postures_between_targets(page, viewer):
+def test_play_passes_the_configurations_between_targets(page, viewer):
     """Playback through a dwell: the arm is shown between targets, and the dwell is marked at target 4."""
     seen_at: list[np.ndarray] = []
     move = viewer.stage.move
     viewer.stage.move = lambda arm: (seen_at.append(arm.tcp), move(arm))
     page.get_by_role("combobox").nth(0).click()
-    page.get_by_role("option", name="roadmap").click()
-    until(lambda: viewer.shown == (1, "roadmap"))
-    told = " ".join(getattr(node, "text", "") for node in viewer.stage._marks)
-    assert "dwell at 4" in told and "tightest, on the way to target 5: at least 0.2 mm proven" in told
+    page.get_by_role("option", name="beam").click()
+    until(lambda: viewer.shown == (1, "beam"))
+    reported = " ".join(getattr(node, "text", "") for node in viewer.stage._marks)
+    assert "dwell at 4" in reported and "tightest, on the segment to target 5: at least 0.2 mm proven" in reported
     page.get_by_role("button", name="Play").click()
     until(lambda: viewer.target == 6)
-    replay = viewer._replays.replay(1, "roadmap")
-    turning = [posture.arm.tcp for posture in way(replay) if posture.dwells]
+    replay = viewer._replays.replay(1, "beam")
+    turning = [pose.arm.tcp for pose in poses_along(replay) if pose.dwells]
     assert turning and all(np.abs(np.array(seen_at) - tcp).max(axis=1).min() < 1e-12 for tcp in turning)
 
 
@@ -277,14 +277,14 @@ def test_dwells_side_by_side_share_a_label():
     assert side_by_side(()) == [] and side_by_side((3, 5, 9, 30, 40, 41)) == [[3, 5, 9], [30], [40, 41]]
 
 
-def test_the_facts_of_a_target_tell_of_the_way_there(replays):
-    viewer = Viewer(replays, port=0, scenario=0, method="roadmap")
+def test_the_facts_of_a_target_tell_of_the_segment_there(replays):
+    viewer = Viewer(replays, port=0, scenario=0, method="beam")
     viewer.go_to(4)
-    assert "The arm changes its posture here." in viewer._facts.content
+    assert "The arm changes its configuration here." in viewer._facts.content
     viewer.go_to(5)
     assert "proven: 0.2 mm clear at least. It is the tightest of the proof." in viewer._facts.content
     viewer.go_to(7)
-    assert Way.UNKNOWN.message in viewer._facts.content
+    assert SegmentStatus.NOT_CHECKED.message in viewer._facts.content
     viewer.stop()
 
 
@@ -398,15 +398,15 @@ def test_the_page_does_not_take_another_server_from_its_address(browser, viewer)
 
     A link to the viewer's page that names a foreign server would let that server write the page.
     """
-    asked = threading.Event()
-    with websockets.sync.server.serve(lambda _: asked.set(), "127.0.0.1", 0) as other:
+    requested = threading.Event()
+    with websockets.sync.server.serve(lambda _: requested.set(), "127.0.0.1", 0) as other:
         threading.Thread(target=other.serve_forever, daemon=True).start()
         page = browser.new_page()
         with page.expect_console_message(lambda message: "is not connected" in message.text):
             page.goto(f"{viewer.address}/?websocket=ws://127.0.0.1:{other.socket.getsockname()[1]}")
         page.close()
         other.shutdown()
-    assert not asked.is_set()
+    assert not requested.is_set()
 
 
 def ask(address: str, **headers: str) -> int:
@@ -526,7 +526,7 @@ def test_a_port_in_use_is_refused_and_not_replaced_by_another(folder, viewer, ca
 
 
 @pytest.mark.slow
-def test_the_command_serves_a_job_that_it_plans_until_it_is_told_to_stop(tmp_path):
+def test_the_command_serves_a_job_that_it_plans_until_it_is_reported_to_stop(tmp_path):
     (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
     (tmp_path / "job.yaml").write_text("workpiece: {path: path.csv}\nmethod: baseline\n")
     command = [sys.executable, "-m", "htcp_jax", "view", "job.yaml", "--port", "0"]
@@ -560,7 +560,7 @@ def test_capsules_are_turned_to_their_axes():
 
 
 @pytest.mark.parametrize("gap", [[0, 0, 1e-5], [0, 1e-5, 0], [0, -1, 1e-9], [1, 1, 1], [0, 0, 0]])
-def test_the_smallest_distance_is_looked_at_from_beside(gap):
+def test_the_smallest_distance_is_looked_at_from_the_side(gap):
     gap, side = np.array(gap, float), View(np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), np.array([0, 1.0, 0]))
     direction = grazing(gap, side)
     assert np.isclose(np.linalg.norm(direction), 1) and abs(direction @ gap) <= 1e-12 * max(1, np.linalg.norm(gap))

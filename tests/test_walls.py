@@ -26,7 +26,7 @@ from htcp_jax.planning.registry import names
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import read_plan
 from htcp_jax.validation.mesh_clearance import axis_distances, goes_through
-from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, wall_of
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.scene_rules import turned_and_moved
@@ -50,7 +50,7 @@ def sampled_distances(robot: Robot, part: Workpiece, where: Scenario, x: np.ndar
     return np.min(each, axis=0).reshape(200, -1).min(axis=0) - np.asarray(robot.capsule_radius)
 
 
-def on_the_way(robot: Robot, part: Workpiece, where: Scenario, a: np.ndarray, b: np.ndarray) -> tuple[float, bool]:
+def on_segment(robot: Robot, part: Workpiece, where: Scenario, a: np.ndarray, b: np.ndarray) -> tuple[float, bool]:
     """Minimum distance to the triangles along a joint path, and True if the bare tip goes through one.
 
     At 200 configurations; the last 10 mm of the tip may pass.
@@ -65,8 +65,8 @@ def on_the_way(robot: Robot, part: Workpiece, where: Scenario, a: np.ndarray, b:
     distance = axis_distances(p[pairs], q[pairs], np.tile(part.triangles, (len(p), 1, 1)))
     radius = np.tile(np.asarray(robot.capsule_radius), len(x))[pairs]
     tip = in_the_part(_TIPS(robot, x))
-    way = tip[:, 1] - tip[:, 0]
-    end = tip[:, 1] - 0.01 * way / np.linalg.norm(way, axis=1, keepdims=True)
+    segment_status = tip[:, 1] - tip[:, 0]
+    end = tip[:, 1] - 0.01 * segment_status / np.linalg.norm(segment_status, axis=1, keepdims=True)
     pairs = np.repeat(np.arange(len(tip)), len(part.triangles))
     through = goes_through(tip[pairs, 0], end[pairs], np.tile(part.triangles, (len(tip), 1, 1)))
     return float((distance - radius).min()), bool(through.any())
@@ -126,7 +126,7 @@ def test_validation_measures_the_triangles(car, tmp_path):
     robot, part, where = car
     job = load_config(stranger_jobs.car_job(tmp_path))
     walls = wall_of(job.workpiece, data_of(part))
-    arm = Arm(Path(job.robot.model), 0.0, "model")
+    arm = MujocoArm(Path(job.robot.model), 0.0, "model")
     T = where.T_world_workpiece
     beside = CheckedScene(arm, walls, T[:3, :3], T[:3, 3], job.workpiece.interior_depth_m)
     np.testing.assert_allclose([*beside.along, beside.interior_from], where.interior_plane, atol=1e-9)
@@ -137,9 +137,9 @@ def test_validation_measures_the_triangles(car, tmp_path):
         truth = sampled_distances(robot, part, where, row).min()
         if not (found.outside[k] > 0).any():
             assert truth - 2e-3 < found.clearance[k] <= truth + 1e-9 or found.clearance[k] < truth < 0
-    tip = beside.tip_goes_through(found.postures, 0.0)
-    first = arm.tip_start(found.postures)
-    assert np.allclose(np.linalg.norm(first - found.postures.tcp, axis=1), 0.038) and tip.shape == (10,)
+    tip = beside.tip_goes_through(found.arm_poses, 0.0)
+    first = arm.tip_start(found.arm_poses)
+    assert np.allclose(np.linalg.norm(first - found.arm_poses.tcp, axis=1), 0.038) and tip.shape == (10,)
 
 
 def test_an_axis_and_a_triangle_are_measured_exactly():
@@ -182,7 +182,7 @@ def test_a_cloud_says_its_gap_and_warns_where_a_body_fits_through(tmp_path):
 
 def test_the_interior_is_looked_for_along_the_inlet_and_says_when_it_is_off(tmp_path):
     """Direction of the interior: along the inlet; and the reason if the rule is off (regression)."""
-    told, makers = {}, {"box": stranger_jobs.box_job, "tub": stranger_jobs.tub_job}
+    reported, makers = {}, {"box": stranger_jobs.box_job, "tub": stranger_jobs.tub_job}
     laid_down = [f"workpiece.rotation_y_rad={-np.pi / 2}", "workpiece.pivot_m=[0.8, 0, 0.4]"]
     changes = {"": [], " laid down": laid_down, " no inlet": ["workpiece.inlet_m=null"]}
     for name, make in makers.items():
@@ -190,13 +190,13 @@ def test_the_interior_is_looked_for_along_the_inlet_and_says_when_it_is_off(tmp_
             job = load_config(make(tmp_path / name), [*more, "workpiece.mesh_spacing_m=0.015"])
             robot, part = robot_of(job.robot), workpiece_of(job.workpiece, robot_of(job.robot))
             where = scenario_of(job, robot, part)
-            told[name + key] = interior_rule(part, where), where.interior_plane
-    rule, plane = told["box"]
+            reported[name + key] = interior_rule(part, where), where.interior_plane
+    rule, plane = reported["box"]
     assert rule == "convex hull, 0.2 m deep along (1, 0, 0)" and plane.tolist() == pytest.approx([1, 0, 0, 0.8])
-    rule, plane = told["tub laid down"]
+    rule, plane = reported["tub laid down"]
     assert rule == "convex hull, 0.2 m deep along (0, 0, -1)" and plane.tolist() == pytest.approx([1, 0, 0, 1.0])
-    assert told["tub"][0] == "off: the robot stands beyond the inlet" and told["tub"][1][3] == np.inf
-    assert told["box no inlet"][0] == told["tub no inlet"][0] == "off: no inlet"
+    assert reported["tub"][0] == "off: the robot stands beyond the inlet" and reported["tub"][1][3] == np.inf
+    assert reported["box no inlet"][0] == reported["tub no inlet"][0] == "off: no inlet"
 
 
 def test_an_inlet_direction_turns_with_the_part(tmp_path):
@@ -231,6 +231,6 @@ def test_no_plan_through_a_wall_is_called_tracked(tmp_path, name, method):
     x = np.concatenate([[where.x_start], arrays["x"][tracked]])
     for before, after, recorded in zip(x[:-1], x[1:], arrays["clearance"][tracked], strict=True):
         assert 5e-4 <= recorded <= sampled_distances(robot, part, where, after).min() + 1e-9
-        nearest, through = on_the_way(robot, part, where, before, after)
+        nearest, through = on_segment(robot, part, where, before, after)
         assert nearest > 0 and not through
     assert main(["validate", str(out), "--between", "0"]) == 0

@@ -32,8 +32,8 @@ TARGETS = 10  # of the path
 SHELF_M = 0.36  # height above the floor; the path is 6 cm lower
 # A narrow beam and few samples: the search is as short as it can be.
 SETTINGS = Settings(
-    q_weights=(1.0,) * 4, front=6, thin_front=6, walks=6, walk_rounds=2, samples=8, sample_steps=20, population=8,
-    generations=5,
+    q_weights=(1.0,) * 4, beam_width=6, min_beam_width=6, self_motions=6, self_motion_rounds=2, samples=8,
+    sample_steps=20, population=8, generations=5,
 )  # fmt: skip
 
 
@@ -78,7 +78,7 @@ def scenarios() -> tuple[Scenario, ...]:
     )
 
 
-def planned(of=None, method: str = "roadmap", settings: Settings = SETTINGS, **choices) -> Plans:
+def planned(of=None, method: str = "beam", settings: Settings = SETTINGS, **choices) -> Plans:
     """Plans of scenarios, by default of all."""
     return plan(robot(), workpiece(), scenarios() if of is None else of, method, settings, **choices)
 
@@ -91,4 +91,4 @@ def same(one: Plans, row: int, other: Plans, other_row: int, count: int) -> None
             here, there = here[:count], there[:count]
         np.testing.assert_array_equal(here, there, err_msg=name)
     for t in range(count):
-        np.testing.assert_array_equal(one.knots.on_the_way(row, t), other.knots.on_the_way(other_row, t))
+        np.testing.assert_array_equal(one.via_points.on_segment(row, t), other.via_points.on_segment(other_row, t))

@@ -1,12 +1,12 @@
-from .obstacles.obstacle import Obstacle, Obstacles, Posed, in_workpiece, rows_of
+from .obstacles.obstacle import HasWorkpiecePose, Obstacle, Obstacles, in_workpiece, rows_of
 from .obstacles.obstacles import ClearanceRows, clearance, clearances, contacts, is_clear, nearest_to
 from .obstacles.scene import Scene, own_scene
 
 __all__ = [
     "ClearanceRows",
+    "HasWorkpiecePose",
     "Obstacle",
     "Obstacles",
-    "Posed",
     "Scene",
     "clearance",
     "clearances",

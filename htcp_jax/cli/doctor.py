@@ -24,11 +24,11 @@ def doctor(as_json: Json = False) -> int:
     if as_json:
         print_json(found)
     else:
-        _print(found)
+        _print_verdict(found)
     return SOUND if found["sound"] else UNSOUND
 
 
-def _print(found: dict) -> None:
+def _print_verdict(found: dict) -> None:
     cache, cores, test = found["cache"], found["cores"], found["self_test"]
     versions = ", ".join(f"{name} {version or '(not installed)'}" for name, version in found["versions"].items())
     kept = "none; every start compiles anew"

@@ -57,7 +57,7 @@ def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> 
         raise InputError(f"a folder to write to is missing: htcp example {name} DIR")
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"{folder} is not empty; an example is written to a new or an empty folder")
-    files = sorted(examples.files_of(known[name]))
+    files = sorted(examples.files_with_baseline(known[name]))
     root = os.path.commonpath([file.parent for file in files])
     with plan_folder.written_whole(folder) as scratch:
         for file in files:

@@ -16,15 +16,15 @@ from htcp_jax.report import Column, Table
 from htcp_jax.report import gate as gates
 from htcp_jax.runs import labels, manifest, open_run, plan_folder
 from htcp_jax.validation import Baseline, read_baseline
-from htcp_jax.validation import bless as write_baseline
 from htcp_jax.validation import gate as regression
+from htcp_jax.validation import update_baseline as write_baseline
 
 PASSED, REGRESSION = 0, 1
 LISTED, INDENT = 20, 12  # scenarios, and columns for a name, on the terminal
 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp sweep.")]
 File = Annotated[Path, typer.Option(metavar="FILE", help="Baseline file.")]
-Bless = Annotated[bool, typer.Option("--bless", help="Update the baseline: write RUN into FILE.")]
+Update = Annotated[bool, typer.Option("--update", help="Update the baseline: write RUN into FILE.")]
 Junit = Annotated[
     Path | None, typer.Option("--junit", metavar="FILE", help="Write JUnit XML, one test case per method and check.")
 ]
@@ -64,7 +64,7 @@ TIMES = (
 def gate(
     run: RunFolder,
     baseline: File,
-    bless: Bless = False,
+    update: Update = False,
     junit_file: Junit = None,
     markdown_file: Markdown = None,
     as_json: Json = False,
@@ -80,14 +80,14 @@ def gate(
     \b
     Examples:
       htcp sweep sweeps/seams-part --methods baseline,nspace-sqp
-      htcp gate out/seams-part --baseline mine.yaml --bless    update the baseline
+      htcp gate out/seams-part --baseline mine.yaml --update    update the baseline
       htcp gate out/seams-part --baseline mine.yaml            compare a later run
       htcp gate out/seams-part --baseline mine.yaml --junit gate.xml --markdown gate.md    for CI
     """
     files = [file for file in (junit_file, markdown_file) if file]
-    if bless:
+    if update:
         if files:
-            raise InputError(f"--bless compares nothing, so {files[0]} would be empty; omit one of them")
+            raise InputError(f"--update compares nothing, so {files[0]} would be empty; omit one of them")
         with progress_bar("plans", time_left=True) as progress:
             write_baseline(open_run(run), baseline, progress)
         print_json({"baseline": str(baseline)}) if as_json else print(f"{run} is the baseline now: {baseline}")
@@ -99,30 +99,30 @@ def gate(
     with ExitStack() as reserved:
         for file in files:
             reserved.enter_context(plan_folder.writable_file(file))
-        verdict = _judge(run, known)
+        verdict = _compare_with(run, known)
         if junit_file:
             plan_folder.write_text(junit_file, gates.junit(verdict))
         if markdown_file:
-            plan_folder.append_text(markdown_file, gates.summary(verdict))
-    print_json(_record(verdict)) if as_json else _print(verdict)
+            plan_folder.append_text(markdown_file, gates.gate_summary(verdict))
+    print_json(_comparison_record(verdict)) if as_json else _print_comparison(verdict)
     if os.environ.get("GITHUB_ACTIONS") == "true":
         for line in gates.annotations(verdict):
             print(line, file=sys.stderr if as_json else sys.stdout)
     return PASSED if verdict.passed else REGRESSION
 
 
-def _judge(folder: Path, baseline: Baseline) -> regression.Verdict:
+def _compare_with(folder: Path, baseline: Baseline) -> regression.GateVerdict:
     try:
         run = open_run(folder)
     except InputError as error:
         if not (folder / manifest.MANIFEST).exists():
             raise
-        return regression.unreadable(baseline, str(error))
+        return regression.unreadable_run(baseline, str(error))
     with progress_bar("plans", time_left=True) as progress:
-        return regression.judge(run, baseline, progress)
+        return regression.compare(run, baseline, progress)
 
 
-def _record(verdict: regression.Verdict) -> dict:
+def _comparison_record(verdict: regression.GateVerdict) -> dict:
     changed = [one._asdict() | {"target": one.target, "reason": one.reason} for one in verdict.changed]
     changed = [one | {"was": one["was"]._asdict(), "now": one["now"]._asdict()} for one in changed]
     rows = [row._asdict() for row in verdict.rows]
@@ -132,7 +132,7 @@ def _record(verdict: regression.Verdict) -> dict:
     return verdict._asdict() | now
 
 
-def _print(verdict: regression.Verdict) -> None:
+def _print_comparison(verdict: regression.GateVerdict) -> None:
     console = stdout()
     console.print(Text(verdict.sweep, style="bold"))
     for name, origin in gates.named_origins(verdict):

@@ -64,21 +64,21 @@ def _imported(name: str):
     return typer.main.get_command(alone)
 
 
-def _listed() -> None:
+def _placeholder() -> None:
     """Do nothing; placeholder of a command that is not imported yet."""
 
 
 HELP = {"help_option_names": ["-h", "--help"]}  # commands inherit them
 app = typer.Typer(cls=Commands, rich_markup_mode=None, pretty_exceptions_enable=False, context_settings=HELP)
 for _name, _line in COMMANDS.items():
-    app.command(_name, short_help=_line)(_listed)
+    app.command(_name, short_help=_line)(_placeholder)
 
 
-def _show_version(asked: bool) -> bool:
-    if asked:
+def _show_version(requested: bool) -> bool:
+    if requested:
         print(f"htcp {importlib.metadata.version('htcp_jax')}")
         raise typer.Exit
-    return asked
+    return requested
 
 
 @app.callback()
@@ -137,9 +137,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()  # here, where a full disk can still be reported
         return code
     except InputError as error:
-        return _refuse(str(error))
+        return _print_refusal(str(error))
     except typer.TyperException as error:
-        return _refuse(error.format_message())
+        return _print_refusal(error.format_message())
     except Lost as lost:
         _print_line(str(lost))
         return LOST
@@ -153,7 +153,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if error.filename is None and error.errno not in FULL:
             raise
         _forget_stdout()
-        return _refuse(_said_by_the_system(error))
+        return _print_refusal(_said_by_the_system(error))
 
 
 def _run(words: list[str]) -> int:
@@ -196,7 +196,7 @@ def _warn(message: Warning, *_) -> None:
     _print_line(f"{kind}: {message}")
 
 
-def _refuse(reason: str) -> int:
+def _print_refusal(reason: str) -> int:
     _print_line(" ".join(reason.split()))
     return BAD_INPUT
 

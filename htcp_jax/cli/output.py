@@ -174,10 +174,10 @@ def _folded(table: Table, most: int) -> Iterator[Table]:
     for group in _groups(table):
         wide = sum(GAP + _needed(table, k) for k in group)
         if taken[1:] and used + wide > most:
-            yield _part(table, taken)
+            yield _columns_part(table, taken)
             taken, used = [0], _needed(table, 0)
         taken, used = taken + group, used + wide
-    yield _part(table, taken)
+    yield _columns_part(table, taken)
 
 
 def _groups(table: Table) -> list[list[int]]:
@@ -188,7 +188,7 @@ def _groups(table: Table) -> list[list[int]]:
     return groups
 
 
-def _part(table: Table, chosen: list[int]) -> Table:
+def _columns_part(table: Table, chosen: list[int]) -> Table:
     rows = tuple(tuple(row[k] for k in chosen) for row in table.rows)
     return table._replace(columns=tuple(table.columns[k] for k in chosen), rows=rows)
 

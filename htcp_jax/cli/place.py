@@ -12,7 +12,7 @@ from rich.text import Text
 
 from htcp_jax.cli.output import Device, Json, claim, print_facts, print_json, print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.placement import Placed, PlaceProgress, mounting, tolerance
+from htcp_jax.placement import PlacementResult, PlaceProgress, mounting, tolerance
 from htcp_jax.placement import place as search_places
 from htcp_jax.report import Column, Table, draw_search
 from htcp_jax.runs import sweep as sweeps
@@ -82,7 +82,7 @@ def place(
     if as_json:
         print_json(found.record())
     else:
-        _print(found)
+        _print_mountings(found)
     return 0 if found.mountings else NONE_FOUND
 
 
@@ -98,7 +98,7 @@ def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
 
         def show(now: PlaceProgress) -> None:
             if not (said or tasks):
-                print(_most(now.most), flush=True)
+                print(_stage_maxima(now.most), flush=True)
             if now.stage not in tasks:
                 for task in bars.tasks:
                     bars.update(task.id, total=task.completed)  # marks it as finished
@@ -111,7 +111,7 @@ def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
         yield show
 
 
-def _most(most: dict[str, int | None]) -> str:
+def _stage_maxima(most: dict[str, int | None]) -> str:
     """Message with the largest number of plans, in total and by stage."""
     searched, *others = most.values()
     first = "those of the search, as many as its time allows, and " if searched is None else ""
@@ -119,11 +119,11 @@ def _most(most: dict[str, int | None]) -> str:
     return f"up to {first}{(searched or 0) + sum(others):,} plans: {parts}"
 
 
-def _print(found: Placed) -> None:
+def _print_mountings(found: PlacementResult) -> None:
     search, console = found.search, stdout()
-    off = search.file.off
+    perturbation = search.file.perturbation
     facts = {
-        "evaluated": f"{sum(len(each.values) for each in found.judged):,} mountings by {search.file.screen}",
+        "evaluated": f"{sum(len(each.values) for each in found.scores):,} mountings by {search.file.screen}",
         "complete": f"{found.complete:,} of them",
         **_seams(found),
         "confirmed": f"{len(found.mountings)} as proven motions by {search.file.confirm}",
@@ -131,11 +131,12 @@ def _print(found: Placed) -> None:
     print_facts(search.name, facts)
     console.print()
     if found.mountings:
-        print_table(console, _table(found))
+        print_table(console, _mountings_table(found))
         console.print()
         text = (
             f"Margin: the clearance that a mounting is planned with; its job file, {found.jobs[0][0]} and on, has it. "
-            f"Perturbed: the minimum if every parameter changes by up to {off.mm:g} mm and {off.deg:g}°. Tolerates: up "
+            f"Perturbed: the minimum if every parameter changes by up to {perturbation.mm:g} mm and "
+            f"{perturbation.deg:g}°. Tolerates: up "
             f"to this, every motion tried could be completed with a margin of {1e3 * search.job.margin_m:g} mm."
         )
         console.print(Text(text, style="dim"))
@@ -144,7 +145,7 @@ def _print(found: Placed) -> None:
     console.print(Text.assemble(("files  ", "cyan"), str(found.folder)))
 
 
-def _seams(found: Placed) -> dict[str, str]:
+def _seams(found: PlacementResult) -> dict[str, str]:
     """Number of mountings that complete each seam, and the seams that the best mounting fails."""
     seams = found.seams()
     if len(seams) == 1:
@@ -157,8 +158,8 @@ def _seams(found: Placed) -> dict[str, str]:
     return facts
 
 
-def _table(found: Placed) -> Table:
-    axes, aims = found.search.ranges.axes, found.search.file.spare
+def _mountings_table(found: PlacementResult) -> Table:
+    axes, aims = found.search.ranges.axes, found.search.file.objective
     columns = [Column("rank", "rank", "", "d")]
     columns += [Column(axis.name, axis.name.rpartition(".")[2] if axis.element is None else _short(axis.name),
                        axis.unit[0], ".4g") for axis in axes]  # fmt: skip
@@ -172,7 +173,7 @@ def _table(found: Placed) -> Table:
         (
             number,
             *(value * axis.unit[1] for axis, value in zip(axes, one.values.tolist(), strict=True)),
-            *(_told(name, v) for name, a, b in zip(aims, one.spare, one.worst, strict=True) for v in (a, b)),
+            *(_shown_value(name, v) for name, a, b in zip(aims, one.objective, one.worst, strict=True) for v in (a, b)),
             1e3 * one.margin_m,
             _tolerated(found, one),
         )
@@ -185,14 +186,14 @@ def _short(name: str) -> str:
     return ".".join(name.split(".")[1:])
 
 
-def _told(aim: str, value: float) -> float:
-    return mounting.UNITS[aim][1] * float(value) if math.isfinite(value) else math.nan
+def _shown_value(objective_name: str, value: float) -> float:
+    return mounting.UNITS[objective_name][1] * float(value) if math.isfinite(value) else math.nan
 
 
-def _tolerated(found: Placed, one) -> str:
+def _tolerated(found: PlacementResult, one) -> str:
     if one.tolerance is None:
         return f"{100 * one.held:.0f} % of the perturbed mountings are complete" if one.held < 1 else ""
-    off = found.search.file.off
+    perturbation = found.search.file.perturbation
     if not one.tolerance.together:
-        return f"less than {tolerance.LEVELS[0] * off.mm:g} mm and {tolerance.LEVELS[0] * off.deg:g}°"
-    return f"{one.tolerance.together * off.mm:g} mm and {one.tolerance.together * off.deg:g}°"
+        return f"less than {tolerance.LEVELS[0] * perturbation.mm:g} mm and {tolerance.LEVELS[0] * perturbation.deg:g}°"
+    return f"{one.tolerance.together * perturbation.mm:g} mm and {one.tolerance.together * perturbation.deg:g}°"

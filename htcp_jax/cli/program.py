@@ -13,16 +13,16 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import feed as feeds
+from htcp_jax.jobs import feed as on_process
 from htcp_jax.report import Column, Table
 from htcp_jax.runs import open_plans, open_run, plan_folder, timing_file
-from htcp_jax.trajectory import FORMATS, Load, OfPlan, figures, format_of, of_plan
+from htcp_jax.trajectory import FORMATS, PeakTorque, PlanProgram, figures, format_of, plan_program
 from htcp_jax.validation import check_timed
 
 REFUTED, OVERLOADED = 1, 3  # exit codes
 STOP = "stop"  # reason of a feed drop to 0
 CHECKED = (
-    "{refuted} of {postures:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
+    "{refuted} of {configurations:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
     "maximum path deviation {off_max_mm:.3g} mm"
 )
 COLUMNS = (
@@ -80,7 +80,7 @@ def program(
       htcp plan
       htcp program out/plan --feed 20mm/s --out weld.csv
       htcp program out/plan --feed 20mm/s --format ros --out weld.yaml
-      htcp sweep sweeps/workpiece --methods roadmap
+      htcp sweep sweeps/workpiece --methods beam
       htcp program out/workpiece --scenario 17 --feed 1.2m/min --out pose.csv --set program.full_speed_s=0.4
       htcp program out/workpiece --all --feed 20mm/s
     """
@@ -97,32 +97,36 @@ def program(
     format, scenario = format or "csv", scenario or 0
     format_of(format)
     if feed is not None:
-        feeds.feed_of(feed)  # before anything is opened
-    found, step_s = open_plans(run), _seconds(step_ms)
-    feed_m_s = of_plan.asked_feed(feed, of_plan.with_program(found.config, overrides or ()))
-    made = of_plan.program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())
-    load = made.load
-    text, found = made.text(format, out.stem, step_s), figures.figures(made.program, made.limits)
+        on_process.feed_of(feed)  # before anything is opened
+    found, step_s = open_plans(run), _step_seconds(step_ms)
+    feed_m_s = plan_program.requested_feed(feed, plan_program.with_program(found.config, overrides or ()))
+    made = plan_program.program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())
+    peak_torque = made.peak_torque
+    text, found = made.text(format, out.stem, step_s), figures.program_figures(made.program, made.limits)
     with plan_folder.made_folder(out.parent):
         plan_folder.write_text(out, text)
-    checked = _check(run, made, scenario) if check else {}
-    if overloaded := load is not None and load.share > 1:
-        warnings.warn(f"torque is {_torque(load)}; --allow-effort accepts that", stacklevel=1)
-    dips, code = _table(found), REFUTED if checked.get("refuted") else 0
+    checked = _check_motion(run, made, scenario) if check else {}
+    if overloaded := peak_torque is not None and peak_torque.share > 1:
+        warnings.warn(f"torque is {_torque(peak_torque)}; --allow-effort accepts that", stacklevel=1)
+    drops, code = _drop_table(found), REFUTED if checked.get("refuted") else 0
     if overloaded and not allow_effort:
         code = code or OVERLOADED
     if as_json:
-        record = {**found._asdict(), "dips": dips.records(), "shares": _shares(found.shares)}
-        record["path_shares"] = _shares(found.path_shares)
-        record["load"] = load and load._asdict()
+        record = {**found._asdict(), "feed_drops": drops.records(), "shares": _share_record(found.shares)}
+        record["path_shares"] = _share_record(found.path_shares)
+        record["peak_torque"] = peak_torque and peak_torque._asdict()
         print_json({**record, "check": checked or None, "file": str(out)})
         return code
-    facts = _facts(found) | {"torque": _torque(load)} | ({"by MuJoCo": CHECKED.format(**checked)} if checked else {})
+    facts = (
+        _program_facts(found)
+        | {"torque": _torque(peak_torque)}
+        | ({"by MuJoCo": CHECKED.format(**checked)} if checked else {})
+    )
     print_facts(f"{made.robot.name}: {format}", facts | {"file": str(out)})
-    if found.dips:
+    if found.drops:
         stdout().print()
-        print_table(stdout(), dips)
-        if any(dip.reason == STOP for dip in found.dips):
+        print_table(stdout(), drops)
+        if any(drop.reason == STOP for drop in found.drops):
             stdout().print(Text(f"{STOP}: the arm starts or stops there, as at both ends of the path.", style="dim"))
     return code
 
@@ -143,37 +147,42 @@ def _time_all(folder: Path, feed: str | None, method: str | None, overrides: Seq
     return 0
 
 
-def _check(run: Path, made: OfPlan, scenario: int) -> dict[str, int | float]:
+def _check_motion(run: Path, made: PlanProgram, scenario: int) -> dict[str, int | float]:
     timed = made.program.timed()
-    with progress_bar("postures") as progress:
+    with progress_bar("configurations") as progress:
         found = check_timed(run, timed, made.method, scenario, progress=progress)
     lengths = {"clearance_min_mm": 1e3 * found.clearance_min_m, "off_max_mm": 1e3 * found.off_max_m}
-    return {"postures": len(timed.x), "refuted": found.refuted, **lengths}
+    return {"configurations": len(timed.x), "refuted": found.refuted, **lengths}
 
 
-def _seconds(step_ms: float | None) -> float | None:
+def _step_seconds(step_ms: float | None) -> float | None:
     if step_ms is not None and not 0.1 <= step_ms <= 1000:
         raise InputError(f"--step-ms is {step_ms}; from 0.1 to 1000 are possible")
     return None if step_ms is None else 1e-3 * step_ms
 
 
-def _table(found: figures.Figures) -> Table:
-    rows = [(1e3 * dip.begin_m, 1e3 * dip.end_m, 1e3 * dip.feed_m_s, dip.reason) for dip in found.dips]
-    return Table("dips", COLUMNS, tuple(rows))
+def _drop_table(found: figures.ProgramFigures) -> Table:
+    rows = [(1e3 * drop.begin_m, 1e3 * drop.end_m, 1e3 * drop.feed_m_s, drop.reason) for drop in found.drops]
+    return Table("feed_drops", COLUMNS, tuple(rows))
 
 
-def _shares(found: list[figures.Share]) -> dict[str, dict]:
+def _share_record(found: list[figures.Share]) -> dict[str, dict]:
     return {each.limit: {"share": each.share, "joint": each.joint, "time_s": each.time_s} for each in found}
 
 
-def _torque(load: Load | None) -> str:
-    if load is None:
+def _torque(peak_torque: PeakTorque | None) -> str:
+    if peak_torque is None:
         return "not known: the arm's model states no inertias"
-    at = f"{abs(load.torque):.4g} N m (N where it slides) at most, {load.joint} at {load.time_s:.2f} s"
-    return f"{100 * load.share:.1f} % of the effort limit, {at}" if load.share else f"{at}; no effort limit"
+    at = (
+        f"{abs(peak_torque.torque):.4g} N m (N where it slides) at most, {peak_torque.joint} at "
+        f"{peak_torque.time_s:.2f} s"
+    )
+    return (
+        f"{100 * peak_torque.share:.1f} % of the effort limit, {at}" if peak_torque.share else f"{at}; no effort limit"
+    )
 
 
-def _facts(found: figures.Figures) -> dict[str, str]:
+def _program_facts(found: figures.ProgramFigures) -> dict[str, str]:
     parts = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in found.seconds.items())
     held = f"held within 1 % over {100 * found.held_share:.2f} % of {1e3 * found.path_m:.1f} mm"
     if found.reason is not None:

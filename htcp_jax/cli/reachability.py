@@ -26,7 +26,14 @@ from htcp_jax.device import tables
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs import grid
 from htcp_jax.model import Scenario
-from htcp_jax.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, Stopped, nothing_found, reachable_prefixes
+from htcp_jax.reachability import (
+    PROOF_CELLS,
+    RESOLUTION_RAD,
+    Reachability,
+    SearchStopped,
+    nothing_found,
+    reachable_prefixes,
+)
 from htcp_jax.runs import Run, manifest, open_run, plan_folder, reachability_file
 
 Resolution = Annotated[
@@ -76,15 +83,15 @@ def reachability(
             "proof_cells": proof_cells,
             "seed": spec.config.settings.seed,
             "targets": int(batch.scenarios.count.sum()),
-            "beaten_by": {} if run is None else _beaten(run, batch, found),
+            "beaten_by": {} if run is None else _beaten_scenarios(run, batch, found),
         }
 
     try:
         with plan_folder.written_whole(out) as folder:
-            found = _search(batch, resolution, proof_cells)
+            found = _search_parts(batch, resolution, proof_cells)
             record = record_of(found)
             plan_folder.write_json(folder / reachability_file.REACHABILITY, record)
-    except Stopped as stop:
+    except SearchStopped as stop:
         if not stop.found.prefix.any() or (out / reachability_file.REACHABILITY).exists():
             raise
         with plan_folder.written_whole(out) as folder:
@@ -97,11 +104,11 @@ def reachability(
     if as_json:
         print_json(record)
     else:
-        _print(spec.name, batch, found, record, out)
+        _print_bounds(spec.name, batch, found, record, out)
     return 0
 
 
-def _search(batch: grid.Batch, resolution_rad: float, proof_cells: int) -> Reachability:
+def _search_parts(batch: grid.Batch, resolution_rad: float, proof_cells: int) -> Reachability:
     with progress_bars() as bars:
         parts = []
         for number, cell in enumerate(batch.cells):
@@ -119,10 +126,10 @@ def _search(batch: grid.Batch, resolution_rad: float, proof_cells: int) -> Reach
                     proof_cells=proof_cells,
                     progress=lambda row, rows, task=task: bars.update(task, completed=row, total=rows),
                 )
-            except Stopped as stop:
+            except SearchStopped as stop:
                 left = np.flatnonzero(batch.cell > number)
                 later = nothing_found(jax.tree.map(itemgetter(left), batch.scenarios))
-                raise Stopped(_in_order([*parts, (rows, stop.found), (left, later)])) from None
+                raise SearchStopped(_in_order([*parts, (rows, stop.found), (left, later)])) from None
             parts.append((rows, found))
     return _in_order(parts)
 
@@ -132,14 +139,14 @@ def _in_order(parts: Sequence[tuple[np.ndarray, Reachability]]) -> Reachability:
     return tables.gather(tables.concatenate([found for _, found in parts]), order)
 
 
-def _resolution(batch: grid.Batch, found: Reachability, asked_rad: float) -> float | None:
+def _resolution(batch: grid.Batch, found: Reachability, requested_rad: float) -> float | None:
     """Coarsest angular resolution of the search [rad]; None if a task does not hold the TCP."""
     if not all(cell.task.holds_tcp for cell in batch.cells):
         return None
-    return max(asked_rad, float(found.resolution_rad.max()))
+    return max(requested_rad, float(found.resolution_rad.max()))
 
 
-def _beaten(run: Run, batch: grid.Batch, found: Reachability) -> dict[str, list[int]]:
+def _beaten_scenarios(run: Run, batch: grid.Batch, found: Reachability) -> dict[str, list[int]]:
     """Return the scenarios in which a method of the run got further, by method.
 
     Raises:
@@ -169,7 +176,7 @@ def _away(scenarios: Scenario, targets: np.ndarray) -> np.ndarray:
     return np.where(left[..., None], 0.0, np.abs(targets - scenarios.targets))
 
 
-def _print(name: str, batch: grid.Batch, found: Reachability, record: dict, out: Path) -> None:
+def _print_bounds(name: str, batch: grid.Batch, found: Reachability, record: dict, out: Path) -> None:
     targets, reachable, most = record["targets"], int(found.prefix.sum()), int(found.most.sum())
     complete = int((found.prefix == batch.scenarios.count).sum())
     rows = {

@@ -11,8 +11,8 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
 from htcp_jax.runs import open_plans, plan_folder
-from htcp_jax.trajectory import OfPlan, of_plan
-from htcp_jax.viewer import Studio, offscreen, strip, timed_play
+from htcp_jax.trajectory import PlanProgram, plan_program
+from htcp_jax.viewer import Studio, offscreen, plot_strip, timed_play
 from htcp_jax.viewer import movie as movies
 from htcp_jax.viewer import replay as recordings
 
@@ -109,7 +109,7 @@ def render(
     shown = max(replay.tracked - 1, 0) if target is None else target
     made = None
     if feed_m_s is not None:
-        made = of_plan.program_of(
+        made = plan_program.program_of(
             found, feed_m_s, replay.method, scenario, retract=not one_way, overrides=overrides or ()
         )
     files = _files(out, movie, f"scenario-{scenario}-{replay.method}")
@@ -119,10 +119,10 @@ def render(
                 Image.fromarray(studio.still(shown)).save(folder / files.picture, optimize=True)
         if files.movie:
             half = 2 * (width // 4)
-            with Studio(replay, half, _height(half), close, fine=False) as studio, progress_bar("frames") as told:
+            with Studio(replay, half, _height(half), close, fine=False) as studio, progress_bar("frames") as reported:
                 film = studio.movie() if made is None else _film(studio, made, speed or 1.0)
-                movies.write_movie(folder / files.movie, film, told)
-    _print(replay, shown if files.picture else None, files.names, made, speed or 1.0, as_json)
+                movies.write_movie(folder / files.movie, film, reported)
+    _print_files(replay, shown if files.picture else None, files.names, made, speed or 1.0, as_json)
     return 0
 
 
@@ -140,18 +140,23 @@ def _files(out: Path, movie: str | None, name: str) -> _Files:
     return _Files(out, f"{name}.png", None if movie == "none" else f"{name}.{movie or movies.KINDS[0]}")
 
 
-def _film(studio: Studio, made: OfPlan, speed: float) -> movies.Film:
+def _film(studio: Studio, made: PlanProgram, speed: float) -> movies.Film:
     """Film of a robot program at `speed` times real time, above its plot strip."""
     play = timed_play.played(made, timed_play.frame_times(made.program.duration_s, speed))
-    return studio.film(timed_play.arms_of(made, play)).over(strip.Strip(made, play, studio.width, speed).at)
+    return studio.film(timed_play.arms_of(made, play)).over(plot_strip.PlotStrip(made, play, studio.width, speed).at)
 
 
 def _height(width: int) -> int:
     return 2 * round(width * ASPECT / 2)
 
 
-def _print(
-    replay: recordings.Replay, shown: int | None, files: list[str], made: OfPlan | None, speed: float, as_json: bool
+def _print_files(
+    replay: recordings.Replay,
+    shown: int | None,
+    files: list[str],
+    made: PlanProgram | None,
+    speed: float,
+    as_json: bool,
 ) -> None:
     tracked = f"{replay.tracked} of {len(replay.target)}"
     if as_json:
@@ -170,10 +175,10 @@ def _print(
         facts[replay.obstruction.heading] = replay.obstruction.description
     if made is not None:
         facts["program"] = "{duration_s:.2f} s at {feed_mm_s:g} mm/s, shown {how}".format(
-            **_lasts(made), how=strip.shown_as(speed)
+            **_lasts(made), how=plot_strip.shown_as(speed)
         )
     print_facts(f"{replay.method}, scenario {replay.label}", facts | {"files": ", ".join(files)})
 
 
-def _lasts(made: OfPlan) -> dict[str, float]:
+def _lasts(made: PlanProgram) -> dict[str, float]:
     return {"duration_s": made.program.duration_s, "feed_mm_s": 1e3 * made.program.feed_m_s}

@@ -7,7 +7,7 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
-from htcp_jax.report import chapter, make_report, record, write_report
+from htcp_jax.report import chapter, make_report, report_record, write_report
 from htcp_jax.runs import plan_folder
 
 Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Output folders of htcp sweep.")]
@@ -33,12 +33,12 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
     with plan_folder.written_whole(out) as folder:
         write_report(made, folder)
     if as_json:
-        print_json(record(made))
+        print_json(report_record(made))
         return 0
     console = stdout()
     for part, tables in zip(made.parts, made.part_tables, strict=True):
         console.print(Text(part.name, style="bold"))
-        for line in chapter.facts(part):
+        for line in chapter.part_facts(part):
             console.print(Text(line, style="dim"))
         print_table(console, tables["results"])
         for name in ("paper", "reachability", "timing"):

@@ -76,14 +76,17 @@ def robot(
     with plan_folder.written_whole(out.parent) as folder:
         plan_folder.write_text(folder / out.name, robot_xml.arm_xml(arm, source))
         with progress_bar("pairs of capsules") as progress:
-            listed = _listed(arm, robot_file.load_robot(folder / out.name), progress)
+            listed = _excluded_pairs(arm, robot_file.load_robot(folder / out.name), progress)
         text = robot_xml.arm_xml(arm, source, listed)
         plan_folder.write_text(folder / out.name, text)
         made = robot_file.load_robot(folder / out.name)
         own = self_collision.self_collision(made)
         title = f"{made.name}: {len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
         draw_arm(arm, text, title).savefig(folder / picture.name)
-    table, facts = _table(arm), _facts(arm) | {"self-collision": own.described(made) if own else "no pairs to check"}
+    table, facts = (
+        _robot_table(arm),
+        _robot_facts(arm) | {"self-collision": own.described(made) if own else "no pairs to check"},
+    )
     if as_json:
         print_json({"model": made.name, **facts, "bodies": table.records(), "files": [str(out), str(picture)]})
         return 0
@@ -93,7 +96,9 @@ def robot(
     return 0
 
 
-def _listed(arm: robot_import.ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[robot_xml.Listed]:
+def _excluded_pairs(
+    arm: robot_import.ImportedArm, made: Robot, progress: Callable[[int, int], None]
+) -> list[robot_xml.Listed]:
     """Pairs of capsules that need no check by the arm's meshes, except those that the model excludes."""
     meshes, names = LinkMeshes.of(arm), made.capsule_names
     x, tried = self_exclusions.samples(made), itertools.count(1)
@@ -107,7 +112,7 @@ def _listed(arm: robot_import.ImportedArm, made: Robot, progress: Callable[[int,
     return [(names[a], names[b], rule, share) for a, b, rule, share in self_exclusions.find_exclusions(made, touch)]
 
 
-def _table(arm: robot_import.ImportedArm) -> Table:
+def _robot_table(arm: robot_import.ImportedArm) -> Table:
     rows = []
     for b, cover in arm.covers.items():
         counts = len(cover.own), len(cover.fitted)
@@ -123,7 +128,7 @@ def _table(arm: robot_import.ImportedArm) -> Table:
     return Table("robot", COLUMNS, tuple(rows))
 
 
-def _facts(arm: robot_import.ImportedArm) -> dict[str, str | tuple[str, ...]]:
+def _robot_facts(arm: robot_import.ImportedArm) -> dict[str, str | tuple[str, ...]]:
     return {
         "TCP": arm.tip.name,
         "joints": arm.joint_names,

@@ -75,7 +75,7 @@ def sweep(
       htcp sweep sweeps/robot                                125 starts by all methods; htcp example lists more
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp --config paper
       htcp sweep sweeps/robot --limit 3 --set settings.alpha_rad=0.05 --out out/try
-      htcp sweep sweeps/workpiece --methods roadmap --feed 20mm/s
+      htcp sweep sweeps/workpiece --methods beam --feed 20mm/s
       htcp sweep sweeps/cross --methods baseline --on ray    on all cores, or on the cluster that Ray knows of
     """
     if out is None:
@@ -86,7 +86,7 @@ def sweep(
     feed = spec.config.program.feed if feed is None else feed
     if feed is not None:
         check_feed(spec, feed)  # before anything is planned
-    with _bars() as progress:
+    with _sweep_bars() as progress:
         run = sweeps.sweep(
             spec,
             chosen,
@@ -101,13 +101,13 @@ def sweep(
     if feed is not None:
         timed(run, feed, chosen)
     if as_json:
-        print_json(_record(run, running))
+        print_json(_sweep_record(run, running))
     else:
         _print_table(run, running)
     return 0
 
 
-def _record(run: Run, running: RunningSummary) -> dict:
+def _sweep_record(run: Run, running: RunningSummary) -> dict:
     """Output of --json: the run folder, and the summary of every method that is finished."""
     found = {
         method: plan_folder.summary_record(summary.summarise(running.plans(run, method))) for method in _finished(run)
@@ -125,7 +125,7 @@ def _finished(run: Run) -> list[str]:
 
 
 @contextmanager
-def _bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
+def _sweep_bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
     """Show one bar per method: scenarios done, targets tracked, time left."""
     columns = (
         TextColumn("{task.description:<14}"),
@@ -195,8 +195,8 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     kind = "sampled" if any(row.sampled for row in run.config.task) else "proven"
     console.print(Text(f"Executable: tracked, and a {kind} motion leads there from the given start.", style="dim"))
     if plans:
-        asked = _margins(running.margins_m(run, *plans))
-        text = f"Tracked: reached with the required clearance of {asked} mm or more."
+        requested = _margin_text(running.margins_m(run, *plans))
+        text = f"Tracked: reached with the required clearance of {requested} mm or more."
         console.print(Text(text, style="dim"))
     for text in dict.fromkeys(_not_tried(whole.status) for whole in plans.values()):
         if text:
@@ -207,10 +207,10 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     console.print(Text.assemble(("files  ", "cyan"), str(run.folder)))
 
 
-def _margins(asked_m: np.ndarray) -> str:
+def _margin_text(requested_m: np.ndarray) -> str:
     """Required clearances of the scenarios [mm], as text."""
-    asked = 1e3 * asked_m
-    return f"{asked[0]:g}" if len(asked) == 1 else f"{asked[0]:g} to {asked[-1]:g}"
+    requested = 1e3 * requested_m
+    return f"{requested[0]:g}" if len(requested) == 1 else f"{requested[0]:g} to {requested[-1]:g}"
 
 
 def _not_tried(status: np.ndarray) -> str:

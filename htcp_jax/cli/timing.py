@@ -7,7 +7,7 @@ from rich.text import Text
 
 from htcp_jax.cli.output import print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import feed as feeds
+from htcp_jax.jobs import feed as on_process
 from htcp_jax.jobs import grid
 from htcp_jax.report import timing as timings
 from htcp_jax.runs import Run, timing_file
@@ -26,12 +26,12 @@ def timed(run: Run, feed: str | None, methods: Sequence[str] | None, overrides: 
     Raises:
         InputError: As `time_run`.
     """
-    with _bars() as progress:
+    with _timing_bars() as progress:
         return time_run(run, feed, methods, overrides=overrides, progress=progress, workers=None)
 
 
 @contextmanager
-def _bars() -> Iterator[Callable[[str, int, int], None]]:
+def _timing_bars() -> Iterator[Callable[[str, int, int], None]]:
     with progress_bars() as bars:
         tasks: dict[str, int] = {}
 
@@ -49,13 +49,13 @@ def check_feed(spec: grid.Sweep, feed: str) -> None:
     Raises:
         InputError: For an invalid feed rate, and for an arm of the sweep without velocity limits.
     """
-    feeds.feed_of(feed)
+    on_process.feed_of(feed)
     check_limits(point.config for point in spec.points())
 
 
 def timing_records(run: Run, methods: Sequence[str]) -> dict[str, dict]:
     """Summary of each method's times, for --json; methods without times are omitted."""
-    known = _known(run, methods)
+    known = _known_times(run, methods)
     return {
         method: {"feed_m_s": timing.feed_m_s, "limits": timing.limits} | timings.timing_row(method, timing.rows)
         for method, timing in known.items()
@@ -64,7 +64,7 @@ def timing_records(run: Run, methods: Sequence[str]) -> dict[str, dict]:
 
 def print_timing(run: Run, methods: Sequence[str]) -> None:
     """Print a table of each method's times, and the feed and limits."""
-    known = _known(run, methods)
+    known = _known_times(run, methods)
     if not known:
         return
     rows = [timings.timing_row(method, timing.rows) for method, timing in known.items()]
@@ -80,11 +80,11 @@ def refuse_untimed(run: Run, methods: Sequence[str]) -> None:
     Raises:
         InputError: If none has.
     """
-    if not any(len(timing.timed) for timing in _known(run, methods).values()):
+    if not any(len(timing.timed) for timing in _known_times(run, methods).values()):
         what = f"no motion leads to the last target of any scenario by {', '.join(methods)}"
         raise InputError(f"{run.folder}: {what}; there is nothing to time")
 
 
-def _known(run: Run, methods: Sequence[str]) -> dict[str, timing_file.Timing]:
+def _known_times(run: Run, methods: Sequence[str]) -> dict[str, timing_file.Timing]:
     """Times of the methods that are timed."""
     return {method: timing for method in methods if (timing := run.timing(method)) is not None}

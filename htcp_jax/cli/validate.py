@@ -9,20 +9,22 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
-from htcp_jax.jobs import feed as feeds
+from htcp_jax.jobs import feed as on_process
 from htcp_jax.report import validation
 from htcp_jax.runs import labels as run_labels
 from htcp_jax.runs import manifest, open_run, plan_folder
 from htcp_jax.runs import open as plan_sets
-from htcp_jax.validation import Validation, record, write_validation
-from htcp_jax.validation import validate as check
+from htcp_jax.validation import Validation, validation_record, write_validation
+from htcp_jax.validation import validate_results as check
 
 VALIDATED, REFUTED = 0, 1
 WORTH_SAYING_S = 60  # longer checks are announced
 LISTED = 10  # refuted configurations on the terminal
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
-Between = Annotated[int, typer.Option(metavar="N", help="Minimum number of samples of each segment; 0 skips segments.")]
+BetweenTargets = Annotated[
+    int, typer.Option(metavar="N", help="Minimum number of samples of each segment; 0 skips segments.")
+]
 FeedMmS = Annotated[float, typer.Option(metavar="MM/S", hidden=True)]
 Feed = Annotated[
     str | None, typer.Option(metavar="SPEED", help="Feed rate for the joint speeds in the table; by default 10mm/s.")
@@ -30,7 +32,7 @@ Feed = Annotated[
 
 
 def validate(
-    run: Run, between: Between = 20, feed: Feed = None, feed_mm_s: FeedMmS = 10.0, as_json: Json = False
+    run: Run, between: BetweenTargets = 20, feed: Feed = None, feed_mm_s: FeedMmS = 10.0, as_json: Json = False
 ) -> int:
     """Check results independently: MuJoCo's kinematics and distances on the robot's model file, no code of the planner.
 
@@ -48,7 +50,7 @@ def validate(
       htcp validate out/workpiece                 every method of a sweep
       htcp validate out/workpiece --between 0 --json  only the targets, for another program
     """
-    feed_mm_s = feed_mm_s if feed is None else 1e3 * feeds.feed_of(feed)
+    feed_mm_s = feed_mm_s if feed is None else 1e3 * on_process.feed_of(feed)
     run = plan_sets.run_folder(run)
     began = time.perf_counter()
     with progress_bar("plans", time_left=True) as progress:
@@ -63,15 +65,15 @@ def validate(
         found = check(run, between=between, feed_mm_s=feed_mm_s, progress=show)
     write_validation(run, found)
     if as_json:
-        print_json(record(found))
+        print_json(validation_record(found))
     else:
-        _print(run, found)
+        _print_validation(run, found)
     return VALIDATED if found.validated else REFUTED
 
 
-def _print(run: Path, found: Validation) -> None:
+def _print_validation(run: Path, found: Validation) -> None:
     console = stdout()
-    recorded = record(found)
+    recorded = validation_record(found)
     for table in validation.validation_tables(recorded):
         print_table(console, table)
         console.print()
@@ -79,7 +81,7 @@ def _print(run: Path, found: Validation) -> None:
     for line in (*validation.scenarios_named(recorded, labels), *validation.notes(recorded)):
         console.print(Text(line, style="dim"))
     for one in found.refuted[:LISTED]:
-        where = f"{one.method}, scenario {run_labels.named(one.scenario, labels)}, target {one.target}: "
+        where = f"{one.method}, scenario {run_labels.named_scenario(one.scenario, labels)}, target {one.target}: "
         console.print(Text.assemble((where, "red"), one.reason))
     if len(found.refuted) > LISTED:
         console.print(f"and {len(found.refuted) - LISTED:,} more")

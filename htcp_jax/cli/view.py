@@ -17,7 +17,7 @@ from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs import examples
 from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import open_plans
-from htcp_jax.trajectory import OfPlan, of_plan
+from htcp_jax.trajectory import PlanProgram, plan_program
 from htcp_jax.viewer import replay
 
 CLOSED = "closed"
@@ -67,7 +67,7 @@ def view(
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     feed_m_s = played_feed(feed, one_way=one_way)
-    replays, programs = _looked_at(what, method, overrides or [], feed_m_s, not one_way)
+    replays, programs = _replays_and_programs(what, method, overrides or [], feed_m_s, not one_way)
     from htcp_jax.viewer import Viewer  # viser is an extra
 
     viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
@@ -82,9 +82,9 @@ def view(
     return 0
 
 
-def _looked_at(
+def _replays_and_programs(
     what: Path | None, method: str | None, overrides: list[str], feed_m_s: float | None, retract: bool
-) -> tuple[replay.Replays, Callable[[int, str], OfPlan]]:
+) -> tuple[replay.Replays, Callable[[int, str], PlanProgram]]:
     """Open the plans to show; a job is planned.
 
     Returns:
@@ -97,9 +97,9 @@ def _looked_at(
         if overrides and feed_m_s is None:
             raise InputError("--set changes a job; a run folder is shown as it is")
         found, how = open_plans(what), {"retract": retract, "overrides": overrides}
-        return replay.recorded_replays(found), lambda scenario, by: of_plan.program_of(
+        return replay.recorded_replays(found), lambda scenario, by: plan_program.program_of(
             found, feed_m_s, by, scenario, **how
         )
     name, plan = str(what or "the default job"), plan_with_progress(what, overrides, method)
     of_job = name, plan.plans, 0, plan.job, feed_m_s
-    return replay.replays_of(name, plan), lambda _, by: of_plan.program_of_plans(*of_job, by, retract=retract)
+    return replay.replays_of(name, plan), lambda _, by: plan_program.program_of_plans(*of_job, by, retract=retract)

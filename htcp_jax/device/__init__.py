@@ -1,10 +1,10 @@
 """Compiled functions and the devices that run them.
 
-`kernel` declares a function of one lane (a row of a batch), the settings that it reads, and how many of its rows run
-together: a `kernel.Kernel`. `Kernels` are all of them, compiled for one scene on one device and called with tables,
-one row per lane. A function that takes some steps returns a `Loop`: a CPU advances it lane by lane, a GPU all lanes
-side by side. `by_stretches` runs such a loop for joint paths that are divided further and further. A row's result
-does not depend on the other rows of its batch.
+`lane_function` declares a function of one lane (a row of a batch), the settings that it reads, and how many of its rows
+run together: a `lane_function.LaneFunction`. `Executor` are all of them, compiled for one scene on one device and
+called with tables, one row per lane. A function that takes some steps returns a `Loop`: a CPU advances it lane by lane,
+a GPU all lanes side by side. `by_chunks` runs such a loop for joint paths that are divided further and further. A row's
+result does not depend on the other rows of its batch.
 
 `devices` chooses CPU or GPU and the number of threads, `processes` shares scenarios among worker processes,
 `compile_cache` keeps compiled programs on disk, and `tables` has functions for tables of arrays with one row per lane:

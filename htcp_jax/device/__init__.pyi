@@ -1,15 +1,15 @@
-from . import compile_cache, devices, kernel, processes, tables
+from . import compile_cache, devices, lane_function, processes, tables
 from .batching import Loop
-from .programs import Kernels
-from .stretches import by_stretches
+from .chunks import by_chunks
+from .executor import Executor
 
 __all__ = [
-    "Kernels",
+    "Executor",
     "Loop",
-    "by_stretches",
+    "by_chunks",
     "compile_cache",
     "devices",
-    "kernel",
+    "lane_function",
     "processes",
     "tables",
 ]

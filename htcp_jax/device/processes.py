@@ -106,9 +106,9 @@ def spread(
         try:
             _watched(ready, lambda: None)
             start_s = time.perf_counter() - began
-            asked = [workers.submit(_work, file, k, call, part) for k, part in enumerate(parts)]
-            _watched(asked, lambda: report and report(np.array(board)))
-            return Spread([each.result() for each in asked], start_s)
+            requested = [workers.submit(_work, file, k, call, part) for k, part in enumerate(parts)]
+            _watched(requested, lambda: report and report(np.array(board)))
+            return Spread([each.result() for each in requested], start_s)
         except BaseException as error:
             workers.shutdown(kill_workers=True)
             if isinstance(error, BrokenProcessPool):
@@ -116,9 +116,9 @@ def spread(
             raise
 
 
-def _watched(asked: Sequence[Future], look: Callable[[], Any]) -> None:
+def _watched(requested: Sequence[Future], look: Callable[[], Any]) -> None:
     """Wait for all futures, calling `look` at intervals; raise the first exception among them."""
-    left = set(asked)
+    left = set(requested)
     while left:
         done, left = wait(left, LOOK_S, FIRST_EXCEPTION)
         for each in done:
@@ -130,7 +130,7 @@ def _executor(processes: int) -> Any:
     from loky import get_reusable_executor  # imported here, as a plan of one scenario does not need it
 
     given = jax.config.jax_compilation_cache_dir, jax.config.jax_persistent_cache_min_compile_time_secs
-    how = {"timeout": IDLE_S, "initializer": _begin, "initargs": given, "env": ENVIRONMENT}
+    how = {"timeout": IDLE_S, "initializer": _begin_worker, "initargs": given, "env": ENVIRONMENT}
     return get_reusable_executor(processes, **how)
 
 
@@ -143,7 +143,7 @@ ENVIRONMENT = {"JAX_PLATFORMS": "cpu", "LOKY_MAX_MEMORY_LEAK_SIZE": "1e18"}
 _kept: dict[str, tuple] = {}  # the last shared objects, by their digest: one entry, as long as the worker lives
 
 
-def _begin(cache: str | None, least_s: float) -> None:
+def _begin_worker(cache: str | None, least_s: float) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles it
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", least_s)
@@ -170,7 +170,7 @@ def _work(file: Path, number: int, call: Callable, part: Any) -> Any:
         _kept[file.name] = pickle.loads(file.read_bytes())
     board = np.memmap(file.with_name(BOARD), np.int64, "r+").reshape(-1, 2)
 
-    def tell(*numbers: int) -> None:
+    def notify(*numbers: int) -> None:
         board[number] = numbers
 
-    return call(tell, *_kept[file.name], part)
+    return call(notify, *_kept[file.name], part)

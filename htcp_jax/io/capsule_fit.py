@@ -52,7 +52,7 @@ class Capsule(NamedTuple):
     @property
     def volume(self) -> float:
         """Volume [m3]."""
-        return _volume(float(np.linalg.norm(self.q - self.p)), self.radius)
+        return _capsule_volume(float(np.linalg.norm(self.q - self.p)), self.radius)
 
     def depth(self, points: Points) -> Float[np.ndarray, "P"]:
         """Return the depth of points inside the capsule [m]; negative outside."""
@@ -66,7 +66,7 @@ class Cut(NamedTuple):
     offset: float
 
 
-class Piece(NamedTuple):
+class MeshPiece(NamedTuple):
     """A part of a mesh, the capsule about it, and the cuts that produced it, in order."""
 
     triangles: Triangles
@@ -88,12 +88,14 @@ def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
     x = _corners(points)
     middle, size = (x.max(axis=0) + x.min(axis=0)) / 2, max(float(np.ptp(x, axis=0).max()), TINY)
     unit = (x - middle) / size
-    first = sorted((_along(unit, axis) for axis in _principal(unit)), key=lambda z: _volume(2 * _half(z), z[6]))
-    ends = [_least(unit, z, effort)[:6].reshape(2, 3) for z in first[: effort.starts]]
+    first = sorted(
+        (_initial_segment(unit, axis) for axis in _principal(unit)), key=lambda z: _capsule_volume(2 * _half(z), z[6])
+    )
+    ends = [_minimum_capsule(unit, z, effort)[:6].reshape(2, 3) for z in first[: effort.starts]]
     return min((_around(x, *(middle + size * pair)) for pair in ends), key=lambda capsule: capsule.volume)
 
 
-def cover(triangles: Triangles, most: int = MOST) -> list[Piece]:
+def cover_with_capsules(triangles: Triangles, most: int = MOST) -> list[MeshPiece]:
     """Split a mesh into at most `most` pieces whose capsules enclose every triangle.
 
     A piece is added as long as the best cut by a plane saves WORTH of the volume of the capsules' union.
@@ -103,9 +105,9 @@ def cover(triangles: Triangles, most: int = MOST) -> list[Piece]:
         most: Maximum number of pieces.
     """
     whole = fit_capsule(triangles.reshape(-1, 3))
-    pieces, filled = [Piece(triangles, whole)], partial(_filled, _grid(whole))
+    pieces, filled = [MeshPiece(triangles, whole)], partial(_filled, _grid(whole))
     while len(pieces) < most and whole.volume > SNUG * hull_volume(triangles.reshape(-1, 3)):
-        tried = [pieces[:k] + halves + pieces[k + 1 :] for k, piece in enumerate(pieces) for halves in _halves(piece)]
+        tried = [pieces[:k] + halves + pieces[k + 1 :] for k, piece in enumerate(pieces) for halves in _splits(piece)]
         best = min(tried, key=filled, default=pieces)
         if filled(best) > (1 - WORTH) * filled(pieces):
             break
@@ -145,7 +147,7 @@ def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: B
     return (a, b, c), a + (u / (u - v))[:, None] * (b - a), a + (u / (u - w))[:, None] * (c - a)
 
 
-def _halves(piece: Piece) -> Iterator[list[Piece]]:
+def _splits(piece: MeshPiece) -> Iterator[list[MeshPiece]]:
     """Yield splits of a piece in two, normal to the frame's axes and its principal axes; each half with a rough fit."""
     corners = _corners(piece.triangles.reshape(-1, 3))
     for axis in (*np.eye(3), *_principal(corners)):
@@ -156,7 +158,7 @@ def _halves(piece: Piece) -> Iterator[list[Piece]]:
             halves = [clip(piece.triangles, cut) for cut in cuts]
             if all(map(len, halves)):
                 fits = [fit_capsule(half.reshape(-1, 3), ROUGH) for half in halves]
-                yield [Piece(*each, (*piece.cuts, cut)) for *each, cut in zip(halves, fits, cuts, strict=True)]
+                yield [MeshPiece(*each, (*piece.cuts, cut)) for *each, cut in zip(halves, fits, cuts, strict=True)]
 
 
 def _grid(capsule: Capsule) -> Points:
@@ -165,7 +167,7 @@ def _grid(capsule: Capsule) -> Points:
     return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _filled(grid: Points, pieces: list[Piece]) -> int:
+def _filled(grid: Points, pieces: list[MeshPiece]) -> int:
     """Return the number of grid points in the union of the capsules."""
     return int(np.any([piece.capsule.depth(grid) >= 0 for piece in pieces], axis=0).sum())
 
@@ -184,7 +186,7 @@ def _principal(points: Points) -> Float[np.ndarray, "3 3"]:
     return np.linalg.eigh(apart.T @ apart)[1].T
 
 
-def _volume(length: float, radius: float) -> float:
+def _capsule_volume(length: float, radius: float) -> float:
     return float(np.pi * radius**2 * (length + 4 / 3 * radius))
 
 
@@ -211,7 +213,7 @@ def _around(points: Points, p: Vector, q: Vector) -> Capsule:
 # The search; z consists of both ends of the axis and the radius.
 
 
-def _along(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:
+def _initial_segment(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:
     """Return an initial z: a segment along an axis, centred in points of size 1, and a radius."""
     along = x @ axis
     wide = float(np.linalg.norm(x - np.outer(along, axis), axis=1).max())
@@ -219,11 +221,11 @@ def _along(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:
     return np.concatenate([-reach * axis, reach * axis, [wide]])
 
 
-def _least(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
+def _minimum_capsule(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
     """Minimise the capsule about points of size 1, starting from z."""
     work = np.unique(np.argmax(x @ LOOKS.T, axis=0))
     for _ in range(effort.rounds):
-        z = _solve(x[work], z, effort)
+        z = _minimise_volume(x[work], z, effort)
         distance = _from_segment(x, z[:3], z[3:6])[0]
         outside = np.flatnonzero(distance > z[6] + 1e-6)
         if not outside.size:
@@ -238,7 +240,7 @@ def _half(z: Float[np.ndarray, "7"]) -> float:
     return float(np.sqrt(ahead @ ahead + 1e-12)) / 2
 
 
-def _solve(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
+def _minimise_volume(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
     """Minimise the volume of the capsule about x, starting from z; return z if the search fails."""
 
     def slope(z):
@@ -253,6 +255,8 @@ def _solve(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.nda
         return np.column_stack([(1 - share)[:, None] * away, share[:, None] * away, np.ones(len(x))])
 
     held = {"type": "ineq", "fun": depth, "jac": depth_slopes}
-    least = partial(minimize, lambda z: _volume(2 * _half(z), z[6]), jac=slope, constraints=held, method="SLSQP")
+    least = partial(
+        minimize, lambda z: _capsule_volume(2 * _half(z), z[6]), jac=slope, constraints=held, method="SLSQP"
+    )
     found = least(z, options={"maxiter": effort.steps, "ftol": effort.tolerance}).x
     return found if np.isfinite(found).all() else z

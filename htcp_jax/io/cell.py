@@ -13,7 +13,7 @@ from jaxtyping import Bool
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_model import compile_spec, no_log, upwards
 from htcp_jax.io.robot_shapes import Geom, Shapes
-from htcp_jax.io.safe_xml import files_of, read_spec
+from htcp_jax.io.safe_xml import model_files, read_spec
 from htcp_jax.model import Fixture, fixture, tool
 from htcp_jax.types import Triple
 
@@ -39,7 +39,7 @@ def load_cell(
         spec = read_spec(path, meshes=True)
     shapes = Shapes(spec, path)
     model = compile_spec(spec, path)
-    own = _moving(model, path, moved)
+    own = _moved_bodies(model, path, moved)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     geoms = [geom for geom in shapes.geoms if geom.touches]
@@ -63,10 +63,10 @@ def files_of_cell(path: str | Path) -> set[Path]:
     with no_log():
         shapes = Shapes(read_spec(path, meshes=True), path)
     meshes = {shapes.file(geom) for geom in shapes.geoms if geom.touches}
-    return files_of(path) | {file.resolve() for file in meshes - {None}}
+    return model_files(path) | {file.resolve() for file in meshes - {None}}
 
 
-def _moving(model: mujoco.MjModel, path: Path, moved: str | None) -> Bool[np.ndarray, "B"]:
+def _moved_bodies(model: mujoco.MjModel, path: Path, moved: str | None) -> Bool[np.ndarray, "B"]:
     """Return True for the bodies that are moved."""
     if moved is None:
         return np.ones(model.nbody, bool)

@@ -16,14 +16,14 @@ NEARLY_ALL = 0.95
 NEARLY_UNIT = 0.01
 
 
-class Points(NamedTuple):
+class TablePoints(NamedTuple):
     """P points, with normals if known."""
 
     xyz: Float[np.ndarray, "P 3"]  # [m]
     normals: Float[np.ndarray, "P 3"] | None = None  # unit, or 0 where a point has none; None without such columns
 
 
-class Columns(NamedTuple):
+class ColumnIndices(NamedTuple):
     """Columns of coordinates and normals in a table of `width` columns, by their indices from 0."""
 
     width: int
@@ -31,7 +31,7 @@ class Columns(NamedTuple):
     normals: tuple[int, ...] | None
     named: bool  # by a header; otherwise the normals are a guess that `points` checks
 
-    def points(self, xyz: np.ndarray, normals: np.ndarray | None, source: str) -> Points:
+    def points(self, xyz: np.ndarray, normals: np.ndarray | None, source: str) -> TablePoints:
         """Return the points from these columns' numbers; a Note reports a guess.
 
         Args:
@@ -39,12 +39,12 @@ class Columns(NamedTuple):
             normals: Normals (P, 3), of any length; None without such columns.
             source: The file, for the Note.
         """
-        normals = None if normals is None else _unit(normals, certain=self.named)
+        normals = None if normals is None else _normalised(normals, certain=self.named)
         if not self.named and self.width > 3:
             rest = "and the others left out" if normals is None else "the others as normals"
             text = f"{self.width} columns; the first three are taken as x, y, z, {rest}"
             warnings.warn(f"{source}: {text}", Note, stacklevel=4)
-        return Points(xyz, normals)
+        return TablePoints(xyz, normals)
 
 
 def header_names(cells: Sequence[str]) -> list[str]:
@@ -57,7 +57,7 @@ def without_units(header: str) -> str:
     return UNIT.sub("", header)
 
 
-def columns_of(names: Sequence[str] | None, width: int, source: str) -> Columns:
+def columns_of(names: Sequence[str] | None, width: int, source: str) -> ColumnIndices:
     """Find the columns of a table.
 
     By its header's names if x, y and z are among them, else the first three, and in a table of six columns the last
@@ -78,14 +78,14 @@ def columns_of(names: Sequence[str] | None, width: int, source: str) -> Columns:
     if all(at.values()) and len(names) == width:
         known = [family for family in NORMALS if all(names.count(name) == 1 for name in family)]
         normals = tuple(names.index(name) for name in known[0]) if known else None
-        return Columns(width, tuple(places[0] for places in at.values()), normals, named=True)
+        return ColumnIndices(width, tuple(places[0] for places in at.values()), normals, named=True)
     if any(places and places[0] != k for k, places in enumerate(at.values())):
         named = f"{len(names)} columns ({' '.join(names)[:40]}), the rows have {width}"
         raise InputError(f"{source}: the header names {named}; name x, y and z, or put them first")
-    return Columns(width, (0, 1, 2), (3, 4, 5) if width == 6 else None, named=False)
+    return ColumnIndices(width, (0, 1, 2), (3, 4, 5) if width == 6 else None, named=False)
 
 
-def _unit(vectors: np.ndarray, certain: bool) -> Float[np.ndarray, "P 3"] | None:
+def _normalised(vectors: np.ndarray, certain: bool) -> Float[np.ndarray, "P 3"] | None:
     """Normalise vectors, 0 for those without a direction; None for a guess unless NEARLY_ALL are unit vectors."""
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(vectors, axis=1, keepdims=True)

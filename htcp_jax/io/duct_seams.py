@@ -45,10 +45,10 @@ SEAMS = ("weld", *BEADS)
 
 def seam(name: str) -> Float[np.ndarray, "P 3"]:
     """Return the P points [m] of a seam in SEAMS, in the duct's frame."""
-    return duct.weld() if name == "weld" else _points(BEADS[name])
+    return duct.weld() if name == "weld" else _bead_points(BEADS[name])
 
 
-def _points(bead: Bead) -> Float[np.ndarray, "P 3"]:
+def _bead_points(bead: Bead) -> Float[np.ndarray, "P 3"]:
     def on_the_wall(share: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
         x, angle = (first + share * (last - first) for first, last in (bead.x_m, np.deg2rad(bead.angle_deg)))
         return duct.surface(x, angle)

@@ -31,7 +31,7 @@ import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError
 from htcp_jax.process_exit import PART
-from htcp_jax.unfinished import NO_LINK, READ, hold
+from htcp_jax.unfinished import NO_LINK, READ, lock_file
 
 LARGEST_NAMED = 2 * 2**30  # of a file that a job names, and of a Parquet file [bytes]
 LARGEST = 64 * 2**20  # of any other file in a folder, and of any decompressed file [bytes]
@@ -69,14 +69,14 @@ def opened(path: Path, folder: Path | None = None, largest: int = LARGEST_NAMED)
     """
     if "\0" in str(path):
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
-    real = os.path.realpath(path) if folder is None else inside(path, folder)
-    _check(os.stat(real), path, largest)
+    real = os.path.realpath(path) if folder is None else resolved_inside(path, folder)
+    _check_size(os.stat(real), path, largest)
     with open(os.open(real, READ | NO_LINK), "rb") as stream:
-        _check(os.fstat(stream.fileno()), path, largest)
+        _check_size(os.fstat(stream.fileno()), path, largest)
         yield stream
 
 
-def _check(found: os.stat_result, path: Path, largest: int) -> None:
+def _check_size(found: os.stat_result, path: Path, largest: int) -> None:
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{path}: not a regular file")
     if found.st_size > largest:
@@ -84,7 +84,7 @@ def _check(found: os.stat_result, path: Path, largest: int) -> None:
 
 
 @contextlib.contextmanager
-def named(path: Path) -> Iterator[BinaryIO]:
+def open_named(path: Path) -> Iterator[BinaryIO]:
     """Open a file named by the user for reading.
 
     Raises:
@@ -103,9 +103,9 @@ def read_bytes(path: Path) -> bytes:
     """Return the bytes of a file named by the user.
 
     Raises:
-        InputError: As `named` does.
+        InputError: As `open_named` does.
     """
-    with named(path) as stream:
+    with open_named(path) as stream:
         return stream.read()
 
 
@@ -132,7 +132,7 @@ def read_json(file: Path, folder: Path) -> Any:
     if sum(map(data.count, (b",", b"[", b"{"))) > MOST_VALUES:
         raise InputError(f"{file}: more than {MOST_VALUES:,} values")
     try:
-        found = json.loads(data, parse_float=_finite, parse_int=_whole, parse_constant=_finite)
+        found = json.loads(data, parse_float=_finite, parse_int=_positive_integer, parse_constant=_finite)
         _check_depth(found)
         return found
     except RecursionError:
@@ -147,7 +147,7 @@ def _finite(text: str) -> float:
     return number
 
 
-def _whole(text: str) -> int:
+def _positive_integer(text: str) -> int:
     if len(text) > 20 or not -(2**63) <= (number := int(text)) < 2**63:
         raise ValueError(f"{text[:40]} is beyond 64 bits")
     return number
@@ -275,7 +275,7 @@ def _check_growth(file: Path, decoded: int, size: int) -> None:
         raise InputError(f"{file}: {size:,} bytes that decompress to {decoded:,}; refused")
 
 
-def write(folder: Path, name: str, data: bytes) -> None:
+def write_atomically(folder: Path, name: str, data: bytes) -> None:
     """Write a file in a folder atomically: under a random name in the same place, then renamed.
 
     Raises:
@@ -283,13 +283,13 @@ def write(folder: Path, name: str, data: bytes) -> None:
     """
     file = folder / name
     try:
-        place = inside(file.parent, folder)
+        place = resolved_inside(file.parent, folder)
         if file.exists() and not file.is_file() and not file.is_dir():
             raise InputError(f"cannot write to {file}: not a regular file")
         part = place / f"{PART}{secrets.token_hex(8)}"
         try:
             with open(os.open(part, NEW, 0o666), "wb") as stream:
-                hold(stream.fileno())
+                lock_file(stream.fileno())
                 stream.write(data)
                 stream.flush()
                 os.fsync(stream.fileno())
@@ -308,12 +308,12 @@ def make_folder(folder: Path, name: str) -> None:
         InputError: If that fails, and for a link that leads out of the folder.
     """
     try:
-        inside(folder / name, folder).mkdir(exist_ok=True)
+        resolved_inside(folder / name, folder).mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot write to {folder}: {error.strerror}") from None
 
 
-def inside(path: Path, folder: Path) -> Path:
+def resolved_inside(path: Path, folder: Path) -> Path:
     """Resolve the links in a path.
 
     Raises:

@@ -31,7 +31,7 @@ FIRST = np.array([0])
 _LIST = fcl.CollisionRequest(num_max_contacts=MOST_CONTACTS, enable_contact=True)
 
 
-class _Part(NamedTuple):
+class _MeshPart(NamedTuple):
     """Content of a capsule: a piece of a mesh, or the capsule itself."""
 
     body: int
@@ -60,7 +60,7 @@ class LinkMeshes:
     ):
         self._model, self._addresses = model, addresses
         self.names = frozenset(held)  # of the capsules
-        self._parts = {name: _part(*each) for name, each in held.items()}
+        self._parts = {name: _capsule_part(*each) for name, each in held.items()}
 
     @classmethod
     def of(cls, arm: ImportedArm) -> "LinkMeshes":
@@ -91,9 +91,9 @@ class LinkMeshes:
             name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
             cuts = texts.get(CUTS + name)
             piece = triangles.get(model.body(body).name) if cuts is not None else None
-            for cut in _cuts(cuts or "") if piece is not None else ():
+            for cut in _read_cuts(cuts or "") if piece is not None else ():
                 piece = clip(piece, cut)
-            held[name] = body, _capsule(model, geom) if piece is None or not len(piece) else piece
+            held[name] = body, _capsule_of_geom(model, geom) if piece is None or not len(piece) else piece
         return cls(model, list(range(model.nq)), held)
 
     def poses(self, x: Float[np.ndarray, "n N"]) -> Poses:
@@ -196,7 +196,7 @@ class MeshesInFile(NamedTuple):
             second: Name of another one.
             x: Configuration [rad or m].
         """
-        meshes = _read(self.file)
+        meshes = _read_meshes(self.file)
         return 0.0 if meshes is None else meshes.deepest_m(first, second, meshes.poses(x[None]))
 
     def outside_m(
@@ -210,14 +210,14 @@ class MeshesInFile(NamedTuple):
             x: Configuration [rad or m].
             point: The point, world [m].
         """
-        meshes = _read(self.file)
+        meshes = _read_meshes(self.file)
         if meshes is None or capsule not in meshes.names:
             return None
         return meshes.outside_m(capsule, robot, x, point)
 
 
 @lru_cache(maxsize=8)
-def _read(file: Path) -> LinkMeshes | None:
+def _read_meshes(file: Path) -> LinkMeshes | None:
     return LinkMeshes.read(file)
 
 
@@ -226,12 +226,12 @@ def cuts_text(cuts: Iterable[Cut]) -> str:
     return "; ".join(" ".join(f"{number:.15g}" for number in (*cut.normal, cut.offset)) for cut in cuts)
 
 
-def _cuts(text: str) -> list[Cut]:
+def _read_cuts(text: str) -> list[Cut]:
     rows = [[float(number) for number in row.split()] for row in text.split(";") if row.strip()]
     return [Cut((row[0], row[1], row[2]), row[3]) for row in rows]
 
 
-def _part(body: int, held: Triangles | Capsule) -> _Part:
+def _capsule_part(body: int, held: Triangles | Capsule) -> _MeshPart:
     T = np.eye(4)
     if not isinstance(held, Capsule):
         corners, faces = np.unique(held.reshape(-1, 3), axis=0, return_inverse=True)
@@ -239,18 +239,18 @@ def _part(body: int, held: Triangles | Capsule) -> _Part:
         mesh.beginModel(len(held), len(corners))
         mesh.addSubModel(corners, faces.reshape(-1, 3))
         mesh.endModel()
-        return _Part(body, mesh, T)
+        return _MeshPart(body, mesh, T)
     along, turn, flat = held.p - held.q, np.empty(4), np.empty(9)
     T[:3, 3], length = (held.p + held.q) / 2, float(np.linalg.norm(along))
     if length == 0:
-        return _Part(body, fcl.Sphere(held.radius), T)
+        return _MeshPart(body, fcl.Sphere(held.radius), T)
     mujoco.mju_quatZ2Vec(turn, along / length)
     mujoco.mju_quat2Mat(flat, turn)
     T[:3, :3] = flat.reshape(3, 3)
-    return _Part(body, fcl.Capsule(held.radius, length), T)
+    return _MeshPart(body, fcl.Capsule(held.radius, length), T)
 
 
-def _capsule(model: mujoco.MjModel, geom: int) -> Capsule:
+def _capsule_of_geom(model: mujoco.MjModel, geom: int) -> Capsule:
     flat = np.empty(9)
     mujoco.mju_quat2Mat(flat, model.geom_quat[geom])
     half = model.geom_size[geom, 1] if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0

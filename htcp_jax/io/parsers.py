@@ -89,7 +89,7 @@ def step(file: Path) -> dict[str, np.ndarray]:
     return {"triangles": np.concatenate(placed)}
 
 
-def main(kind: str, file: str, folder: str, memory: str) -> None:
+def run_parser(kind: str, file: str, folder: str, memory: str) -> None:
     """Parse `file` with at most `memory` bytes and write its arrays or its error into `folder`.
 
     Args:
@@ -112,4 +112,4 @@ def main(kind: str, file: str, folder: str, memory: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    run_parser(*sys.argv[1:])

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.columns import Points
+from htcp_jax.io.columns import TablePoints
 from htcp_jax.io.files import known_ending, one_line, quiet, read_bytes
 from htcp_jax.io.scan import PARTS, SCANS, read_part, read_scan
 from htcp_jax.io.table import read_npy, read_table
@@ -71,13 +71,13 @@ def load_cloud(
     """
     found = load_geometry(path)
     return (
-        mesh_points.cover(found.triangles, str(path), spacing, thinnest_m).points
+        mesh_points.cover_mesh(found.triangles, str(path), spacing, thinnest_m).points
         if len(found.triangles)
         else found.points
     )
 
 
-def read_points(path: str | Path) -> Points:
+def read_points(path: str | Path) -> TablePoints:
     """Read the points [m] of a table (which may be a tool path) or a scan, and their normals if the file has any.
 
     Endings: .xyz .csv .txt .npy .pcd .e57 .las .laz.

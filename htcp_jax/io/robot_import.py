@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.capsule_fit import MOST, Capsule, Piece, Triangles, cover, hull_volume
+from htcp_jax.io.capsule_fit import MOST, Capsule, MeshPiece, Triangles, cover_with_capsules, hull_volume
 from htcp_jax.io.robot_model import check_joints, compile_spec, joint_name, joint_numbers, no_log, upwards
 from htcp_jax.io.robot_shapes import Geom, Shape, Shapes
 from htcp_jax.io.robot_tcp import Tip, find_tip
@@ -25,11 +25,11 @@ ROUND = "capsule", "sphere"
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
-class Cover(NamedTuple):
+class BodyCover(NamedTuple):
     """Capsules of one body, and the shapes that they represent."""
 
     own: dict[str, Capsule]  # the model's own, by name
-    pieces: dict[str, Piece]  # of `held`, with the fitted capsules
+    pieces: dict[str, MeshPiece]  # of `held`, with the fitted capsules
     drawn: Triangles  # of the meshes to which MuJoCo fitted the model's own capsules [m]
     held: Triangles  # of all other shapes [m]; the fitted capsules enclose them
     kinds: tuple[str, ...]  # types of these shapes: box, mesh, ...
@@ -65,8 +65,8 @@ class ImportedArm(NamedTuple):
     joints: tuple[int, ...]  # from the world to the TCP; indices in the model, as below
     joint_names: tuple[str, ...]
     frozen: tuple[str, ...]  # names of the other joints
-    bodies: tuple[int, ...]  # of the robot, see `_bodies`
-    covers: dict[int, Cover]  # by body
+    bodies: tuple[int, ...]  # of the robot, see `_robot_bodies`
+    covers: dict[int, BodyCover]  # by body
     massive: tuple[int, ...]  # bodies with an inertia in the file
     numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, for `joints`
     left_out: tuple[str, ...]  # excluded shapes, which no capsule represents
@@ -104,19 +104,22 @@ def import_robot(
         InputError: For a file or a mesh that cannot be read, for a missing or ambiguous TCP, ball and free joints on
             the chain to it, fewer than three joints, a model without shapes, and the SRDF of another robot.
     """
-    spec, shapes, model = _read(path, visual)
-    tip = find_tip(model, path, tcp, _bodies(model, ()))
-    on_the_way = tuple(upwards(model, tip.body))
-    bodies = _bodies(model, on_the_way)
+    spec, shapes, model = _read_model(path, visual)
+    tip = find_tip(model, path, tcp, _robot_bodies(model, ()))
+    on_chain = tuple(upwards(model, tip.body))
+    bodies = _robot_bodies(model, on_chain)
     disabled = disabled_pairs(srdf, model_name(model), [body_name(model, b) for b in bodies]) if srdf else ()
-    joints = tuple(j for j in range(model.njnt) if model.jnt_bodyid[j] in on_the_way)
-    geoms = [geom for geom in shapes.geoms if _body(model, geom) in bodies]
-    chosen = _chosen(geoms, model, visual)
+    joints = tuple(j for j in range(model.njnt) if model.jnt_bodyid[j] in on_chain)
+    geoms = [geom for geom in shapes.geoms if _body_of(model, geom) in bodies]
+    chosen = _chosen_geoms(geoms, model, visual)
     own = [geom for geom in chosen if not _is_left_out(geom, model)]
     if not own:
-        raise InputError(f"{path}: no shapes that capsules could hold; geoms of the model: {_kinds(geoms) or 'none'}")
+        raise InputError(
+            f"{path}: no shapes that capsules could hold; geoms of the model: {_geom_kinds(geoms) or 'none'}"
+        )
     joint_names = check_joints(model, path, joints)
-    found = {b: [shapes.shape(g, model) for g in own if _body(model, g) == b] for b in bodies}  # whatever is unreadable
+    # whatever is unreadable
+    found = {b: [shapes.shape(g, model) for g in own if _body_of(model, g) == b] for b in bodies}
     names = _Names({model.geom(geom.at).name for geom in own})
     covers, shaped = {}, [b for b in bodies if found[b]]
     for done, b in enumerate(shaped):
@@ -133,7 +136,7 @@ def import_robot(
         covers,
         tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
         {name: joint_numbers(model, path, name, np.inf)[list(joints)] for name in PER_JOINT if _has(model, name)},
-        tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body(model, g))}" for g in left_out),
+        tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body_of(model, g))}" for g in left_out),
         visual,
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
         tuple(disabled),
@@ -146,15 +149,15 @@ def held_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
     Raises:
         InputError: For a file or a mesh that cannot be read.
     """
-    _, shapes, model = _read(path, visual)
-    chosen = [geom for geom in _chosen(shapes.geoms, model, visual) if not _is_left_out(geom, model)]
+    _, shapes, model = _read_model(path, visual)
+    chosen = [geom for geom in _chosen_geoms(shapes.geoms, model, visual) if not _is_left_out(geom, model)]
     found: dict[str, list[Shape]] = {}
     for geom in chosen:
-        found.setdefault(body_name(model, _body(model, geom)), []).append(shapes.shape(geom, model))
+        found.setdefault(body_name(model, _body_of(model, geom)), []).append(shapes.shape(geom, model))
     return {name: _all([shape for shape in own if shape.capsule is None]) for name, own in found.items()}
 
 
-def _read(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjModel]:
+def _read_model(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjModel]:
     with no_log():
         spec = read_spec(path, meshes=True, visual=visual, contacts=True)
     spec.compiler.discardvisual = False
@@ -174,21 +177,21 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
     return model.body(body).name or f"body{body}"
 
 
-def _bodies(model: mujoco.MjModel, on_the_way: Sequence[int]) -> tuple[int, ...]:
+def _robot_bodies(model: mujoco.MjModel, on_chain: Sequence[int]) -> tuple[int, ...]:
     """Return the bodies of the robot: no mocap bodies, and no free bodies unless they are on the chain to the TCP."""
 
     def is_foreign(body: int) -> bool:
         free = model.body_jntnum[body] and model.jnt_type[model.body_jntadr[body]] == _FREE
-        return bool(model.body_mocapid[body] >= 0 or (on_the_way and free and body not in on_the_way))
+        return bool(model.body_mocapid[body] >= 0 or (on_chain and free and body not in on_chain))
 
     return tuple(b for b in range(model.nbody) if not any(map(is_foreign, upwards(model, b))))
 
 
-def _body(model: mujoco.MjModel, geom: Geom) -> int:
+def _body_of(model: mujoco.MjModel, geom: Geom) -> int:
     return int(model.geom_bodyid[geom.at])
 
 
-def _chosen(geoms: list[Geom], model: mujoco.MjModel, visual: bool) -> list[Geom]:
+def _chosen_geoms(geoms: list[Geom], model: mujoco.MjModel, visual: bool) -> list[Geom]:
     """Select the geoms that capsules represent: a body's collision geoms, or if `visual` its visual geoms, if any.
 
     Capsules and spheres are always collision geoms, as for `load_robot`.
@@ -198,22 +201,22 @@ def _chosen(geoms: list[Geom], model: mujoco.MjModel, visual: bool) -> list[Geom
         return geoms
     if not visual:
         return [geom for geom in geoms if geom.touches or (geom.kind in ROUND and not geom.mesh)]
-    drawn = {_body(model, geom) for geom in geoms if not geom.touches}
-    return [geom for geom in geoms if not geom.touches or _body(model, geom) not in drawn]
+    drawn = {_body_of(model, geom) for geom in geoms if not geom.touches}
+    return [geom for geom in geoms if not geom.touches or _body_of(model, geom) not in drawn]
 
 
 def _shapeless(geoms: list[Geom], chosen: list[Geom], model: mujoco.MjModel) -> list[int]:
     """Return the bodies with geoms but without a chosen one."""
-    with_shape = {_body(model, geom) for geom in chosen}
-    return sorted({_body(model, geom) for geom in geoms} - with_shape)
+    with_shape = {_body_of(model, geom) for geom in chosen}
+    return sorted({_body_of(model, geom) for geom in geoms} - with_shape)
 
 
 def _is_left_out(geom: Geom, model: mujoco.MjModel) -> bool:
     """Return True for a floor, a height field, an SDF, and a shape fixed to the world that is no capsule or sphere."""
-    return geom.kind in NOT_OF_AN_ARM or (_body(model, geom) == 0 and geom.kind not in ROUND)
+    return geom.kind in NOT_OF_AN_ARM or (_body_of(model, geom) == 0 and geom.kind not in ROUND)
 
 
-def _kinds(geoms: list[Geom]) -> str:
+def _geom_kinds(geoms: list[Geom]) -> str:
     return ", ".join(sorted({geom.kind for geom in geoms}))
 
 
@@ -235,12 +238,12 @@ class _Names:
         return name
 
 
-def _cover(shapes: list[Shape], body: str, names: _Names, most: int) -> Cover:
+def _cover(shapes: list[Shape], body: str, names: _Names, most: int) -> BodyCover:
     own = {shape.name or names.new(body): shape.capsule for shape in shapes if shape.capsule is not None}
     others = [shape for shape in shapes if shape.capsule is None]
     held, drawn = _all(others), _all([shape for shape in shapes if shape.capsule is not None])
-    pieces = {names.new(body): piece for piece in (cover(held, most) if others else [])}
-    return Cover(own, pieces, drawn, held, tuple(shape.kind for shape in others))
+    pieces = {names.new(body): piece for piece in (cover_with_capsules(held, most) if others else [])}
+    return BodyCover(own, pieces, drawn, held, tuple(shape.kind for shape in others))
 
 
 def _all(shapes: list[Shape]) -> Triangles:

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.safe_xml import read_spec, unreadable
+from htcp_jax.io.safe_xml import read_spec, unreadable_model
 from htcp_jax.model import Tool, robot
 from htcp_jax.model import arrays as coordinates
 from htcp_jax.model import tool as tools
@@ -69,9 +69,9 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     model, geom_types, pairs = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
     joint_names = _chain_joints(model, path, tcp_body)
-    lower, upper = _limits(model, path, limits)
+    lower, upper = _joint_limits(model, path, limits)
     T_parent_joint, frames = link_frames(model, T_world_base)
-    capsules = [_capsule(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
+    capsules = [_capsule_geom(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
     link, T_link_body = frames[tcp_body]
     T_link_flange = T_link_body @ T_body_tcp
     mounted = [] if tool is None else _mounted(tool, path, tcp_body, link, T_link_flange, capsules)
@@ -101,8 +101,8 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         arrays[name] = joint_numbers(model, path, name, default=math.inf)
         if not (arrays[name] > 0).all():
             raise InputError(f"{path}: numeric {name!r} must be positive")
-    exclusions = [*_excluded(model, capsules), *_listed(path, pairs or (), capsules)]
-    widest = _limits(model, path, "model")  # the list was sampled within these
+    exclusions = [*_excluded(model, capsules), *_listed_pairs(path, pairs or (), capsules)]
+    widest = _joint_limits(model, path, "model")  # the list was sampled within these
     listed = pairs is not None and bool((lower >= widest[0]).all() and (upper <= widest[1]).all())
     facts = {
         "name": model.names.partition(b"\0")[0].decode(errors="replace") or path.stem,
@@ -153,7 +153,7 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
         with no_log():
             return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise unreadable(path, error) from None
+        raise unreadable_model(path, error) from None
 
 
 @contextmanager
@@ -192,8 +192,8 @@ def _check_ranges(spec: mujoco.MjSpec, path: Path) -> None:
     """
     for joint in spec.joints:
         lower, upper = joint.range
-        asked = joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE and (lower, upper) != (0, 0)
-        if asked and not lower < upper:
+        requested = joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE and (lower, upper) != (0, 0)
+        if requested and not lower < upper:
             raise InputError(f"{path}: joint {joint.name!r} has range {lower:g} to {upper:g}; it must ascend")
 
 
@@ -244,7 +244,7 @@ def frame(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     return pose
 
 
-def _turned(axis: np.ndarray, angle: float) -> np.ndarray:
+def _turned_frame(axis: np.ndarray, angle: float) -> np.ndarray:
     quaternion = np.zeros(4)
     mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
     return frame(np.zeros(3), quaternion)
@@ -331,14 +331,14 @@ def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.nda
         first = model.body_jntadr[body]
         for j in range(first, first + model.body_jntnum[body]):
             axis, drawn_at = model.jnt_axis[j], model.qpos0[j]
-            back = _turned(axis, -drawn_at) if model.jnt_type[j] == _HINGE else _shifted(-drawn_at * axis)
+            back = _turned_frame(axis, -drawn_at) if model.jnt_type[j] == _HINGE else _shifted(-drawn_at * axis)
             T_parent_joint[j] = T_link_body @ _shifted(model.jnt_pos[j]) @ back
             link, T_link_body = j, _shifted(-model.jnt_pos[j])
         frames.append((link, T_link_body))
     return T_parent_joint, frames
 
 
-def _limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray, np.ndarray]:
+def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and upper joint limits of a profile, see robot_file.load_robot."""
     ranges = np.where(model.jnt_limited[:, None], model.jnt_range, [-math.inf, math.inf])
     hinges = model.jnt_type[:, None] == _HINGE
@@ -380,7 +380,7 @@ def _geom_name(model: mujoco.MjModel, geom: int) -> str:
     return model.geom(geom).name or f"{model.body(model.geom_bodyid[geom]).name}:{geom}"
 
 
-def _capsule(model: mujoco.MjModel, geom: int, frames: list[tuple[int, np.ndarray]]) -> _Capsule:
+def _capsule_geom(model: mujoco.MjModel, geom: int, frames: list[tuple[int, np.ndarray]]) -> _Capsule:
     body = int(model.geom_bodyid[geom])
     link, T_link_body = frames[body]
     T_link_geom = T_link_body @ frame(model.geom_pos[geom], model.geom_quat[geom])
@@ -404,7 +404,7 @@ def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[robot
             yield _exclusion(capsules, a, b, "a", 0.0)
 
 
-def _listed(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Iterator[robot.Exclusion]:
+def _listed_pairs(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Iterator[robot.Exclusion]:
     """Yield the pairs in the arm's own list.
 
     Raises:

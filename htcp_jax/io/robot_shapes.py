@@ -25,7 +25,7 @@ _Kind = mujoco.mjtGeom
 _Vertices = Float[np.ndarray, "V 3"]
 
 
-class Mesh(NamedTuple):
+class MeshAsset(NamedTuple):
     """A mesh of a model file, not read yet."""
 
     file: str  # as the model names it; "" if its corners are in the model
@@ -85,7 +85,7 @@ class Shapes:
         T, size = frame(model.geom_pos[geom.at], model.geom_quat[geom.at]), model.geom_size[geom.at]
         name, mesh = model.geom(geom.at).name, np.empty((0, 3, 3))
         if geom.mesh:
-            mesh = _moved(T, self._triangles(geom.mesh))
+            mesh = _moved_triangles(T, self._triangles(geom.mesh))
         if geom.kind == "mesh":
             return Shape(name, geom.kind, mesh, None)
         if geom.mesh:
@@ -94,7 +94,7 @@ class Shapes:
         if geom.kind in ("capsule", "sphere"):
             reach = T[:3, 2] * (size[1] if geom.kind == "capsule" else 0.0)
             return Shape(name, geom.kind, mesh, Capsule(T[:3, 3] + reach, T[:3, 3] - reach, float(size[0])))
-        return Shape(name, geom.kind, _moved(T, _SOLIDS[geom.kind](size)), None)
+        return Shape(name, geom.kind, _moved_triangles(T, _SOLIDS[geom.kind](size)), None)
 
     def file(self, geom: Geom) -> Path | None:
         """Return the file of a geom's mesh; None without one.
@@ -116,7 +116,7 @@ class Shapes:
                 )
             triangles = load_geometry(file).triangles
         else:
-            triangles = mesh.corners[mesh.faces] if len(mesh.faces) else _hull(mesh.corners)
+            triangles = mesh.corners[mesh.faces] if len(mesh.faces) else _hull_triangles(mesh.corners)
         if not len(triangles):
             raise InputError(f"{self._path}: mesh {mesh.file or name!r} has no triangles")
         turn = frame(np.zeros(3), mesh.refquat / np.linalg.norm(mesh.refquat))[:3, :3]
@@ -143,10 +143,10 @@ class Shapes:
         return frame(model.geom_pos[0], model.geom_quat[0]), model.geom_size[0]
 
 
-def _mesh(mesh: mujoco.MjsMesh) -> Mesh:
+def _mesh(mesh: mujoco.MjsMesh) -> MeshAsset:
     poses = (np.array(given, float) for given in (mesh.scale, mesh.refpos, mesh.refquat))
     corners = np.array(mesh.uservert, float).reshape(-1, 3)
-    return Mesh(mesh.file, *poses, corners, np.array(mesh.userface, int).reshape(-1, 3), mesh.inertia)
+    return MeshAsset(mesh.file, *poses, corners, np.array(mesh.userface, int).reshape(-1, 3), mesh.inertia)
 
 
 def _taken(geom: mujoco.MjsGeom) -> Geom:
@@ -180,11 +180,11 @@ def _find(name: str, path: Path, folders: list[str]) -> Path:
     raise InputError(f"{path}: mesh {name}: {missing}")
 
 
-def _moved(T: Float[np.ndarray, "4 4"], triangles: Triangles) -> Triangles:
+def _moved_triangles(T: Float[np.ndarray, "4 4"], triangles: Triangles) -> Triangles:
     return triangles @ T[:3, :3].T + T[:3, 3]
 
 
-def _hull(points: _Vertices) -> Triangles:
+def _hull_triangles(points: _Vertices) -> Triangles:
     try:
         return points[ConvexHull(points).simplices]
     except (QhullError, ValueError):
@@ -195,13 +195,13 @@ def _hull(points: _Vertices) -> Triangles:
 
 
 def _box(size: Float[np.ndarray, "3"]) -> Triangles:
-    return _hull(np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), axis=-1).reshape(-1, 3) * size)
+    return _hull_triangles(np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), axis=-1).reshape(-1, 3) * size)
 
 
 def _cylinder(size: Float[np.ndarray, "3"]) -> Triangles:
     angle = 2 * np.pi * np.arange(SIDES) / SIDES
     rim = size[0] / np.cos(np.pi / SIDES) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return _hull(np.concatenate([np.column_stack([rim, np.full(SIDES, z)]) for z in (-size[1], size[1])]))
+    return _hull_triangles(np.concatenate([np.column_stack([rim, np.full(SIDES, z)]) for z in (-size[1], size[1])]))
 
 
 def _ellipsoid(size: Float[np.ndarray, "3"]) -> Triangles:

@@ -50,7 +50,7 @@ def find_tip(model: mujoco.MjModel, path: Path, name: str | None, bodies: Sequen
     if not sure and len(outermost) == 1:
         sure = [Tip(model.body(outermost[0]).name, outermost[0], np.eye(4))]
     if not sure:
-        candidates = ", ".join(_candidates(model, bodies, outermost))
+        candidates = ", ".join(_tcp_candidates(model, bodies, outermost))
         raise InputError(f"{path}: it is not clear where the TCP is: {candidates}; say --tcp NAME")
     return sure[0]
 
@@ -67,7 +67,7 @@ def _site(model: mujoco.MjModel, k: int) -> Tip:
     return Tip(model.site(k).name, int(model.site_bodyid[k]), T)
 
 
-def _joints(model: mujoco.MjModel, body: int) -> frozenset[int]:
+def _joints_to(model: mujoco.MjModel, body: int) -> frozenset[int]:
     """Return the joints from the world to a body, by their indices in the model."""
     first, count = model.body_jntadr, model.body_jntnum
     return frozenset(j for b in upwards(model, body) for j in range(first[b], first[b] + count[b]))
@@ -75,15 +75,15 @@ def _joints(model: mujoco.MjModel, body: int) -> frozenset[int]:
 
 def _outermost(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
     """Return the leaves among the bodies with the most joints between them and the world."""
-    depth = {b: len(_joints(model, b)) for b in bodies}
+    depth = {b: len(_joints_to(model, b)) for b in bodies}
     far = [b for b in bodies if depth[b] == max(depth.values())]
     return [b for b in far if not any(b in list(upwards(model, other))[1:] for other in far)]
 
 
-def _candidates(model: mujoco.MjModel, bodies: Sequence[int], outermost: list[int]) -> list[str]:
+def _tcp_candidates(model: mujoco.MjModel, bodies: Sequence[int], outermost: list[int]) -> list[str]:
     """Return the names of sites, and of bodies that move with every joint shared by all outermost bodies."""
-    shared = frozenset.intersection(*(_joints(model, b) for b in outermost))
-    near = [b for b in bodies if b > 0 and shared <= _joints(model, b)]
+    shared = frozenset.intersection(*(_joints_to(model, b) for b in outermost))
+    near = [b for b in bodies if b > 0 and shared <= _joints_to(model, b)]
     if not shared or len(near) > MOST_NAMED:
         near = outermost
     sites = [model.site(k).name for k in range(model.nsite) if model.site_bodyid[k] in bodies]

@@ -9,7 +9,7 @@ import numpy as np
 
 from htcp_jax.io.capsule_fit import Capsule
 from htcp_jax.io.link_meshes import CUTS, MADE_FROM, VISUAL, cuts_text
-from htcp_jax.io.robot_import import Cover, ImportedArm, body_name
+from htcp_jax.io.robot_import import BodyCover, ImportedArm, body_name
 from htcp_jax.io.robot_model import EXCLUDED, LIST, excluded_bodies
 
 Listed = tuple[str, str, str, float]  # names of two capsules, the rule, and the share of configurations
@@ -49,28 +49,32 @@ def arm_xml(
     SubElement(SubElement(root, "option"), "flag", contact="disable")
     custom = SubElement(root, "custom")
     for name, numbers in arm.numbers.items():
-        SubElement(custom, "numeric", name=name, data=_text(numbers))
+        SubElement(custom, "numeric", name=name, data=_numbers_text(numbers))
     if listed is not None:
         _add_list(custom, arm, source, listed)
     elements = {0: SubElement(root, "worldbody")}
     for b in arm.bodies:
         if b > 0:
-            elements[b] = _body(elements[int(model.body_parentid[b])], arm, b)
+            elements[b] = _body_element(elements[int(model.body_parentid[b])], arm, b)
         _add_capsules(elements[b], arm.covers.get(b))
     position, turn = arm.tip.T_body_tcp[:3, 3], np.empty(4)
     mujoco.mju_mat2Quat(turn, arm.tip.T_body_tcp[:3, :3].ravel())
-    SubElement(elements[arm.tip.body], "site", name="tcp", **_pose(position, turn))
+    SubElement(elements[arm.tip.body], "site", name="tcp", **_pose_attributes(position, turn))
     _add_exclusions(root, arm)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _body(parent: Element, arm: ImportedArm, b: int) -> Element:
+def _body_element(parent: Element, arm: ImportedArm, b: int) -> Element:
     model = arm.model
-    body = SubElement(parent, "body", name=body_name(model, b), **_pose(model.body_pos[b], model.body_quat[b]))
+    body = SubElement(
+        parent, "body", name=body_name(model, b), **_pose_attributes(model.body_pos[b], model.body_quat[b])
+    )
     if b in arm.massive:
-        inertia = {"mass": _text([model.body_mass[b]]), "diaginertia": _text(model.body_inertia[b])}
-        SubElement(body, "inertial", pos=_text(model.body_ipos[b]), quat=_text(model.body_iquat[b]), **inertia)
+        inertia = {"mass": _numbers_text([model.body_mass[b]]), "diaginertia": _numbers_text(model.body_inertia[b])}
+        SubElement(
+            body, "inertial", pos=_numbers_text(model.body_ipos[b]), quat=_numbers_text(model.body_iquat[b]), **inertia
+        )
     for j, name in zip(arm.joints, arm.joint_names, strict=True):
         if model.jnt_bodyid[j] == b:
             SubElement(body, "joint", name=name, **_joint(model, j))
@@ -105,49 +109,49 @@ def _add_exclusions(root: Element, arm: ImportedArm) -> None:
 def _joint(model: mujoco.MjModel, j: int) -> dict[str, str]:
     slides = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
     given = {"type": "slide"} if slides else {}
-    given |= {"axis": _text(model.jnt_axis[j])}
+    given |= {"axis": _numbers_text(model.jnt_axis[j])}
     if model.jnt_pos[j].any():
-        given["pos"] = _text(model.jnt_pos[j])
+        given["pos"] = _numbers_text(model.jnt_pos[j])
     if model.qpos0[model.jnt_qposadr[j]]:
-        given["ref"] = _text([model.qpos0[model.jnt_qposadr[j]]])
+        given["ref"] = _numbers_text([model.qpos0[model.jnt_qposadr[j]]])
     if model.jnt_limited[j]:
-        given["range"] = _text(model.jnt_range[j])
+        given["range"] = _numbers_text(model.jnt_range[j])
     if model.jnt_actfrclimited[j]:
-        given["actuatorfrcrange"] = _text(model.jnt_actfrcrange[j])
+        given["actuatorfrcrange"] = _numbers_text(model.jnt_actfrcrange[j])
     return given
 
 
-def _add_capsules(body: Element, cover: Cover | None) -> None:
+def _add_capsules(body: Element, cover: BodyCover | None) -> None:
     if cover is None:
         return
     for name, capsule in cover.own.items():
-        _add_capsule(body, name, capsule)
+        _add_capsule_element(body, name, capsule)
     if cover.fitted:
         body.append(_comment(f" about {in_words(cover)}, {cover.ratio:.2f} times its hull "))
     for name, capsule in cover.fitted.items():
-        _add_capsule(body, name, capsule)
+        _add_capsule_element(body, name, capsule)
 
 
-def _add_capsule(body: Element, name: str, capsule: Capsule) -> None:
-    size = _text([capsule.radius])
+def _add_capsule_element(body: Element, name: str, capsule: Capsule) -> None:
+    size = _numbers_text([capsule.radius])
     if (capsule.p == capsule.q).all():
-        SubElement(body, "geom", name=name, type="sphere", pos=_text(capsule.p), size=size)
+        SubElement(body, "geom", name=name, type="sphere", pos=_numbers_text(capsule.p), size=size)
     else:
-        SubElement(body, "geom", name=name, type="capsule", fromto=_text([*capsule.p, *capsule.q]), size=size)
+        SubElement(body, "geom", name=name, type="capsule", fromto=_numbers_text([*capsule.p, *capsule.q]), size=size)
 
 
-def in_words(cover: Cover) -> str:
+def in_words(cover: BodyCover) -> str:
     """Describe the shapes in the fitted capsules: "mesh", "2 meshes, box"; "" if nothing was fitted."""
     count = {kind: cover.kinds.count(kind) for kind in dict.fromkeys(cover.kinds)}
     return ", ".join(kind if n == 1 else f"{n} {MANY[kind]}" for kind, n in count.items())
 
 
-def _pose(position: np.ndarray, turn: np.ndarray) -> dict[str, str]:
-    pose = {"pos": _text(position)} if position.any() else {}
-    return pose if (turn == [1, 0, 0, 0]).all() else pose | {"quat": _text(turn)}
+def _pose_attributes(position: np.ndarray, turn: np.ndarray) -> dict[str, str]:
+    pose = {"pos": _numbers_text(position)} if position.any() else {}
+    return pose if (turn == [1, 0, 0, 0]).all() else pose | {"quat": _numbers_text(turn)}
 
 
-def _text(numbers) -> str:
+def _numbers_text(numbers) -> str:
     """Format numbers with 15 significant digits, without noise in the last place."""
     return " ".join(f"{number + 0.0:.15g}" for number in numbers)
 

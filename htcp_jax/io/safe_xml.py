@@ -89,10 +89,10 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
                 spec.add_numeric(name=name, data=numbers, size=len(numbers))
         return spec
     except (ValueError, mujoco.FatalError) as error:
-        raise unreadable(path, error) from None
+        raise unreadable_model(path, error) from None
 
 
-def files_of(path: Path) -> set[Path]:
+def model_files(path: Path) -> set[Path]:
     """Return the absolute paths of a model file and its included files.
 
     Raises:
@@ -118,7 +118,7 @@ def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, f
         if joint.get("type") != "continuous":
             _check_range(joint, path)
         for name, attributes in (("speed", ["velocity"]), ("acceleration", ["acceleration", "drake:acceleration"])):
-            given = [number for each in attributes if (number := _number(joint, each, path)) > 0]
+            given = [number for each in attributes if (number := _limit_number(joint, each, path)) > 0]
             limits[name][joint.get("name", "")] = min(given, default=math.inf)
     return limits
 
@@ -129,12 +129,12 @@ def _check_range(joint: ElementTree.Element, path: Path) -> None:
     Raises:
         InputError: If it does not.
     """
-    lower, upper = _number(joint, "lower", path), _number(joint, "upper", path)
+    lower, upper = _limit_number(joint, "lower", path), _limit_number(joint, "upper", path)
     if not lower < upper and (lower, upper) != (0, 0):
         raise InputError(f"{path}: joint {joint.get('name')!r} has range {lower:g} to {upper:g}; it must ascend")
 
 
-def _number(joint: ElementTree.Element, name: str, path: Path) -> float:
+def _limit_number(joint: ElementTree.Element, name: str, path: Path) -> float:
     """Return a number in a joint's <limit>; 0 if missing, as URDF defines."""
     limit = joint.find("limit")
     text = "0" if limit is None else limit.get(name, "0")
@@ -144,7 +144,7 @@ def _number(joint: ElementTree.Element, name: str, path: Path) -> float:
         raise InputError(f"{path}: joint {joint.get('name')!r} has the {name} {text!r}, which is no number") from None
 
 
-def unreadable(path: Path, error: Exception) -> InputError:
+def unreadable_model(path: Path, error: Exception) -> InputError:
     """Return an error with the message by MuJoCo in one line."""
     reason = re.sub(r",? line \d+$", "", " ".join(str(error).split()))  # of our text, not of the file
     return InputError(f"{path}: not a model that MuJoCo can read: {reason}")
@@ -162,7 +162,7 @@ def parse(path: Path, kind: str = "a model that MuJoCo can read") -> ElementTree
     """
     try:
         with opened(path, largest=LARGEST_FILE) as stream:
-            return _tree(stream.read(), _Builder(path))
+            return _parsed(stream.read(), _Builder(path))
     except InputError:
         raise
     except OSError as error:
@@ -172,7 +172,7 @@ def parse(path: Path, kind: str = "a model that MuJoCo can read") -> ElementTree
         raise InputError(f"{path}: not {kind}: {reason}") from None
 
 
-def _tree(text: bytes, builder: _Builder) -> ElementTree.Element:
+def _parsed(text: bytes, builder: _Builder) -> ElementTree.Element:
     """Parse a text without namespaces: models use undeclared prefixes."""
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = builder.doctype

@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.columns import Columns, Points
-from htcp_jax.io.files import named
+from htcp_jax.io.columns import ColumnIndices, TablePoints
+from htcp_jax.io.files import open_named
 from htcp_jax.unfinished import temporary_folder
 
 
-class Kind(NamedTuple):
+class ScanFormat(NamedTuple):
     """Parser and libraries for files with an ending."""
 
     parser: str  # a function in parsers.py
@@ -30,17 +30,17 @@ class Kind(NamedTuple):
 
 
 SCANS = {
-    ".pcd": Kind("pcd", ("pypcd4",), "scan"),
-    ".e57": Kind("e57", ("pye57",), "scan"),
-    ".las": Kind("las", ("laspy",), "scan"),
-    ".laz": Kind("las", ("laspy", "lazrs"), "scan"),
+    ".pcd": ScanFormat("pcd", ("pypcd4",), "scan"),
+    ".e57": ScanFormat("e57", ("pye57",), "scan"),
+    ".las": ScanFormat("las", ("laspy",), "scan"),
+    ".laz": ScanFormat("las", ("laspy", "lazrs"), "scan"),
 }
-PARTS = {ending: Kind("step", ("cascadio",), "cad") for ending in (".step", ".stp")}
+PARTS = {ending: ScanFormat("step", ("cascadio",), "cad") for ending in (".step", ".stp")}
 LONGEST_S = 600
 MEMORY = 4 * 2**30  # and 40 times the file's size
 
 
-def read_scan(path: Path, ending: str) -> Points:
+def read_scan(path: Path, ending: str) -> TablePoints:
     """Read the points [m] of a scan, and its normals if it has any.
 
     NaN points, which PCD files contain where the scanner saw nothing, are excluded with a Note.
@@ -53,7 +53,7 @@ def read_scan(path: Path, ending: str) -> Points:
     if ending == ".pcd" and (empty := np.isnan(points).any(axis=1)).any():
         warnings.warn(f"{path}: {empty.sum()} of {len(points)} points are NaN and left out", Note, stacklevel=3)
         points, normals = points[~empty], None if normals is None else normals[~empty]
-    return Columns(3, (0, 1, 2), None, named=True).points(points, normals, str(path))
+    return ColumnIndices(3, (0, 1, 2), None, named=True).points(points, normals, str(path))
 
 
 def read_part(path: Path, ending: str) -> Float[np.ndarray, "F 3 3"]:
@@ -65,7 +65,7 @@ def read_part(path: Path, ending: str) -> Float[np.ndarray, "F 3 3"]:
     return parsed(path, PARTS[ending])["triangles"]
 
 
-def parsed(path: Path, kind: Kind) -> dict[str, np.ndarray]:
+def parsed(path: Path, kind: ScanFormat) -> dict[str, np.ndarray]:
     """Return the arrays of a file, see `parsers`.
 
     Raises:
@@ -75,7 +75,7 @@ def parsed(path: Path, kind: Kind) -> dict[str, np.ndarray]:
     if any(importlib.util.find_spec(library) is None for library in kind.libraries):
         need = f"""reading {ending} needs the extra "{kind.extra}": pip install 'htcp_jax[{kind.extra}]'"""
         raise InputError(f"{path}: {need}")
-    with named(path) as stream:
+    with open_named(path) as stream:
         size = os.fstat(stream.fileno()).st_size
     script = Path(__file__).with_name("parsers.py")
     with temporary_folder() as folder:

@@ -15,13 +15,13 @@ from htcp_jax.errors import InputError, described
 KIND = "kind"  # key of what another package reads, see `jobs.given_kinds`
 
 
-class Section(BaseModel):
+class FileSection(BaseModel):
     """A mapping in a file. Values are immutable; numbers are finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
+def validate_model(raw: dict, model: type[BaseModel], source: str) -> Any:
     """Return `raw` as a `model`; `source` is its name for messages.
 
     Raises:

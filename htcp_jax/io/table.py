@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.columns import Columns, Points, columns_of, header_names, without_units
+from htcp_jax.io.columns import ColumnIndices, TablePoints, columns_of, header_names, without_units
 from htcp_jax.io.files import read_array, read_bytes
 
 DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 
 
-def read_table(path: Path) -> Points:
+def read_table(path: Path) -> TablePoints:
     """Read rows of x, y, z and further columns from a text file, separated by commas, semicolons or blanks.
 
     Text after a # is a comment, and so is a line that begins with //. The first other line may be a header without
@@ -44,7 +44,7 @@ def read_named(path: Path, families: Sequence[tuple[str, ...]]) -> dict[tuple[st
         if all(names.count(name) == 1 for name in family):
             cells = [[row[names.index(name)] for name in family] for row in reader.rows]
             for k, row in enumerate(cells):
-                if not all(_is_number(cell) and math.isfinite(float(cell)) for cell in row):
+                if not all(_is_numeric_cell(cell) and math.isfinite(float(cell)) for cell in row):
                     raise InputError(f"{path}: {','.join(family)} of point {k + 1} is {','.join(row)[:40]!r}")
             found[family] = np.array(cells, float)
     return found
@@ -59,13 +59,13 @@ class _TableReader:
         self.names: list[str] | None = None
         self.header: int | None = None  # its line
         self.first = 0  # the line of the first row
-        self.columns: Columns | None = None
+        self.columns: ColumnIndices | None = None
         self.xyz: list[list[float]] = []
         self.normals: list[list[float]] | None = None
         self.whole = False  # True if all rows so far are as 1,5,2,5,3,5, where commas may be decimal
 
     def take_all(self) -> None:
-        lines = _text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        lines = _table_text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
         for number, line in enumerate(lines, start=1):
             self.take(number, line)
 
@@ -79,16 +79,16 @@ class _TableReader:
                 self._remark(comment)
             return
         cells = _cells(content)
-        if self.columns is None and self.header is None and not any(_is_number(cell) for cell in cells):
+        if self.columns is None and self.header is None and not any(_is_numeric_cell(cell) for cell in cells):
             if decimal := _decimal_commas(content):
                 raise self._error(number, decimal)
             self.header, self.names = number, header_names(_cells(without_units(content).strip()))
         else:
             self._row(number, content, cells)
 
-    def points(self) -> Points:
+    def points(self) -> TablePoints:
         if self.columns is None:
-            return Points(np.empty((0, 3)))
+            return TablePoints(np.empty((0, 3)))
         if self.whole:
             raise self._error(self.first, ": decimal commas? A whole number in every column; write decimal points")
         xyz = np.array(self.xyz, dtype=np.float64).reshape(-1, 3)
@@ -109,7 +109,7 @@ class _TableReader:
             self._begin(number, content, cells)
         row = []
         for k in self.columns.xyz:
-            if not _is_number(cells[k]):
+            if not _is_numeric_cell(cells[k]):
                 wrong = f": {cells[k].strip()[:30]!r} is not a number"
                 raise self._error(number, _decimal_commas(content) or wrong)
             row.append(float(cells[k]))
@@ -131,7 +131,7 @@ class _TableReader:
         self.whole = not self.columns.named and len(cells) > 3 and ";" not in content and "," in content
 
     def _normal(self, cells: list[str]) -> None:
-        if all(_is_number(cells[k]) for k in self.columns.normals):
+        if all(_is_numeric_cell(cells[k]) for k in self.columns.normals):
             self.normals.append([float(cells[k]) for k in self.columns.normals])
         elif self.columns.named:
             self.normals.append([0.0, 0.0, 0.0])
@@ -142,7 +142,7 @@ class _TableReader:
         return InputError(f"{self.path}: line {number}{words}")
 
 
-def read_npy(path: Path) -> Points:
+def read_npy(path: Path) -> TablePoints:
     """Read the points of a .npy file, an array of numbers (P, 3 or more).
 
     Raises:
@@ -162,7 +162,7 @@ def read_npy(path: Path) -> Points:
     return columns.points(xyz, normals[0] if normals else None, str(path))
 
 
-def _text(path: Path) -> str:
+def _table_text(path: Path) -> str:
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -176,7 +176,7 @@ def _cells(line: str) -> list[str]:
     return line.split()
 
 
-def _is_number(cell: str) -> bool:
+def _is_numeric_cell(cell: str) -> bool:
     try:
         float(cell)
     except ValueError:

@@ -34,7 +34,7 @@ def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.nd
     Raises:
         InputError: For an implausible size.
     """
-    extent, longest, thinnest = _extent(part), kinematics.reach(robot), 2.0 * float(np.min(robot.capsule_radius))
+    extent, longest, thinnest = _extent(part), kinematics.max_reach(robot), 2.0 * float(np.min(robot.capsule_radius))
     fitting = [unit for unit, metres in METRES.items() if 2.0 * thinnest <= metres * extent <= LARGE * longest]
     if extent > LARGE * longest:
         text = f"{name} extends over {extent:.3g} m, {robot.name} reaches {longest:.3g} m"
@@ -52,7 +52,7 @@ def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
     """
     tip = float(np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
     links, length, thickest = (
-        kinematics.reach(robot) - tip,
+        kinematics.max_reach(robot) - tip,
         tip + abs(extension_m),
         float(np.asarray(robot.capsule_radius).max()),
     )
@@ -63,7 +63,7 @@ def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
         raise InputError(f"{measured}, and a body has a radius of {thickest:.3g} m; metres are needed")
 
 
-def check_path(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
+def check_path_unit(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
     """Check that a path is near its part.
 
     Args:
@@ -74,7 +74,7 @@ def check_path(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], 
     Raises:
         InputError: For a median distance from the cloud that is too large.
     """
-    if (distance := _distance(cloud, path)) > _stand_off(cloud):
+    if (distance := _median_distance(cloud, path)) > _stand_off(cloud):
         raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_in(cloud, path)}")
 
 
@@ -89,7 +89,7 @@ def _part_in(part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], uni
     if not units:
         return "give it in metres, and no more of it than the arm reaches"
     metres = METRES[units[0]]
-    whose = "it seems" if _distance(metres * part, path) <= _stand_off(metres * part) else "it and its path seem"
+    whose = "it seems" if _median_distance(metres * part, path) <= _stand_off(metres * part) else "it and its path seem"
     return f"{whose} to be in {units[0]}, metres are needed (factor {metres:g})"
 
 
@@ -99,7 +99,7 @@ def _path_in(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) ->
     for unit, metres in sorted(METRES.items(), key=lambda item: -item[1]):
         # With too small a unit any path is at the origin, but too short.
         right_length = 0.05 * extent <= metres * _extent(path) <= 2.0 * extent
-        if right_length and _distance(cloud, metres * path) <= 0.5 * extent:
+        if right_length and _median_distance(cloud, metres * path) <= 0.5 * extent:
             return f"the path seems to be in {unit}, metres are needed (factor {metres:g})"
     return "both have to be in metres and in the same frame"
 
@@ -112,6 +112,6 @@ def _extent(points: Float[np.ndarray, "P 3"]) -> float:
     return float(np.ptp(points, axis=0).max())
 
 
-def _distance(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> float:
+def _median_distance(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> float:
     """Return the median distance of the path's points from the cloud [m]."""
     return float(np.median(cKDTree(cloud).query(path)[0]))

@@ -16,7 +16,7 @@ from htcp_jax.io.files import known_ending
 from htcp_jax.io.path_file import read_frames
 from htcp_jax.io.point_cloud import TEXT, load_geometry
 from htcp_jax.io.table import read_table
-from htcp_jax.io.units import check_extent, check_path
+from htcp_jax.io.units import check_extent, check_path_unit
 from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
 from htcp_jax.types import Anywhere
 
@@ -40,7 +40,7 @@ class GeneratedDuct(NamedTuple):
         tolerance_m = DUCT_HULL_TOLERANCE_M
         return {"name": "duct", "inlet": duct.INLET, "hull_tolerance_m": tolerance_m, "inlet_direction": along}
 
-    def walls(self, thinnest_m: float) -> mesh_points.Cover:
+    def walls(self, thinnest_m: float) -> mesh_points.PointCover:
         """Return the points on the duct [m].
 
         Raises:
@@ -50,7 +50,7 @@ class GeneratedDuct(NamedTuple):
             raise InputError(f"seed is {self.seed}; it must be 0 or more")
         if not 4 <= self.points <= MOST_POINTS:
             raise InputError(f"points is {self.points}; valid are 4 to {MOST_POINTS}")
-        return mesh_points.Cover(duct.duct_cloud(self.points, self.seed), 0.0)
+        return mesh_points.PointCover(duct.duct_cloud(self.points, self.seed), 0.0)
 
     def path(self) -> Float[np.ndarray, "T 3"]:
         """Return the points of the seam [m].
@@ -77,9 +77,9 @@ class PointCloud(NamedTuple):
         """Fields of `Workpiece` for this kind."""
         return {"name": Path(self.label).stem, "inlet_direction": workpiece.InletDirection.HULL_FACET}
 
-    def walls(self, thinnest_m: float) -> mesh_points.Cover:
+    def walls(self, thinnest_m: float) -> mesh_points.PointCover:
         """Return the points [m]."""
-        return mesh_points.Cover(self.points, 0.0)
+        return mesh_points.PointCover(self.points, 0.0)
 
 
 class TriangleMesh(NamedTuple):
@@ -100,13 +100,13 @@ class TriangleMesh(NamedTuple):
         direction = workpiece.InletDirection.HULL_FACET
         return {"name": Path(self.label).stem, "inlet_direction": direction, "triangles": self.triangles}
 
-    def walls(self, thinnest_m: float) -> mesh_points.Cover:
+    def walls(self, thinnest_m: float) -> mesh_points.PointCover:
         """Return points that cover the mesh [m].
 
         Raises:
             InputError: If the thinnest body fits between them; see `mesh_points.cover` for others.
         """
-        surface = mesh_points.cover(self.triangles, self.label, self.spacing_m, thinnest_m)
+        surface = mesh_points.cover_mesh(self.triangles, self.label, self.spacing_m, thinnest_m)
         if surface.radius_m >= thinnest_m:
             raise InputError(
                 f"{self.label}: the mesh is up to {1e3 * surface.radius_m:.4g} mm from its points, and the thinnest "
@@ -123,9 +123,9 @@ class NoCloud(NamedTuple):
         """Fields of `Workpiece` for this kind."""
         return {"inlet_direction": workpiece.InletDirection.HULL_FACET}
 
-    def walls(self, thinnest_m: float) -> mesh_points.Cover:
+    def walls(self, thinnest_m: float) -> mesh_points.PointCover:
         """Return no points."""
-        return mesh_points.Cover(np.empty((0, 3)), 0.0)
+        return mesh_points.PointCover(np.empty((0, 3)), 0.0)
 
 
 WorkpieceSource = GeneratedDuct | PointCloud | TriangleMesh | NoCloud
@@ -179,7 +179,7 @@ def load_workpiece(
         check_extent(robot, source.points, track, own["name"])
     surface = source.walls(np.inf if robot is None else float(np.min(robot.capsule_radius)))
     if robot is not None and not isinstance(source, NoCloud):
-        check_path(surface.points, track, own["name"])
+        check_path_unit(surface.points, track, own["name"])
     return Workpiece(cloud=surface.points, path=track, covering_radius_m=surface.radius_m, **own)
 
 

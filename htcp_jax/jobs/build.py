@@ -62,7 +62,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     stated = {"inlet": part.inlet_m, "inlet_direction": direction}
     workpiece = workpiece_file.load_workpiece(
         source_of(part),
-        path_of(part),
+        path_file(part),
         interior=part.interior,
         interior_depth_m=part.interior_depth_m,
         tip_contact_m=part.tip_contact_m,
@@ -86,11 +86,13 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
 def source_of(part: WorkpieceConfig) -> workpiece_file.WorkpieceSource:
     """Return the source of the workpiece's walls; a file is read."""
     if part.is_duct:
-        return workpiece_file.GeneratedDuct(seam=part.path) if path_of(part) is None else workpiece_file.GeneratedDuct()
+        return (
+            workpiece_file.GeneratedDuct(seam=part.path) if path_file(part) is None else workpiece_file.GeneratedDuct()
+        )
     return workpiece_file.read_source(part.cloud, part.mesh_spacing_m) if part.has_cloud else workpiece_file.NoCloud()
 
 
-def path_of(part: WorkpieceConfig) -> str | None:
+def path_file(part: WorkpieceConfig) -> str | None:
     """Return the path's file; None if a seam of the generated duct is named."""
     is_seam = part.path in duct_seams.SEAMS or (part.is_duct and not Path(part.path).suffix)
     return None if is_seam else part.path
@@ -139,7 +141,9 @@ def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] 
     """Return the position at a given start of the point that follows the path, world [m]; None if unknown."""
     if not job.task or job.start is None:
         return None
-    return goals.follower(job.task, robots.lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
+    return goals.follower_position(
+        job.task, robots.lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start)
+    )
 
 
 def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
@@ -152,7 +156,7 @@ def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
     return cells.load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
 
 
-def drawn_of(cell: CellConfig) -> surface.Drawn:
+def drawn_of(cell: CellConfig) -> surface.WorldGeometry:
     """Load the triangles and clouds of the cell, for drawing."""
     given = [shapes_in_world(kind) for kind in cell.obstacles]
     for kind, shapes in zip(cell.obstacles, given, strict=True):
@@ -168,7 +172,9 @@ def drawn_of(cell: CellConfig) -> surface.Drawn:
             triangles.append(mesh @ T[:3, :3].T + T[:3, 3])
         else:
             surfaces.append(surface.surface_of(points).placed(T))
-    return surface.Drawn(np.concatenate(triangles), surface.Surface(*map(np.concatenate, zip(*surfaces, strict=True))))
+    return surface.WorldGeometry(
+        np.concatenate(triangles), surface.Surface(*map(np.concatenate, zip(*surfaces, strict=True)))
+    )
 
 
 def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:

@@ -16,7 +16,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
 from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
-from htcp_jax.jobs.given_kinds import needs_kind, of_kind, record_of
+from htcp_jax.jobs.given_kinds import given_kind_of, needs_kind, record_of
 from htcp_jax.model import TaskRow, Tool, duct, task_row_kind
 from htcp_jax.model import robot as robots
 from htcp_jax.registry import NAME
@@ -24,11 +24,11 @@ from htcp_jax.settings import Settings
 
 LARGEST = 1e6  # of lengths [m] and joint positions; beyond, rounding exceeds the tolerance
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
-Point = tuple[Number, Number, Number]
+PointM = tuple[Number, Number, Number]
 Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # larger values are usually degrees
-Steps = Annotated[int, Field(ge=0, le=10_000)]
+ApproachSteps = Annotated[int, Field(ge=0, le=10_000)]
 FASTEST = 1e9  # of any rate or count
-Rates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # of the joints, in both directions
+JointRates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # of the joints, in both directions
 Moment = Annotated[float, Field(gt=0, le=100)]  # [s]
 AUTO = "auto"  # a start that the planner chooses
 
@@ -44,16 +44,16 @@ def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
     return value if value == AUTO else numbers(value)
 
 
-Start = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
+StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
 # What stands in a job as {kind: NAME, ...} is of another package; a row without a kind is a `TaskRow`.
 Row = Annotated[
-    TaskRow, WrapValidator(of_kind(task_row_kind.TASK_ROWS, task_row_kind.TaskRowKind)), WrapSerializer(record_of)
+    TaskRow, WrapValidator(given_kind_of(task_row_kind.TASK_ROWS, task_row_kind.TaskRowKind)), WrapSerializer(record_of)
 ]
 Obstacle = Annotated[
     Any,
     AfterValidator(needs_kind),
-    WrapValidator(of_kind(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
+    WrapValidator(given_kind_of(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
     WrapSerializer(record_of),
 ]
 
@@ -71,13 +71,13 @@ DEPENDENT = (
 )
 
 
-class RobotConfig(strict_model.Section):
+class RobotConfig(strict_model.FileSection):
     """The arm, its pose, and its tool."""
 
     model: str = BUILT_IN_ARM  # or an MJCF or URDF file
     limits: Literal["simulation", "datasheet", "model"] = "simulation"
     tcp: str | None = None  # site or body at the TCP, or at the flange of a `tool`; default: see `load_robot`
-    base_m: Point = (0.0, 0.0, 0.0)  # of the model's own frame, in the world
+    base_m: PointM = (0.0, 0.0, 0.0)  # of the model's own frame, in the world
     base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
     tool: Tool | None = None
     tool_extension_m: Number = 0.0
@@ -93,25 +93,25 @@ class RobotConfig(strict_model.Section):
         return robots.GP50 if self.is_gp50 else Path(self.model)
 
 
-class WorkpieceConfig(strict_model.Section):
+class WorkpieceConfig(strict_model.FileSection):
     """The cloud, the tool path in its frame, its pose, and the approach to the path."""
 
     cloud: str = DUCT  # the generated duct, a file of points or a mesh, or none
     path: str = "weld"  # a seam of the generated duct, see `duct_seams`, or a CSV file of x,y,z [m]
-    inlet_m: Point | None = None  # centre of the inlet; None: the duct's, or none for another cloud
+    inlet_m: PointM | None = None  # centre of the inlet; None: the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # boundary of the interior deeper than interior_depth_m
     interior_depth_m: float = Field(duct.INTERIOR_DEPTH_M, ge=0, le=LARGEST)
-    inlet_direction: Point | Literal["world-x"] | None = "world-x"  # into the part; see `InletDirection`
+    inlet_direction: PointM | Literal["world-x"] | None = "world-x"  # into the part; see `InletDirection`
     mesh_spacing_m: Annotated[float, Field(ge=1e-5, le=LARGEST)] | None = None  # widest gap of the points on a mesh
     tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None  # of the bare tip, from the TCP; null: all
-    pivot_m: Point = duct.PIVOT  # world point that the rotations turn about
-    neutral_translation_m: Point = duct.NEUTRAL_TRANSLATION  # of the workpiece frame, before the rotations
+    pivot_m: PointM = duct.PIVOT  # world point that the rotations turn about
+    neutral_translation_m: PointM = duct.NEUTRAL_TRANSLATION  # of the workpiece frame, before the rotations
     rotation_x_rad: float = 0.0  # about world x first, then y, then z
     rotation_y_rad: float = 0.4
     rotation_z_rad: float = 0.1
-    shift_m: Point = (0.0, 0.0, 0.0)
-    approach_to_inlet: Steps = 5  # equal steps from the start's TCP to the inlet
-    approach_to_path: Steps = 5  # and from there to the first point of the path
+    shift_m: PointM = (0.0, 0.0, 0.0)
+    approach_to_inlet: ApproachSteps = 5  # equal steps from the start's TCP to the inlet
+    approach_to_path: ApproachSteps = 5  # and from there to the first point of the path
 
     @property
     def is_duct(self) -> bool:
@@ -129,34 +129,34 @@ class WorkpieceConfig(strict_model.Section):
         return self.inlet_direction == "world-x" or (self.is_duct and self.inlet_direction is None)
 
 
-class CloudConfig(strict_model.Section):
+class CloudConfig(strict_model.FileSection):
     """A further cloud or mesh, fixed in the world."""
 
     cloud: str  # a file of points or a mesh
-    base_m: Point = (0.0, 0.0, 0.0)  # of its own frame, in the world
+    base_m: PointM = (0.0, 0.0, 0.0)  # of its own frame, in the world
     base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
 
 
-class CellConfig(strict_model.Section):
+class CellConfig(strict_model.FileSection):
     """Collision objects in addition to the workpiece: the arm itself, and the work cell."""
 
     self_collision: bool = False
     model: str | None = None  # an MJCF file
     moved: str | None = None  # the body to rotate and translate; None: the complete cell
-    shift_m: Point = (0.0, 0.0, 0.0)
+    shift_m: PointM = (0.0, 0.0, 0.0)
     rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
     clouds: tuple[CloudConfig, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()  # of other packages
 
 
-class UserFrameConfig(strict_model.Section):
+class UserFrameConfig(strict_model.FileSection):
     """A frame with a number at the controller; RECTAN positions are in it."""
 
     number: int = Field(ge=1, le=63)
     on: Literal["workpiece", "world"] = "workpiece"  # the object to which it is fixed
 
 
-class PulsesConfig(strict_model.Section):
+class PulsesConfig(strict_model.FileSection):
     """Encoder scale of a controller."""
 
     per_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...]  # or per m; negative: opposite direction
@@ -164,13 +164,13 @@ class PulsesConfig(strict_model.Section):
     source: str = Field(min_length=1, max_length=200)  # of these numbers
 
 
-class ProgramConfig(strict_model.Section):
+class ProgramConfig(strict_model.FileSection):
     """Section `program` of a job; it has no influence on plans."""
 
     feed: str | None = None  # of the TCP on the path, with its unit: 20mm/s
-    velocity: Rates | None = None  # [rad/s or m/s]; None: the model's
-    acceleration: Rates | None = None  # [rad/s2 or m/s2]; None: the model's, or full speed in full_speed_s
-    jerk: Rates | None = None  # [rad/s3 or m/s3]; None: full acceleration in full_acceleration_s
+    velocity: JointRates | None = None  # [rad/s or m/s]; None: the model's
+    acceleration: JointRates | None = None  # [rad/s2 or m/s2]; None: the model's, or full speed in full_speed_s
+    jerk: JointRates | None = None  # [rad/s3 or m/s3]; None: full acceleration in full_acceleration_s
     full_speed_s: Moment = 0.2
     full_acceleration_s: Moment = 0.1
     tool: int = Field(0, ge=0, le=63)  # its number at the controller
@@ -186,7 +186,7 @@ class ProgramConfig(strict_model.Section):
         return feed
 
 
-class RayConfig(strict_model.Section):
+class RayConfig(strict_model.FileSection):
     """Ray resources per shard of a sweep; no influence on results."""
 
     num_cpus: float = Field(1.0, gt=0)
@@ -194,17 +194,17 @@ class RayConfig(strict_model.Section):
     retries: int = Field(3, ge=0)  # of a shard after its worker or node died
 
 
-class PlanConfig(strict_model.Section):
+class PlanConfig(strict_model.FileSection):
     """One plan; the defaults are the default job."""
 
     robot: RobotConfig = RobotConfig()
     workpiece: WorkpieceConfig = WorkpieceConfig()
     cell: CellConfig = CellConfig()
-    start_rad: Start = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # or auto: chosen at the path's first point
+    start_rad: StartAngles = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # or auto: chosen at the path's first point
     home_rad: tuple[Number, ...] | None = None  # first configuration of the motion; None: the start
     task: tuple[Row, ...] = ()  # none: the TCP on the path
     margin_m: float = Field(5e-4, ge=0, le=1)  # required clearance at a target
-    method: str = "roadmap"
+    method: str = "beam"
     settings: Settings = Settings()
     program: ProgramConfig = ProgramConfig()
     ray: RayConfig = RayConfig()

@@ -41,7 +41,7 @@ def layers_of(mapping: Mapping[str, Any], name: str) -> list[tuple[str, dict]]:
     """
     raw: dict = {}
     for dotted, value in mapping.items():
-        put(raw, str(dotted), value)
+        put_key(raw, str(dotted), value)
     return _below(raw, name, Path(), [])
 
 
@@ -53,7 +53,7 @@ def merged(raws: Iterable[dict]) -> dict:
     return whole
 
 
-def put(raw: dict, dotted: str, value: Any) -> None:
+def put_key(raw: dict, dotted: str, value: Any) -> None:
     """Set one key, or merge a mapping into an existing section.
 
     Args:
@@ -73,7 +73,7 @@ def put(raw: dict, dotted: str, value: Any) -> None:
         if not isinstance(raw.get(section), dict):
             raw[section] = {}
         raw = raw[section]
-    _lay_over(raw, {key: _plain(value)})
+    _lay_over(raw, {key: _yaml_value(value)})
 
 
 def _put_in_row(rows: list, number: str, key: str, dotted: str, value: Any) -> None:
@@ -81,7 +81,7 @@ def _put_in_row(rows: list, number: str, key: str, dotted: str, value: Any) -> N
     if not number.isdecimal() or not 1 <= int(number) <= len(rows) or not isinstance(rows[int(number) - 1], dict):
         raise InputError(f"{dotted}: there is no row {number}; there are {len(rows)}")
     own = rows[int(number) - 1] = dict(rows[int(number) - 1])
-    put(own, key, value)
+    put_key(own, key, value)
 
 
 def parse_override(override: str) -> tuple[str, Any]:
@@ -96,7 +96,7 @@ def parse_override(override: str) -> tuple[str, Any]:
     return dotted, strict_yaml.parse_yaml(text, f"--set {override}")
 
 
-def _below(raw: dict, name: str, folder: Path, on_the_way: list[Path]) -> list[tuple[str, dict]]:
+def _below(raw: dict, name: str, folder: Path, parents: list[Path]) -> list[tuple[str, dict]]:
     _anchor_files(raw, folder)
     if BASE not in raw:
         return [(name, raw)]
@@ -104,9 +104,9 @@ def _below(raw: dict, name: str, folder: Path, on_the_way: list[Path]) -> list[t
     if not isinstance(base, str):
         raise InputError(f"{name}: {BASE} is {base!r}; it names the file that this one builds on")
     file = folder / base
-    if any(_same(file, other) for other in on_the_way):
-        raise InputError(f"{name}: configurations in a circle: {' -> '.join(map(str, [*on_the_way, file]))}")
-    return [*_below(strict_yaml.read_yaml(file), str(file), file.parent, [*on_the_way, file]), (name, raw)]
+    if any(_same(file, other) for other in parents):
+        raise InputError(f"{name}: configurations in a circle: {' -> '.join(map(str, [*parents, file]))}")
+    return [*_below(strict_yaml.read_yaml(file), str(file), file.parent, [*parents, file]), (name, raw)]
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -140,10 +140,10 @@ def _lay_over(whole: dict, raw: dict) -> None:
             whole[key] = _copy(value)
 
 
-def _plain(value: Any) -> Any:
+def _yaml_value(value: Any) -> Any:
     """Convert a Python value to YAML's types."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _yaml_value(item) for key, item in value.items()}
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.io import robot_model
 from htcp_jax.jobs.config import AUTO, DEPENDENT, PlanConfig
-from htcp_jax.jobs.config_file import FILES, NO_CLOUD, put
+from htcp_jax.jobs.config_file import FILES, NO_CLOUD, put_key
 
 TIP_CONTACT_M = 0.01  # for a user-supplied part
 
@@ -64,7 +64,7 @@ def fill_in(raw: dict, stated: Collection[str], source: str) -> None:
     sections = {key: raw.get(key, {}) for key in ("robot", "workpiece", "cell", "settings")}
     for key, default in own_defaults(raw, stated).items():
         if key not in stated and isinstance(sections[key.partition(".")[0]], dict):
-            put(raw, key, default)
+            put_key(raw, key, default)
 
 
 def keys_of(raw: dict, prefix: str = "") -> set[str]:

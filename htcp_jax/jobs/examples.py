@@ -50,10 +50,10 @@ def description(file: Path) -> str:
     return " ".join(comment.replace("#", " ").split()).split(". ")[0].rstrip(".")
 
 
-def files_of(file: Path) -> set[Path]:
+def files_with_baseline(file: Path) -> set[Path]:
     """Return the file with its baseline and all files to which it refers, recursively."""
     found = {file, *file.parent.glob(f"baselines/{file.name}")}
     for name in re.findall(r"[\w./-]+\.\w+", re.sub("#.*", "", file.read_text(encoding="utf-8"))):
         if (other := Path(os.path.normpath(file.parent / name))).is_file():
-            found |= files_of(other)
+            found |= files_with_baseline(other)
     return found

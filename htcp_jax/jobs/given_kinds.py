@@ -12,13 +12,13 @@ from pydantic import TypeAdapter, ValidationError
 from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError, described
 from htcp_jax.io import strict_model
-from htcp_jax.kinds import Kind, with_arrays
+from htcp_jax.kinds import ExtensionKind, with_arrays
 from htcp_jax.model import Fixture, fixture, tool
 from htcp_jax.registry import Registry
 from htcp_jax.types import Triple
 
 
-def of_kind(registry: Registry, base: type[Kind]) -> Callable[[Any, Callable], Any]:
+def given_kind_of(registry: Registry, base: type[ExtensionKind]) -> Callable[[Any, Callable], Any]:
     """Return a pydantic validator for an entry that names a kind in `registry`, or is one already.
 
     All other entries go to the built-in model.
@@ -27,7 +27,7 @@ def of_kind(registry: Registry, base: type[Kind]) -> Callable[[Any, Callable], A
     def read(value: Any, built_in: Callable) -> Any:
         if isinstance(value, dict) and strict_model.KIND in value:
             return _made(registry.find(str(value[strict_model.KIND])), value)
-        return _checked(value) if _is_given(value) and isinstance(value, base) else built_in(value)
+        return _checked_kind(value) if _is_given(value) and isinstance(value, base) else built_in(value)
 
     return read
 
@@ -51,25 +51,25 @@ def record_of(value: Any, built_in: Callable) -> Any:
 
 
 def _is_given(value: Any) -> bool:
-    return isinstance(value, Kind) and value.name != "built-in"
+    return isinstance(value, ExtensionKind) and value.name != "built-in"
 
 
-def _made(kind: type[Kind], raw: dict) -> Kind:
+def _made(kind: type[ExtensionKind], raw: dict) -> ExtensionKind:
     """Return a kind from its keys. Raises InputError for an unknown key and a value of another type."""
     given = {key: value for key, value in raw.items() if key != strict_model.KIND}
     strict_model.refuse_unknown(given, kind, f"kind {kind.name}")
     try:
-        return _finite(_adapter(kind).validate_python(given))
+        return _finite_kind(_adapter(kind).validate_python(given))
     except ValidationError as error:
         raise InputError(f"kind {kind.name}: {described(error.errors()[0])}") from None
 
 
-def _checked(value: Kind) -> Kind:
+def _checked_kind(value: ExtensionKind) -> ExtensionKind:
     """Return a kind that was made in Python with its values in the types of its fields."""
     return _made(type(value), {field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
 
 
-def _finite(value: Kind) -> Kind:
+def _finite_kind(value: ExtensionKind) -> ExtensionKind:
     for field in dataclasses.fields(value):
         numbers = getattr(value, field.name)
         for number in numbers if isinstance(numbers, tuple) else [numbers]:
@@ -79,7 +79,7 @@ def _finite(value: Kind) -> Kind:
 
 
 @cache
-def _adapter(kind: type[Kind]) -> TypeAdapter:
+def _adapter(kind: type[ExtensionKind]) -> TypeAdapter:
     return TypeAdapter(kind)
 
 

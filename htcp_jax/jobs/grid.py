@@ -37,10 +37,10 @@ from htcp_jax.jobs.build import (
     workpiece_of,
 )
 from htcp_jax.jobs.config import DEPENDENT, PlanConfig, RobotConfig, WorkpieceConfig
-from htcp_jax.jobs.config_file import put
+from htcp_jax.jobs.config_file import put_key
 from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
 from htcp_jax.jobs.examples import read_mapping
-from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, Point, read_grid
+from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, ScenarioPoint, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import read_config
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
@@ -48,7 +48,7 @@ from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
 
 
-class SweepFile(strict_model.Section):
+class SweepFile(strict_model.FileSection):
     """Content of a sweep file; `grid_axes` checks the axes."""
 
     config: str | None = None
@@ -56,7 +56,7 @@ class SweepFile(strict_model.Section):
     groups: dict[str, tuple[dict, ...]] | None = None
 
 
-class Cell(NamedTuple):
+class PlannerInputs(NamedTuple):
     """Data shared by the scenarios in one call of the planner."""
 
     robot: Robot
@@ -69,10 +69,10 @@ class Cell(NamedTuple):
 class Batch(NamedTuple):
     """Scenarios ready to be planned."""
 
-    cells: tuple[Cell, ...]
+    cells: tuple[PlannerInputs, ...]
     cell: Int[np.ndarray, "S"]  # index of each scenario's cell
     scenarios: Scenario  # stacked
-    points: tuple[Point, ...]
+    points: tuple[ScenarioPoint, ...]
 
     @property
     def robot(self) -> Robot:
@@ -109,7 +109,7 @@ class Sweep:
     def __len__(self) -> int:
         return sum(group.size for group in self.groups)
 
-    def points(self, limit: int | None = None) -> tuple[Point, ...]:
+    def points(self, limit: int | None = None) -> tuple[ScenarioPoint, ...]:
         """Return the first `limit` scenarios, in order.
 
         Raises:
@@ -131,7 +131,7 @@ class Sweep:
         parts: dict[tuple[RobotConfig, WorkpieceConfig], Workpiece] = {}
         obstacles: dict[tuple[RobotConfig, tuple], Obstacles] = {}
         follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # position at a start, see `make_scenario`
-        cells: dict[tuple, tuple[int, Cell]] = {}
+        cells: dict[tuple, tuple[int, PlannerInputs]] = {}
         scenarios, whose = [], []
         for point in points:
             arm, part, settings = arm_of(point.config), part_of(point.config), point.config.settings
@@ -142,7 +142,7 @@ class Sweep:
             task, beside = _task(point, arms[arm]), beside_of(point.config.cell)
             if (arm, beside) not in obstacles:
                 obstacles[arm, beside] = obstacles_of(point.config.cell, arms[arm])
-            own = len(cells), Cell(arms[arm], parts[arm, part], settings, task, obstacles[arm, beside])
+            own = len(cells), PlannerInputs(arms[arm], parts[arm, part], settings, task, obstacles[arm, beside])
             whose.append(cells.setdefault((arm, shape_of(part), settings, task, beside), own)[0])
             begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
             number = 0 if self.alone else point.number
@@ -172,7 +172,7 @@ def load_sweep(
         InputError: For an invalid file, for an unknown parameter and for an empty grid.
     """
     path, raw = read_mapping(spec, "sweep")
-    file: SweepFile = strict_model.validate(raw, SweepFile, str(path))
+    file: SweepFile = strict_model.validate_model(raw, SweepFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config
     if (file.grid is None) == (file.groups is None):
@@ -184,9 +184,9 @@ def load_sweep(
     stated = keys_of(raw)
     first = _first_values(raw, grids, path.parent)
     for key, value in first.items():
-        put(raw, key, value)
+        put_key(raw, key, value)
     fill_in(raw, keys_of(raw), source)
-    base: PlanConfig = strict_model.validate(raw, PlanConfig, source)
+    base: PlanConfig = strict_model.validate_model(raw, PlanConfig, source)
     robot = robot_of(base.robot)
     groups = []
     for name, axes in grids.items():
@@ -234,14 +234,14 @@ def _like(first: Robot, robot: Robot, where: str) -> Robot:
     return robot
 
 
-def _task(point: Point, robot: Robot) -> Task:
+def _task(point: ScenarioPoint, robot: Robot) -> Task:
     try:
         return task_of_job(point.config, robot)
     except InputError as error:
         raise InputError(f"scenario {point.number}: {error}") from None
 
 
-def _check_alike(point: Point, task: Task, first: Task) -> None:
+def _check_alike(point: ScenarioPoint, task: Task, first: Task) -> None:
     """Check that a goal has as many numbers as the first scenario's: all are stacked in one array.
 
     Raises:
@@ -254,14 +254,14 @@ def _check_alike(point: Point, task: Task, first: Task) -> None:
         )
 
 
-def _check_obstacles(point: Point, scenario: Scenario, first: Scenario) -> None:
+def _check_obstacles(point: ScenarioPoint, scenario: Scenario, first: Scenario) -> None:
     """Raise InputError if the obstacles have another count of numbers than the first scenario's."""
     if np.shape(scenario.obstacle_numbers) != np.shape(first.obstacle_numbers):
         raise InputError(f"scenario {point.number}: its cell.obstacles have other numbers than the first one's")
 
 
 def _scenario(
-    point: Point, robot: Robot, workpiece: Workpiece, follows: Float[np.ndarray, "3"] | None, number: int
+    point: ScenarioPoint, robot: Robot, workpiece: Workpiece, follows: Float[np.ndarray, "3"] | None, number: int
 ) -> Scenario:
     try:
         return scenario_of(point.config, robot, workpiece, number, "record", follows)

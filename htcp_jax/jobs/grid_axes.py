@@ -34,7 +34,7 @@ OF_A_KIND = re.compile(r"((?:cell\.obstacles|task)\.[1-9]\d*\.[a-zA-Z_]\w*)(?:\.
 XYZ = "xyz"
 
 
-def _keys() -> dict[str, Any]:
+def _varied_keys() -> dict[str, Any]:
     """Return every key that an axis may vary, with its default."""
     found = {}
     for name, value in PlanConfig().model_dump().items():
@@ -46,10 +46,10 @@ def _keys() -> dict[str, Any]:
     return found
 
 
-KEYS = _keys()
+KEYS = _varied_keys()
 
 
-class Parameter(NamedTuple):
+class AxisParameter(NamedTuple):
     """A quantity that an axis may vary: a key of the configuration, or one element of its value."""
 
     name: str  # start_rad.joint3
@@ -57,22 +57,22 @@ class Parameter(NamedTuple):
     element: int | None  # 2
 
 
-class Column(NamedTuple):
+class AxisColumn(NamedTuple):
     """One parameter of an axis."""
 
-    parameter: Parameter
+    parameter: AxisParameter
     relative: bool  # True if the values are offsets
     values: tuple[Any, ...]
 
 
-Axis = tuple[Column, ...]  # columns of equal length
+GridAxis = tuple[AxisColumn, ...]  # columns of equal length
 
 
 class Group(NamedTuple):
     """A grid; `name` is None if the file has only one."""
 
     name: str | None
-    axes: tuple[Axis, ...]
+    axes: tuple[GridAxis, ...]
 
     @property
     def size(self) -> int:
@@ -84,13 +84,13 @@ class Group(NamedTuple):
         """Keys that vary."""
         return {column.parameter.key for axis in self.axes for column in axis}
 
-    def rows(self) -> Iterator[list[tuple[Column, Any]]]:
+    def rows(self) -> Iterator[list[tuple[AxisColumn, Any]]]:
         """Yield the columns with their values for every scenario; the last axis moves fastest."""
         for rows in itertools.product(*(range(len(axis[0].values)) for axis in self.axes)):
             yield [(column, column.values[row]) for axis, row in zip(self.axes, rows, strict=True) for column in axis]
 
 
-class Point(NamedTuple):
+class ScenarioPoint(NamedTuple):
     """One scenario of a sweep: its configuration, as if it were planned alone."""
 
     number: int
@@ -124,29 +124,29 @@ def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], 
     return Group(name, read)
 
 
-def parameters(joints: Sequence[str]) -> dict[str, Parameter]:
+def parameters(joints: Sequence[str]) -> dict[str, AxisParameter]:
     """Return all parameters by every name that a sweep file may use."""
-    known = {name: Parameter(name, name, None) for name in (*PARAMETERS, *KEYS)}
+    known = {name: AxisParameter(name, name, None) for name in (*PARAMETERS, *KEYS)}
     for k, joint in enumerate(joints):
-        known[f"start_rad.{k + 1}"] = known[f"start_rad.{joint}"] = Parameter(f"start_rad.{joint}", "start_rad", k)
+        known[f"start_rad.{k + 1}"] = known[f"start_rad.{joint}"] = AxisParameter(f"start_rad.{joint}", "start_rad", k)
     for key, default in KEYS.items():
         if isinstance(default, tuple) and len(default) == 3:
-            known |= {f"{key}.{axis}": Parameter(f"{key}.{axis}", key, k) for k, axis in enumerate(XYZ)}
+            known |= {f"{key}.{axis}": AxisParameter(f"{key}.{axis}", key, k) for k, axis in enumerate(XYZ)}
     return known
 
 
-def of_kind(name: str) -> Parameter | None:
+def of_kind(name: str) -> AxisParameter | None:
     """Return the parameter of an obstacle or a row of another package; None if the name is of no such form.
 
-    Whether the kind has that key is checked by `put`.
+    Whether the kind has that key is checked by `put_parameter`.
     """
     if (found := OF_A_KIND.fullmatch(name)) is None:
         return None
     key, letter = found.groups()
-    return Parameter(name, key, None if letter is None else XYZ.index(letter))
+    return AxisParameter(name, key, None if letter is None else XYZ.index(letter))
 
 
-def put(raw: dict, column: Column, value: Any) -> None:
+def put_parameter(raw: dict, column: AxisColumn, value: Any) -> None:
     """Set one parameter in a plain configuration.
 
     Raises:
@@ -154,7 +154,7 @@ def put(raw: dict, column: Column, value: Any) -> None:
     """
     parameter = column.parameter
     section, _, key = parameter.key.rpartition(".")
-    owner = _row(raw, parameter) if section[-1:].isdecimal() else raw[section] if section else raw
+    owner = _task_row(raw, parameter) if section[-1:].isdecimal() else raw[section] if section else raw
     if key not in owner or (parameter.key not in KEYS and strict_model.KIND not in owner):
         valid = (
             ", ".join(name for name in owner if name != strict_model.KIND)
@@ -177,7 +177,7 @@ def put(raw: dict, column: Column, value: Any) -> None:
     owner[key] = tuple(new)
 
 
-def _row(raw: dict, parameter: Parameter) -> dict:
+def _task_row(raw: dict, parameter: AxisParameter) -> dict:
     """Return the row of the task, or the obstacle, to which a parameter belongs.
 
     The list in `raw` is replaced by a copy.
@@ -192,13 +192,13 @@ def _row(raw: dict, parameter: Parameter) -> dict:
     return rows[int(number) - 1]
 
 
-def record(group: Group, stated: Collection[str]) -> dict[str, Any]:
+def group_record(group: Group, stated: Collection[str]) -> dict[str, Any]:
     """Return a group as recorded in a manifest, with absolute file names.
 
     It contains the `stated` keys if the group's axes affect defaults.
     """
 
-    def values(column: Column) -> list:
+    def values(column: AxisColumn) -> list:
         words = FILE_KEYS.get(column.parameter.key)
         return [value if words is None else absolute(value, words) for value in column.values]
 
@@ -211,12 +211,12 @@ def record(group: Group, stated: Collection[str]) -> dict[str, Any]:
 
 
 def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
-    """Return the group of a `record`; other entries are ignored."""
+    """Return the group of a `group_record`; other entries are ignored."""
     known = parameters(joints)
 
-    def column(name: str, values: Mapping[str, list]) -> Column:
+    def column(name: str, values: Mapping[str, list]) -> AxisColumn:
         ((kind, items),) = values.items()
-        return Column(known.get(name) or of_kind(name), kind == "offsets", tuple(map(_hashable, items)))
+        return AxisColumn(known.get(name) or of_kind(name), kind == "offsets", tuple(map(_hashable, items)))
 
     return Group(record["name"], tuple(tuple(column(*item) for item in axis.items()) for axis in record["axes"]))
 
@@ -242,7 +242,7 @@ def varied_keys(names: Collection[str]) -> tuple[str, ...]:
     return *(key for key in KEYS if key in keys and key not in PARAMETERS), *own
 
 
-def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, Parameter]) -> Axis:
+def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, AxisParameter]) -> GridAxis:
     if not raw:
         raise InputError(f"{where} is empty; it needs at least one parameter")
     axis = tuple(_read_column(where, folder, str(key), value, known) for key, value in raw.items())
@@ -253,7 +253,7 @@ def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, Parameter])
     return axis
 
 
-def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str, Parameter]) -> Column:
+def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str, AxisParameter]) -> AxisColumn:
     if (parameter := known.get(key) or of_kind(key)) is None:
         raise InputError(f"{where}: {_unknown(key, known)}")
     relative = isinstance(value, dict) and list(value) == ["offsets"]
@@ -268,7 +268,7 @@ def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str
     words = FILE_KEYS.get(parameter.key)
     if words is not None:  # relative to the sweep file's folder
         value = [item if item in words else str(folder / item) for item in value]
-    return Column(parameter, relative, tuple(map(_hashable, value)))
+    return AxisColumn(parameter, relative, tuple(map(_hashable, value)))
 
 
 def _unknown(key: str, known: Collection[str]) -> str:
@@ -280,7 +280,7 @@ def _unknown(key: str, known: Collection[str]) -> str:
     return f"unknown parameter {key}; {hint}valid: any key of the configuration but {others}, one joint as start_rad.3"
 
 
-def _check_value(where: str, parameter: Parameter, item: Any, relative: bool) -> None:
+def _check_value(where: str, parameter: AxisParameter, item: Any, relative: bool) -> None:
     """Check that `item` has the parameter's type; its range is checked with the configuration.
 
     Raises:
@@ -306,7 +306,7 @@ def _check_value(where: str, parameter: Parameter, item: Any, relative: bool) ->
             raise InputError(f"{where} takes finite numbers, not {number!r}")
 
 
-def _added(parameter: Parameter, old: Any, offset: Any) -> Any:
+def _added(parameter: AxisParameter, old: Any, offset: Any) -> Any:
     if not isinstance(old, tuple):
         return old + offset
     if len(old) != len(offset):

@@ -8,10 +8,12 @@ from pathlib import Path
 from htcp_jax.io import strict_model
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.defaults import fill_in, value_at
-from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, Point, hangs, put, varied_keys
+from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, ScenarioPoint, hangs, put_parameter, varied_keys
 
 
-def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Collection[str]) -> Iterator[Point]:
+def points_of(
+    name: str, config: PlanConfig, groups: Sequence[Group], stated: Collection[str]
+) -> Iterator[ScenarioPoint]:
     """Yield the scenarios in order.
 
     Args:
@@ -37,13 +39,13 @@ def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Co
         for row in group.rows():
             raw = {key: dict(value) if isinstance(value, dict) else value for key, value in base.items()}
             for column, value in row:
-                put(raw, column, value)
+                put_parameter(raw, column, value)
             k = next(number)
             source = f"{name}: scenario {k}"
             if hanging:
                 fill_in(raw, known, source)
-            own = strict_model.validate(raw, PlanConfig, source)
-            yield Point(k, group.name, own, _words_of(own, varied, short))
+            own = strict_model.validate_model(raw, PlanConfig, source)
+            yield ScenarioPoint(k, group.name, own, _words_of(own, varied, short))
 
 
 def short_names(files: Iterable[str | None], words: Collection[str | None]) -> dict[str | None, str | None]:

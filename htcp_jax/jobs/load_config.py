@@ -14,7 +14,7 @@ from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.config_file import layers, layers_of, merged, parse_override, put
+from htcp_jax.jobs.config_file import layers, layers_of, merged, parse_override, put_key
 from htcp_jax.jobs.defaults import fill_in, keys_of
 from htcp_jax.jobs.examples import example_or_path
 from htcp_jax.model import task_row_kind
@@ -37,7 +37,7 @@ def load_config(
     """
     raw, source = read_config(config, overrides)
     fill_in(raw, stated=keys_of(raw), source=source)
-    return strict_model.validate(raw, PlanConfig, source)
+    return strict_model.validate_model(raw, PlanConfig, source)
 
 
 def read_config(
@@ -62,7 +62,7 @@ def read_config(
         raise InputError(f"{source}: method is {raw['method']!r}; names are small letters, digits and hyphens")
     pairs = overrides.items() if isinstance(overrides, Mapping) else map(parse_override, overrides)
     for dotted, value in pairs:
-        put(raw, dotted, value)
+        put_key(raw, dotted, value)
     strict_model.refuse_unknown(raw, PlanConfig, source)
     return raw, source
 
@@ -81,4 +81,4 @@ def with_kinds(
     raw = job.model_dump()
     raw["cell"]["obstacles"] = [*job.cell.obstacles, *obstacles]
     raw["task"] = list(job.task if task is None else task)
-    return strict_model.validate(raw, PlanConfig, "the arguments")
+    return strict_model.validate_model(raw, PlanConfig, "the arguments")

@@ -19,7 +19,7 @@ def points(value: object, source: str, at_least: int) -> Float[np.ndarray, "P 3"
     Raises:
         InputError: For another shape, and as `check_points` does.
     """
-    found = _numbers(value, source)
+    found = _as_floats(value, source)
     if found.ndim != 2 or found.shape[1] != 3:
         raise InputError(f"{source}: shape {found.shape}, (points, 3) is needed")
     check_points(found, source, at_least)
@@ -36,7 +36,7 @@ def triple(value: object, source: str) -> Float[np.ndarray, "3"]:
     Raises:
         InputError: For another shape, and for numbers that are not finite.
     """
-    found = _numbers(value, source)
+    found = _as_floats(value, source)
     if found.shape != (3,) or not np.isfinite(found).all():
         raise InputError(f"{source} is {value!r}; three finite numbers [m] are needed")
     return found
@@ -53,7 +53,7 @@ def check_points(points: Float[np.ndarray, "P 3"], source: str, at_least: int) -
         raise InputError(f"{source}: a coordinate of {np.abs(points).max():.3g} m; coordinates are metres")
 
 
-def _numbers(value: object, source: str) -> Float[np.ndarray, "..."]:
+def _as_floats(value: object, source: str) -> Float[np.ndarray, "..."]:
     try:
         return np.array(value, dtype=np.float64)
     except (TypeError, ValueError):

@@ -38,16 +38,16 @@ def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: st
         raise InputError(f"{source}: flat, so it has no inside; choose interior 'none'") from None
     vertices = points[exact.vertices]
     if tolerance_m == 0.0:
-        planes = _distinct(exact.equations)
+        planes = _distinct_planes(exact.equations)
         return Hull(planes[:, :3].copy(), -planes[:, 3], vertices)
     # Qhull's W: a point becomes a vertex only if it lies farther than this outside the facets so far.
     thinned = ConvexHull(vertices, qhull_options=f"Qt W{tolerance_m:.17g}")
-    normal = _distinct(thinned.equations)[:, :3].copy()
+    normal = _distinct_planes(thinned.equations)[:, :3].copy()
     # Push every facet out to its farthest point, so that no point is outside.
     return Hull(normal, np.max(normal @ vertices.T, axis=1), vertices)
 
 
-def _distinct(equations: Float[np.ndarray, "E 4"]) -> Float[np.ndarray, "F 4"]:
+def _distinct_planes(equations: Float[np.ndarray, "E 4"]) -> Float[np.ndarray, "F 4"]:
     """Return each plane once: Qhull cuts a flat facet into triangles that share its equation."""
     _, first = np.unique(equations.round(9), axis=0, return_index=True)
     return equations[np.sort(first)]

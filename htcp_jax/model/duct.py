@@ -49,7 +49,7 @@ INTERIOR_DEPTH_M = 0.2
 _sections = PchipInterpolator(STATIONS[:, 0], STATIONS[:, 1:], extrapolate=False)
 
 
-class Section(NamedTuple):
+class DuctSection(NamedTuple):
     """Parameters of the sections at P positions along x; lengths in m. NaN outside the duct's length."""
 
     a: Float[np.ndarray, "P"]
@@ -64,9 +64,9 @@ class Section(NamedTuple):
         return np.where(above, self.b_above, self.b_below), np.where(above, self.n_above, self.n_below)
 
 
-def section(x: Float[np.ndarray, "P"]) -> Section:
+def section(x: Float[np.ndarray, "P"]) -> DuctSection:
     """Return the duct's sections at `x` [m]."""
-    return Section(*np.moveaxis(_sections(x), -1, 0))
+    return DuctSection(*np.moveaxis(_sections(x), -1, 0))
 
 
 def section_value(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:

@@ -48,12 +48,12 @@ def task_of(rows: Sequence[TaskRowKind], robot: Robot, tolerance_m: float = 1e-3
     task = Task(tuple(parts), tolerance_m, tolerance_rad)
     task.freedom(robot)
     for k in range(2, len(parts) + 1):
-        if _rank(robot, rows[:k], Task(tuple(parts[:k]))) < sum(part.equalities for part in parts[:k]):
+        if _jacobian_rank(robot, rows[:k], Task(tuple(parts[:k]))) < sum(part.equalities for part in parts[:k]):
             raise InputError(f"task.{k} ({rows[k - 1]}) asks for what the rows before it fix already, or the opposite")
     return task
 
 
-def follower(rows: Sequence[TaskRowKind], robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:
+def follower_position(rows: Sequence[TaskRowKind], robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:
     """Return the position [m] of the point that follows the path; the TCP if no row names one.
 
     Args:
@@ -110,7 +110,7 @@ def with_goals(
     return replace(scenario, goals=np.concatenate(columns, axis=1))
 
 
-def _rank(robot: Robot, rows: Sequence[TaskRowKind], task: Task) -> int:
+def _jacobian_rank(robot: Robot, rows: Sequence[TaskRowKind], task: Task) -> int:
     """Return the rank of the equalities' Jacobian: the largest one at some random configurations and goals."""
     rng = np.random.default_rng(0)
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
@@ -147,10 +147,10 @@ def _check_axes(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.ndar
     axes = [k for k, part in enumerate(parts) if isinstance(part, AxisTowards) and part.looks_from_m is None]
     for k, i in ((k, i) for k in axes for i in axes if i < k and parts[i].link == parts[k].link):
         between = np.arccos(np.clip(np.dot(parts[i].axis, parts[k].axis), -1.0, 1.0))
-        asked = np.arccos(np.clip((goals[i][before:, :3] * goals[k][before:, :3]).sum(axis=1), -1.0, 1.0))
+        requested = np.arccos(np.clip((goals[i][before:, :3] * goals[k][before:, :3]).sum(axis=1), -1.0, 1.0))
         most = sum(goals[j][before:, 3] if parts[j].cone else task.tolerance_rad for j in (i, k))
-        if len(far := np.flatnonzero(np.abs(asked - between) > most)):
-            has, wants = np.rad2deg(between), np.rad2deg(asked[far[0]])
+        if len(far := np.flatnonzero(np.abs(requested - between) > most)):
+            has, wants = np.rad2deg(between), np.rad2deg(requested[far[0]])
             raise InputError(
                 f"task.{i + 1} ({rows[i]}) and task.{k + 1} ({rows[k]}) contradict each other at point {far[0] + 1} of "
                 f"the path: {has:.4g} degrees are between the axes, {wants:.4g} between what they are turned to"

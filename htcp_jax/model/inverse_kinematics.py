@@ -5,7 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.model.kinematics import configuration
+from htcp_jax.model.kinematics import checked_configuration
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.task import TCP_POSITION, Task
 from htcp_jax.numerics import of_shape, product, safe_norm, solve_spd
@@ -42,8 +42,8 @@ def reanchor(
     Raises:
         InputError: For more than one configuration or target.
     """
-    x, target = configuration(robot, x), of_shape(target, (task.numbers,), "target")
-    off, slopes = partial(_off, robot, task, target), partial(_slopes, robot, task, target)
+    x, target = checked_configuration(robot, x), of_shape(target, (task.numbers,), "target")
+    off, slopes = partial(_residual_to_remove, robot, task, target), partial(_slopes, robot, task, target)
 
     def look(x):
         return x, off(x), slopes(x)
@@ -83,22 +83,22 @@ def damped_step(robot: Robot, x: Joints, error: Float[Array, "M"], jac: Float[Ar
     return jnp.clip(x + move(jnp.where(blocked[None, :], 0.0, jac)), robot.lower, robot.upper)
 
 
-def _off(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R"]:
+def _residual_to_remove(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R"]:
     """Return the residual that a step has to remove [m]: the error, and the violations of bands and cones."""
     if not task.bands:
         return task.error(task.value(robot, x), target)
     linear = task.linear_at(robot, x, target)
-    return jnp.concatenate([linear.error, jnp.maximum(-linear.room, 0.0)])
+    return jnp.concatenate([linear.error, jnp.maximum(-linear.slack, 0.0)])
 
 
 def _slopes(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R N"]:
-    """Return minus the Jacobian of the residual in `_off` [m/rad or m/m]."""
+    """Return minus the Jacobian of the residual in `_residual_to_remove` [m/rad or m/m]."""
     if task.is_points:
         return task.jacobian(robot, x)
     linear = task.linear_at(robot, x, target)
-    return jnp.concatenate([linear.jacobian, jnp.where((linear.room < 0)[:, None], linear.gradient, 0.0)])
+    return jnp.concatenate([linear.jacobian, jnp.where((linear.slack < 0)[:, None], linear.gradient, 0.0)])
 
 
-def inside(robot: Robot, x: Joints) -> Bool[Array, ""]:
+def within_limits(robot: Robot, x: Joints) -> Bool[Array, ""]:
     """Return True if x is within the joint limits."""
     return jnp.all((x >= robot.lower) & (x <= robot.upper))

@@ -27,14 +27,14 @@ def link_poses(robot: Robot, x: Joints) -> Float[Array, "N 4 4"]:
 
 def tcp_pose(robot: Robot, x: Joints) -> Pose:
     """Return T_world_tcp, the frame of the tool centre point in the world [m]."""
-    last = _row(_link_frames(robot, x), -1)
+    last = _frame_at(_link_frames(robot, x), -1)
     T = robot.T_link_tcp
     return _homogeneous(_Frames(product(last.rotation, T[:3, :3]), _to_world(last, T[:3, 3])))
 
 
 def tcp_position(robot: Robot, x: Joints) -> Vector3:
     """Return the tool centre point in the world [m]; the paper's Gamma_j(x), equation (1)."""
-    return _to_world(_row(_link_frames(robot, x), -1), robot.T_link_tcp[:3, 3])
+    return _to_world(_frame_at(_link_frames(robot, x), -1), robot.T_link_tcp[:3, 3])
 
 
 def capsule_segments(robot: Robot, x: Joints) -> tuple[Float[Array, "K 3"], Float[Array, "K 3"]]:
@@ -87,7 +87,7 @@ def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
     The paper's Jac(x) of (7).
     """
     links = _link_frames(robot, x)
-    tcp = _to_world(_row(links, -1), robot.T_link_tcp[:3, 3])
+    tcp = _to_world(_frame_at(links, -1), robot.T_link_tcp[:3, 3])
     return _velocities(robot, links, tcp[None])[0].T
 
 
@@ -154,7 +154,7 @@ def direction_jacobians(
     return jnp.where(moves[:, :, None], turning, 0.0).swapaxes(1, 2)
 
 
-def configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
+def checked_configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
     """Return x as an array of N joint positions.
 
     Args:
@@ -168,7 +168,7 @@ def configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
     return of_shape(x, (len(robot.slides),), f"{name} of {robot.name}")
 
 
-def reach(robot: Robot) -> float:
+def max_reach(robot: Robot) -> float:
     """Return a bound on the TCP's distance from the origin of the first joint's frame [m].
 
     It is the sum of the lengths of links and tool and of the travel of the slides; infinite if a slide has no limits.
@@ -188,7 +188,7 @@ class _Frames(NamedTuple):
 @jax.jit
 def _link_frames(robot: Robot, x: Joints) -> _Frames:
     """Return the frames of the N links: the motion of each joint, then the product along the chain."""
-    x = configuration(robot, x)
+    x = checked_configuration(robot, x)
     fixed = _Frames(robot.T_parent_joint[:, :3, :3], robot.T_parent_joint[:, :3, 3])
     slides = np.array(robot.slides)
     turn, slide = jnp.where(slides, 0.0, x), jnp.where(slides, x, 0.0)
@@ -211,7 +211,7 @@ def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
     with_world = _Frames(  # the world last, so that it is link -1
         jnp.concatenate([moving.rotation, world[:, :, :3]]), jnp.concatenate([moving.origin, world[:, :, 3]])
     )
-    return _row(with_world, np.array(links))
+    return _frame_at(with_world, np.array(links))
 
 
 @jax.jit
@@ -226,7 +226,7 @@ def _to_world(frames: _Frames, points: Float[Array, "*n 3"]) -> Float[Array, "*n
     return product(frames.rotation, points[..., None])[..., 0] + frames.origin
 
 
-def _row(frames: _Frames, index: int | np.ndarray) -> _Frames:
+def _frame_at(frames: _Frames, index: int | np.ndarray) -> _Frames:
     return _Frames(frames.rotation[index], frames.origin[index])
 
 

@@ -24,14 +24,16 @@ Triangles = Float[np.ndarray, "F 3 3"]
 Corners = Float[np.ndarray, "3 3 F"]  # the same, corner and coordinate first: numpy works along the last axis
 
 
-class Cover(NamedTuple):
+class PointCover(NamedTuple):
     """P points on a mesh, and the distance [m] from any point of the mesh within which one of them lies."""
 
     points: Float[np.ndarray, "P 3"]
     radius_m: float
 
 
-def cover(triangles: Triangles, source: str, spacing: float | None = None, thinnest_m: float = np.inf) -> Cover:
+def cover_mesh(
+    triangles: Triangles, source: str, spacing: float | None = None, thinnest_m: float = np.inf
+) -> PointCover:
     """Sample triangles: their corners and those of their pieces, until these cover the mesh.
 
     A finer mesh keeps all of its corners.
@@ -63,10 +65,10 @@ def cover(triangles: Triangles, source: str, spacing: float | None = None, thinn
         coarse = reach > wanted
         reached = max(reached, float(reach[~coarse].max(initial=0.0)))
         done += reach.size - int(coarse.sum())
-        left, middle = _halves(left[:, :, coarse])
+        left, middle = _halved_triangles(left[:, :, coarse])
         points.append(middle)
         _check_count((done + left.shape[2]) / 2, 2 * wanted, source)
-    return Cover(_distinct(np.concatenate(points, axis=1).T), reached * (1 + ROUNDING))
+    return PointCover(_distinct_points(np.concatenate(points, axis=1).T), reached * (1 + ROUNDING))
 
 
 def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray, "G 3 3"]:
@@ -79,10 +81,10 @@ def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray
     done, count = [], 0
     while left.shape[2]:
         left = _longest_edge_first(left)
-        coarse = _square(left[1] - left[0]) > edge_m**2
+        coarse = _square_norm(left[1] - left[0]) > edge_m**2
         done.append(left[:, :, ~coarse])
         count += done[-1].shape[2]
-        left, _ = _halves(left[:, :, coarse])
+        left, _ = _halved_triangles(left[:, :, coarse])
         _check_count((count + left.shape[2]) / 2, edge_m, source)
     return np.ascontiguousarray(np.moveaxis(np.concatenate(done, axis=2), 2, 0))
 
@@ -102,16 +104,16 @@ def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
     """Return the covering radius. The longest edge is from b to c; the opposite angle, the largest, is at a."""
     b, c, a = corners
     bc, ba, ca = c - b, a - b, a - c
-    square, square_b, square_c = _square(bc), _square(ba), _square(ca)
+    square, square_b, square_c = _square_norm(bc), _square_norm(ba), _square_norm(ca)
     with np.errstate(divide="ignore", invalid="ignore"):
         # |b - a| |c - a| |b - c| / (4 area), squared; 16 area^2 = 4 |bc x ba|^2
-        acute = square * square_b * square_c / (4 * _square(np.cross(bc, ba, axis=0)))
-        obtuse = square * np.fmax(square_b / _dot(ba, bc), -square_c / _dot(ca, bc)) ** 2 / 4
-    is_acute = _dot(ba, ca) > 0
+        acute = square * square_b * square_c / (4 * _square_norm(np.cross(bc, ba, axis=0)))
+        obtuse = square * np.fmax(square_b / _components_dot(ba, bc), -square_c / _components_dot(ca, bc)) ** 2 / 4
+    is_acute = _components_dot(ba, ca) > 0
     return np.sqrt(np.where(is_acute, np.fmin(acute, square / 3), np.fmin(obtuse, square / 4)))
 
 
-def _halves(corners: Corners) -> tuple[Float[np.ndarray, "3 3 2*F"], Float[np.ndarray, "3 F"]]:
+def _halved_triangles(corners: Corners) -> tuple[Float[np.ndarray, "3 3 2*F"], Float[np.ndarray, "3 F"]]:
     """Cut each triangle in two at the middle of its longest edge, the first; return the halves and these middles.
 
     Two neighbours with this edge have the same middle to the last bit.
@@ -124,7 +126,7 @@ def _halves(corners: Corners) -> tuple[Float[np.ndarray, "3 3 2*F"], Float[np.nd
 def _longest_edge_first(corners: Corners) -> Corners:
     """Return the corners in the same sense of rotation, beginning with the longest edge."""
     a, b, c = corners
-    ab, bc, ca = _square(b - a), _square(c - b), _square(a - c)
+    ab, bc, ca = _square_norm(b - a), _square_norm(c - b), _square_norm(a - c)
     from_b, from_c = (bc > ab) & (bc >= ca), (ca > ab) & (ca > bc)
     turned = corners.copy()
     turned[:, :, from_b] = corners[[1, 2, 0]][:, :, from_b]
@@ -132,18 +134,18 @@ def _longest_edge_first(corners: Corners) -> Corners:
     return turned
 
 
-def _distinct(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "p 3"]:
+def _distinct_points(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "p 3"]:
     points = points + 0.0  # -0.0 is 0.0
     points = points[np.lexsort(points.T)]
     return points[np.concatenate([[True], (points[1:] != points[:-1]).any(axis=1)])]
 
 
-def _dot(u: Float[np.ndarray, "3 F"], v: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
+def _components_dot(u: Float[np.ndarray, "3 F"], v: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
-def _square(u: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
-    return _dot(u, u)
+def _square_norm(u: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
+    return _components_dot(u, u)
 
 
 def _check_count(points: float, spacing: float, source: str) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.model.surface import fitted_normals
+from htcp_jax.model.surface import cloud_normals
 
 NEIGHBOURS = 60  # wall points used to fit a normal
 
@@ -24,9 +24,9 @@ class PathFrames(NamedTuple):
 
 
 def wall_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Return the unit normals of the wall at a path, see `surface.fitted_normals`."""
+    """Return the unit normals of the wall at a path, see `surface.cloud_normals`."""
     _, near = cKDTree(cloud).query(path, k=min(NEIGHBOURS, len(cloud)))
-    return fitted_normals(path, cloud[near], cloud)
+    return cloud_normals(path, cloud[near], cloud)
 
 
 def tangents(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:

@@ -40,7 +40,7 @@ class Exclusion(NamedTuple):
 
 
 @runtime_checkable
-class LinkMeshes(Protocol):
+class VendorMeshes(Protocol):
     """The vendor's meshes in an arm's capsules; equal and hashable by the files that they are read from."""
 
     def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
@@ -89,7 +89,7 @@ class Robot:
     exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that the model states
     listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # True: complete, except pairs of `mounted`
     mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job's own tool
-    meshes: LinkMeshes | None = dataclasses.field(default=None, metadata=_STATIC)  # None if its file refers to none
+    meshes: VendorMeshes | None = dataclasses.field(default=None, metadata=_STATIC)  # None if its file refers to none
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
 
     def _repr_html_(self) -> str:

@@ -35,7 +35,7 @@ ROUNDING = 1e-12  # of a chord
 SAMPLED = 0.01  # longest interval of a sampled row, in any joint [rad or m]
 
 
-class Left(NamedTuple):
+class RowSlack(NamedTuple):
     """Slack of a row, or of each of P, on an interval of a joint path."""
 
     left: Float[Array, "*P"]  # allowed deviation of its features' vectors from the path; negative: it may be violated
@@ -73,7 +73,7 @@ class Slabs(NamedTuple):
     offset: Float[Array, "2 c"]
     within: Float[Array, "2"]
 
-    def left(self, motion: FeatureMotion) -> Left:
+    def left(self, motion: FeatureMotion) -> RowSlack:
         """Return the slack of the point [m]."""
         half = motion.half
         point, speed = motion.moving(0)
@@ -83,7 +83,7 @@ class Slabs(NamedTuple):
         above, below = within - (off + slack + ROUNDING_M), (off - slack - ROUNDING_M) + within
         left = jnp.minimum(jnp.max(above, axis=0), jnp.max(below, axis=0))
         broken = jnp.all(off > within, axis=0) | jnp.all(off < -within, axis=0)
-        return Left(jnp.min(left), jnp.any(broken), jnp.inf)
+        return RowSlack(jnp.min(left), jnp.any(broken), jnp.inf)
 
     def _along(self, vector: Vector3) -> Float[Array, "2 c"]:
         return jnp.sum(self.across * vector[None, None], axis=2)
@@ -95,23 +95,23 @@ class Chords(NamedTuple):
     vectors: Float[Array, "k v"]
     radius: Float[Array, "k"]
 
-    def left(self, motion: FeatureMotion) -> Left:
+    def left(self, motion: FeatureMotion) -> RowSlack:
         """Return the slack of the axes, as a chord."""
         half, count = motion.half, self.vectors.shape[1] // 3
         now, ahead = (jnp.concatenate(each) for each in zip(*map(motion.moving, range(count)), strict=True))
         bend = np.sqrt(count) * motion.turning**2
         off = now[None] - self.vectors
         most = _farthest(off, half * ahead) + 0.5 * half * half * bend + ROUNDING
-        return Left(jnp.max(self.radius - most), jnp.all(safe_norm(off) > self.radius), jnp.inf)
+        return RowSlack(jnp.max(self.radius - most), jnp.all(safe_norm(off) > self.radius), jnp.inf)
 
 
-class Look(NamedTuple):
+class ViewTarget(NamedTuple):
     """The place that an axis points at [m], and the allowed deviation of the axis as a chord."""
 
     place: Vector3
     radius: Scalar
 
-    def left(self, motion: FeatureMotion) -> Left:
+    def left(self, motion: FeatureMotion) -> RowSlack:
         """Return the slack of the axis, as a chord."""
 
         def off(axis: Vector3, eye: Vector3) -> Vector3:
@@ -128,7 +128,7 @@ class Look(NamedTuple):
         most = _farthest(here[None], half * rate)[0] + 0.5 * half * half * bend + ROUNDING
         left = jnp.where(nearest > 0, self.radius - most, -1.0)
         left = jnp.where(jnp.isfinite(self.radius), left, jnp.inf)
-        return Left(left, safe_norm(here) > self.radius, nearest)
+        return RowSlack(left, safe_norm(here) > self.radius, nearest)
 
 
 class Rated(NamedTuple):
@@ -138,25 +138,25 @@ class Rated(NamedTuple):
     is_direction: tuple[bool, ...]  # of each feature
     rate: float | None
 
-    def left(self, motion: FeatureMotion) -> Left:
+    def left(self, motion: FeatureMotion) -> RowSlack:
         """Return the slack of the features' vectors together."""
         half, moving = motion.half, [motion.moving(k) for k in range(len(self.is_direction))]
         slack = self.slack(jnp.concatenate([now for now, _ in moving]))
         if self.rate is None:
-            return Left(jnp.where(half * motion.fastest <= SAMPLED, slack, -1.0), slack < 0, jnp.inf)
+            return RowSlack(jnp.where(half * motion.fastest <= SAMPLED, slack, -1.0), slack < 0, jnp.inf)
         bends = [motion.turning**2 if turns else motion.bend(k) for k, turns in enumerate(self.is_direction)]
         moves = [half * safe_norm(v) + 0.5 * half * half * bend for (_, v), bend in zip(moving, bends, strict=True)]
-        return Left(slack / self.rate - safe_norm(jnp.stack(moves)) - ROUNDING_M, slack < 0, jnp.inf)
+        return RowSlack(slack / self.rate - safe_norm(jnp.stack(moves)) - ROUNDING_M, slack < 0, jnp.inf)
 
 
-Region = Slabs | Chords | Look | Rated
+Region = Slabs | Chords | ViewTarget | Rated
 
 
 def towards(a: Vector3, b: Vector3, limit: Float[Array, "2"], tolerance_rad: float) -> Chords:
     """Return the allowed axes between two directions with half angles [rad]."""
     both = a + b
     middle = jnp.where(safe_norm(both) > 1e-6, both / jnp.maximum(safe_norm(both), 1e-6), a)
-    return Chords(jnp.stack([a, b, middle]), chord(_limits(limit, angle(a, b)) + tolerance_rad))
+    return Chords(jnp.stack([a, b, middle]), chord(_half_angles(limit, angle(a, b)) + tolerance_rad))
 
 
 def turned(a: Float[Array, "3 3"], b: Float[Array, "3 3"], limit: Float[Array, "2"], tolerance_rad: float) -> Chords:
@@ -165,7 +165,7 @@ def turned(a: Float[Array, "3 3"], b: Float[Array, "3 3"], limit: Float[Array, "
     size = safe_norm(vector)
     axis = jnp.where(size > 0, vector, jnp.array([1.0, 0.0, 0.0])) / jnp.where(size > 0, size, 1.0)
     middle = product(axis_angle_matrix(axis[None], 0.5 * size[None])[0], a)
-    radius = np.sqrt(2) * chord(_limits(limit, size) + tolerance_rad)
+    radius = np.sqrt(2) * chord(_half_angles(limit, size) + tolerance_rad)
     return Chords(jnp.stack([a.T, b.T, middle.T]).reshape(3, 9), radius)
 
 
@@ -174,7 +174,7 @@ def chord(half_angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return jnp.where(half_angle < np.pi, 2 * jnp.sin(0.5 * half_angle), jnp.inf)
 
 
-def _limits(limit: Float[Array, "2"], turn: Scalar) -> Float[Array, "3"]:
+def _half_angles(limit: Float[Array, "2"], turn: Scalar) -> Float[Array, "3"]:
     """Return the half angles about both ends of a turn, and half way."""
     return jnp.append(limit, jnp.maximum(limit.mean(), 0.5 * turn))
 

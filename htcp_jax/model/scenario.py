@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.model.kinematics import reach, tcp_position
+from htcp_jax.model.kinematics import max_reach, tcp_position
 from htcp_jax.model.robot import Robot, lengthen_tool
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.pytree import register_pytree
@@ -227,11 +227,11 @@ def _begins(robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequen
     if start is None and home is None:
         anywhere = np.clip(np.zeros(len(robot.joint_names)), robot.lower, robot.upper)
         return anywhere, np.full_like(anywhere, np.nan)
-    x_home = _posture(robot, start if home is None else home, "start" if home is None else "home")
-    return x_home if start is None else _posture(robot, start, "start"), x_home
+    x_home = _start_configuration(robot, start if home is None else home, "start" if home is None else "home")
+    return x_home if start is None else _start_configuration(robot, start, "start"), x_home
 
 
-def _posture(robot: Robot, positions: Sequence[float] | Anywhere, what: str) -> Float[np.ndarray, "N"]:
+def _start_configuration(robot: Robot, positions: Sequence[float] | Anywhere, what: str) -> Float[np.ndarray, "N"]:
     """Return joint positions within the robot's limits; messages call them `what`.
 
     Raises:
@@ -247,7 +247,7 @@ def _posture(robot: Robot, positions: Sequence[float] | Anywhere, what: str) -> 
 
 
 def _check_reach(robot: Robot, targets: np.ndarray) -> None:
-    base, longest = np.asarray(robot.T_parent_joint)[0, :3, 3], reach(robot)
+    base, longest = np.asarray(robot.T_parent_joint)[0, :3, 3], max_reach(robot)
     far = np.linalg.norm(targets - base, axis=1)
     if (worst := int(np.argmax(far > longest))) or far[0] > longest:
         raise OutOfReach(

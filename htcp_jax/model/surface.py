@@ -28,14 +28,14 @@ class Surface(NamedTuple):
         return Surface(self.points @ rotate.T + translate, self.normals @ rotate.T, self.radius)
 
 
-class Drawn(NamedTuple):
+class WorldGeometry(NamedTuple):
     """Geometry in the world, for pictures."""
 
     triangles: Float[np.ndarray, "F 3 3"]  # [m]
     clouds: Surface
 
 
-NOTHING = Drawn(np.empty((0, 3, 3)), Surface(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)))
+NOTHING = WorldGeometry(np.empty((0, 3, 3)), Surface(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)))
 
 
 class Mesh(NamedTuple):
@@ -53,10 +53,10 @@ def surface_of(cloud: Float[np.ndarray, "P 3"]) -> Surface:
     count = min(NEIGHBOURS, len(cloud) - 1)
     distance, near = cKDTree(cloud).query(cloud, k=count + 1)
     reach = 1.1 * distance[:, min(REACHED, count)]
-    return Surface(cloud, fitted_normals(cloud, cloud[near], cloud), np.minimum(reach, 3 * np.median(reach)))
+    return Surface(cloud, cloud_normals(cloud, cloud[near], cloud), np.minimum(reach, 3 * np.median(reach)))
 
 
-def fitted_normals(
+def cloud_normals(
     points: Float[np.ndarray, "P 3"], near: Float[np.ndarray, "P K 3"], cloud: Float[np.ndarray, "C 3"]
 ) -> Float[np.ndarray, "P 3"]:
     """Return the unit normals of the cloud's surface at points, towards the inside.

@@ -38,7 +38,7 @@ class TaskLinear(NamedTuple):
 
     error: Float[Array, "M"]  # the error that a step has to remove [m]
     jacobian: Float[Array, "M N"]  # [m/rad or m/m]; the paper's Jac(x)
-    room: Float[Array, "B"]  # slack, less the small distance inside at which a step aims [m]
+    slack: Float[Array, "B"]  # slack, less the small distance inside at which a step aims [m]
     gradient: Float[Array, "B N"]  # of the slack [m/rad or m/m]
 
 
@@ -117,11 +117,13 @@ class Task:
 
     def value(self, robot: Robot, x: Joints) -> Float[Array, "V"]:
         """Return the features of the arm: points [m], and directions without a unit."""
-        return _joined([_held(feature, feature_at(robot, x, feature)) for feature in self._features])
+        return _concatenated([_rows_of_feature(feature, feature_at(robot, x, feature)) for feature in self._features])
 
     def jacobian(self, robot: Robot, x: Joints) -> Float[Array, "V N"]:
         """Return d value / dx [m/rad or m/m, of directions 1/rad]."""
-        return _joined([_held(feature, _moves(robot, x, feature)) for feature in self._features])
+        return _concatenated(
+            [_rows_of_feature(feature, _feature_jacobian(robot, x, feature)) for feature in self._features]
+        )
 
     def linear(self, value: Float[Array, "V"], slopes: Float[Array, "V N"], goal: Float[Array, "G"]) -> TaskLinear:
         """Return the rows to first order, equation (7).
@@ -133,12 +135,12 @@ class Task:
         """
         if self.is_points:
             return TaskLinear(goal - value, slopes, jnp.zeros(0), jnp.zeros((0, slopes.shape[1])))
-        error, room = self.error(value, goal), self._room(value, goal) - self._together("aim", value, goal)
+        error, slack = self.error(value, goal), self._slack(value, goal) - self._together("aim", value, goal)
         return TaskLinear(
             error,
             product(-jax.jacfwd(self.error)(value, goal), slopes),
-            room,
-            product(jax.jacfwd(self._room)(value, goal), slopes),
+            slack,
+            product(jax.jacfwd(self._slack)(value, goal), slopes),
         )
 
     def linear_at(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> TaskLinear:
@@ -155,16 +157,16 @@ class Task:
         """Return Delta C = C_next - C_ref of equation (9) [m]."""
         return goal - value if self.is_points else self._together("error", value, goal)
 
-    def room(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
+    def slack(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
         """Return the smallest slack of all bands and cones [m]; infinite without one."""
-        return jnp.min(self._room(value, goal), initial=jnp.inf)
+        return jnp.min(self._slack(value, goal), initial=jnp.inf)
 
     def residual(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
         """Return the error's norm [m], which a plan records; if a band or cone is violated, more than the tolerance."""
         off = safe_norm(self.error(value, goal))
         if not self.bands:
             return off
-        broken = -self.room(value, goal)
+        broken = -self.slack(value, goal)
         return jnp.where(broken > EXACT, off + broken + self.tolerance_m, off)
 
     @property
@@ -206,7 +208,7 @@ class Task:
             if part.turns and all(_turns_with_last(robot, feature) for feature in part.features):
                 axes = [product(rotation, _fixed(robot, feature)[0]) for feature in part.features]
                 value, own = jnp.concatenate(axes), goal[start : start + part.numbers]
-                found += [-part.room(value, own)[0]] if part.inequalities else []
+                found += [-part.slack(value, own)[0]] if part.inequalities else []
                 found += [safe_norm(part.error(value, own)) - self.tolerance_rad] if part.equalities else []
         return jnp.max(jnp.stack(found))
 
@@ -232,8 +234,8 @@ class Task:
         """
         return (clearance > 0) & (clearance >= margin_m) & self.reached(residual)
 
-    def _room(self, value: Array, goal: Array) -> Float[Array, "B"]:
-        return self._together("room", value, goal)
+    def _slack(self, value: Array, goal: Array) -> Float[Array, "B"]:
+        return self._together("slack", value, goal)
 
     def _together(self, what: str, value: Array, goal: Array) -> Array:
         """Return the quantity `what` of all parts, with angles as lengths."""
@@ -243,7 +245,7 @@ class Task:
             rows = getattr(part, what)(value[v : v + size], goal[g : g + part.numbers])
             found.append(rows * (self.tolerance_m / self.tolerance_rad) if part.angular else rows)
             v, g = v + size, g + part.numbers
-        return _joined(found)
+        return _concatenated(found)
 
 
 TCP_POSITION = Task()  # the paper's
@@ -257,7 +259,7 @@ def feature_at(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3"]:
     return (directions if feature.is_direction else point_positions)(robot, x, vector[None], links)[0]
 
 
-def _moves(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3 N"]:
+def _feature_jacobian(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3 N"]:
     if _is_tcp(feature):
         return jacobian(robot, x)
     of = direction_jacobians if feature.is_direction else point_jacobians
@@ -282,9 +284,9 @@ def _fixed(robot: Robot, feature: Feature) -> tuple[Float[Array, "3"], tuple[int
     return (turned if feature.is_direction else turned + T[:3, 3]), (len(robot.slides) - 1,)
 
 
-def _held(feature: Feature, rows: Array) -> Array:
+def _rows_of_feature(feature: Feature, rows: Array) -> Array:
     return rows if feature.rows == XYZ else rows[jnp.asarray(feature.rows)]
 
 
-def _joined(parts: list[Array]) -> Array:
+def _concatenated(parts: list[Array]) -> Array:
     return parts[0] if len(parts) == 1 else jnp.concatenate(parts)

@@ -88,7 +88,7 @@ class TaskRow(TaskRowKind):
 
     def part(self, robot: Robot) -> Row:
         """Return the row for a robot. Raises InputError for a name that the robot lacks."""
-        return _part(self, robot)
+        return _row_of_task(self, robot)
 
     def goals(self, part: Row, posed: PlacedPath) -> Float[np.ndarray, "T g"]:
         """Return the goals of the row at the points of the path."""
@@ -165,7 +165,7 @@ class TaskRow(TaskRowKind):
             raise InputError("orientation is a quaternion of length 0")
 
 
-def _part(row: TaskRow, robot: Robot) -> Row:
+def _row_of_task(row: TaskRow, robot: Robot) -> Row:
     if row.orientation is not None:
         frame = frame_of(robot, row.of)
         return Turned(frame.link, frame.columns, cone=row.limit_deg is not None)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import Kind, Slot, Template, fault_of, numbers_of, template_of
+from htcp_jax.kinds import ExtensionKind, Slot, Template, fault_of, numbers_of, template_of
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.row_bounds import Rated
 from htcp_jax.model.task_rows import AIM_M, AIM_RAD, SLACK, Feature, Row
@@ -34,7 +34,7 @@ class PlacedPath(NamedTuple):
     workpiece: Workpiece
 
 
-class TaskRowKind(Kind):
+class TaskRowKind(ExtensionKind):
     """A kind of task row: derive a frozen dataclass from it, and define `name`, `features`, and `error` or `slack`.
 
     equalities, inequalities: numbers of values that `error` and `slack` return. angular: they are angles [rad], not
@@ -173,7 +173,7 @@ class GivenRow(Row):
         first = self.template.size
         return self._own(goal).error(value) - goal[first : first + self.equalities]
 
-    def room(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+    def slack(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
         """Return the kind's slack, and what is added to it."""
         return self._own(goal).slack(value) + goal[self.template.size + self.equalities :]
 
@@ -187,7 +187,7 @@ class GivenRow(Row):
 
         def by(goal: Float[Array, "g"], value: Float[Array, "v"]) -> Scalar:
             off = tolerance - safe_norm(self.error(value, goal)) if self.equalities else jnp.inf
-            return jnp.minimum(off, jnp.min(self.room(value, goal), initial=jnp.inf) + tolerance)
+            return jnp.minimum(off, jnp.min(self.slack(value, goal), initial=jnp.inf) + tolerance)
 
         def slack(value: Float[Array, "v"]) -> Scalar:
             return jnp.max(jnp.stack([by(goal, value) for goal in (goals[0], 0.5 * (goals[0] + goals[1]), goals[1])]))
@@ -197,8 +197,8 @@ class GivenRow(Row):
     def eased(self, start, first, share, places):
         """Return goals whose errors and slacks are those of the start, faded out."""
         value, goal = jnp.asarray(start), jnp.asarray(first)
-        error, room = np.asarray(self.error(value, goal)), np.asarray(self.room(value, goal))
-        short = np.where(room < 0, 2 * (AIM_RAD if self.angular else AIM_M) - room, 0.0) + SLACK
+        error, slack = np.asarray(self.error(value, goal)), np.asarray(self.slack(value, goal))
+        short = np.where(slack < 0, 2 * (AIM_RAD if self.angular else AIM_M) - slack, 0.0) + SLACK
         goals, first_own = np.tile(first, (len(share), 1)), self.template.size
         goals[:, first_own:] += (1.0 - share)[:, None] * np.append(error, short)
         return goals

@@ -1,7 +1,7 @@
 """Kinds of rows of a task: the features of the arm that each compares with its goal, and their errors.
 
 Features are points and directions that are fixed to a link. From their values and the numbers of its goal at one
-target, a row computes the deviation (`error`, an equality) or the slack (`room`, an inequality, violated below 0).
+target, a row computes the deviation (`error`, an equality) or the slack (`slack`, an inequality, violated below 0).
 Kinds are static; goals are data, so a cone's angle may differ from scenario to scenario.
 
 Errors of angles are rotation vectors, the logarithm map (Lynch and Park, Modern Robotics, section 3.2.3) [rad].
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.rotations import angle, axis_error, least_turn, rotation_vector
-from htcp_jax.model.row_bounds import Look, Region, Slabs, chord, towards, turned
+from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, chord, towards, turned
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Float, Triple, Vector3
 
@@ -79,7 +79,7 @@ class Row:
         """Return what the equations are off."""
         return jnp.zeros(0)
 
-    def room(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+    def slack(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
         """Return the slack of the inequalities; violated below 0."""
         return jnp.zeros(0)
 
@@ -194,7 +194,7 @@ class PointAlong(Row):
         """Return the remaining distance in each direction [m]."""
         return jnp.zeros(0) if self.band else self._ahead(value, goal)
 
-    def room(self, value: Vector3, goal: Float[Array, "g"]) -> Float[Array, "b"]:
+    def slack(self, value: Vector3, goal: Float[Array, "g"]) -> Float[Array, "b"]:
         """Return the slack to both sides of the band [m]."""
         if not self.band:
             return jnp.zeros(0)
@@ -277,7 +277,7 @@ class AxisTowards(Row):
             return jnp.zeros(0)
         return axis_error(value[:3], self._direction(value, goal))
 
-    def room(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+    def slack(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
         """Return the angle from the axis to the cone [rad]."""
         if not self.cone:
             return jnp.zeros(0)
@@ -291,7 +291,7 @@ class AxisTowards(Row):
         """Return the directions within the cones and the tolerance [rad]."""
         limit = goals[:, 3] if self.cone else jnp.zeros(2)
         if self.looks_from_m is not None:
-            return Look(goals[1, :3], chord(limit[1] + tolerance_rad))
+            return ViewTarget(goals[1, :3], chord(limit[1] + tolerance_rad))
         return towards(*goals[:, :3], limit, tolerance_rad)
 
     def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
@@ -354,7 +354,7 @@ class Turned(Row):
         """Return the rotation vector from the frame to the goal's rotation [rad]."""
         return jnp.zeros(0) if self.cone else self._to_go(value, goal)
 
-    def room(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+    def slack(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
         """Return the angle tolerance less the angle to the goal's rotation [rad]."""
         return (goal[-1] - safe_norm(self._to_go(value, goal)))[None] if self.cone else jnp.zeros(0)
 
@@ -387,6 +387,6 @@ def _wider(
 ) -> Float[np.ndarray, "A g"]:
     """Return goals with the half angle that the start needs, narrowed to the first goal's."""
     goals = np.tile(first, (len(share), 1))
-    short = max(float(-row.room(jnp.asarray(start), jnp.asarray(first))[0]), 0.0)
+    short = max(float(-row.slack(jnp.asarray(start), jnp.asarray(first))[0]), 0.0)
     goals[:, -1] += (1.0 - share) * (short + 2 * AIM_RAD) + SLACK * (share < 1.0)
     return goals

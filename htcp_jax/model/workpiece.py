@@ -91,7 +91,7 @@ class Workpiece:
         triangles = np.array(self.triangles, dtype=np.float64)
         corners = triangles.reshape(-1, 3) if len(triangles) else cloud  # sampled points between corners add no vertex
         lost = inlet is None and self.inlet_direction is InletDirection.HULL_FACET
-        hull = _hull(corners, "none" if lost else self.interior, self.hull_tolerance_m, self.name)
+        hull = _interior_hull(corners, "none" if lost else self.interior, self.hull_tolerance_m, self.name)
         arrays = {
             "cloud": cloud, "path": path, "inlet": inlet, "triangles": triangles,
             "inlet_direction": _direction(self.inlet_direction, hull, inlet),
@@ -166,7 +166,7 @@ class Workpiece:
     def interior_rule(self) -> str:
         """Description of the rule that bodies deep in the part must lie in its hull."""
         if len(self.hull_offset):
-            along = "world x" if self.inlet_direction is None else f"({_numbers(self.inlet_direction)})"
+            along = "world x" if self.inlet_direction is None else f"({_in_words(self.inlet_direction)})"
             return f"convex hull, {self.interior_depth_m:.3g} m deep along {along}"
         return "off: no inlet" if self.inlet is None else "off"
 
@@ -177,7 +177,7 @@ class Workpiece:
             "walls": self.walls,
             "extent": " x ".join(f"{side:.3f}" for side in high - low) + " m",
             "tool path": f"{len(self.path)} points, {length:.3f} m",
-            "inlet": "none" if self.inlet is None else f"{_numbers(self.inlet)} m",
+            "inlet": "none" if self.inlet is None else f"{_in_words(self.inlet)} m",
             "interior": self.interior_rule,
         }
         return html_facts(self.name, facts)
@@ -208,11 +208,11 @@ def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.
     return direction / np.linalg.norm(direction)
 
 
-def _numbers(values: Float[np.ndarray, "3"]) -> str:
+def _in_words(values: Float[np.ndarray, "3"]) -> str:
     return ", ".join(f"{value:.4g}" for value in values + 0.0)
 
 
-def _hull(cloud: Float[np.ndarray, "P 3"], interior: str, tolerance_m: float, name: str) -> Hull:
+def _interior_hull(cloud: Float[np.ndarray, "P 3"], interior: str, tolerance_m: float, name: str) -> Hull:
     if interior == "hull" and len(cloud):
         return convex_hull(cloud, tolerance_m, f"cloud of {name}")
     if interior in ("hull", "none"):

@@ -1,37 +1,37 @@
 from . import (
     collision_checker,
-    front,
+    configuration_tree,
     home,
-    kernels,
     lane_inputs,
     motion,
     motion_check,
     plans,
-    posture_tree,
+    selection,
     smoothing,
+    step_functions,
     transfers,
 )
 from .collision_checker import CollisionChecker
-from .knots import Knots
 from .motion import Motion
 from .plans import Plans
 from .problem import Problem
+from .via_points import ViaPoints
 
 __all__ = [
     "CollisionChecker",
-    "Knots",
     "Motion",
     "Plans",
     "Problem",
+    "ViaPoints",
     "collision_checker",
-    "front",
+    "configuration_tree",
     "home",
-    "kernels",
     "lane_inputs",
     "motion",
     "motion_check",
     "plans",
-    "posture_tree",
+    "selection",
     "smoothing",
+    "step_functions",
     "transfers",
 ]

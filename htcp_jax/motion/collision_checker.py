@@ -15,13 +15,13 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.obstacles import tip_guard
 from htcp_jax.clearance.proof import bisection, motion_bound, motion_proof
-from htcp_jax.device import Kernels, tables
+from htcp_jax.device import Executor, tables
 from htcp_jax.model import Task
 from htcp_jax.model import task as tasks
-from htcp_jax.motion.kernels import ADVANCE, CHECK_PATH, PROVE, SETTLE, TIP, Closely, State, advance_of
 from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.motion.step_functions import ADVANCE, PATH_CLEAR, PROVE, SETTLE, TIP, ProofResolution, State, advance_of
 from htcp_jax.settings import Settings
-from htcp_jax.status import Way
+from htcp_jax.status import SegmentStatus
 
 PLACES = 100  # intervals of a joint path at whose ends the tip is checked
 
@@ -33,29 +33,29 @@ class CollisionChecker:
     """Checks of configurations and of straight joint paths, in one scene and on one device.
 
     All arguments are tables with one row per lane: `inputs` has the scenario's data and the target, see `lane_inputs`,
-    `q`, `a` and `b` have configurations [rad or m]. Rows do not influence each other. `kernels` runs a planner's own
+    `q`, `a` and `b` have configurations [rad or m]. Rows do not influence each other. `executor` runs a planner's own
     compiled functions in the same scene.
 
     Args:
-        kernels: Runs compiled functions in the scene.
+        lane functions: Runs compiled functions in the scene.
         settings: Settings of the planner.
         guard: The walls that the tool's bare tip must not pass through; None if it may touch anywhere.
     """
 
-    def __init__(self, kernels: Kernels, settings: Settings, guard: tip_guard.TipGuard | None = None):
-        self.kernels, self.task = kernels, kernels.task
+    def __init__(self, executor: Executor, settings: Settings, guard: tip_guard.TipGuard | None = None):
+        self.executor, self.task = executor, executor.task
         self._settings, self._guard, self._advance = settings, guard, advance_of(settings)
 
     def states(self, inputs: LaneInputs, q: Configurations) -> State:
         """Return clearance, residual, TCP and linearisation of configurations at their targets."""
-        return self.kernels(ADVANCE, inputs, q, np.zeros_like(q))
+        return self.executor(ADVANCE, inputs, q, np.zeros_like(q))
 
     def stepped(self, inputs: LaneInputs, q: Configurations, y: Configurations) -> State:
         """Return the states after steps y [rad or m] of step QPs.
 
         Their linearisation has the rows of clearance that step QPs use (`settings.clearance_rows`).
         """
-        return self.kernels(self._advance, inputs, q, y)
+        return self.executor(self._advance, inputs, q, y)
 
     def valid(self, inputs: LaneInputs, at: State, among: Rows | bool = True) -> Rows:
         """Return True for states of `among` that satisfy the task and the margin, with the bare tip out of walls."""
@@ -65,13 +65,13 @@ class CollisionChecker:
         """Return True for configurations of `among` whose bare tip passes through no wall."""
         good = np.array(among)
         if self._guard is not None and good.any():
-            tip = self.kernels(TIP, *tables.gather((inputs, q), good))
+            tip = self.executor(TIP, *tables.gather((inputs, q), good))
             good[good] = ~self._guard.passes(tip[:, 0], tip[:, 1])
         return good
 
     def project(self, inputs: LaneInputs, q: Configurations) -> Configurations:
         """Return configurations brought onto their targets, as far as inverse kinematics gets; they may collide."""
-        return self.kernels(SETTLE, inputs, q)
+        return self.executor(SETTLE, inputs, q)
 
     def edges(
         self,
@@ -101,12 +101,12 @@ class CollisionChecker:
             tip: False if the tip is not checked; else it is at PLACES - 1 places between a and b, and the verdict of a
                 path on which it passes through a wall is COLLIDES.
         """
-        proof = self.kernels(*prove_call(self.task, inputs, a, b, tube, kept, resolution_m, deepest))
+        proof = self.executor(*prove_call(self.task, inputs, a, b, tube, kept, resolution_m, deepest))
         if self._guard is None or not tip:
             return proof
-        proven = proof.verdict == Way.PROVEN
+        proven = proof.verdict == SegmentStatus.VALID
         passes = proven & ~self._tip_free_along(inputs, a, b, proven)
-        return proof._replace(verdict=np.where(passes, int(Way.COLLIDES), proof.verdict))
+        return proof._replace(verdict=np.where(passes, int(SegmentStatus.IN_COLLISION), proof.verdict))
 
     def path_clear(self, inputs: LaneInputs, a: Configurations, b: Configurations) -> Rows:
         """Return True for straight joint paths that are clear by `settings.path_test`, the bare tip included.
@@ -114,8 +114,8 @@ class CollisionChecker:
         The test by proof uses the executable for motions, so that no other one is compiled.
         """
         if self._settings.path_test == "bisection":
-            return self.edges(inputs, a, b, resolution_m=motion_proof.RESOLUTION_M).verdict == Way.PROVEN
-        return self._tip_free_along(inputs, a, b, self.kernels(CHECK_PATH, inputs, a, b))
+            return self.edges(inputs, a, b, resolution_m=motion_proof.RESOLUTION_M).verdict == SegmentStatus.VALID
+        return self._tip_free_along(inputs, a, b, self.executor(PATH_CLEAR, inputs, a, b))
 
     def _tip_free_along(self, inputs: LaneInputs, a: Configurations, b: Configurations, among: Rows) -> Rows:
         good = np.array(among)
@@ -138,8 +138,10 @@ def prove_call(
     resolution_m=-motion_bound.ROUNDING_M,
     deepest=motion_proof.DEEPEST,
 ) -> tuple:
-    """Return the lane function and the tables of `CollisionChecker.edges`, see `Kernels.preparing`."""
-    closely = Closely(*(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int))))
+    """Return the lane function and the tables of `CollisionChecker.edges`, see `Executor.preparing`."""
+    closely = ProofResolution(
+        *(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int)))
+    )
     return PROVE, inputs, a, b, free_tubes(task, inputs) if tube is None else tube, closely
 
 

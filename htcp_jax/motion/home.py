@@ -1,7 +1,7 @@
 """Joint paths from home to the start that are proven clear, for many scenarios at once.
 
-    problem, ways = leave_home(problem)           # before planning: chooses starts, and refuses scenarios
-    plans = begin_at_home(problem, plans, ways)   # afterwards: the plans begin at home
+    problem, from_home = leave_home(problem)           # before planning: chooses starts, and refuses scenarios
+    plans = begin_at_home(problem, plans, from_home)   # afterwards: the plans begin at home
 
 Any method plans from the start, so all of them can begin at home. A start that is not given is chosen among the
 clearest configurations sampled at the path's first point: of four at a time, the one joined to home in the fewest
@@ -18,18 +18,18 @@ from htcp_jax.model import Scenario
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.joint_search import join
-from htcp_jax.motion.knots import Knots
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.transfers import other_postures
+from htcp_jax.motion.transfers import other_configurations
+from htcp_jax.motion.via_points import ViaPoints
 from htcp_jax.status import Status
 
 ROUNDS, FIRST_ROUND = 4, 100  # rounds of sampled starts, and the first one's number, beyond those of transfers
 TOGETHER, MOST_TRIED = 4, 16  # starts of a round to join at a time, and in total
 PAIR = 500_000  # first number of pairs that begin at home; smaller ones belong to transfers
 
-Ways = dict[int, Float[np.ndarray, "_ N"]]  # by scenario: the via points from home to the start
+ViaPointsFromHome = dict[int, Float[np.ndarray, "_ N"]]  # by scenario: the via points from home to the start
 
 
 class Trial(NamedTuple):
@@ -45,10 +45,10 @@ class Start(NamedTuple):
 
     x: Float[np.ndarray, "N"]  # [rad or m]
     refused: int = scenario_functions.NOT_REFUSED  # or the Status of a scenario that cannot begin
-    way: Float[np.ndarray, "_ N"] | None = None  # the via points from home; None if there is no home
+    via_points: Float[np.ndarray, "_ N"] | None = None  # the via points from home; None if there is no home
 
 
-def leave_home(problem: Problem) -> tuple[Problem, Ways]:
+def leave_home(problem: Problem) -> tuple[Problem, ViaPointsFromHome]:
     """Return the problem with all starts chosen, and the via points from home to the start.
 
     Scenarios that cannot begin are refused. There are via points for every other scenario whose start is not home.
@@ -59,13 +59,13 @@ def leave_home(problem: Problem) -> tuple[Problem, Ways]:
     if not rows:
         return problem, {}
     parts = problem.in_threads(lambda checker, share: HomeConnector(problem, checker).run(rows[share]))
-    x_start, refused, ways = scenarios.x_start.copy(), scenarios.refused.copy(), Ways()
+    x_start, refused, from_home = scenarios.x_start.copy(), scenarios.refused.copy(), ViaPointsFromHome()
     for s, start in (each for part in parts for each in part.items()):
         x_start[s], refused[s] = start.x, start.refused
-        if start.way is not None:
-            ways[s] = start.way
+        if start.via_points is not None:
+            from_home[s] = start.via_points
     problem.progress(0, int((refused != scenarios.refused).sum()))
-    return problem.with_scenarios(replace(scenarios, x_start=x_start, refused=refused)), ways
+    return problem.with_scenarios(replace(scenarios, x_start=x_start, refused=refused)), from_home
 
 
 class HomeConnector:
@@ -88,7 +88,7 @@ class HomeConnector:
         starts |= {s: Start(x_start[s], Status.NO_START) for s in chosen}
         starts |= self._joined({s: [Trial(s, PAIR, x_start[s])] for s in arrive})
         for round_ in range(ROUNDS):
-            trials = {s: self._drawn(s, round_) for s in chosen if starts[s].way is None}
+            trials = {s: self._drawn(s, round_) for s in chosen if starts[s].via_points is None}
             starts |= self._joined({s: found for s, found in trials.items() if found})
         return starts
 
@@ -112,7 +112,7 @@ class HomeConnector:
 
     def _drawn(self, s: int, round_: int) -> list[Trial]:
         """Return configurations at the first target, the clearest first."""
-        found = other_postures(self._problem, self._checker, s, FIRST_ROUND + round_)
+        found = other_configurations(self._problem, self._checker, s, FIRST_ROUND + round_)
         clearest = found.x[np.argsort(-found.clearance, kind="stable")[:MOST_TRIED]]
         return [Trial(s, PAIR + round_ * MOST_TRIED + k, x) for k, x in enumerate(clearest)]
 
@@ -121,32 +121,39 @@ class HomeConnector:
         scenarios, settings = self._scenarios, self._problem.settings
         starts = {s: Start(scenarios.x_start[s], Status.HOME_NOT_JOINED) for s in trials}
         for first in range(0, MOST_TRIED, TOGETHER):
-            left = [own[first : first + TOGETHER] for s, own in trials.items() if starts[s].way is None]
+            left = [own[first : first + TOGETHER] for s, own in trials.items() if starts[s].via_points is None]
             now = [one for own in left for one in own]
             if not now:
                 break
             s, pair, to = (np.array(column) for column in zip(*now, strict=True))
             found = join(self._checker, scenarios, s, pair, scenarios.x_home[s], to, settings, soonest=True)
-            ways = zip(now, found, strict=True)
-            starts |= {one.scenario: Start(one.x, way=way) for one, way in ways if way is not None}
+            from_home = zip(now, found, strict=True)
+            starts |= {
+                one.scenario: Start(one.x, via_points=via_points)
+                for one, via_points in from_home
+                if via_points is not None
+            }
         return starts
 
 
-def begin_at_home(problem: Problem, plans: Plans, ways: Ways) -> Plans:
+def begin_at_home(problem: Problem, plans: Plans, from_home: ViaPointsFromHome) -> Plans:
     """Return the plans with the paths from home prepended: starts become via points on the segment to the first target.
 
     Args:
         problem: The problem as returned by `leave_home`.
         plans: Its plans, from the starts.
-        ways: The via points as returned by `leave_home`.
+        from_home: The via points as returned by `leave_home`.
     """
     scenarios, plans = problem.scenarios, plans.with_own("start", "joint_step")
     mine = (plans.start == scenarios.x_start).all(axis=1) & ~scenarios.begins_anywhere
     plans.start[mine] = scenarios.x_home[mine]
-    if not ways:
+    if not from_home:
         return plans
-    begun = [s for s in ways if mine[s] and plans.tracked[s, 0]]
+    begun = [s for s in from_home if mine[s] and plans.tracked[s, 0]]
     plans.joint_step[begun, 0] = np.linalg.norm(plans.x[begun, 0] - plans.start[begun], axis=1)
-    knots = [(s, 0, way) for s in begun for way in (ways[s], scenarios.x_start[s][None])]
-    knots += [(s, t, x[None]) for s, t, x in zip(*map(np.ndarray.tolist, plans.knots[:2]), plans.knots.x, strict=True)]
-    return plans._replace(knots=Knots.of(knots, plans.x.shape[2]))
+    via_points = [(s, 0, via_points) for s in begun for via_points in (from_home[s], scenarios.x_start[s][None])]
+    via_points += [
+        (s, t, x[None])
+        for s, t, x in zip(*map(np.ndarray.tolist, plans.via_points[:2]), plans.via_points.x, strict=True)
+    ]
+    return plans._replace(via_points=ViaPoints.of(via_points, plans.x.shape[2]))

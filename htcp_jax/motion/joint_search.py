@@ -27,10 +27,10 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.clearance.proof import motion_proof
 from htcp_jax.model import Scenario
 from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion.configuration_tree import NO_PARENT, Tree
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.posture_tree import NO_PARENT, Tree
 from htcp_jax.settings import Settings
-from htcp_jax.status import Way
+from htcp_jax.status import SegmentStatus
 
 IN_FLIGHT = 4  # pairs joined together: the number of lanes divided by this
 DRAWS = 16  # samples per round, and shortcuts per round
@@ -39,7 +39,7 @@ FINEST_RAD = 0.02  # finest subdivision of a shortcut's proof
 LEAST_RAD = 1e-6  # least saving of a shortcut; more than rounding
 
 
-class JointPaths(NamedTuple):
+class QueriedPaths(NamedTuple):
     """Straight joint paths that a search queries."""
 
     a: Float[np.ndarray, "m N"]  # [rad or m]
@@ -47,7 +47,7 @@ class JointPaths(NamedTuple):
     deepest: Int[np.ndarray, "m"]  # maximum number of halvings in their proof
 
 
-Joining = Generator[JointPaths, Bool[np.ndarray, "m"], Any]  # yields queries, is sent which are proven
+Joining = Generator[QueriedPaths, Bool[np.ndarray, "m"], Any]  # yields queries, is sent which are proven
 Limits = tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]
 
 
@@ -81,59 +81,59 @@ def join(
             nothing was found in `settings.search_rounds`.
     """
     found: list[np.ndarray | None] = [None] * len(a)
-    waiting, limits = iter(range(len(a))), checker.kernels.limits
-    most = max(1, checker.kernels.lanes // IN_FLIGHT)
+    waiting, limits = iter(range(len(a))), checker.executor.limits
+    most = max(1, checker.executor.lanes // IN_FLIGHT)
     going: dict[int, Joining] = {}
-    told: dict[int, np.ndarray] = {}
-    asks, best = [0] * len(a), {}
+    reported: dict[int, np.ndarray] = {}
+    requests, best = [0] * len(a), {}
 
     def wanted(k: int) -> bool:
-        return not soonest or (asks[k], k) < best.get(scenario[k], (np.inf, k))
+        return not soonest or (requests[k], k) < best.get(scenario[k], (np.inf, k))
 
     while True:
         for k in islice(waiting, most - len(going)):
             rng = np.random.default_rng([settings.seed, int(scenarios.number[scenario[k]]), int(pair[k])])
-            going[k] = _joined(a[k], b[k], limits, rng, settings)
+            going[k] = _join_pair(a[k], b[k], limits, rng, settings)
         if not going:
             return found
-        asked: dict[int, JointPaths] = {}
+        requested: dict[int, QueriedPaths] = {}
         for k, search in going.items():
             try:
-                asked[k] = search.send(told.get(k))
-                asks[k] += 1
+                requested[k] = search.send(reported.get(k))
+                requests[k] += 1
             except StopIteration as end:
                 if end.value is not None and wanted(k):
                     if soonest and scenario[k] in best:
                         found[best[scenario[k]][1]] = None
-                    found[k], best[scenario[k]] = end.value, (asks[k], k)
-        asked = {k: paths for k, paths in asked.items() if wanted(k)}
-        going = {k: going[k] for k in asked}
-        told = _told(checker, scenarios, scenario, asked) if asked else {}
+                    found[k], best[scenario[k]] = end.value, (requests[k], k)
+        requested = {k: paths for k, paths in requested.items() if wanted(k)}
+        going = {k: going[k] for k in requested}
+        reported = _answers(checker, scenarios, scenario, requested) if requested else {}
 
 
-def _told(
-    checker: CollisionChecker, scenarios: Scenario, scenario: np.ndarray, asked: dict[int, JointPaths]
+def _answers(
+    checker: CollisionChecker, scenarios: Scenario, scenario: np.ndarray, requested: dict[int, QueriedPaths]
 ) -> dict[int, np.ndarray]:
     """Return, for each search, True for the queried joint paths that are proven."""
-    counts = [len(paths.a) for paths in asked.values()]
-    own = np.repeat(scenario[list(asked)], counts)
-    a, b, deepest = (np.concatenate(column) for column in zip(*asked.values(), strict=True))
+    counts = [len(paths.a) for paths in requested.values()]
+    own = np.repeat(scenario[list(requested)], counts)
+    a, b, deepest = (np.concatenate(column) for column in zip(*requested.values(), strict=True))
     inputs = lane_inputs(scenarios, own, np.zeros_like(own))
-    clear = checker.edges(inputs, a, b, deepest=deepest).verdict == Way.PROVEN
+    clear = checker.edges(inputs, a, b, deepest=deepest).verdict == SegmentStatus.VALID
     for end in (a, b):
         clear = checker.tip_free(inputs, end, clear)
-    return dict(zip(asked, np.split(clear, np.cumsum(counts)[:-1]), strict=True))
+    return dict(zip(requested, np.split(clear, np.cumsum(counts)[:-1]), strict=True))
 
 
-def _joined(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
+def _join_pair(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
     """Join one pair; returns the same as `join`."""
-    ends_clear = yield _steps(np.stack([a, b]), np.stack([a, b]))
+    ends_clear = yield _full_queries(np.stack([a, b]), np.stack([a, b]))
     if not ends_clear.all():
         return None
-    if (yield _steps(a[None], b[None])).all():
+    if (yield _full_queries(a[None], b[None])).all():
         return a[:0].reshape(0, len(a))
-    way = yield from _grown(a, b, limits, rng, settings)
-    return None if way is None else (yield from _shortened(way, rng, settings.search_shortcuts))[1:-1]
+    path = yield from _grown(a, b, limits, rng, settings)
+    return None if path is None else (yield from _shortened(path, rng, settings.search_shortcuts))[1:-1]
 
 
 class _Nodes(NamedTuple):
@@ -160,7 +160,7 @@ class _JointTree(Tree):
         apart = self.x[None] - x[:, None]
         return np.argmin((apart * apart).sum(axis=2), axis=1)
 
-    def way(self, node: int) -> Float[np.ndarray, "k N"]:
+    def path_to(self, node: int) -> Float[np.ndarray, "k N"]:
         """Return the configurations from the root to a node; in a `backwards` tree, from the node to the root."""
         path = self.path(node)
         return self.x[path[::-1] if self.backwards else path]
@@ -171,8 +171,8 @@ class _JointTree(Tree):
         while len(going):
             x, to = self.x[node[going]], goal[going]
             left = np.linalg.norm(to - x, axis=1)
-            there = _between(x, to, np.minimum(1.0, step / np.maximum(left, step)))
-            clear = yield _steps(there, x) if self.backwards else _steps(x, there)
+            there = _interpolated(x, to, np.minimum(1.0, step / np.maximum(left, step)))
+            clear = yield _full_queries(there, x) if self.backwards else _full_queries(x, there)
             node[going[clear]] = self.add(_Nodes(there[clear], node[going[clear]]))
             going = going[clear & (left > step)]
         return node
@@ -184,59 +184,61 @@ def _grown(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generato
     for _ in range(settings.search_rounds):
         small, other = sorted(trees, key=len)
         node = rng.integers(len(small), size=DRAWS)
-        ends = yield from small.extend(node, _drawn(small.x[node], limits, rng), step)
+        ends = yield from small.extend(node, _sampled_goals(small.x[node], limits, rng), step)
         ends = ends[ends != node]
         goals = small.x[ends]
         meet = yield from other.extend(other.nearest(goals), goals, step)
         met = np.flatnonzero((other.x[meet] == goals).all(axis=1))
         if len(met):
-            ways = {tree.backwards: tree.way(int(nodes[met[0]])) for tree, nodes in ((small, ends), (other, meet))}
-            return np.concatenate([ways[False], ways[True][1:]])
+            paths = {tree.backwards: tree.path_to(int(nodes[met[0]])) for tree, nodes in ((small, ends), (other, meet))}
+            return np.concatenate([paths[False], paths[True][1:]])
     return None
 
 
-def _drawn(x: np.ndarray, limits: Limits, rng: np.random.Generator) -> np.ndarray:
+def _sampled_goals(x: np.ndarray, limits: Limits, rng: np.random.Generator) -> np.ndarray:
     """Sample a goal for each configuration: a random direction and length, within the limits."""
     directions = rng.standard_normal(x.shape)
     lengths = LONGEST_RAD * (SHORTEST_RAD / LONGEST_RAD) ** rng.random((len(x), 1))
     return np.clip(x + directions * (lengths / np.linalg.norm(directions, axis=1, keepdims=True)), *limits)
 
 
-def _shortened(way: np.ndarray, rng: np.random.Generator, rounds: int) -> Joining:
+def _shortened(path: np.ndarray, rng: np.random.Generator, rounds: int) -> Joining:
     """Return the path shortened by straight joint paths: in each round the shortcut that saves most."""
     for _ in range(rounds):
-        cuts = np.sort(rng.random((DRAWS, 2)) * (len(way) - 1), axis=1)
+        cuts = np.sort(rng.random((DRAWS, 2)) * (len(path) - 1), axis=1)
         cuts[::2] = np.rint(cuts[::2])  # between via points, so that there are fewer of them
         before, after = np.floor(cuts[:, 0]).astype(int), np.ceil(cuts[:, 1]).astype(int)
-        p, q = (_at(way, cut) for cut in cuts.T)
-        legs = np.stack([way[before], p, q, way[after]], axis=1)
-        clear = yield _cuts(*(part.reshape(-1, way.shape[1]) for part in (legs[:, :-1], legs[:, 1:])))
-        walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+        p, q = (_configurations_at(path, cut) for cut in cuts.T)
+        legs = np.stack([path[before], p, q, path[after]], axis=1)
+        clear = yield _shallow_queries(*(part.reshape(-1, path.shape[1]) for part in (legs[:, :-1], legs[:, 1:])))
+        travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
         length = np.linalg.norm(np.diff(legs, axis=1), axis=2).sum(axis=1)
-        saved = np.where(clear.reshape(DRAWS, 3).all(axis=1), walked[after] - walked[before] - length, 0.0)
+        saved = np.where(clear.reshape(DRAWS, 3).all(axis=1), travelled[after] - travelled[before] - length, 0.0)
         if saved[best := int(np.argmax(saved))] > LEAST_RAD:
-            way = np.concatenate([way[: before[best]], legs[best], way[after[best] + 1 :]])
-            way = way[np.append(True, (np.diff(way, axis=0) != 0).any(axis=1))]
-    return way
+            path = np.concatenate([path[: before[best]], legs[best], path[after[best] + 1 :]])
+            path = path[np.append(True, (np.diff(path, axis=0) != 0).any(axis=1))]
+    return path
 
 
-def _steps(a: np.ndarray, b: np.ndarray) -> JointPaths:
-    return JointPaths(a, b, np.full(len(a), motion_proof.DEEPEST, np.int32))
+def _full_queries(a: np.ndarray, b: np.ndarray) -> QueriedPaths:
+    return QueriedPaths(a, b, np.full(len(a), motion_proof.DEEPEST, np.int32))
 
 
-def _cuts(a: np.ndarray, b: np.ndarray) -> JointPaths:
+def _shallow_queries(a: np.ndarray, b: np.ndarray) -> QueriedPaths:
     """Return joint paths with a limited proof: the shortest path grazes the walls, which is not desired."""
     parts = np.linalg.norm(b - a, axis=1) / FINEST_RAD
-    return JointPaths(a, b, np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, motion_proof.DEEPEST).astype(np.int32))
+    return QueriedPaths(
+        a, b, np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, motion_proof.DEEPEST).astype(np.int32)
+    )
 
 
-def _at(way: np.ndarray, place: np.ndarray) -> np.ndarray:
+def _configurations_at(path: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Return configurations on a path; a place is a via point's number plus the fraction of the segment to the next."""
-    knot = np.minimum(place.astype(int), len(way) - 2)
-    return _between(way[knot], way[knot + 1], place - knot)
+    via_point = np.minimum(place.astype(int), len(path) - 2)
+    return _interpolated(path[via_point], path[via_point + 1], place - via_point)
 
 
-def _between(a: np.ndarray, b: np.ndarray, part: np.ndarray) -> np.ndarray:
+def _interpolated(a: np.ndarray, b: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Interpolate from each a to its b by a fraction; never outside of both, and exactly b for 1."""
     x = np.clip(a + part[:, None] * (b - a), np.minimum(a, b), np.maximum(a, b))
     return np.where(part[:, None] == 1, b, x)

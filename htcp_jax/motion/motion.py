@@ -77,22 +77,22 @@ def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None 
     """
     rows = plans.executable if rows is None else rows
     begun, (s, t) = np.flatnonzero(rows.any(axis=1)), np.nonzero(rows)
-    knots = plans.knots
-    passed = rows[knots.scenario, knots.target]
-    scenario = np.concatenate([begun, knots.scenario[passed], s])
-    target = np.concatenate([np.zeros_like(begun), knots.target[passed], t])
-    x = np.concatenate([plans.start[begun], knots.x[passed], plans.x[s, t]])
+    via_points = plans.via_points
+    passed = rows[via_points.scenario, via_points.target]
+    scenario = np.concatenate([begun, via_points.scenario[passed], s])
+    target = np.concatenate([np.zeros_like(begun), via_points.target[passed], t])
+    x = np.concatenate([plans.start[begun], via_points.x[passed], plans.x[s, t]])
     place = np.repeat([0, 1, 2], [len(begun), passed.sum(), len(s)])  # on each segment: start, via points, row
     order = np.lexsort((place, target, scenario))
     scenario, target, place = scenario[order], target[order], place[order]
-    kind = _kinds(target, place, np.broadcast_to(on_path, len(rows))[scenario])
+    kind = _motion_kinds(target, place, np.broadcast_to(on_path, len(rows))[scenario])
     kind[transfers(plans)[scenario] & (target == 0)] = Kind.TRANSFER
     return Motions(scenario, x[order], target - (kind == Kind.DWELL), kind)
 
 
-def _kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[np.ndarray, "n"]:
+def _motion_kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[np.ndarray, "n"]:
     """Return the kind of motion that leads to each configuration, without transfers."""
-    kind = np.where(target > on_path, np.where(place == 1, Kind.DWELL, Kind.FEED), Kind.APPROACH)
+    kind = np.where(target > on_path, np.where(place == 1, Kind.DWELL, Kind.PROCESS), Kind.APPROACH)
     return kind.astype(np.int8)
 
 
@@ -102,8 +102,8 @@ def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
     The segment to the first target has via points, or that target was tracked after a recovery, as in a plan that
     begins in another configuration than the start.
     """
-    found = (plans.status[:, :1] == Status.TRACKED_AFTER_ESCAPE).any(axis=1)
-    found[plans.knots.scenario[plans.knots.target == 0]] = True
+    found = (plans.status[:, :1] == Status.TRACKED_AFTER_RECOVERY).any(axis=1)
+    found[plans.via_points.scenario[plans.via_points.target == 0]] = True
     return found
 
 
@@ -114,10 +114,10 @@ class MotionFigures(NamedTuple):
     motion_cost_rad2: Float[np.ndarray, "S"]  # equation (3), see `cost` [rad^2]
     path_step_max_rad: Float[np.ndarray, "S"]  # see `largest_step`
     curvature_max_rad_m2: Float[np.ndarray, "S"]  # see `curvature`
-    way_clearance_min_m: Float[np.ndarray, "S"]  # see `tightest`
+    segment_clearance_min_m: Float[np.ndarray, "S"]  # see `tightest`
 
 
-def figures(plans: Plans, on_path: OnPath) -> MotionFigures:
+def motion_figures(plans: Plans, on_path: OnPath) -> MotionFigures:
     """Return all figures.
 
     Args:
@@ -131,7 +131,7 @@ def figures(plans: Plans, on_path: OnPath) -> MotionFigures:
         motion_cost_rad2=np.where(begun, cost(found, count), np.nan),
         path_step_max_rad=largest_step(found, count),
         curvature_max_rad_m2=np.fmax.reduce(curvature(plans, on_path), axis=1, initial=np.nan),
-        way_clearance_min_m=tightest(plans)[1],
+        segment_clearance_min_m=tightest(plans)[1],
     )
 
 
@@ -166,7 +166,7 @@ def largest_step(found: Motions, count: int) -> Float[np.ndarray, "S"]:
         count: Number of scenarios, S.
     """
     most = np.full(count, np.nan)
-    on_path = (found.kind == Kind.FEED) | (found.kind == Kind.DWELL)
+    on_path = (found.kind == Kind.PROCESS) | (found.kind == Kind.DWELL)
     np.fmax.at(most, found.scenario[on_path], found.steps[on_path])
     return most
 
@@ -201,7 +201,7 @@ def tightest(plans: Plans) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"]
 
     They are -1 and NaN if no target is executable.
     """
-    clear = np.where(plans.executable, plans.way_clearance, np.inf)
+    clear = np.where(plans.executable, plans.segment_clearance, np.inf)
     target, least = clear.argmin(axis=1), clear.min(axis=1)
     return np.where(np.isinf(least), -1, target), np.where(np.isinf(least), np.nan, least)
 
@@ -209,5 +209,5 @@ def tightest(plans: Plans) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"]
 def _turns(plans: Plans) -> Bool[np.ndarray, "S T"]:
     """Return True for executable targets whose segment has via points."""
     found = np.zeros_like(plans.tracked)
-    found[plans.knots.scenario, plans.knots.target] = True
+    found[plans.via_points.scenario, plans.via_points.target] = True
     return found & plans.executable

@@ -18,14 +18,14 @@ from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.motion import ONE_POINT_M
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
-from htcp_jax.status import Way
+from htcp_jax.status import SegmentStatus
 
 KEPT = 0.5  # share of the clearance that the recorded bound of a segment keeps
 TIGHT = 0.99  # the share for a smoothed motion, where its clearance is least
 ROWS_AT_ONCE = 16  # per scenario: rows beyond the end of a motion need no proof
 
 
-class Segments(NamedTuple):
+class StraightPaths(NamedTuple):
     """Straight joint paths that the segments between rows consist of."""
 
     scenario: Int[np.ndarray, "n"]
@@ -44,11 +44,11 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
         problem: The problem.
         scenario: Row of each segment's scenario (n,).
         target: Target at each segment's end (n,).
-        turns: See `Segments` (n,).
+        turns: See `StraightPaths` (n,).
     """
     scenarios, task = problem.scenarios, problem.task
     free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
-    rows = _rows(problem, scenario, target, turns)
+    rows = _goals_at_ends(problem, scenario, target, turns)
     if free.all():
         return motion_proof.Tube(
             np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows
@@ -58,7 +58,7 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
     return motion_proof.Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, problem.settings.tube_m), *rows)
 
 
-def _rows(
+def _goals_at_ends(
     problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
 ) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[()]:
     """Return the task's goals at the previous target and at this one, and True if they are required on the segment.
@@ -87,11 +87,11 @@ def check_remaining_paths(problem: Problem, plans: Plans) -> Plans:
     return plans
 
 
-def judge_motions(problem: Problem, plans: Plans) -> Plans:
-    """Return the plans with `way` and `way_clearance` of every scenario, up to the end of its motion."""
-    scenarios, plans = problem.scenarios, plans.with_own("way", "way_clearance")
+def verify_motions(problem: Problem, plans: Plans) -> Plans:
+    """Return the plans with `segment_status` and `segment_clearance` of every scenario, up to the end of its motion."""
+    scenarios, plans = problem.scenarios, plans.with_own("segment_status", "segment_clearance")
     elsewhere = plans.tracked[:, 0] & np.any(plans.start != scenarios.x_home, axis=1) & ~scenarios.begins_anywhere
-    plans.way[elsewhere, 0] = Way.ELSEWHERE
+    plans.segment_status[elsewhere, 0] = SegmentStatus.WRONG_START
     going = np.flatnonzero(plans.tracked[:, 0] & ~elsewhere)
     for first in range(0, plans.status.shape[1], ROWS_AT_ONCE):
         block = np.zeros_like(plans.tracked)
@@ -100,50 +100,52 @@ def judge_motions(problem: Problem, plans: Plans) -> Plans:
         if not block.any():
             break
         segments = segments_of(plans, block)
-        _record(plans, segments, _proofs(problem, segments))
+        _write_verdicts(plans, segments, _proofs(problem, segments))
         last = min(first + ROWS_AT_ONCE, plans.status.shape[1]) - 1
         going = going[plans.executable[going, last]]
-    ended = np.logical_or.accumulate(plans.way != Way.PROVEN, axis=1)[:, :-1]
-    plans.way[:, 1:][ended], plans.way_clearance[:, 1:][ended] = Way.UNKNOWN, np.nan
+    ended = np.logical_or.accumulate(plans.segment_status != SegmentStatus.VALID, axis=1)[:, :-1]
+    plans.segment_status[:, 1:][ended], plans.segment_clearance[:, 1:][ended] = SegmentStatus.NOT_CHECKED, np.nan
     if problem.task.sampled:
-        along = np.arange(plans.way.shape[1])[None, :] > scenarios.on_path[:, None]
-        plans.way[along & (plans.way == Way.PROVEN)] = Way.SAMPLED
+        along = np.arange(plans.segment_status.shape[1])[None, :] > scenarios.on_path[:, None]
+        plans.segment_status[along & (plans.segment_status == SegmentStatus.VALID)] = SegmentStatus.SAMPLED
     return plans
 
 
 def tighten(problem: Problem, plans: Plans) -> Plans:
     """Return the plans with a tighter bound on segments whose bound is below the clearance at every target.
 
-    Only executable segments are considered: the minimum `way_clearance` of a scenario is reported as its guaranteed
+    Only executable segments are considered: the minimum `segment_clearance` of a scenario is reported as its guaranteed
     clearance.
     """
     clear = np.where(plans.executable, plans.clearance, np.inf).min(axis=1)
-    loose = plans.executable & (plans.way_clearance < TIGHT * clear[:, None])
+    loose = plans.executable & (plans.segment_clearance < TIGHT * clear[:, None])
     if not loose.any():
         return plans
     segments = segments_of(plans, loose)
     proofs = _proofs(problem, segments, TIGHT)
-    found = np.full_like(plans.way_clearance, np.inf)
+    found = np.full_like(plans.segment_clearance, np.inf)
     np.minimum.at(found, (segments.scenario, segments.target), proofs.clearance)
-    return plans._replace(way_clearance=np.where(loose, np.maximum(plans.way_clearance, found), plans.way_clearance))
+    return plans._replace(
+        segment_clearance=np.where(loose, np.maximum(plans.segment_clearance, found), plans.segment_clearance)
+    )
 
 
-def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
+def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> StraightPaths:
     """Return the straight joint paths that lead to some rows: between via points, and from the last one to the row."""
     s, t = np.nonzero(rows)
-    knots = tables.gather(plans.knots, rows[plans.knots.scenario, plans.knots.target])
-    turns = np.arange(len(knots.x) + len(s)) < len(knots.x)
-    columns = (knots.scenario, s), (knots.target, t), (knots.x, plans.x[s, t])
+    via_points = tables.gather(plans.via_points, rows[plans.via_points.scenario, plans.via_points.target])
+    turns = np.arange(len(via_points.x) + len(s)) < len(via_points.x)
+    columns = (via_points.scenario, s), (via_points.target, t), (via_points.x, plans.x[s, t])
     scenario, target, b = (np.concatenate(both) for both in columns)
     order = np.lexsort((~turns, target, scenario))  # via points as they are passed, then the row
     scenario, target, b, turns = tables.gather((scenario, target, b, turns), order)
     a = plans.before(scenario, target)
     a[1:][turns[:-1]] = b[:-1][turns[:-1]]
-    return Segments(scenario, target, a, b, turns)
+    return StraightPaths(scenario, target, a, b, turns)
 
 
 def prove_segments(
-    problem: Problem, checker: CollisionChecker, segments: Segments, kept: float = 0.0
+    problem: Problem, checker: CollisionChecker, segments: StraightPaths, kept: float = 0.0
 ) -> bisection.Proof:
     """Return one proof per segment.
 
@@ -158,7 +160,7 @@ def prove_segments(
     return checker.edges(inputs, segments.a, segments.b, tube, kept=kept)
 
 
-def _proofs(problem: Problem, segments: Segments, kept: float = KEPT) -> bisection.Proof:
+def _proofs(problem: Problem, segments: StraightPaths, kept: float = KEPT) -> bisection.Proof:
     """Return one proof per segment, computed by all threads."""
 
     def prove(checker: CollisionChecker, share: slice) -> bisection.Proof:
@@ -169,11 +171,11 @@ def _proofs(problem: Problem, segments: Segments, kept: float = KEPT) -> bisecti
     return tables.interleaved(problem.in_threads(prove, min(problem.threads, len(segments.target))))
 
 
-def _record(plans: Plans, segments: Segments, proofs: bisection.Proof) -> None:
+def _write_verdicts(plans: Plans, segments: StraightPaths, proofs: bisection.Proof) -> None:
     """Record for each row the verdict of its first joint path that is not proven, and the least clearance of all."""
     s, t = segments.scenario, segments.target
-    plans.way[s, t], plans.way_clearance[s, t] = Way.PROVEN, np.inf
-    for k in np.flatnonzero(proofs.verdict != Way.PROVEN)[::-1]:
-        plans.way[s[k], t[k]] = proofs.verdict[k]
-    np.minimum.at(plans.way_clearance, (s, t), proofs.clearance)
-    plans.way_clearance[plans.way != Way.PROVEN] = np.nan
+    plans.segment_status[s, t], plans.segment_clearance[s, t] = SegmentStatus.VALID, np.inf
+    for k in np.flatnonzero(proofs.verdict != SegmentStatus.VALID)[::-1]:
+        plans.segment_status[s[k], t[k]] = proofs.verdict[k]
+    np.minimum.at(plans.segment_clearance, (s, t), proofs.clearance)
+    plans.segment_clearance[plans.segment_status != SegmentStatus.VALID] = np.nan

@@ -5,7 +5,7 @@
     plans.outcome(12).failed          # the first target of scenario 12 that is not; None where all are
 
 A method fills in the arrays of `problem.empty_plans()`, and adds via points by `_replace`. The plans that it returns
-are final: each later step (`check_remaining_paths`, `begin_at_home`, `judge_motions`, `smooth`, `tighten`) returns new
+are final: each later step (`check_remaining_paths`, `begin_at_home`, `verify_motions`, `smooth`, `tighten`) returns new
 ones, with copies of the columns that it changes.
 
 Only this module derives a scenario's end from the statuses: charts and viewers that have only statuses use `outcomes`.
@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
-from htcp_jax.motion.knots import Knots
-from htcp_jax.status import MOTION, Status, Way
+from htcp_jax.motion.via_points import ViaPoints
+from htcp_jax.status import MOTION, SegmentStatus, Status
 
 NO_TARGET = -1  # status: the scenario has no such target, or is not planned yet
-UNKNOWN = -1  # of path_clear
+PATH_UNKNOWN = -1  # of path_clear
 
 
 class Outcome(NamedTuple):
@@ -35,7 +35,8 @@ class Outcome(NamedTuple):
     failed: int | None  # the first target that is not tracked
     status: Status | None  # status of that target
     blocked_paths: int  # tracked targets whose joint path from the row before is known to collide
-    way: Way  # of the segment behind the last executable target; PROVEN, or SAMPLED, if that leads to no tracked one
+    # of the segment behind the last executable target; VALID, or SAMPLED, if that leads to no tracked one
+    segment_status: SegmentStatus
 
     @property
     def complete(self) -> bool:
@@ -54,7 +55,7 @@ class Outcome(NamedTuple):
         "complete" if there is none.
         """
         if self.executable < self.tracked:
-            return self.way.words
+            return self.segment_status.words
         return "complete" if self.status is None else self.status.words
 
 
@@ -67,7 +68,7 @@ class Outcomes(NamedTuple):
     failed: Int[np.ndarray, "S"]  # -1 for none
     status: Int8[np.ndarray, "S"]  # NO_TARGET if none failed
     blocked_paths: Int[np.ndarray, "S"]
-    way: Int8[np.ndarray, "S"]  # `status.Way`
+    segment_status: Int8[np.ndarray, "S"]  # `status.SegmentStatus`
 
     @property
     def planned(self) -> Bool[np.ndarray, "S"]:
@@ -86,9 +87,11 @@ class Outcomes(NamedTuple):
 
     def of(self, scenario: int) -> Outcome:
         """Return the outcome in one row."""
-        targets, tracked, executable, failed, status, blocked, way = (int(column[scenario]) for column in self)
+        targets, tracked, executable, failed, status, blocked, segment_status = (
+            int(column[scenario]) for column in self
+        )
         ended = (None, None) if failed < 0 else (failed, Status(status))
-        return Outcome(int(scenario), targets, tracked, executable, *ended, blocked, Way(way))
+        return Outcome(int(scenario), targets, tracked, executable, *ended, blocked, SegmentStatus(segment_status))
 
 
 class Plans(NamedTuple):
@@ -109,11 +112,11 @@ class Plans(NamedTuple):
     status: Int8[np.ndarray, "S T"]  # htcp_jax.status.Status, or NO_TARGET
     iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target; 0 where one was pushed there
     joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, the start being x_{-1} [rad]
-    escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's recovery, one more: planned backwards
+    recovery: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's recovery, one more: planned backwards
     path_clear: Int8[np.ndarray, "S T"]  # joint path from the row before: 1 clear, 0 blocked, -1 unknown
-    way: Int8[np.ndarray, "S T"]  # `status.Way`: verification of the segment from the row before
-    way_clearance: Float[np.ndarray, "S T"]  # lower bound on D along that segment [m]; NaN if it is not proven
-    knots: Knots  # via points of segments that are not straight joint paths
+    segment_status: Int8[np.ndarray, "S T"]  # `status.SegmentStatus`: verification of the segment from the row before
+    segment_clearance: Float[np.ndarray, "S T"]  # lower bound on D along that segment [m]; NaN if it is not proven
+    via_points: ViaPoints  # via points of segments that are not straight joint paths
     compile_s: float  # wall time spent waiting for compilation, or for processes to start [s]
     run_s: float  # wall time spent planning, compilation apart [s]
 
@@ -139,7 +142,7 @@ class Plans(NamedTuple):
         arrays["tcp"] = np.full((*shape, 3), EMPTY["tcp"])
         arrays["status"][exists] = Status.NOT_ATTEMPTED
         arrays |= {"start": np.array(start, float), "target": np.array(target)}
-        return cls(**arrays, knots=Knots.none(joints), compile_s=0.0, run_s=0.0)
+        return cls(**arrays, via_points=ViaPoints.none(joints), compile_s=0.0, run_s=0.0)
 
     @classmethod
     def concatenate(cls, parts: "Sequence[Plans]") -> "Plans":
@@ -148,7 +151,7 @@ class Plans(NamedTuple):
         wide = [part.widened(longest).arrays() for part in parts]
         return cls(
             **{name: np.concatenate([arrays[name] for arrays in wide]) for name in ARRAYS},
-            knots=Knots.concatenate([part.knots for part in parts], [len(part.status) for part in parts]),
+            via_points=ViaPoints.concatenate([part.via_points for part in parts], [len(part.status) for part in parts]),
             compile_s=sum(part.compile_s for part in parts),
             run_s=sum(part.run_s for part in parts),
         )
@@ -180,7 +183,7 @@ class Plans(NamedTuple):
         This one and all before it are tracked, and on every segment, the first from the scenario's start, the arm is
         clear and the TCP keeps to its path.
         """
-        return np.logical_and.accumulate(self.tracked & np.isin(self.way, MOTION), axis=1)
+        return np.logical_and.accumulate(self.tracked & np.isin(self.segment_status, MOTION), axis=1)
 
     @property
     def step_s(self) -> float:
@@ -191,12 +194,14 @@ class Plans(NamedTuple):
     @property
     def outcomes(self) -> Outcomes:
         """Outcomes of all scenarios."""
-        return outcomes(self.status, self.path_clear, self.way)
+        return outcomes(self.status, self.path_clear, self.segment_status)
 
     def outcome(self, scenario: int) -> Outcome:
         """Return the outcome of the scenario in one row."""
         row = slice(scenario, scenario + 1)
-        return outcomes(self.status[row], self.path_clear[row], self.way[row]).of(0)._replace(scenario=scenario)
+        return (
+            outcomes(self.status[row], self.path_clear[row], self.segment_status[row]).of(0)._replace(scenario=scenario)
+        )
 
     def before(self, scenario: int | np.ndarray, target: int | np.ndarray) -> Float[np.ndarray, "*n N"]:
         """Return the configurations at which the joint paths to targets begin: the row before, or the start."""
@@ -207,7 +212,7 @@ class Plans(NamedTuple):
         """Return the plans of some scenarios; the seconds remain those of all."""
         numbers = np.arange(len(self.status))[which]
         return self._replace(
-            **{name: array[which] for name, array in self.arrays().items()}, knots=self.knots.rows(numbers)
+            **{name: array[which] for name, array in self.arrays().items()}, via_points=self.via_points.rows(numbers)
         )
 
     def widened(self, targets: int) -> "Plans":
@@ -220,13 +225,13 @@ class Plans(NamedTuple):
         longest = int(np.flatnonzero(self.exists.any(axis=0)).max(initial=-1)) + 1
         return self._replace(**{name: getattr(self, name)[:, :longest] for name in (*_KINDS, "target", "tcp")})
 
-    def without_postures(self) -> "Plans":
+    def without_configurations(self) -> "Plans":
         """Return the plans with only what a summary needs, to save memory.
 
         `start`, `x`, `tcp` and `target` lose their last axis' columns, and there are no via points.
         """
         bare = {name: getattr(self, name)[..., :0].copy() for name in ("start", "x", "tcp", "target")}
-        return self._replace(**bare, knots=Knots.none(0))
+        return self._replace(**bare, via_points=ViaPoints.none(0))
 
     def with_own(self, *names: str) -> "Plans":
         """Return the plans with copies of some fields, to write into."""
@@ -241,37 +246,37 @@ class Plans(NamedTuple):
         return np.pad(array, [(0, 0), (0, more)] + [(0, 0)] * (array.ndim - 2), constant_values=EMPTY[name])
 
 
-ARRAYS = tuple(name for name in Plans._fields if name not in ("knots", "compile_s", "run_s"))
+ARRAYS = tuple(name for name in Plans._fields if name not in ("via_points", "compile_s", "run_s"))
 
 # Values for targets that a scenario does not have; targets not attempted differ in their status.
 EMPTY = {
     "x": np.nan, "tcp": np.nan, "target": np.nan, "clearance": np.nan, "residual": np.nan, "orientation_error": np.nan,
-    "status": NO_TARGET, "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": UNKNOWN,
-    "way": int(Way.UNKNOWN), "way_clearance": np.nan,
+    "status": NO_TARGET, "iterations": 0, "joint_step": np.nan, "recovery": 0, "path_clear": PATH_UNKNOWN,
+    "segment_status": int(SegmentStatus.NOT_CHECKED), "segment_clearance": np.nan,
 }  # fmt: skip
 _KINDS = {
     "x": float, "clearance": float, "residual": float, "orientation_error": float, "status": np.int8,
-    "iterations": np.int32, "joint_step": float, "escape": np.int8, "path_clear": np.int8, "way": np.int8,
-    "way_clearance": float,
+    "iterations": np.int32, "joint_step": float, "recovery": np.int8, "path_clear": np.int8, "segment_status": np.int8,
+    "segment_clearance": float,
 }  # fmt: skip
 
 
 def is_tracked(status: np.ndarray) -> np.ndarray:
     """Return True where `status` is a tracked one; any shape."""
-    return (status >= 0) & (status <= Status.TRACKED_AFTER_ESCAPE)
+    return (status >= 0) & (status <= Status.TRACKED_AFTER_RECOVERY)
 
 
 def outcomes(
     status: Int8[np.ndarray, "S T"],
     path_clear: Int8[np.ndarray, "S T"] | None = None,
-    way: Int8[np.ndarray, "S T"] | None = None,
+    segment_status: Int8[np.ndarray, "S T"] | None = None,
 ) -> Outcomes:
     """Return the outcomes of scenarios with these statuses.
 
     Args:
         status: As in `Plans`.
         path_clear: As in `Plans`; None if unknown.
-        way: As in `Plans`; None if unknown.
+        segment_status: As in `Plans`; None if unknown.
     """
     exists, tracked = status != NO_TARGET, is_tracked(status)
     blocked = tracked & (path_clear == 0) if path_clear is not None else np.zeros_like(tracked)
@@ -279,10 +284,12 @@ def outcomes(
     first = np.logical_not(np.logical_or.accumulate(missed, axis=1)).sum(axis=1)  # T where none is missed
     failed = np.where(missed.any(axis=1), first, -1)
     ended = np.append(status, np.full((len(status), 1), NO_TARGET, status.dtype), axis=1)
-    way = np.full_like(status, Way.UNKNOWN) if way is None else way
-    executable = np.logical_and.accumulate(tracked & np.isin(way, MOTION), axis=1).sum(axis=1)
-    best = np.where((way == Way.SAMPLED).any(axis=1), Way.SAMPLED, Way.PROVEN).astype(way.dtype)[:, None]
-    after = np.append(np.where(tracked, way, best), best, axis=1)
+    segment_status = np.full_like(status, SegmentStatus.NOT_CHECKED) if segment_status is None else segment_status
+    executable = np.logical_and.accumulate(tracked & np.isin(segment_status, MOTION), axis=1).sum(axis=1)
+    best = np.where(
+        (segment_status == SegmentStatus.SAMPLED).any(axis=1), SegmentStatus.SAMPLED, SegmentStatus.VALID
+    ).astype(segment_status.dtype)[:, None]
+    after = np.append(np.where(tracked, segment_status, best), best, axis=1)
     return Outcomes(
         targets=exists.sum(axis=1),
         tracked=tracked.sum(axis=1),
@@ -290,5 +297,5 @@ def outcomes(
         failed=failed,
         status=ended[np.arange(len(status)), failed],
         blocked_paths=blocked.sum(axis=1),
-        way=after[np.arange(len(status)), executable],
+        segment_status=after[np.arange(len(status)), executable],
     )

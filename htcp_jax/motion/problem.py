@@ -12,7 +12,7 @@ from jaxtyping import Bool, Int
 
 from htcp_jax.clearance import Obstacles, Scene
 from htcp_jax.clearance.obstacles import tip_guard
-from htcp_jax.device import Kernels
+from htcp_jax.device import Executor
 from htcp_jax.device import devices as compute_devices
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenario_functions
@@ -21,7 +21,7 @@ from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.settings import Settings
 
-Found = TypeVar("Found")
+FoundInThread = TypeVar("FoundInThread")
 
 
 def ignore(tracked: int, finished: int) -> None:
@@ -56,8 +56,8 @@ class Problem:
         """Collision checkers of this scene, one for each device."""
         scene, guard = Scene(self.robot, self.obstacles, self.task), tip_guard.make_tip_guard(self.workpiece)
         spare = max(1, self.threads // max(1, len(self.to_plan)))  # threads without a scenario of their own
-        each = (Kernels(scene, self.settings, device, threads=spare) for device in self.devices)
-        return tuple(CollisionChecker(kernels, self.settings, guard) for kernels in each)
+        each = (Executor(scene, self.settings, device, threads=spare) for device in self.devices)
+        return tuple(CollisionChecker(executor, self.settings, guard) for executor in each)
 
     @cached_property
     def begins_anywhere(self) -> Bool[np.ndarray, "S"]:
@@ -80,7 +80,9 @@ class Problem:
         """Return what a checker needs of one target, in `count` equal rows."""
         return lane_inputs(self.scenarios, np.full(count, scenario), np.full(count, target))
 
-    def in_threads(self, work: Callable[[CollisionChecker, slice], Found], threads: int | None = None) -> list[Found]:
+    def in_threads(
+        self, work: Callable[[CollisionChecker, slice], FoundInThread], threads: int | None = None
+    ) -> list[FoundInThread]:
         """Return the results of work(checker, share), one per thread, each with the checker of its device.
 
         Args:
@@ -89,9 +91,9 @@ class Problem:
         """
         checkers, threads = self.checkers, threads or self.threads  # checkers are made before there are threads
 
-        def run(number: int) -> Found:
+        def run(number: int) -> FoundInThread:
             checker = checkers[number % len(checkers)]
-            with compute_devices.on(checker.kernels.device):
+            with compute_devices.on(checker.executor.device):
                 return work(checker, slice(number, None, threads))
 
         if threads == 1:

@@ -18,14 +18,14 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.clearance.obstacles import linearisation
 from htcp_jax.device import tables
 from htcp_jax.motion.collision_checker import CollisionChecker
-from htcp_jax.motion.kernels import HOLD, State
-from htcp_jax.motion.knots import Knots
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.motion.motion_check import Segments, prove_segments
+from htcp_jax.motion.motion_check import StraightPaths, prove_segments
 from htcp_jax.motion.plans import Outcome, Plans
 from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.step_functions import TASK_ROWS, State
+from htcp_jax.motion.via_points import ViaPoints
 from htcp_jax.solvers import path_qp
-from htcp_jax.status import Way
+from htcp_jax.status import SegmentStatus
 
 TRUST = 0.2  # maximum step of a joint per round [rad or m]
 NEIGHBOURS = 4  # configurations over which a step grows to its full length, next to a fixed one
@@ -35,13 +35,13 @@ GRAZES = 64  # maximum queries of a proof; with more, the segment is too close t
 
 
 @dataclass(eq=False)
-class Path:
+class SmoothedPath:
     """The motion of one scenario: P configurations after the start, at targets and at via points."""
 
     scenario: int
     x: Float[np.ndarray, "P1 N"]  # the start, then the configurations
     target: Int[np.ndarray, "P"]  # end of the segment that a configuration is on
-    on_way: Bool[np.ndarray, "P"]  # True for via points
+    is_via_point: Bool[np.ndarray, "P"]  # True for via points
     on_path: int  # see `Scenario`
     radius: Float[np.ndarray, "P"]  # of the trust region; 0 for a fixed configuration
     begins_anywhere: bool  # True if the start is the first target's configuration
@@ -50,60 +50,62 @@ class Path:
     rounds: int = 0
 
     @classmethod
-    def of(cls, problem: Problem, plans: Plans, end: Outcome) -> "Path":
+    def of(cls, problem: Problem, plans: Plans, end: Outcome) -> "SmoothedPath":
         """Return the executable part of a scenario.
 
         Its last configuration is fixed if tracked targets follow, and so is a given start between home and the first
         target.
         """
         s = end.scenario
-        ways = [(t, [*plans.knots.on_the_way(s, t), plans.x[s, t]]) for t in range(end.executable)]
-        x = np.array([plans.start[s], *(posture for _, way in ways for posture in way)])
-        target = np.repeat([t for t, _ in ways], [len(way) for _, way in ways])
-        on_way = np.append(target[1:] == target[:-1], False)
+        edges = [(t, [*plans.via_points.on_segment(s, t), plans.x[s, t]]) for t in range(end.executable)]
+        x = np.array([plans.start[s], *(configuration for _, edge in edges for configuration in edge)])
+        target = np.repeat([t for t, _ in edges], [len(edge) for _, edge in edges])
+        is_via_point = np.append(target[1:] == target[:-1], False)
         radius = np.full(len(target), TRUST)
         if end.executable < end.tracked:
             radius[-1] = 0.0
-        radius[(target == 0) & on_way & _is_given_start(problem, s, x[1:])] = 0.0
+        radius[(target == 0) & is_via_point & _is_given_start(problem, s, x[1:])] = 0.0
         anywhere = bool(problem.begins_anywhere[s])
-        return cls(s, x, target, on_way, int(problem.scenarios.on_path[s]), radius, anywhere)
+        return cls(s, x, target, is_via_point, int(problem.scenarios.on_path[s]), radius, anywhere)
 
     @property
     def held(self) -> Bool[np.ndarray, "P"]:
         """True for configurations at which the task is required: before the path only those at targets."""
-        return ~self.on_way | (self.target > self.on_path)
+        return ~self.is_via_point | (self.target > self.on_path)
 
     @property
     def may_drop(self) -> Bool[np.ndarray, "P"]:
         """True for via points that may be dropped: those on segments without a fixed one."""
-        return self.on_way & ~np.isin(self.target, self.target[self.on_way & (self.radius == 0)])
+        return self.is_via_point & ~np.isin(self.target, self.target[self.is_via_point & (self.radius == 0)])
 
     @property
     def row(self) -> Int[np.ndarray, "P"]:
         """Target that a configuration is at; for a via point the previous one."""
-        return np.maximum(self.target - self.on_way, 0)
+        return np.maximum(self.target - self.is_via_point, 0)
 
     @property
     def done(self) -> bool:
         """True if smoothing of this path has ended."""
         return self.slow >= SLOW or self.rounds >= MOST_ROUNDS
 
-    def segments(self, x: Float[np.ndarray, "P1 N"]) -> Segments:
+    def segments(self, x: Float[np.ndarray, "P1 N"]) -> StraightPaths:
         """Return the straight joint paths between configurations x, the start's first."""
-        return Segments(np.full(len(self.target), self.scenario), self.target, x[:-1], x[1:], self.on_way)
+        return StraightPaths(np.full(len(self.target), self.scenario), self.target, x[:-1], x[1:], self.is_via_point)
 
     def without(self, dropped: Bool[np.ndarray, "P"]) -> None:
         """Remove some configurations, and the linearisations."""
         self.x = self.x[np.append(True, ~dropped)]
-        self.target, self.on_way, self.radius = (a[~dropped] for a in (self.target, self.on_way, self.radius))
+        self.target, self.is_via_point, self.radius = (
+            a[~dropped] for a in (self.target, self.is_via_point, self.radius)
+        )
         self.seen = None
 
 
 def smooth(problem: Problem, plans: Plans) -> Plans:
-    """Return the plans with their executable motions smoothed; `way` and `way_clearance` have to be verified again."""
+    """Return the plans with their executable motions smoothed; the segments must be verified again."""
     ends = plans.outcomes  # of all scenarios at once
     going = np.flatnonzero(ends.executable).tolist()
-    paths = [Path.of(problem, plans, ends.of(s)) for s in going]
+    paths = [SmoothedPath.of(problem, plans, ends.of(s)) for s in going]
 
     def work(checker: CollisionChecker, share: slice) -> None:
         smoothing, mine = Smoothing(problem, checker), paths[share]
@@ -123,7 +125,7 @@ class Smoothing:
         self._lower, self._upper = np.asarray(problem.robot.lower), np.asarray(problem.robot.upper)
         self._weights = np.ones(joints) if settings.path_weights is None else np.array(settings.path_weights)
 
-    def run(self, paths: Sequence[Path]) -> None:
+    def run(self, paths: Sequence[SmoothedPath]) -> None:
         """Smooth until all paths are done."""
         while going := [path for path in paths if not path.done]:
             self._drop(going)
@@ -137,21 +139,21 @@ class Smoothing:
     def _cost(self, x: np.ndarray) -> float:
         return path_qp.path_cost(x, self._weights)
 
-    def _drop(self, paths: list[Path]) -> None:
+    def _drop(self, paths: list[SmoothedPath]) -> None:
         """Drop via points if the straight segment is a motion."""
-        ways = [(path, target) for path in paths for target in np.unique(path.target[path.may_drop])]
-        if not ways:
+        edges = [(path, target) for path in paths for target in np.unique(path.target[path.may_drop])]
+        if not edges:
             return
-        own = [np.flatnonzero(path.target == target) for path, target in ways]
-        a, b = (np.stack([path.x[k] for (path, _), k in zip(ways, at, strict=True)])
+        own = [np.flatnonzero(path.target == target) for path, target in edges]
+        a, b = (np.stack([path.x[k] for (path, _), k in zip(edges, at, strict=True)])
                 for at in ([rows[0] for rows in own], [rows[-1] + 1 for rows in own]))  # fmt: skip
-        scenario, target = np.array([path.scenario for path, _ in ways]), np.array([target for _, target in ways])
-        straight = self._motions(Segments(scenario, target, a, b, np.zeros(len(ways), bool)))
-        for path in {path for k, (path, _) in enumerate(ways) if straight[k]}:
-            free = [target for k, (each, target) in enumerate(ways) if each is path and straight[k]]
-            path.without(path.on_way & np.isin(path.target, free))
+        scenario, target = np.array([path.scenario for path, _ in edges]), np.array([target for _, target in edges])
+        straight = self._motions(StraightPaths(scenario, target, a, b, np.zeros(len(edges), bool)))
+        for path in {path for k, (path, _) in enumerate(edges) if straight[k]}:
+            free = [target for k, (each, target) in enumerate(edges) if each is path and straight[k]]
+            path.without(path.is_via_point & np.isin(path.target, free))
 
-    def _round(self, paths: list[Path]) -> None:
+    def _round(self, paths: list[SmoothedPath]) -> None:
         """Solve one QP per path, and take as much of its step as is accepted."""
         tries = [(path, self._step(path), np.ones(len(path.target))) for path in paths]
         for attempt in range(3):
@@ -169,7 +171,7 @@ class Smoothing:
             if not (tries := again):
                 return
 
-    def _step(self, path: Path) -> Float[np.ndarray, "P N"]:
+    def _step(self, path: SmoothedPath) -> Float[np.ndarray, "P N"]:
         """Return the step of the QP about the path's current iterate."""
         settings, rows = self._problem.settings, path.seen.clearance
         aim = self._problem.scenarios.margin_m[path.scenario] + settings.aim_above_m
@@ -185,7 +187,7 @@ class Smoothing:
             )
         )  # fmt: skip
 
-    def _held(self, path: Path, G: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _held(self, path: SmoothedPath, G: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the task's equations at the configurations, and the rows that limit a step, bands and cones included.
 
         Bands and cones limit it at configurations at which the task is required, and at midpoints before those beyond
@@ -197,14 +199,14 @@ class Smoothing:
         count = len(path.target)
         inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs([path]))
         flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), path.seen)
-        held = self._checker.kernels(HOLD, inputs, flat)
+        held = self._checker.executor(TASK_ROWS, inputs, flat)
         held = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), held)
-        asked = np.stack([path.held, path.target > path.on_path], axis=1)
-        room = np.where(asked[:, :, None], np.maximum(held.room, 0.0), np.inf)
-        return held.jacobian[:, 0], np.concatenate([G, -held.gradient], 2), np.concatenate([left, room], 2)
+        requested = np.stack([path.held, path.target > path.on_path], axis=1)
+        slack = np.where(requested[:, :, None], np.maximum(held.slack, 0.0), np.inf)
+        return held.jacobian[:, 0], np.concatenate([G, -held.gradient], 2), np.concatenate([left, slack], 2)
 
     def _candidates(
-        self, steps: list[tuple[Path, np.ndarray]]
+        self, steps: list[tuple[SmoothedPath, np.ndarray]]
     ) -> list[tuple[np.ndarray, linearisation.Linearisation, np.ndarray]]:
         """Return each path's configurations after a step, their linearisations, and True for those not in a motion.
 
@@ -214,22 +216,22 @@ class Smoothing:
         x = self._settled(steps)
         seen, good = self._measured(paths, x)
         segments = [path.segments(at) for path, at in zip(paths, x, strict=True)]
-        ways = self._motions(tables.concatenate(segments), GRAZES)
+        edges = self._motions(tables.concatenate(segments), GRAZES)
         found = []
-        for path, at, here, counts, way in zip(paths, x, seen, good, _split(ways, paths), strict=True):
+        for path, at, here, counts, edge in zip(paths, x, seen, good, _split_by_path(edges, paths), strict=True):
             stays = (at == path.x).all(axis=1)
-            way = way | (stays[1:] & stays[:-1])
-            bad = ~(counts | stays[1:]) | ~way
-            bad[:-1] |= ~way[1:]
+            edge = edge | (stays[1:] & stays[:-1])
+            bad = ~(counts | stays[1:]) | ~edge
+            bad[:-1] |= ~edge[1:]
             found.append((at, here, bad))
         return found
 
-    def _look(self, paths: list[Path]) -> None:
+    def _look(self, paths: list[SmoothedPath]) -> None:
         if paths:
             for path, seen in zip(paths, self._measured(paths, [path.x for path in paths])[0], strict=True):
                 path.seen = seen
 
-    def _settled(self, steps: list[tuple[Path, np.ndarray]]) -> list[np.ndarray]:
+    def _settled(self, steps: list[tuple[SmoothedPath, np.ndarray]]) -> list[np.ndarray]:
         """Return the paths after a step, starts included.
 
         Configurations that moved and at which the task is required are moved back onto their targets.
@@ -241,11 +243,11 @@ class Smoothing:
             x[off] = self._checker.project(tables.gather(self._inputs(paths), off), x[off])
         return [
             np.concatenate([own[:1] if path.begins_anywhere else path.x[:1], own])
-            for path, own in zip(paths, _split(x, paths), strict=True)
+            for path, own in zip(paths, _split_by_path(x, paths), strict=True)
         ]
 
     def _measured(
-        self, paths: list[Path], x: list[np.ndarray]
+        self, paths: list[SmoothedPath], x: list[np.ndarray]
     ) -> tuple[list[linearisation.Linearisation], list[np.ndarray]]:
         """Return the linearisations at configurations and the midpoints before them, and True for valid ones."""
         inputs = self._inputs(paths)
@@ -255,16 +257,16 @@ class Smoothing:
         seen = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), seen)
         residual = np.where(np.concatenate([path.held for path in paths]), seen.residual[:, 0], 0.0)
         good = self._checker.valid(inputs, State(places[:, 0], clearance=seen.clearance[:, 0], residual=residual))
-        linear = [tables.gather(seen.linear, rows) for rows in _split(np.arange(len(good)), paths)]
-        return linear, _split(good, paths)
+        linear = [tables.gather(seen.linear, rows) for rows in _split_by_path(np.arange(len(good)), paths)]
+        return linear, _split_by_path(good, paths)
 
-    def _motions(self, segments: Segments, most_queries: int | None = None) -> Bool[np.ndarray, "n"]:
+    def _motions(self, segments: StraightPaths, most_queries: int | None = None) -> Bool[np.ndarray, "n"]:
         """Return True for each joint path that is proven, with at most `most_queries`."""
         proofs = prove_segments(self._problem, self._checker, segments)
         few = True if most_queries is None else proofs.queries <= most_queries
-        return (proofs.verdict == Way.PROVEN) & few
+        return (proofs.verdict == SegmentStatus.VALID) & few
 
-    def _inputs(self, paths: list[Path]) -> LaneInputs:
+    def _inputs(self, paths: list[SmoothedPath]) -> LaneInputs:
         scenario = np.repeat([path.scenario for path in paths], [len(path.target) for path in paths])
         return lane_inputs(self._problem.scenarios, scenario, np.concatenate([path.row for path in paths]))
 
@@ -274,13 +276,13 @@ def _is_given_start(problem: Problem, s: int, x: Float[np.ndarray, "P N"]) -> Bo
     return (x == scenarios.x_start[s]).all(axis=1) & ~scenarios.auto_start[s]
 
 
-def _split(table: np.ndarray, paths: list[Path]) -> list[np.ndarray]:
+def _split_by_path(table: np.ndarray, paths: list[SmoothedPath]) -> list[np.ndarray]:
     return np.split(table, np.cumsum([len(path.target) for path in paths])[:-1])
 
 
-def _written(problem: Problem, plans: Plans, paths: list[Path]) -> Plans:
+def _written(problem: Problem, plans: Plans, paths: list[SmoothedPath]) -> Plans:
     """Return the plans with these paths written into them."""
-    s = np.concatenate([np.full((~path.on_way).sum(), path.scenario) for path in paths] or [np.zeros(0, int)])
+    s = np.concatenate([np.full((~path.is_via_point).sum(), path.scenario) for path in paths] or [np.zeros(0, int)])
     if not len(s):
         return plans
     plans = plans.with_own("start", "x", "tcp", "clearance", "residual", "joint_step")
@@ -288,15 +290,15 @@ def _written(problem: Problem, plans: Plans, paths: list[Path]) -> Plans:
         plans.start[path.scenario] = path.x[0]
     t, x = (
         np.concatenate(column)
-        for column in zip(*((p.target[~p.on_way], p.x[1:][~p.on_way]) for p in paths), strict=True)
+        for column in zip(*((p.target[~p.is_via_point], p.x[1:][~p.is_via_point]) for p in paths), strict=True)
     )
     seen = problem.checkers[0].states(lane_inputs(problem.scenarios, s, t), x)
     plans.x[s, t], plans.tcp[s, t] = x, seen.tcp
     plans.clearance[s, t], plans.residual[s, t] = seen.clearance, seen.residual
     plans.joint_step[s, t] = np.linalg.norm(x - plans.before(s, t), axis=1)
-    ways = [(path.scenario, t, path.x[1:][path.on_way & (path.target == t)])
-            for path in paths for t in np.unique(path.target[path.on_way]).tolist()]  # fmt: skip
+    edges = [(path.scenario, t, path.x[1:][path.is_via_point & (path.target == t)])
+            for path in paths for t in np.unique(path.target[path.is_via_point]).tolist()]  # fmt: skip
     executable = plans.executable
-    beyond = {row for row in zip(*map(np.ndarray.tolist, plans.knots[:2]), strict=True) if not executable[row]}
-    ways += [(*row, plans.knots.on_the_way(*row)) for row in beyond]
-    return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))
+    beyond = {row for row in zip(*map(np.ndarray.tolist, plans.via_points[:2]), strict=True) if not executable[row]}
+    edges += [(*row, plans.via_points.on_segment(*row)) for row in beyond]
+    return plans._replace(via_points=ViaPoints.of(edges, plans.x.shape[2]))

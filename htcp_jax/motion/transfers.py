@@ -10,18 +10,18 @@ from jaxtyping import Float
 
 from htcp_jax.device import tables
 from htcp_jax.motion.collision_checker import CollisionChecker
-from htcp_jax.motion.front import dispersed
 from htcp_jax.motion.joint_search import Limits, join
-from htcp_jax.motion.kernels import State
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.selection import dispersed
+from htcp_jax.motion.step_functions import State
 
 DRAWS = 512  # configurations sampled at the first target
 STREAM = 1_000_000  # first stream of random numbers; smaller ones belong to `joint_search`
 MOST_ROOTS = 16  # maximum number of configurations to join
 
 
-def other_postures(problem: Problem, checker: CollisionChecker, s: int, round_: int, target: int = 0) -> State:
+def other_configurations(problem: Problem, checker: CollisionChecker, s: int, round_: int, target: int = 0) -> State:
     """Return valid configurations of one scenario at a target, far apart, and new ones in every round.
 
     They are sampled uniformly within the joint limits, and not yet joined to the start. Of equivalent joint turns,
@@ -38,15 +38,17 @@ def other_postures(problem: Problem, checker: CollisionChecker, s: int, round_: 
     rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
     inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
     about = scenarios.x_start[s] if problem.begins_anywhere[s] else scenarios.x_home[s]
-    limits = checker.kernels.limits
-    x = _unwound(checker.project(inputs, _drawn(problem.robot.slides, limits, about, rng)), limits, about)
+    limits = checker.executor.limits
+    x = _unwound(
+        checker.project(inputs, _sampled_configurations(problem.robot.slides, limits, about, rng)), limits, about
+    )
     here = checker.states(inputs, x)._replace(x=x, linear=None)
     found = tables.gather(here, checker.valid(inputs, here))
     one = np.zeros(len(found.x), int)
-    return tables.gather(found, dispersed(found.x, one, settings.front, settings.front_apart_rad))
+    return tables.gather(found, dispersed(found.x, one, settings.beam_width, settings.beam_separation_rad))
 
 
-def _drawn(
+def _sampled_configurations(
     slides: tuple[bool, ...], limits: Limits, about: Float[np.ndarray, "N"], rng: np.random.Generator
 ) -> Float[np.ndarray, "DRAWS N"]:
     """Sample configurations within the limits; unlimited joints within half a turn of `about`."""

@@ -2,7 +2,7 @@
 
 `place` runs a search: it reads a file of ranges, proposes mountings, plans each of them, and plans the best ones again
 under perturbation. While it runs it reports a `PlaceProgress`; its result, which is also its folder on disk, is
-`Placed`.
+`PlacementResult`.
 
 `ranges` are the parameters that vary, with their bounds and units. `mounting` has one mounting with its score and
 tolerance, and what a search may maximise. `tolerance` has the levels of perturbation that are tried.

@@ -1,10 +1,10 @@
 from . import mounting, ranges, tolerance
 from .place import PlaceProgress, place
-from .placed import Placed
+from .placement_result import PlacementResult
 
 __all__ = [
     "PlaceProgress",
-    "Placed",
+    "PlacementResult",
     "mounting",
     "place",
     "ranges",

@@ -24,7 +24,7 @@ class Clock:
 
     def __init__(self, folder: Path, seconds: float | None):
         self._file, self._seconds, self._last = folder / FILE, seconds, time.monotonic()
-        self._ends = [] if seconds is None else _read(self._file)
+        self._ends = [] if seconds is None else _read_times(self._file)
 
     def used(self, rounds: int) -> float:
         """Share of the time that was used after `rounds` rounds."""
@@ -43,7 +43,7 @@ class Clock:
         self._last = now
 
 
-def _read(file: Path) -> list[float]:
+def _read_times(file: Path) -> list[float]:
     if not file.exists():
         return []
     try:

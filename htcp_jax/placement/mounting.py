@@ -5,21 +5,21 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-RANKED, MOUNTINGS = "ranked.json", "mountings.parquet"  # of a search's folder, see `placed`
+RANKED, MOUNTINGS = "ranked.json", "mountings.parquet"  # of a search's folder, see `placement_result`
 UNITS = {"clearance": ("mm", 1e3), "cycle time": ("s", -1.0), "joint motion": ("rad", -1.0)}  # for display
 
 
-class Answer(NamedTuple):
+class MountingResults(NamedTuple):
     """Results of planning n mountings."""
 
     complete: Bool[np.ndarray, "n"]  # True if a proven motion leads to the end of every seam
-    spare: Float[np.ndarray, "n A"]  # of each objective, larger is better; -inf if the mounting is not complete
+    objective: Float[np.ndarray, "n A"]  # of each objective, larger is better; -inf if the mounting is not complete
 
 
-class Tolerance(NamedTuple):
+class PlacementTolerance(NamedTuple):
     """Tolerance of one mounting to placement error."""
 
-    together: float  # [1] for all parameters at once, in multiples of `off`; 0: even the smallest level failed
+    together: float  # [1] for all parameters at once, in multiples of `perturbation`; 0: even the smallest level failed
     alone: Float[np.ndarray, "d"]  # for each parameter with the others fixed, in its own unit
 
 
@@ -29,8 +29,8 @@ class Mounting(NamedTuple):
     row: int  # of `confirmed`
     values: Float[np.ndarray, "d"]  # of the parameters, each in its unit in the job
     margin_m: float  # margin of its motions
-    spare: Float[np.ndarray, "A"]  # of each objective, larger is better [m, or less than 0 s or rad]
+    objective: Float[np.ndarray, "A"]  # of each objective, larger is better [m, or less than 0 s or rad]
     worst: Float[np.ndarray, "A"]  # worst case under perturbation [m, s or rad]; -inf: one fails, NaN: not known yet
-    held: float  # [1] success rate of the perturbed mountings; NaN: not known yet
-    front: bool  # True if on the Pareto front
-    tolerance: Tolerance | None  # of the first few
+    success_rate: float  # [1] success rate of the perturbed mountings; NaN: not known yet
+    pareto_front: bool  # True if on the Pareto front
+    tolerance: PlacementTolerance | None  # of the first few

@@ -1,11 +1,11 @@
 """Placement search: ranges of mountings in, ranked mountings out.
 
     found = htcp_jax.place("place.yaml", out="out/place")
-    found.mountings[0].spare, found.motions      # ranked, best first; and the run that holds their motions
+    found.mountings[0].objective, found.motions      # ranked, best first; and the run that holds their motions
 
 Every stage is one or more sweeps, in folders of their own: `rounds` and `raised` evaluate mountings by quick plans,
 first evenly and then near the best, `confirmed` plans the best of them as proven motions with as large a clearance as
-possible, `disturbed` and `tolerance` plan these again under perturbation, and `ranked` holds the motions in their
+possible, `perturbed` and `tolerance` plan these again under perturbation, and `ranked` holds the motions in their
 order. A first ranking is written before mountings are perturbed. A second call resumes from there.
 """
 
@@ -25,21 +25,21 @@ from htcp_jax.jobs import feed
 from htcp_jax.jobs import grid as grids
 from htcp_jax.motion import Plans
 from htcp_jax.placement.clock import Clock
-from htcp_jax.placement.judge import (
+from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
+from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
+from htcp_jax.placement.placement_result import PlacementResult, searching, write_result
+from htcp_jax.placement.scores import (
     MARGIN,
     RAISED,
-    Judged,
+    MountingScores,
     Planner,
-    judge,
-    judge_lowered,
-    judge_raised,
+    evaluate,
+    evaluate_lowered,
+    evaluate_raised,
     sweep_of,
 )
-from htcp_jax.placement.mounting import Answer, Mounting, Tolerance
-from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
-from htcp_jax.placement.placed import Placed, searching, write
-from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, Known, best_apart, even, score
-from htcp_jax.placement.tolerance import TRIED, disturbed, most_tried, tolerances
+from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, SearchResults, best_apart, even, score
+from htcp_jax.placement.tolerance import TRIED, most_tried, perturbed, tolerances
 from htcp_jax.planning import start_clearance
 from htcp_jax.runs import Run
 from htcp_jax.runs import open as plan_sets
@@ -54,7 +54,7 @@ STAGES = {
     "rounds": "search",
     "raised": "search",
     "confirmed": "confirm",
-    "disturbed": "perturb",
+    "perturbed": "perturb",
     "tolerance": "tolerance",
 }
 
@@ -82,7 +82,7 @@ def place(
     device: str | None = None,
     threads: int | None = None,
     progress: Callable[[PlaceProgress], None] | None = None,
-) -> Placed:
+) -> PlacementResult:
     """Search the ranges of a file, or of an equivalent mapping, and rank the mountings that complete the path.
 
     Args:
@@ -108,19 +108,19 @@ def place(
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
     with searching(folder, search):
-        tell, where = _Teller(search, progress), {"on": on, "device": device, "threads": threads}
+        report, where = _ProgressReporter(search, progress), {"on": on, "device": device, "threads": threads}
 
         def plan(grid: grids.Sweep, method: str, into: Path) -> Run:
-            tell.begin(STAGES[into.relative_to(folder).parts[0]])
-            run = sweeps.sweep(grid, [method], into, progress=tell.sweep, targets_in_all=targets, **where)
-            tell.planned(run)
-            return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.spare else run
+            report.begin(STAGES[into.relative_to(folder).parts[0]])
+            run = sweeps.sweep(grid, [method], into, progress=report.sweep, targets_in_all=targets, **where)
+            report.planned(run)
+            return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.objective else run
 
-        judged = list(_rounds(search, folder / "rounds", plan, tell))
-        confirmed = _confirmed(search, judged, folder / "confirmed", plan)
-        for mountings, is_final in _ranked(search, confirmed, folder, plan):
-            motions = _motions(search, confirmed, mountings, folder)
-            found = write(folder, search, judged, mountings, motions, is_final)
+        scores = list(_rounds(search, folder / "rounds", plan, report))
+        confirmed = _confirmed(search, scores, folder / "confirmed", plan)
+        for mountings, is_final in _rankings(search, confirmed, folder, plan):
+            motions = _save_motions(search, confirmed, mountings, folder)
+            found = write_result(folder, search, scores, mountings, motions, is_final)
         return found
 
 
@@ -138,9 +138,9 @@ def _targets(search: Search) -> int:
 def most_plans(search: Search) -> dict[str, int | None]:
     """Largest number of plans that each stage makes; None if time decides."""
     file, k = search.file, max(1, len(search.seams))
-    is_raised = CLEARANCE in file.spare
-    scenarios, aims = file.within.scenarios, len(file.spare)
-    best = aims * -(-file.best // aims)  # as many by each objective
+    is_raised = CLEARANCE in file.objective
+    scenarios, objectives = file.within.scenarios, len(file.objective)
+    best = objectives * -(-file.best // objectives)  # as many by each objective
     return {
         "search": None if scenarios is None else scenarios // k * k * (1 + RAISED * is_raised),
         "confirm": k * best * (len(MARGINS) if is_raised else 1),
@@ -149,7 +149,7 @@ def most_plans(search: Search) -> dict[str, int | None]:
     }
 
 
-class _Teller:
+class _ProgressReporter:
     """Progress reporter of the stages."""
 
     def __init__(self, search: Search, progress: Callable[[PlaceProgress], None] | None):
@@ -165,10 +165,10 @@ class _Teller:
         """Add the plans of a finished sweep."""
         self._scenarios += run.manifest.count
 
-    def judged(self, found: Judged) -> None:
+    def evaluated(self, found: MountingScores) -> None:
         """Add the mountings of a finished round."""
         self._complete += int(found.complete.sum())
-        self._best = max(self._best, float(found.spare[:, 0].max(initial=-np.inf)))
+        self._best = max(self._best, float(found.objective[:, 0].max(initial=-np.inf)))
 
     def sweep(self, now: sweeps.SweepProgress) -> None:
         """Report the progress of the current sweep."""
@@ -178,7 +178,7 @@ class _Teller:
             self._progress(PlaceProgress(self._stage, *counts, now, self._most))
 
 
-def _rounds(search: Search, folder: Path, plan: Planner, tell: _Teller) -> Iterator[Judged]:
+def _rounds(search: Search, folder: Path, plan: Planner, report: _ProgressReporter) -> Iterator[MountingScores]:
     """Plan the mountings of all rounds, round by round."""
     known, number = None, 0
     budget, clock = search.file.within.scenarios, Clock(folder, search.file.within.seconds)
@@ -193,23 +193,23 @@ def _rounds(search: Search, folder: Path, plan: Planner, tell: _Teller) -> Itera
         if evolution is None and (here < spread if spread is not None else clock.used(number) < EVEN):
             u = even(d, here, ROUND if spread is None else min(ROUND, spread - here), seed)
         else:
-            evolution = Evolution(known, len(search.file.spare), seed) if evolution is None else evolution
+            evolution = Evolution(known, len(search.file.objective), seed) if evolution is None else evolution
             u = evolution.ask()
         values = search.ranges.values(u)
-        found = judge_raised(search, plan, values, folder / f"{number:03d}", folder.with_name("raised"))
+        found = evaluate_raised(search, plan, values, folder / f"{number:03d}", folder.with_name("raised"))
         if not number:
             _refuse_collision(search, found, folder)
-        own = Known(u, found.done.mean(axis=1), found.complete, found.spare)
+        own = SearchResults(u, found.done.mean(axis=1), found.complete, found.objective)
         if evolution is not None:
-            evolution.tell(own)
-        known = own if known is None else Known(*map(np.concatenate, zip(known, own, strict=True)))
+            evolution.report(own)
+        known = own if known is None else SearchResults(*map(np.concatenate, zip(known, own, strict=True)))
         number += 1
         clock.finished(number)
-        tell.judged(found)
+        report.evaluated(found)
         yield found
 
 
-def _refuse_collision(search: Search, found: Judged, folder: Path) -> None:
+def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> None:
     """Raise InputError if every start of the first round collides, naming the body; the round is then removed."""
     first = found.plans.status[:, 0]
     if not np.isin(first, (Status.START_IN_COLLISION, *AT_HOME)).all():
@@ -224,33 +224,35 @@ def _refuse_collision(search: Search, found: Judged, folder: Path) -> None:
     raise InputError(f"{search.name}: in all of {len(found.values):,} mountings nothing can begin: {why}")
 
 
-def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, plan: Planner) -> Judged:
+def _confirmed(search: Search, scores: Sequence[MountingScores], folder: Path, plan: Planner) -> MountingScores:
     """Plan the best mountings by each objective, APART from each other, with several margins each."""
-    values = np.concatenate([each.values for each in judged])
-    known = Known(
+    values = np.concatenate([each.values for each in scores])
+    known = SearchResults(
         (values - search.ranges.low) / search.ranges.width,
-        np.concatenate([each.done.mean(axis=1) for each in judged]),
-        np.concatenate([each.complete for each in judged]),
-        np.concatenate([each.spare for each in judged]),
+        np.concatenate([each.done.mean(axis=1) for each in scores]),
+        np.concatenate([each.complete for each in scores]),
+        np.concatenate([each.objective for each in scores]),
     )
-    aims = known.spare.shape[1]
+    objectives = known.objective.shape[1]
     chosen: list[int] = []
-    for weights in np.eye(aims):
+    for weights in np.eye(objectives):
         order = np.argsort(score(known, weights), kind="stable")
-        chosen += best_apart(known.u, order, -(-search.file.best // aims))
+        chosen += best_apart(known.u, order, -(-search.file.best // objectives))
     chosen = list(dict.fromkeys(chosen))
-    clear = np.concatenate([each.clearance for each in judged])[chosen]
+    clear = np.concatenate([each.clearance for each in scores])[chosen]
     least = search.job.margin_m
-    is_raised = CLEARANCE in search.file.spare
+    is_raised = CLEARANCE in search.file.objective
     margins = [
         sorted({max(least, share * c) for share in MARGINS} if whole and is_raised else {least}, reverse=True)
         for c, whole in zip(clear.tolist(), known.complete[chosen].tolist(), strict=True)
     ]
     every = np.repeat(values[chosen], [len(own) for own in margins], axis=0)
-    return judge(search, plan, every, search.file.confirm, folder, np.concatenate(margins))
+    return evaluate(search, plan, every, search.file.confirm, folder, np.concatenate(margins))
 
 
-def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> Iterator[tuple[list[Mounting], bool]]:
+def _rankings(
+    search: Search, confirmed: MountingScores, folder: Path, plan: Planner
+) -> Iterator[tuple[list[Mounting], bool]]:
     """Rank each mounting's best plan, and yield the mountings, with True if the ranking is final.
 
     The first ranking is by the objective, the final one by the results under perturbation, with the tolerances of the
@@ -260,23 +262,31 @@ def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> I
     if not rows:
         yield [], True
         return
-    values, spare, front = confirmed.values[rows], confirmed.spare[rows], _front(confirmed.spare[rows])
-    margin = _margins(confirmed)[rows]
+    values, objective, pareto_front = (
+        confirmed.values[rows],
+        confirmed.objective[rows],
+        _is_on_pareto_front(confirmed.objective[rows]),
+    )
+    margin = _planned_margins(confirmed)[rows]
 
-    def mountings(order: np.ndarray, worst: np.ndarray, held: np.ndarray, known: Mapping[int, Tolerance]):
-        kept = zip(rows, values, margin.tolist(), spare, worst, held.tolist(), front.tolist(), strict=True)
+    def mountings(
+        order: np.ndarray, worst: np.ndarray, success_rate: np.ndarray, known: Mapping[int, PlacementTolerance]
+    ):
+        kept = zip(
+            rows, values, margin.tolist(), objective, worst, success_rate.tolist(), pareto_front.tolist(), strict=True
+        )
         found = [Mounting(*each, known.get(k)) for k, each in enumerate(kept)]
         return [found[k] for k in order]
 
-    unknown = np.full(spare.shape, np.nan)
-    yield mountings(np.argsort(-spare[:, 0], kind="stable"), unknown, unknown[:, 0], {}), False
-    off = disturbed(search, values, folder / "disturbed", partial(_anew, search, plan, margin))
-    worst = np.minimum([one.spare.min(axis=0) for one in off], spare)
-    held = np.array([one.complete.mean() for one in off])
-    order = np.lexsort((-spare[:, 0], -worst[:, 0], -held))
+    unknown = np.full(objective.shape, np.nan)
+    yield mountings(np.argsort(-objective[:, 0], kind="stable"), unknown, unknown[:, 0], {}), False
+    perturbation = perturbed(search, values, folder / "perturbed", partial(_anew, search, plan, margin))
+    worst = np.minimum([one.objective.min(axis=0) for one in perturbation], objective)
+    success_rate = np.array([one.complete.mean() for one in perturbation])
+    order = np.lexsort((-objective[:, 0], -worst[:, 0], -success_rate))
     first = order[:TOLERANCES]
     known = tolerances(search, values[first], folder / "tolerance", partial(_anew, search, plan, None))
-    yield mountings(order, worst, held, dict(zip(first.tolist(), known, strict=True))), True
+    yield mountings(order, worst, success_rate, dict(zip(first.tolist(), known, strict=True))), True
 
 
 def _anew(
@@ -285,47 +295,50 @@ def _anew(
     margin_m: Float[np.ndarray, "m"] | None,
     values: Float[np.ndarray, "n d"],
     folder: Path,
-) -> Answer:
+) -> MountingResults:
     """Results of quick plans of n perturbed mountings, n / m around each of m mountings.
 
     If clearance is an objective, they are planned with shares of the m mountings' margins first (margin_m). With None
     only the job's margin is tried.
     """
-    with_clearance = margin_m is not None and CLEARANCE in search.file.spare
+    with_clearance = margin_m is not None and CLEARANCE in search.file.objective
     shares = LOWERED if with_clearance else ()
     margins = [] if margin_m is None else [s * np.repeat(margin_m, len(values) // len(margin_m)) for s in shares]
-    quick = judge_lowered(search, plan, values, folder, margins)
-    proven = Judged(search, quick.run, quick.method, values, plans=quick.plans)  # not quick: the guaranteed clearance
-    return Answer(proven.complete, proven.spare)
+    quick = evaluate_lowered(search, plan, values, folder, margins)
+    # not quick: the guaranteed clearance
+    proven = MountingScores(search, quick.run, quick.method, values, plans=quick.plans)
+    return MountingResults(proven.complete, proven.objective)
 
 
-def _margins(judged: Judged) -> Float[np.ndarray, "n"]:
+def _planned_margins(scores: MountingScores) -> Float[np.ndarray, "n"]:
     """Margin that each mounting was planned with [m]."""
-    return judged.run.scenarios(judged.method)[MARGIN].to_numpy()[:: judged.seams]
+    return scores.run.scenarios(scores.method)[MARGIN].to_numpy()[:: scores.seams]
 
 
-def _best_rows(confirmed: Judged) -> list[int]:
+def _best_rows(confirmed: MountingScores) -> list[int]:
     """Row of each mounting's complete plan with the largest first objective."""
     best: dict[bytes, int] = {}
     for row in np.flatnonzero(confirmed.complete).tolist():
         key = confirmed.values[row].tobytes()
-        if key not in best or confirmed.spare[row, 0] > confirmed.spare[best[key], 0]:
+        if key not in best or confirmed.objective[row, 0] > confirmed.objective[best[key], 0]:
             best[key] = row
     return list(best.values())
 
 
-def _front(spare: Float[np.ndarray, "n A"]) -> np.ndarray:
+def _is_on_pareto_front(objective: Float[np.ndarray, "n A"]) -> np.ndarray:
     """Mask of the Pareto front: rows that no other row dominates."""
-    beaten = (spare[None] >= spare[:, None]).all(axis=2) & (spare[None] > spare[:, None]).any(axis=2)
+    beaten = (objective[None] >= objective[:, None]).all(axis=2) & (objective[None] > objective[:, None]).any(axis=2)
     return ~beaten.any(axis=1)
 
 
-def _motions(search: Search, confirmed: Judged, mountings: Sequence[Mounting], folder: Path) -> Path | None:
+def _save_motions(
+    search: Search, confirmed: MountingScores, mountings: Sequence[Mounting], folder: Path
+) -> Path | None:
     """Save the ranked mountings' motions as a run, in their order."""
     if not mountings:
         return None
     rows = np.array([one.row for one in mountings])
-    margins = _margins(confirmed)[rows]
+    margins = _planned_margins(confirmed)[rows]
     scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
     plans: Plans = confirmed.plans.rows(scenarios)
     spec = sweep_of(search, confirmed.values[rows], margins)

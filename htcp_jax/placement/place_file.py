@@ -5,7 +5,7 @@ place:                                          # ranges, see `ranges`
   workpiece.rotation_y_rad: [0.0, 1.0]
   workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], [0.0, 0.1]]
 seams: [weld.csv, left.csv]                     # all of them, in one mounting; by default the job's own path
-spare: clearance                                # or cycle time, joint motion; a list of two gives a Pareto front
+objective: clearance                                # or cycle time, joint motion; a list of two gives a Pareto front
 within: {scenarios: 2000}                       # or {seconds: 60}
 """
 
@@ -22,53 +22,53 @@ from htcp_jax.placement.ranges import Ranges, read_ranges
 from htcp_jax.planning import registry
 
 CLEARANCE, CYCLE_TIME = "clearance", "cycle time"
-AIMS = CLEARANCE, CYCLE_TIME, "joint motion"
+OBJECTIVES = CLEARANCE, CYCLE_TIME, "joint motion"
 
 
-class Within(strict_model.Section):
+class Budget(strict_model.FileSection):
     """Budget of the search: a number of scenarios, or a time [s]."""
 
     scenarios: Annotated[int, Field(gt=0, le=1_000_000)] | None = None
     seconds: Annotated[float, Field(gt=0)] | None = None
 
     @model_validator(mode="after")
-    def _one_of_them(self) -> "Within":
+    def _one_of_them(self) -> "Budget":
         if (self.scenarios is None) == (self.seconds is None):
             raise InputError("within is {scenarios: N} or {seconds: S}, one of them")
         return self
 
 
-class Off(strict_model.Section):
+class Perturbation(strict_model.FileSection):
     """Bounds of the perturbation, which applies to every parameter of a mounting at once."""
 
     mm: float = Field(3.0, gt=0, le=1000)
     deg: float = Field(0.5, gt=0, le=90)
 
 
-class PlaceFile(strict_model.Section):
+class PlaceFile(strict_model.FileSection):
     """Contents of a PLACE.yaml."""
 
     config: str | None = None
     place: dict[str, Any] = Field(default_factory=dict)
     seams: tuple[str, ...] = ()
-    spare: tuple[str, ...] = ("clearance",)
+    objective: tuple[str, ...] = ("clearance",)
     feed: str = "20mm/s"  # of the tool, if the cycle time is an objective
-    within: Within = Within(scenarios=2000)
-    off: Off = Off()
+    within: Budget = Budget(scenarios=2000)
+    perturbation: Perturbation = Perturbation()
     best: int = Field(20, ge=1, le=1000)  # mountings that are confirmed as motions
-    screen: str = "roadmap"  # the planner of the quick plans, with the settings of `judge.QUICK`
-    confirm: str = "roadmap"  # the planner that confirms
+    screen: str = "beam"  # the planner of the quick plans, with the settings of `scores.QUICK`
+    confirm: str = "beam"  # the planner that confirms
     seed: int = Field(0, ge=0)
 
-    @field_validator("spare", mode="before")
+    @field_validator("objective", mode="before")
     @classmethod
     def _one_or_two(cls, value: Any) -> Any:
         names = [value] if isinstance(value, str) else value
         if not isinstance(names, list | tuple) or not 1 <= len(names) <= 2 or len(set(map(str, names))) < len(names):
-            raise InputError(f"spare is {value!r}; it is one aim, or a list of two: {', '.join(AIMS)}")
+            raise InputError(f"objective is {value!r}; it is one objective, or a list of two: {', '.join(OBJECTIVES)}")
         for name in names:
-            if name not in AIMS:
-                raise InputError(f"unknown spare {name!r}; valid: {', '.join(AIMS)}")
+            if name not in OBJECTIVES:
+                raise InputError(f"unknown objective {name!r}; valid: {', '.join(OBJECTIVES)}")
         return tuple(names)
 
     @field_validator("screen", "confirm")
@@ -110,7 +110,7 @@ def load_search(
         InputError: For errors in either file, and for a seam that is missing.
     """
     path, raw = examples.read_mapping(spec, "place")
-    file: PlaceFile = strict_model.validate({**raw, **(changes or {})}, PlaceFile, str(path))
+    file: PlaceFile = strict_model.validate_model({**raw, **(changes or {})}, PlaceFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config
     job = load_config(config, overrides)

@@ -34,7 +34,7 @@ class Range(NamedTuple):
     @property
     def name(self) -> str:
         """Name of the parameter, such as workpiece.shift_m.x."""
-        return self.key if self.element is None else f"{self.key}.{_element(self.key, self.element)}"
+        return self.key if self.element is None else f"{self.key}.{_element_name(self.key, self.element)}"
 
     @property
     def unit(self) -> tuple[str, float]:
@@ -46,7 +46,7 @@ class Range(NamedTuple):
         """True if it is an angle, in any unit."""
         return self.unit[0] == "°"
 
-    def disturbed(self, off_m: float, off_deg: float) -> float:
+    def perturbed(self, off_m: float, off_deg: float) -> float:
         """Half the width of the box of perturbations, in the parameter's own unit.
 
         It is off_m for a length, off_deg for an angle, and 0 for parameters of the task, which are never perturbed.
@@ -109,22 +109,22 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
     for name, value in raw.items():
         if (own := grid_axes.of_kind(str(name))) is not None:
             known.setdefault(str(name), own)
-        _refuse(where, str(name), known, base)
+        _refuse_key(where, str(name), known, base)
         key, element = known[name].key, known[name].element
         default = _default(key, base)
         if element is None and isinstance(default, tuple):
             if not isinstance(value, list | tuple) or len(value) != len(default):
                 raise InputError(f"{where}: {name} has {len(default)} elements; each is a range or a number")
-            fixed[key] = tuple(float(item) if _is_number(item) else None for item in value)
-            axes += [_range(where, key, k, item) for k, item in enumerate(value) if not _is_number(item)]
+            fixed[key] = tuple(float(item) if _is_finite_number(item) else None for item in value)
+            axes += [_read_range(where, key, k, item) for k, item in enumerate(value) if not _is_finite_number(item)]
         elif element is None:
-            axes.append(_range(where, key, None, value))
+            axes.append(_read_range(where, key, None, value))
         else:
             old = _of(base, key)
             if old is None or isinstance(old, str) or element >= len(old):
                 raise InputError(f"{where}: {name}: the job gives {key} no such element")
             fixed.setdefault(key, tuple(old))
-            axes.append(_range(where, key, element, value))
+            axes.append(_read_range(where, key, element, value))
     if len({axis.name for axis in axes}) < len(axes):
         raise InputError(f"{where}: a parameter stands in it twice")
     if not axes:
@@ -132,7 +132,7 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
     return Ranges(tuple(axes), fixed)
 
 
-def _refuse(where: str, name: str, known: Mapping[str, Any], base: Mapping[str, Any]) -> None:
+def _refuse_key(where: str, name: str, known: Mapping[str, Any], base: Mapping[str, Any]) -> None:
     """Raise InputError for a key that is unknown or cannot vary."""
     if name.partition(".")[0] in grid_axes.NO_AXIS or name.startswith(PLANNERS_OWN):
         kinds = "the workpiece's pose, the arm's, its tool, the start, the task and the cell can"
@@ -144,14 +144,14 @@ def _refuse(where: str, name: str, known: Mapping[str, Any], base: Mapping[str, 
         )
         raise InputError(f"{where}: unknown parameter {name}; {hint}")
     default = _default(known[name].key, base)
-    is_vector = isinstance(default, tuple) and all(map(_is_number, default))
+    is_vector = isinstance(default, tuple) and all(map(_is_finite_number, default))
     if not (isinstance(default, float) or is_vector) or (name == "start_rad" and known[name].element is None):
         raise InputError(f"{where}: {name} cannot vary in a search: it is no number that could lie between two others")
 
 
-def _range(where: str, key: str, element: int | None, value: Any) -> Range:
+def _read_range(where: str, key: str, element: int | None, value: Any) -> Range:
     name = Range(key, element, 0.0, 0.0).name
-    if not isinstance(value, list | tuple) or len(value) != 2 or not all(map(_is_number, value)):
+    if not isinstance(value, list | tuple) or len(value) != 2 or not all(map(_is_finite_number, value)):
         raise InputError(f"{where}: {name} is {value!r}; a range is [smallest, largest]")
     low, high = map(float, value)
     if not low < high:
@@ -164,7 +164,7 @@ def _range(where: str, key: str, element: int | None, value: Any) -> Range:
     return Range(key, element, low, high)
 
 
-def _is_number(value: Any) -> bool:
+def _is_finite_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
@@ -184,5 +184,5 @@ def _default(key: str, base: Mapping[str, Any]) -> Any:
         return None
 
 
-def _element(key: str, element: int) -> str:
+def _element_name(key: str, element: int) -> str:
     return str(element + 1) if key == "start_rad" else grid_axes.XYZ[element]

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import qmc
 
-from htcp_jax.motion import front
+from htcp_jax.motion import selection
 
 EVEN = 0.5  # share of the budget for the Halton sequence
 ROUND = 512  # mountings of an even round
@@ -20,13 +20,13 @@ SIGMA, ENDED = 0.08, 0.004  # in shares of the ranges: initial step size, and th
 APART = 0.1  # smallest difference of distinct mountings in at least one parameter, in shares of its range
 
 
-class Known(NamedTuple):
+class SearchResults(NamedTuple):
     """Results of n mountings."""
 
     u: Float[np.ndarray, "n d"]  # in the unit cube
     done: Float[np.ndarray, "n"]  # share of the targets
     complete: Bool[np.ndarray, "n"]
-    spare: Float[np.ndarray, "n A"]  # larger is better; -inf if the mounting is not complete
+    objective: Float[np.ndarray, "n A"]  # larger is better; -inf if the mounting is not complete
 
 
 def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray, "n d"]:
@@ -44,16 +44,18 @@ def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray
     return sequence.random(count)
 
 
-def score(known: Known, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n"]:
+def score(known: SearchResults, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n"]:
     """Cost that CMA-ES minimises.
 
     It is below 0 for a complete mounting, the lower the better, else the share of targets without a motion. Objectives
     are scaled to their range so far; an unknown one is taken for the worst.
     """
-    told = np.isfinite(known.spare)
-    low, high = (np.where(told, known.spare, none) for none in (np.inf, -np.inf))
+    reported = np.isfinite(known.objective)
+    low, high = (np.where(reported, known.objective, none) for none in (np.inf, -np.inf))
     low, high = low.min(axis=0), high.max(axis=0)
-    scaled = np.divide(known.spare - low, np.maximum(high - low, 1e-12), where=told, out=np.zeros_like(known.spare))
+    scaled = np.divide(
+        known.objective - low, np.maximum(high - low, 1e-12), where=reported, out=np.zeros_like(known.objective)
+    )
     whole = -1e-6 - (scaled * weights).sum(axis=1)
     return np.where(known.complete, whole, 1 - known.done + 1e-6)
 
@@ -66,29 +68,29 @@ def best_apart(u: Float[np.ndarray, "n d"], order: np.ndarray, count: int) -> li
         order: Indices of the mountings, best first, (n,).
         count: The number of mountings; fewer are returned if no more are apart.
     """
-    return order[front.first_apart(u[order], count, APART, np.inf)].tolist()
+    return order[selection.first_apart(u[order], count, APART, np.inf)].tolist()
 
 
 class Evolution:
     """CMA-ES from several starts at a time; a run that has converged restarts elsewhere."""
 
-    def __init__(self, known: Known, aims: int, seed: int):
+    def __init__(self, known: SearchResults, objectives: int, seed: int):
         self._rng, self._known, self._begun = np.random.default_rng([seed, 1]), known, []
-        self._weights = [_weights(k, aims) for k in range(FROM)]
+        self._weights = [_weights(k, objectives) for k in range(FROM)]
         self._runs = [self._begin(weights) for weights in self._weights]
 
     def ask(self) -> Float[np.ndarray, "n d"]:
         """Propose the mountings of the next round."""
-        self._asked = [np.array(run.ask()) for run in self._runs]
-        return np.clip(np.concatenate(self._asked)[:, : self._known.u.shape[1]], 0.0, 1.0)
+        self._requested = [np.array(run.ask()) for run in self._runs]
+        return np.clip(np.concatenate(self._requested)[:, : self._known.u.shape[1]], 0.0, 1.0)
 
-    def tell(self, found: Known) -> None:
+    def tell(self, found: SearchResults) -> None:
         """Update the runs with the results of the proposed mountings."""
-        self._known = Known(*map(np.concatenate, zip(self._known, found, strict=True)))
+        self._known = SearchResults(*map(np.concatenate, zip(self._known, found, strict=True)))
         count = len(found.u)
-        for k, (run, asked) in enumerate(zip(self._runs, self._asked, strict=True)):
+        for k, (run, requested) in enumerate(zip(self._runs, self._requested, strict=True)):
             own = score(self._known, self._weights[k])[-count:][k * POPULATION : (k + 1) * POPULATION]
-            run.tell(list(asked), own.tolist())
+            run.tell(list(requested), own.tolist())
             if run.sigma * np.sqrt(np.max(run.D**2)) < ENDED or run.stop():
                 self._runs[k] = self._begin(self._weights[k])
 
@@ -118,9 +120,9 @@ class Evolution:
         )
 
 
-def _weights(k: int, aims: int) -> np.ndarray:
+def _weights(k: int, objectives: int) -> np.ndarray:
     """Weights of the objectives in the k-th run; with several objectives each run uses another mixture."""
-    if aims == 1:
+    if objectives == 1:
         return np.ones(1)
     share = k / (FROM - 1)
     return np.array([1 - share, share])

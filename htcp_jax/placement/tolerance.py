@@ -11,38 +11,42 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.placement.mounting import Answer, Tolerance
+from htcp_jax.placement.mounting import MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import Search
 from htcp_jax.placement.search import even
 
 TRIED = 16  # perturbations of each confirmed mounting
-LEVELS = 0.5, 1.0, 2.0, 4.0  # perturbations tried, in multiples of `off`
+LEVELS = 0.5, 1.0, 2.0, 4.0  # perturbations tried, in multiples of `perturbation`
 FEW, MORE = 16, 64  # perturbed mountings of every level, and at most of the one that is stated
 WIDER = 1.2  # factor on the stated box
 
-Judge = Callable[[Float[np.ndarray, "n d"], Path], Answer]  # plans mountings anew into a folder
+Evaluate = Callable[[Float[np.ndarray, "n d"], Path], MountingResults]  # plans mountings anew into a folder
 
 
 def box(search: Search) -> Float[np.ndarray, "d"]:
     """Half the width of the box of perturbations, in the units of the parameters."""
-    off = search.file.off
-    return np.array([axis.disturbed(1e-3 * off.mm, off.deg) for axis in search.ranges.axes])
+    perturbation = search.file.perturbation
+    return np.array([axis.perturbed(1e-3 * perturbation.mm, perturbation.deg) for axis in search.ranges.axes])
 
 
-def disturbed(search: Search, values: Float[np.ndarray, "n d"], folder: Path, judge: Judge) -> list[Answer]:
-    """Results of each mounting under perturbations of up to `off`.
+def perturbed(
+    search: Search, values: Float[np.ndarray, "n d"], folder: Path, evaluate: Evaluate
+) -> list[MountingResults]:
+    """Results of each mounting under perturbations of up to `perturbation`.
 
     Args:
         search: The search.
         values: Parameters of the mountings, each in its unit in the job.
         folder: The folder of the plans.
-        judge: Plans the perturbed mountings.
+        evaluate: Plans the perturbed mountings.
     """
     shifts = _shifts(search, TRIED, 1) * box(search)
-    return _judged(search, values, shifts, folder, judge)
+    return _scores_of(search, values, shifts, folder, evaluate)
 
 
-def tolerances(search: Search, values: Float[np.ndarray, "n d"], folder: Path, judge: Judge) -> list[Tolerance]:
+def tolerances(
+    search: Search, values: Float[np.ndarray, "n d"], folder: Path, evaluate: Evaluate
+) -> list[PlacementTolerance]:
     """Tolerance of each mounting.
 
     Perturbations are tried from the smallest level; a mounting that fails one is not tried at the next.
@@ -51,29 +55,29 @@ def tolerances(search: Search, values: Float[np.ndarray, "n d"], folder: Path, j
         search: The search.
         values: Parameters of the mountings, each in its unit in the job.
         folder: The folder of the plans, one sweep per level.
-        judge: Plans the perturbed mountings.
+        evaluate: Plans the perturbed mountings.
     """
     half, shifts = box(search), WIDER * box(search) * _shifts(search, MORE, 2)
     together, going = np.zeros(len(values)), np.arange(len(values))
     for level in LEVELS:
-        own = _judged(search, values[going], level * shifts[:FEW], folder / f"all-{level:g}", judge)
+        own = _scores_of(search, values[going], level * shifts[:FEW], folder / f"all-{level:g}", evaluate)
         going = going[[one.complete.all() for one in own]]
         together[going] = level
         if not len(going):
             break
     for lower, level in reversed(list(zip((0.0, *LEVELS), LEVELS, strict=False))):
         if len(going := np.flatnonzero(together == level)):
-            own = _judged(search, values[going], level * shifts[FEW:], folder / f"more-{level:g}", judge)
+            own = _scores_of(search, values[going], level * shifts[FEW:], folder / f"more-{level:g}", evaluate)
             together[going] = np.where([one.complete.all() for one in own], level, lower)
     alone = np.zeros(values.shape)
     steps = np.array(LEVELS)
     d = len(half)
     shifts = np.concatenate([sign * level * half * np.eye(d) for level in steps for sign in (-1, 1)])
-    for k, one in enumerate(_judged(search, values, shifts, folder / "alone", judge)):
+    for k, one in enumerate(_scores_of(search, values, shifts, folder / "alone", evaluate)):
         fine = one.complete.reshape(len(steps), 2, d).all(axis=1)
         kept = np.logical_and.accumulate(fine, axis=0).sum(axis=0)
         alone[k] = np.append(0.0, steps)[kept] * half
-    return [Tolerance(float(a), b) for a, b in zip(together, alone, strict=True)]
+    return [PlacementTolerance(float(a), b) for a, b in zip(together, alone, strict=True)]
 
 
 def most_tried(dimensions: int) -> int:
@@ -88,10 +92,10 @@ def _shifts(search: Search, count: int, key: int) -> Float[np.ndarray, "n d"]:
     return shifts
 
 
-def _judged(
-    search: Search, values: Float[np.ndarray, "n d"], shifts: Float[np.ndarray, "m d"], folder: Path, judge: Judge
-) -> list[Answer]:
+def _scores_of(
+    search: Search, values: Float[np.ndarray, "n d"], shifts: Float[np.ndarray, "m d"], folder: Path, evaluate: Evaluate
+) -> list[MountingResults]:
     """Plan each mounting with every shift, all in one sweep."""
     every = (values[:, None] + shifts).reshape(-1, values.shape[1])
-    parts = (np.split(part, len(values)) for part in judge(every, folder))
-    return [Answer(*part) for part in zip(*parts, strict=True)]
+    parts = (np.split(part, len(values)) for part in evaluate(every, folder))
+    return [MountingResults(*part) for part in zip(*parts, strict=True)]

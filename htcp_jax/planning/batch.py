@@ -42,7 +42,7 @@ def plan(
     robot: Robot,
     workpiece: Workpiece,
     scenarios: Scenario | Sequence[Scenario],
-    method: str | Method = "roadmap",
+    method: str | Method = "beam",
     settings: Settings | Mapping[str, Any] | None = None,
     *,
     progress: Callable[[Progress], None] | None = None,
@@ -135,14 +135,14 @@ def plan(
         )
         plans = _planned_here(problem, chosen, method, obstacles, check_starts)
     spent = time.perf_counter() - began
-    compile_s = plans.compile_s + max(each.kernels.compile_s for each in problem.checkers)
+    compile_s = plans.compile_s + max(each.executor.compile_s for each in problem.checkers)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
 
 
 def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obstacles, check_starts: bool) -> Plans:
     """Return `plan`'s result, except for the times, on the problem's devices."""
     settings, check_paths = problem.settings, problem.check_paths
-    # Imported here, as methods are: no kernels are loaded before a method is looked up.
+    # Imported here, as methods are: no lane functions are loaded before a method is looked up.
     from htcp_jax.motion import home as home_motion
     from htcp_jax.motion import motion_check
     from htcp_jax.planning.tracking.record import with_separate_errors
@@ -150,19 +150,19 @@ def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obst
     with _preparing(problem, chosen):
         if check_starts:
             _check_starts(problem, obstacles)
-        problem, ways = home_motion.leave_home(problem)
+        problem, from_home = home_motion.leave_home(problem)
         plans = _of_these(chosen.plan(problem), problem, method)
         problem = problem.as_planned(plans)
         if check_paths:
             plans = motion_check.check_remaining_paths(problem, plans)
-        plans = home_motion.begin_at_home(problem, plans, ways)
+        plans = home_motion.begin_at_home(problem, plans, from_home)
         if check_paths:
-            plans = motion_check.judge_motions(problem, plans)
+            plans = motion_check.verify_motions(problem, plans)
             if chosen.smooth if settings.smooth is None else settings.smooth:
                 from htcp_jax.motion import smoothing
 
                 plans = motion_check.tighten(
-                    problem, motion_check.judge_motions(problem, smoothing.smooth(problem, plans))
+                    problem, motion_check.verify_motions(problem, smoothing.smooth(problem, plans))
                 )
         return with_separate_errors(problem, plans)
 
@@ -173,24 +173,24 @@ def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progr
     rows = worker_processes.shares(len(scenarios.number), processes)
     parts = [tables.gather(scenarios, own) for own in rows]
 
-    def report(told: np.ndarray) -> None:
-        done, tracked = told.sum(axis=0).tolist()
+    def report(reported: np.ndarray) -> None:
+        done, tracked = reported.sum(axis=0).tolist()
         progress(Progress(done, len(scenarios.number), tracked, int(scenarios.count.sum())))
 
-    found, start_s = worker_processes.spread(processes, partial(_part, how), shared, parts, progress and report)
+    found, start_s = worker_processes.spread(processes, partial(_plan_part, how), shared, parts, progress and report)
     plans = Plans.concatenate(found).rows(np.argsort(np.concatenate(rows)))
     compile_s = start_s + plans.compile_s / min(processes, len(parts))
     return plans._replace(compile_s=compile_s, run_s=time.perf_counter() - began - compile_s)
 
 
-def _part(
-    how: dict, tell: Callable, robot: Robot, workpiece: Workpiece, obstacles: Obstacles, scenarios: Scenario
+def _plan_part(
+    how: dict, notify: Callable, robot: Robot, workpiece: Workpiece, obstacles: Obstacles, scenarios: Scenario
 ) -> Plans:
     """Plan some scenarios in another process."""
-    tell(int((scenarios.refused != scenario_functions.NOT_REFUSED).sum()), 0)
+    notify(int((scenarios.refused != scenario_functions.NOT_REFUSED).sum()), 0)
 
     def progress(now: Progress) -> None:
-        tell(now.scenarios_done, now.targets_tracked)
+        notify(now.scenarios_done, now.targets_tracked)
 
     return plan(robot, workpiece, scenarios, obstacles=obstacles, progress=progress, processes=1, **how)
 
@@ -259,7 +259,7 @@ def _preparing(problem: Problem, method: Method) -> Iterator[None]:
     calls = method.first_calls(problem) if len(problem.to_plan) else ()
     with ExitStack() as stack:
         for each in problem.checkers if calls else ():
-            stack.enter_context(each.kernels.preparing(calls))
+            stack.enter_context(each.executor.preparing(calls))
         yield
 
 

@@ -1,8 +1,8 @@
-"""The built-in methods: step QPs with different recoveries and steps between targets; and the beam search `roadmap`."""
+"""The built-in methods: step QPs with different recoveries and steps between targets; and the beam search, `beam`."""
 
 import jax
 
-from htcp_jax.planning.beam.beam import Roadmap
+from htcp_jax.planning.beam.beam import BeamSearchMethod
 from htcp_jax.planning.tracking.sampling import best_nspace_samples, cspace_samples, nspace_samples
 from htcp_jax.planning.tracking.stages import NullSpace, Sample
 from htcp_jax.planning.tracking.step_qps import StepQPs
@@ -19,7 +19,7 @@ def _start_key(settings: Settings, key: jax.Array, cmaes: bool = False) -> jax.A
 _FIRST = ("first_direction",)
 _SQP = NullSpace(lambda problem, seen, key, s: sphere.sqp(problem, seen, start_key=_start_key(s, key)), _FIRST)
 _SPREAD = (0.005, 0.01, 0.02, 0.04)
-_WALKED = ("samples", "sample_steps", "max_sample_distance_rad")
+_SAMPLE_SETTINGS = ("samples", "sample_steps", "max_sample_distance_rad")
 
 BUILT_IN = (
     StepQPs("baseline", "Baseline planner", "iterative convex optimisation alone, equation (9)"),
@@ -32,11 +32,11 @@ BUILT_IN = (
     StepQPs(
         "nspace-sample",
         "N-Space sample",
-        "restarts from the ends of walks along random null-space directions",
+        "restarts from the ends of self-motions along random null-space directions",
         stages=(
             Sample(
                 lambda scene, s, where, stuck: nspace_samples(scene, s, where, stuck, (s.sample_step_rad,)),
-                (*_WALKED, "sample_step_rad"),
+                (*_SAMPLE_SETTINGS, "sample_step_rad"),
             ),
         ),
     ),
@@ -74,23 +74,28 @@ BUILT_IN = (
         ),
     ),
     StepQPs(
-        "keep-clear", "Keep clear", "null-space ascent of the clearance after every target, no escape", keep_clear=True
+        "keep-clear",
+        "Keep clear",
+        "null-space ascent of the clearance after every target, no recovery",
+        keep_clear=True,
     ),
     StepQPs(
         "hybrid",
         "Hybrid",
-        "keep clear; SQP, then null-space samples, then other postures planned backwards; every joint path clear",
+        "keep clear; SQP, then null-space samples, then other configurations planned backwards; every joint path clear",
         stages=(
             _SQP,
-            Sample(lambda scene, s, where, stuck: best_nspace_samples(scene, s, where, stuck, _SPREAD), _WALKED),
+            Sample(
+                lambda scene, s, where, stuck: best_nspace_samples(scene, s, where, stuck, _SPREAD), _SAMPLE_SETTINGS
+            ),
         ),
         keep_clear=True,
         replan_backwards=True,
         check_paths=True,
     ),
-    Roadmap(
-        "roadmap",
-        "Roadmap",
-        "a set of postures at every target, connected to the start by proven motions; the best path through them",
+    BeamSearchMethod(
+        "beam",
+        "Beam",
+        "a set of configurations at every target, connected to the start by proven motions; the best path through them",
     ),
 )

@@ -34,7 +34,7 @@ class Method:
         raise NotImplementedError
 
     def first_calls(self, problem: "Problem") -> Sequence[tuple]:
-        """Return the first calls of compiled functions, to be compiled in parallel, see `Kernels.preparing`."""
+        """Return the first calls of compiled functions, to be compiled in parallel, see `Executor.preparing`."""
         return ()
 
 

@@ -1,13 +1,13 @@
 from . import obstruction
 from .obstruction import Obstruction
-from .reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, Stopped, nothing_found, reachable_prefixes
+from .reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, SearchStopped, nothing_found, reachable_prefixes
 
 __all__ = [
     "PROOF_CELLS",
     "RESOLUTION_RAD",
     "Obstruction",
     "Reachability",
-    "Stopped",
+    "SearchStopped",
     "nothing_found",
     "obstruction",
     "reachable_prefixes",

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles, Scene, contacts, nearest_to
 from htcp_jax.clearance.obstacles import of_workpiece
-from htcp_jax.device import Kernels, kernel
+from htcp_jax.device import Executor, lane_function
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, inverse_kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
@@ -116,7 +116,7 @@ def obstructions(
     Args:
         robot: The arm with its tool.
         obstacles: All obstacles, with the workpiece.
-        where: Stacked, the fields of `Posed` and `tool_extension_m`.
+        where: Stacked, the fields of `HasWorkpiecePose` and `tool_extension_m`.
         x_last: The last tracked configurations [rad or m].
         goals: The task's goals; for the TCP's position the targets, world [m].
         settings: `tolerance_m`, for the default task.
@@ -125,7 +125,7 @@ def obstructions(
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     scene = Scene(robot, obstacles, task)
     lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
-    measured = Kernels(scene, settings)(BRING, *lanes) if len(x_last) else ()
+    measured = Executor(scene, settings)(BRING, *lanes) if len(x_last) else ()
     found = []
     for k, (row, point, surface, depth, off, x) in enumerate(zip(*measured, strict=True)):
         here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
@@ -146,16 +146,16 @@ def obstructions(
             in_words=robots.capsule_in_words(robot, body),
         )
         if not (reached or task.is_points):
-            distance, angle, within = _apart(own, task, jnp.asarray(x), jnp.asarray(goals[k]))
+            distance, angle, within = _distance_from_goal(own, task, jnp.asarray(x), jnp.asarray(goals[k]))
             one = one._replace(residual_m=distance, angle_rad=angle, within_bands=within)
         found.append(one)
     return found
 
 
-def _apart(robot: Robot, task: Task, x: jax.Array, goal: jax.Array) -> tuple[float, float, bool]:
+def _distance_from_goal(robot: Robot, task: Task, x: jax.Array, goal: jax.Array) -> tuple[float, float, bool]:
     """Return the distance [m] and the angle [rad] from a goal, and False if a cone or band is violated."""
     distance, angle = map(float, task.errors(robot, x, goal))
-    return distance, angle, bool(task.room(task.value(robot, x), goal) >= 0)
+    return distance, angle, bool(task.slack(task.value(robot, x), goal) >= 0)
 
 
 def blocked_target(plans: Plans, scenario: int) -> int | None:
@@ -183,7 +183,7 @@ def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
     return row, touch.witness[row], surface, -touch.distance[row], residual, x
 
 
-BRING = kernel.Kernel("bring", _brought_there, kernel.DEEP)
+BRING = lane_function.LaneFunction("bring", _brought_there, lane_function.DEEP)
 
 
 def _mm(length_m: float) -> str:

@@ -2,7 +2,8 @@
 
 A planner follows a continuous path; this checks every target independently. A few configurations of the last target,
 far apart, are carried over, re-anchored and pushed clear in the null space; if none succeeds, the target is searched at
-a stated resolution of the null space (`posture_search`). The first target at which nothing is found ends the prefix.
+a stated resolution of the null space (`configuration_search`). The first target at which nothing is found ends the
+prefix.
 
 A clear configuration that is found proves that one exists: the prefix is a lower bound on the reachable targets. "Not
 found" does not imply unreachable. But if at some target every configuration certainly has the tool, or the arm behind
@@ -21,13 +22,19 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance import Obstacles, Scene
 from htcp_jax.clearance.obstacles import of_workpiece, tip_guard
-from htcp_jax.device import Kernels, devices, tables
+from htcp_jax.device import Executor, devices, tables
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario
 from htcp_jax.motion import CollisionChecker, lane_inputs
-from htcp_jax.motion import front as fronts
-from htcp_jax.motion import kernels as motion_kernels
+from htcp_jax.motion import selection as fronts
+from htcp_jax.motion import step_functions as motion_kernels
 from htcp_jax.planning.tracking import stages
-from htcp_jax.reachability.posture_search import APART_RAD, PUSHED, KnownPostures, known_postures, search
+from htcp_jax.reachability.configuration_search import (
+    APART_RAD,
+    PUSHED,
+    KnownConfigurations,
+    known_configurations,
+    search,
+)
 from htcp_jax.reachability.tool_cells import excluded
 from htcp_jax.settings import Settings
 
@@ -49,7 +56,7 @@ class Reachability(NamedTuple):
     resolution_rad: np.ndarray
 
 
-class Stopped(KeyboardInterrupt):
+class SearchStopped(KeyboardInterrupt):
     """Interruption of a search, in place of KeyboardInterrupt; `found` is its result so far, with looser bounds."""
 
     def __init__(self, found: Reachability):
@@ -90,9 +97,9 @@ def reachable_prefixes(
     scenarios = jax.tree.map(np.asarray, scenarios)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     scene = Scene(robot, of_workpiece.all_obstacles(workpiece, obstacles), task)
-    checker = CollisionChecker(Kernels(scene, settings), settings, tip_guard.make_tip_guard(workpiece))
-    known = known_postures(robot, scenarios.tool_extension_m)
-    threads = devices.default_threads([checker.kernels.device], settings.qp)
+    checker = CollisionChecker(Executor(scene, settings), settings, tip_guard.make_tip_guard(workpiece))
+    known = known_configurations(robot, scenarios.tool_extension_m)
+    threads = devices.default_threads([checker.executor.device], settings.qp)
     parts = [nothing_found(tables.gather(scenarios, slice(number, None, threads))) for number in range(threads)]
     stop = threading.Event()
 
@@ -108,13 +115,13 @@ def reachable_prefixes(
         found = parts[number]
         own = _prefixes(checker, known, own, settings.seed, resolution_rad, found, report)
         cells = proof_cells if task.holds_tcp else 0
-        parts[number] = found._replace(most=_most(checker.kernels, robot, own, found, cells))
+        parts[number] = found._replace(most=_upper_bounds(checker.executor, robot, own, found, cells))
 
     pool = ThreadPoolExecutor(threads)
     try:
         list(pool.map(work, range(threads)))
     except KeyboardInterrupt:
-        raise Stopped(tables.interleaved(parts)) from None
+        raise SearchStopped(tables.interleaved(parts)) from None
     finally:
         stop.set()
         pool.shutdown(wait=False, cancel_futures=True)
@@ -132,7 +139,7 @@ def nothing_found(scenarios: Scenario) -> Reachability:
 
 def _prefixes(
     checker: CollisionChecker,
-    known: KnownPostures,
+    known: KnownConfigurations,
     scenarios: Scenario,
     seed: int,
     resolution_rad: float,
@@ -145,7 +152,7 @@ def _prefixes(
         The scenarios as they were searched, see `_off_lines`.
     """
     count, rows = scenarios.targets.shape[:2]
-    front = [x[None] for x in scenarios.x_start]
+    beam = [x[None] for x in scenarios.x_start]
     alive = np.arange(count)
     for row in range(rows):
         alive = alive[scenarios.count[alive] > row]
@@ -154,11 +161,13 @@ def _prefixes(
         looked = alive
         while len(looked):
             inputs = lane_inputs.lane_inputs(scenarios, looked, np.full(len(looked), row), seed=seed)
-            clear, best, coarsest = _looked_at(checker, known, inputs, [front[s] for s in looked], resolution_rad)
+            clear, best, coarsest = _clear_configurations(
+                checker, known, inputs, [beam[s] for s in looked], resolution_rad
+            )
             for k, s in enumerate(looked):
                 found.best[s], found.resolution_rad[s] = best[k], coarsest[k]
                 if len(clear[k]):
-                    front[s], found.x[s, row] = clear[k], clear[k][0]
+                    beam[s], found.x[s, row] = clear[k], clear[k][0]
                     found.prefix[s] += 1
             looked = looked[[not len(own) for own in clear]]
             leave = _off_lines(scenarios, looked, row)
@@ -169,21 +178,25 @@ def _prefixes(
     return scenarios
 
 
-def _looked_at(
-    checker: CollisionChecker, known: KnownPostures, inputs: lane_inputs.LaneInputs, front: list, resolution_rad: float
+def _clear_configurations(
+    checker: CollisionChecker,
+    known: KnownConfigurations,
+    inputs: lane_inputs.LaneInputs,
+    beam: list,
+    resolution_rad: float,
 ) -> tuple[list[np.ndarray], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return the clear configurations at n targets, carried over from each `front` or else searched for.
+    """Return the clear configurations at n targets, carried over from each `beam` or else searched for.
 
     Also, at targets without any, the best clearance [m] and the resolution [rad], elsewhere NaN and 0.
     """
-    clear = _carried(checker, inputs, front)
-    best, coarsest = np.full(len(front), np.nan), np.zeros(len(front))
+    clear = _carried(checker, inputs, beam)
+    best, coarsest = np.full(len(beam), np.nan), np.zeros(len(beam))
     for coarser in COARSE_FIRST if checker.task.holds_tcp else (1,):
         which = np.flatnonzero([not len(own) for own in clear])
         if not len(which):
             break
         here = search(checker, known, tables.gather(inputs, which), coarser * resolution_rad)
-        for k, own in zip(which, _searched(checker, tables.gather(inputs, which), here.at), strict=True):
+        for k, own in zip(which, _search_targets(checker, tables.gather(inputs, which), here.at), strict=True):
             clear[k] = own
         lost = np.array([not len(clear[k]) for k in which])
         best[which], coarsest[which] = np.where(lost, here.at.clearance[:, 0], np.nan), lost * here.resolution_rad
@@ -203,7 +216,7 @@ def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> 
     return which & (np.arange(aims.shape[1]) < scenarios.on_path[:, None])
 
 
-def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
+def _upper_bounds(executor: Executor, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
     """Return the number of targets (S,) before one that is proven out of reach.
 
     Bisection between the last one found and the end of the path: a later target is usually excluded more easily, and if
@@ -213,19 +226,19 @@ def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachabili
     low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
     while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:
         middle = (low + high)[open_] // 2
-        none = excluded(kernels, robot, lane_inputs.lane_inputs(scenarios, open_, middle), cells)
+        none = excluded(executor, robot, lane_inputs.lane_inputs(scenarios, open_, middle), cells)
         high[open_[none]], low[open_[~none]] = middle[none], middle[~none]
     return high
 
 
-def _carried(checker: CollisionChecker, inputs: lane_inputs.LaneInputs, front: list[np.ndarray]) -> list[np.ndarray]:
-    """Return, for each target, the configurations of its `front` that are clear there, far apart, clearest first."""
-    lane = np.repeat(np.arange(len(front)), [len(own) for own in front])
-    here = checker.kernels(stages.PUSH, tables.gather(inputs, lane), np.concatenate(front))
-    return _clear(checker, tables.gather(inputs, lane), lane, len(front), here)
+def _carried(checker: CollisionChecker, inputs: lane_inputs.LaneInputs, beam: list[np.ndarray]) -> list[np.ndarray]:
+    """Return, for each target, the configurations of its `beam` that are clear there, far apart, clearest first."""
+    lane = np.repeat(np.arange(len(beam)), [len(own) for own in beam])
+    here = checker.executor(stages.PUSH, tables.gather(inputs, lane), np.concatenate(beam))
+    return _clear(checker, tables.gather(inputs, lane), lane, len(beam), here)
 
 
-def _searched(
+def _search_targets(
     checker: CollisionChecker, inputs: lane_inputs.LaneInputs, here: motion_kernels.State
 ) -> list[np.ndarray]:
     """Return, for each target, the configurations found by a search that are clear, far apart, clearest first."""

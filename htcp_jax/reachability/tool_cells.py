@@ -19,14 +19,14 @@ from scipy.spatial import cKDTree
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof import arm_exclusion
-from htcp_jax.device import Kernels, tables
-from htcp_jax.device import kernel as lane_kernels
+from htcp_jax.device import Executor, tables
+from htcp_jax.device import lane_function as lane_kernels
 from htcp_jax.model import Robot, rotations
 from htcp_jax.motion import lane_inputs
 from htcp_jax.settings import Settings
 
-MANY = lane_kernels.Load(
-    cpu=lane_kernels.Table(1024, 1), gpu=lane_kernels.Table(4096, 4096)
+MANY = lane_kernels.DeviceSizes(
+    cpu=lane_kernels.BatchSize(1024, 1), gpu=lane_kernels.BatchSize(4096, 4096)
 )  # for calls with thousands of lanes
 FACES = 4
 FINEST = 2.0**-24  # smallest half side of a cube
@@ -66,7 +66,7 @@ class Cells(NamedTuple):
         )
 
 
-def tool(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quaternion, rho) -> arm_exclusion.Cell:
+def tool(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quaternion, rho) -> arm_exclusion.CellBounds:
     """Return the `Cell` of the tool's orientations within `rho` of a quaternion.
 
     An orientation that violates a row of the task counts as colliding.
@@ -84,7 +84,7 @@ def tool(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quatern
     return cell._replace(collides=cell.collides | (turn > rho + ROUNDING_RAD))
 
 
-def arm(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, cube, half) -> arm_exclusion.Cell:
+def cell_bounds(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, cube, half) -> arm_exclusion.CellBounds:
     """Return the `Cell` of a box of the joints before the wrist.
 
     The box is a cube in coordinates in which -1 to 1 is each joint's range; the range of a hinge is one revolution at
@@ -106,11 +106,11 @@ def arm(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, cube, ha
     return arm_exclusion.arm_cell(scene, lane, lane.margin_m, place, x, turns)
 
 
-TOOL, ARM = lane_kernels.Kernel("tool", tool, MANY), lane_kernels.Kernel("arm", arm, MANY)
+TOOL, ARM = lane_kernels.LaneFunction("tool", tool, MANY), lane_kernels.LaneFunction("arm", cell_bounds, MANY)
 
 
 def tool_cells(
-    kernels: Kernels, inputs: lane_inputs.LaneInputs, resolution_rad: float, most: int, before_wrist: int = 0
+    executor: Executor, inputs: lane_inputs.LaneInputs, resolution_rad: float, most: int, before_wrist: int = 0
 ) -> Cells:
     """Return the cells in which the tool may be clear, for n targets.
 
@@ -118,18 +118,18 @@ def tool_cells(
     ones are returned. A target without any cell has no configuration that keeps the margin.
 
     Args:
-        kernels: Compiled functions of the scene.
+        executor: Compiled functions of the scene.
         inputs: The lanes' inputs, one row per target.
         resolution_rad: Radius of a cell below which it is not halved.
         most: Maximum number of cells in either cover at a target.
         before_wrist: Number of joints in the second cover; 0: none.
     """
     lanes = len(inputs.row)
-    covers = [_whole(lanes, FACES, 3)] + ([_whole(lanes, 1, before_wrist)] if before_wrist else [])
+    covers = [_complete_cover(lanes, FACES, 3)] + ([_complete_cover(lanes, 1, before_wrist)] if before_wrist else [])
     going, done = np.ones(lanes, bool), []
     while going.any():
         turn = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)
-        halved = [_halved(kernels, number, inputs, cells, turn) for number, cells in enumerate(covers)]
+        halved = [_halved_cells(executor, number, inputs, cells, turn) for number, cells in enumerate(covers)]
         halved = [tables.gather(own, _meets(own, other)) for own, other in zip(halved, halved[::-1], strict=True)]
         left = np.array([np.bincount(cells.lane, minlength=lanes) for cells in halved])
         too_many = (left > most).any(axis=0)
@@ -143,22 +143,22 @@ def tool_cells(
     return tables.gather(found, np.argsort(found.lane, kind="stable"))
 
 
-def excluded(kernels: Kernels, robot: Robot, inputs: lane_inputs.LaneInputs, most: int) -> Bool[np.ndarray, "n"]:
+def excluded(executor: Executor, robot: Robot, inputs: lane_inputs.LaneInputs, most: int) -> Bool[np.ndarray, "n"]:
     """Return True for each of n targets that is proven to have no configuration that keeps the margin.
 
     Args:
-        kernels: Compiled functions of the scene.
+        executor: Compiled functions of the scene.
         robot: The arm.
         inputs: The lanes' inputs, one row per target.
         most: Maximum number of cells in either cover at a target.
     """
     left = tool_cells(
-        kernels, inputs, 0.0, most, len(robot.slides) - arm_exclusion.WRIST if arm_exclusion.has_wrist(robot) else 0
+        executor, inputs, 0.0, most, len(robot.slides) - arm_exclusion.WRIST if arm_exclusion.has_wrist(robot) else 0
     )
     return ~np.isin(np.arange(len(inputs.row)), left.lane)
 
 
-def _whole(lanes: int, faces: int, numbers: int) -> Cells:
+def _complete_cover(lanes: int, faces: int, numbers: int) -> Cells:
     """Return a complete cover, in which the wrist's position is unbounded."""
     lane, face = np.repeat(np.arange(lanes), faces), np.tile(np.arange(faces), lanes)
     n = len(lane)
@@ -172,16 +172,16 @@ def _largest(cells: Cells, column: np.ndarray, lanes: int) -> np.ndarray:
     return largest
 
 
-def _halved(
-    kernels: Kernels, number: int, inputs: lane_inputs.LaneInputs, cells: Cells, turn: Int[np.ndarray, "lanes"]
+def _halved_cells(
+    executor: Executor, number: int, inputs: lane_inputs.LaneInputs, cells: Cells, turn: Int[np.ndarray, "lanes"]
 ) -> Cells:
     """Return a cover after halving the cells of the targets with `turn` equal to `number`, without colliding halves."""
     now = turn[cells.lane] == number
     fresh = tables.gather(cells, now).halves()
     if not len(fresh.lane):
         return cells
-    kernel, where = (ARM, (fresh.cube, fresh.half)) if number else (TOOL, (fresh.quaternion, fresh.radius_rad))
-    found = kernels(kernel, tables.gather(inputs, fresh.lane), *where)
+    lane_function, where = (ARM, (fresh.cube, fresh.half)) if number else (TOOL, (fresh.quaternion, fresh.radius_rad))
+    found = executor(lane_function, tables.gather(inputs, fresh.lane), *where)
     fresh = tables.gather(fresh._replace(wrist=found.wrist, moves=found.moves), ~found.collides)
     return tables.concatenate([tables.gather(cells, ~now), fresh])
 

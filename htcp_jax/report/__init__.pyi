@@ -1,7 +1,7 @@
 from . import chapter, charts, gate, tables, timing, validation
 from .document import Column, Table
 from .place_pictures import draw_search
-from .report import make_report, record, write_report
+from .report import make_report, report_record, write_report
 
 __all__ = [
     "Column",
@@ -11,7 +11,7 @@ __all__ = [
     "draw_search",
     "gate",
     "make_report",
-    "record",
+    "report_record",
     "tables",
     "timing",
     "validation",

@@ -13,7 +13,7 @@ RANKED = (
 )
 
 
-def best(part: Part) -> Table:
+def best_scenarios(part: Part) -> Table:
     """Table of up to BEST scenarios per method, with the parameters that vary.
 
     Most executable targets come first, then largest minimum clearance, then least joint motion.
@@ -57,7 +57,7 @@ def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
 
     Args:
         part: The part of the run.
-        table: The table, see `best`.
+        table: The table, see `best_scenarios`.
         prefix: Start of the picture's name.
     """
     found = [(rows[0], method) for method in part.plans if (rows := ranked(part, method))]

@@ -18,7 +18,7 @@ from htcp_jax.viewer import draw_cell
 from htcp_jax.viewer import replay as recordings
 
 
-class RunScene:
+class OpenedScene:
     """Scene of one run.
 
     Args:
@@ -28,7 +28,7 @@ class RunScene:
 
     def __init__(self, run: Run, plans: Mapping[str, Plans]):
         self._run, self._plans = run, plans
-        self._in_the_way: dict[str, dict[int, Obstruction]] = {}
+        self._colliding_bodies: dict[str, dict[int, Obstruction]] = {}
 
     @cached_property
     def _opened(self) -> tuple[recordings.Replays | None, str]:
@@ -44,12 +44,12 @@ class RunScene:
         """Reason why there is no scene; empty if there is one."""
         return self._opened[1]
 
-    def in_the_way(self, method: str) -> dict[int, Obstruction]:
+    def colliding_bodies(self, method: str) -> dict[int, Obstruction]:
         """Colliding bodies in the scenarios that a method failed, by their numbers."""
         replays, _ = self._opened
-        if method not in self._in_the_way:
-            self._in_the_way[method] = {} if replays is None else replays.obstructions(method)
-        return self._in_the_way[method]
+        if method not in self._colliding_bodies:
+            self._colliding_bodies[method] = {} if replays is None else replays.obstructions(method)
+        return self._colliding_bodies[method]
 
     def picture(self, number: int, method: str, title: str) -> Figure | None:
         """Draw the arm in the workpiece of a scenario; None if there is no scene.

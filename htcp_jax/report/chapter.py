@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from htcp_jax.jobs import PlanConfig, config_file, examples, load_config
 from htcp_jax.motion import Plans
 from htcp_jax.report import charts, paper, tables
-from htcp_jax.report.best import best, best_of_all
+from htcp_jax.report.best import best_of_all, best_scenarios
 from htcp_jax.report.document import Block, Heading, Picture, Table
 from htcp_jax.report.groups import Part
-from htcp_jax.report.motions import meaning, motions
+from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.timing import timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
-from htcp_jax.status import Way
+from htcp_jax.status import SegmentStatus
 
 MOST_SLICES = 9  # maps in a row
 UNITS = "rad", "m"
@@ -32,12 +32,12 @@ BUILT_IN = {config_file.BUILT_IN_ARM: "GP50", config_file.DUCT: "the generated d
 TABLES = (
     tables.results,
     tables.paper,
-    best,
-    tables.reachability,
-    motions,
+    best_scenarios,
+    tables.reachability_table,
+    motion_table,
     tables.motion_ends,
     timing,
-    tables.stops,
+    tables.stop_table,
     tables.steps,
     tables.times,
     tables.scenarios,
@@ -59,12 +59,12 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         level: Level of the headings.
     """
     return [
-        *facts(part),
+        *part_facts(part),
         Heading(level, "Results"),
         made["results"],
         *_notes_on_results(part),
         *_next_to_the_paper(part, made["paper"], level + 1),
-        *_reachability(part, made["reachability"]),
+        *_reachability_blocks(part, made["reachability"]),
         Picture(f"{prefix}success", _success(part, made), f"Success of each method on {part.name}"),
         *_maps(part, prefix),
         Heading(level, "Best scenarios"),
@@ -75,12 +75,12 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         *_motion_ends(made["motion-ends"]),
         *timing_section(part, made["timing"], prefix, level, label),
         Heading(level, "Failures"),
-        *_ends(part, made["stops"], prefix),
+        *_end_blocks(part, made["stops"], prefix),
         Heading(level, "Clearance and joint motion"),
-        _clearance(part, prefix),
+        _clearance_picture(part, prefix),
         made["joint-steps"],
         BLOCKED,
-        *_motion(part, prefix),
+        *_motion_pictures(part, prefix),
         *validation_section(part.validation, part.run_labels, level),
         Heading(level, "Time"),
         f"For the complete run, on {_device(part)}.",
@@ -88,11 +88,11 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
     ]
 
 
-def facts(part: Part) -> list[str]:
+def part_facts(part: Part) -> list[str]:
     """Describe the part: scenarios, robot, workpiece, configuration."""
     manifest = part.run.manifest
     grid = " x ".join(f"{len(values)}" for values in part.axes.values())
-    varied = ", ".join(f"{label(name).split(' [')[0]}{_range(name, values)}" for name, values in part.axes.items())
+    varied = ", ".join(f"{label(name).split(' [')[0]}{_axis_range(name, values)}" for name, values in part.axes.items())
     full = len(part.axes) > 1 and math.prod(map(len, part.axes.values())) == len(part.numbers)
     over = f", a grid of {grid} over {varied}" if full else f" over {varied}" if part.axes else ""
     lines = [f"{len(part.numbers):,} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
@@ -113,7 +113,7 @@ def facts(part: Part) -> list[str]:
     return lines
 
 
-def _range(name: str, values: np.ndarray) -> str:
+def _axis_range(name: str, values: np.ndarray) -> str:
     """First and last value of an axis, with its unit; angles in degrees, too."""
     unit = name.rpartition("_")[2]
     if unit not in UNITS or values.dtype.kind not in "if":  # texts and lists
@@ -130,10 +130,10 @@ def choice(part: Part) -> str:
     """
     ran = part.run.config
     if not fits_presets(part):
-        differ = tables.differences(ran, PlanConfig())
+        differ = tables.config_differences(ran, PlanConfig())
         own = ", ".join(f"{key} {value}" for key, value in differ.items() if key.startswith("settings."))
         return f"margin {1e3 * ran.margin_m:g} mm, {own or 'settings as they are by default'}"
-    differ = {name: tables.differences(ran, preset) for name, preset in presets().items()}
+    differ = {name: tables.config_differences(ran, preset) for name, preset in presets().items()}
     nearest = min(differ, key=lambda name: len(differ[name]))
     text = ", ".join(f"{key} {value}" for key, value in differ[nearest].items())
     return f"{nearest}, apart from {text}" if text else nearest
@@ -157,7 +157,7 @@ def label(name: str) -> str:
     stem, _, unit = name.rpartition("_")
     if unit not in UNITS:
         return name
-    text = stem.replace("rotation_", "workpiece about ").replace("shift_", "workpiece along ").replace("_", " ")
+    text = stem.replace("rotation_", "rotation ").replace("shift_", "workpiece along ").replace("_", " ")
     return f"{re.sub(r'(?<=[a-z])(?=[0-9])', ' ', text)} [{unit}]"
 
 
@@ -180,8 +180,8 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     They are a line for one axis, maps for two, slices for three, else maps of means; and a line for every parameter of
     the task.
     """
-    counts = {method: _or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
-    open_ = {method: _or_nan(plans, plans.outcomes.executable) for method, plans in part.plans.items()}
+    counts = {method: _count_or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
+    open_ = {method: _count_or_nan(plans, plans.outcomes.executable) for method, plans in part.plans.items()}
     names = list(part.axes)
     axes = {name: charts.Axis(label(name), values.tolist()) for name, values in part.axes.items()}
     alt = "Tracked targets of every scenario over the grid, by method"
@@ -189,13 +189,13 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     def over(*chosen):
         return {method: part.cells(values, chosen) for method, values in counts.items()}
 
-    def ways(*chosen):
+    def executable_of(*chosen):
         return {method: part.cells(values, chosen) for method, values in open_.items()}
 
     def means(*chosen):
         note = "Mean over the other axes."
         given = over(*chosen), *(axes[name] for name in chosen), part.targets
-        figure = charts.success_map(*given, executable=ways(*chosen), note=note)
+        figure = charts.success_map(*given, executable=executable_of(*chosen), note=note)
         return Picture(f"{prefix}map-{'-'.join(str(names.index(name) + 1) for name in chosen)}", figure, alt)
 
     def line(name):
@@ -203,9 +203,9 @@ def _maps(part: Part, prefix: str) -> list[Block]:
         known = part.reachability
         beside = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
         if len(names) == 1:
-            return Picture(f"{prefix}map", charts.success_line(*given, executable=ways(name), **beside), alt)
+            return Picture(f"{prefix}map", charts.success_line(*given, executable=executable_of(name), **beside), alt)
         beside["title"] = f"Success over {axes[name].label}, means over the other axes"
-        figure = charts.success_line(*given, executable=ways(name), **beside)
+        figure = charts.success_line(*given, executable=executable_of(name), **beside)
         return Picture(f"{prefix}along-{name.replace('.', '-')}", figure, alt)
 
     if not names:
@@ -214,15 +214,15 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     if len(names) == 1:
         return along or [line(names[0])]
     elif len(names) == 2:
-        figure = charts.success_map(over(*names), *axes.values(), part.targets, executable=ways(*names))
+        figure = charts.success_map(over(*names), *axes.values(), part.targets, executable=executable_of(*names))
     elif len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
-        figure = charts.success_slices(over(*names), *axes.values(), part.targets, executable=ways(*names))
+        figure = charts.success_slices(over(*names), *axes.values(), part.targets, executable=executable_of(*names))
     else:
         return [*along, means(*names[:2]), *([means(*names[-2:])] if len(names) > 3 else [])]
     return [*along, Picture(f"{prefix}map", figure, alt)]
 
 
-def _ends(part: Part, table: Table, prefix: str) -> list[Block]:
+def _end_blocks(part: Part, table: Table, prefix: str) -> list[Block]:
     statuses = {method: plans.status for method, plans in part.plans.items()}
     figure = charts.survival(statuses, reachability=part.reachability)
     survival = Picture(f"{prefix}survival", figure, "Number of scenarios that track each target, by method")
@@ -243,18 +243,18 @@ def _motion_ends(table: Table) -> list[Block]:
     """Reasons why tracked targets are not executable; empty if all of them are."""
     if not table.rows:
         return []
-    shown = [way for way in Way if any(row["reason"] == way.words for row in table.records())]
-    meaning = "; ".join(f"{way.words}: {way.message}" for way in shown)
+    shown = [status for status in SegmentStatus if any(row["reason"] == status.words for row in table.records())]
+    meaning = "; ".join(f"{status.words}: {status.message}" for status in shown)
     text = "Why tracked targets are not executable: the motion ends at one of them, and those behind it count with it"
     return [table, f"{text}. {meaning[0].upper()}{meaning[1:]}."]
 
 
-def _clearance(part: Part, prefix: str) -> Picture:
+def _clearance_picture(part: Part, prefix: str) -> Picture:
     figure = charts.clearance_along({method: plans.clearance for method, plans in part.plans.items()})
     return Picture(f"{prefix}clearance", figure, "Clearance along the path: median, band and smallest, by method")
 
 
-def _motion(part: Part, prefix: str) -> list[Picture]:
+def _motion_pictures(part: Part, prefix: str) -> list[Picture]:
     names, units = zip(*(joint.rsplit("_", 1) for joint in part.joints), strict=True)
     steps = charts.joint_motion({method: plans.joint_step for method, plans in part.plans.items()})
     x = {method: plans.x for method, plans in part.plans.items()}
@@ -271,7 +271,8 @@ def _notes_on_results(part: Part) -> list[str]:
     return [
         *([sampled] if names else []),
         "Executable are the targets to which a proven motion leads: from the start that was given, the arm clear all "
-        "along and the tool on its path. What lies beyond cannot be driven as it is planned. " + _unchecked(part),
+        "along and the tool on its path. What lies beyond cannot be driven as it is planned. "
+        + _unchecked_sentence(part),
         "Means and the minimum clearance are over the tracked targets: a method that gets further also passes "
         "narrower places. Time is run time by attempted targets, over the complete run.",
     ]
@@ -286,28 +287,29 @@ def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
         table,
         f"Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time per step: run time by attempted "
         "targets. TCP distance: mean over the tracked targets. Safe distance: here the mean of D over the tracked "
-        "targets. The paper does not say over what it averages, and leaves the start posture and the workpiece's pose "
+        "targets. The paper does not say over what it averages, and leaves the start configuration and the "
+        "workpiece's pose "
         "open; docs/reproduction.md compares other definitions.",
     ]
 
 
-def _unchecked(part: Part) -> str:
+def _unchecked_sentence(part: Part) -> str:
     """Sentence with the number of joint paths that were not checked; empty if there are none."""
     count = sum(int((plans.tracked & (plans.path_clear < 0)).sum()) for plans in part.plans.values())
     return f"Of {count:,} steps the joint path was not checked; they count as clear." if count else ""
 
 
-def _reachability(part: Part, table: Table) -> list[Block]:
+def _reachability_blocks(part: Part, table: Table) -> list[Block]:
     if part.reachability is None:
         return []
     what = (
         "Reachable are the targets in a row for which a search found any clear configuration: a lower bound. "
         "Not excluded are those that are not proven to have none: an upper bound."
     )
-    return [table, " ".join([what, *_beaten(part)])]
+    return [table, " ".join([what, *_beaten_sentences(part)])]
 
 
-def _beaten(part: Part) -> list[str]:
+def _beaten_sentences(part: Part) -> list[str]:
     """Sentence on the scenarios in which a planner got further than the search."""
     beaten = []
     for method, plans in part.plans.items():
@@ -319,7 +321,7 @@ def _beaten(part: Part) -> list[str]:
     return [f"Got further than the search: {'; '.join(beaten)}."] if beaten else []
 
 
-def _or_nan(plans: Plans, count: np.ndarray) -> np.ndarray:
+def _count_or_nan(plans: Plans, count: np.ndarray) -> np.ndarray:
     """Count of each scenario; NaN if it is not planned."""
     return np.where(plans.outcomes.planned, count, np.nan)
 

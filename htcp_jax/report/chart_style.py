@@ -127,7 +127,7 @@ def name_lines(axes: Axes, ends: Mapping[str, float], x: float | int, form: str)
         form: The format of the values, such as "{:.0f}".
     """
     low, high = axes.get_ylim()
-    heights = spread({method: (end - low) / (high - low) for method, end in ends.items()}, 0.062)
+    heights = spread_labels({method: (end - low) / (high - low) for method, end in ends.items()}, 0.062)
     for method, height in heights.items():
         axes.annotate(
             f"{method}  {form.format(ends[method])}",
@@ -142,7 +142,7 @@ def name_lines(axes: Axes, ends: Mapping[str, float], x: float | int, form: str)
         )
 
 
-def spread(heights: Mapping[str, float], gap: float) -> dict[str, float]:
+def spread_labels(heights: Mapping[str, float], gap: float) -> dict[str, float]:
     """Move the heights apart to at least `gap`, in their order, within 0 and 1 if they fit."""
     order = sorted(heights, key=lambda name: heights[name])
     placed = {}
@@ -161,9 +161,9 @@ def decimal(axis) -> None:
     """Format a logarithmic axis with plain numbers, and powers of ten where these get long."""
     axis.set_major_locator(LogLocator(numticks=8))
     axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(_number))
+    axis.set_major_formatter(FuncFormatter(_tick_text))
 
 
-def _number(value: float, _position: int) -> str:
+def _tick_text(value: float, _position: int) -> str:
     power = round(math.log10(value))
     return f"{value:g}" if power >= -3 else f"$10^{{{power}}}$"

@@ -116,7 +116,7 @@ def write_csv(file: Path, table: Table) -> None:
     writer.writerow([column.key for column in table.columns])
     for row in table.rows:
         writer.writerow(["" if unknown(cell) else cell for cell in row])
-    files.write(file.parent, file.name, stream.getvalue().encode())
+    files.write_atomically(file.parent, file.name, stream.getvalue().encode())
 
 
 def png(figure: Figure) -> bytes:

@@ -45,33 +45,33 @@ CHANGED = (
 )
 
 
-def junit(verdict: gate.Verdict) -> str:
+def junit(verdict: gate.GateVerdict) -> str:
     """Return JUnit XML with one test case per method and check; skipped if there is no value to compare."""
     checks = verdict.checks
     failed, skipped = sum(bool(check.failures) for check in checks), sum(not check.compared for check in checks)
     counts = {"tests": len(checks), "failures": failed, "errors": 0, "skipped": skipped}
-    root = _element(None, "testsuites", name="htcp gate", **counts)
-    suite = _element(root, "testsuite", name=verdict.sweep, **counts)
-    properties = _element(suite, "properties")
+    root = _xml_element(None, "testsuites", name="htcp gate", **counts)
+    suite = _xml_element(root, "testsuite", name=verdict.sweep, **counts)
+    properties = _xml_element(suite, "properties")
     for name, value in _properties(verdict):
-        _element(properties, "property", name=name, value=value)
+        _xml_element(properties, "property", name=name, value=value)
     for check in checks:
-        case = _element(suite, "testcase", classname=f"{verdict.sweep}.{check.method}", name=check.name)
+        case = _xml_element(suite, "testcase", classname=f"{verdict.sweep}.{check.method}", name=check.name)
         if check.failures:
-            failure = _element(case, "failure", type="regression", message="; ".join(check.failures))
+            failure = _xml_element(case, "failure", type="regression", message="; ".join(check.failures))
             failure.text = printable("\n".join((*check.failures, *_scenarios(verdict, check))))
         elif not check.compared:
-            _element(case, "skipped", message="the baseline or the run has nothing to compare")
+            _xml_element(case, "skipped", message="the baseline or the run has nothing to compare")
     ET.indent(root)
     return ET.tostring(root, "utf-8", xml_declaration=True).decode() + "\n"
 
 
-def summary(verdict: gate.Verdict) -> str:
+def gate_summary(verdict: gate.GateVerdict) -> str:
     """Return Markdown for a job summary: counts of each method, figures and scenarios that differ, and failures."""
     return markdown([*_blocks(verdict)])
 
 
-def annotations(verdict: gate.Verdict) -> list[str]:
+def annotations(verdict: gate.GateVerdict) -> list[str]:
     """Return commands of GitHub Actions, with an error for each method that fails."""
     lines: dict[str, list[str]] = {}
     for check in verdict.checks:
@@ -88,12 +88,12 @@ def _escaped(text: str, more: str = "") -> str:
     return re.sub(f"[%\r\n{more}]", lambda found: f"%{ord(found[0]):02X}", printable(text))
 
 
-def _element(parent: ET.Element | None, tag: str, **attributes: str | int) -> ET.Element:
+def _xml_element(parent: ET.Element | None, tag: str, **attributes: str | int) -> ET.Element:
     texts = {name: printable(str(value)) for name, value in attributes.items()}
     return ET.Element(tag, texts) if parent is None else ET.SubElement(parent, tag, texts)
 
 
-def _properties(verdict: gate.Verdict) -> Iterator[tuple[str, str]]:
+def _properties(verdict: gate.GateVerdict) -> Iterator[tuple[str, str]]:
     for name, origin in named_origins(verdict):
         yield f"{name}.commit", origin.commit or "unknown"
         yield f"{name}.device", str(origin.device)
@@ -101,30 +101,30 @@ def _properties(verdict: gate.Verdict) -> Iterator[tuple[str, str]]:
             yield f"{name}.{package}", version or "unknown"
 
 
-def named_origins(verdict: gate.Verdict) -> list[tuple[str, gate.Origin]]:
+def named_origins(verdict: gate.GateVerdict) -> list[tuple[str, gate.Origin]]:
     """Origins of the baseline and of each part of the run, by name."""
     parts = [f"run part {number}" for number in range(1, len(verdict.run) + 1)]
     return [("baseline", verdict.baseline), *zip(parts if parts[1:] else ["run"], verdict.run, strict=False)]
 
 
-def _scenarios(verdict: gate.Verdict, check: gate.Check) -> list[str]:
+def _scenarios(verdict: gate.GateVerdict, check: gate.GateCheck) -> list[str]:
     return [str(one) for one in verdict.changed if check.name == gate.ENDS and one.method == check.method and one.worse]
 
 
-def _blocks(verdict: gate.Verdict) -> Iterator[Block]:
+def _blocks(verdict: gate.GateVerdict) -> Iterator[Block]:
     yield Heading(2, f"htcp gate: {escaped(verdict.sweep)} {'passed' if verdict.passed else 'FAILED'}")
     yield "\n".join(f"- {name}: {escaped(str(origin))}" for name, origin in named_origins(verdict))
     if verdict.elsewhere:
         yield "On another device or with other versions than the baseline: `allow.elsewhere` holds."
     counts = tuple(tuple(_count(row, column.key) for column in COUNTS) for row in verdict.rows)
     yield Table("counts", COUNTS, counts, "Tracked targets")
-    if differing := tuple(line for row in verdict.rows for line in _differences(row)):
+    if differing := tuple(line for row in verdict.rows for line in _shown_differences(row)):
         yield Table("figures", DIFFERENCES, differing, "Other figures that changed")
     for title, lines in (("Failures", verdict.failures), ("Better", verdict.improvements)):
         if lines:
             yield f"**{title}**"
             yield "\n".join(f"- {escaped(line)}" for line in lines[:LISTED])
-            yield from _more(lines)
+            yield from _and_more(lines)
     if verdict.changed:
         rows = (
             (one.method, one.label, was := one.was.tracked, now := one.now.tracked, now - was, one.target, one.reason)
@@ -132,21 +132,21 @@ def _blocks(verdict: gate.Verdict) -> Iterator[Block]:
         )
         title = f"{labels.counted(len(verdict.changed), 'scenario')} that changed, in tracked targets"
         yield Table("changed", CHANGED, tuple(rows), title)
-        yield from _more(verdict.changed)
+        yield from _and_more(verdict.changed)
 
 
-def _more(listed: tuple) -> Iterator[str]:
+def _and_more(listed: tuple) -> Iterator[str]:
     if len(listed) > LISTED:
         yield f"and {len(listed) - LISTED:,} more"
 
 
-def _count(row: gate.Row, key: str) -> str | int | None:
+def _count(row: gate.GateRow, key: str) -> str | int | None:
     if key == "difference":
         return None if row.tracked is None else row.tracked - row.was_tracked
     return getattr(row, key)
 
 
-def _differences(row: gate.Row) -> Iterator[tuple[str, str, str, str, str]]:
+def _shown_differences(row: gate.GateRow) -> Iterator[tuple[str, str, str, str, str]]:
     """Figures of a method that differ as displayed."""
     for key, name, unit, form in FIGURES:
         column = Column(key, name, unit, form)

@@ -19,13 +19,13 @@ from htcp_jax.runs import labels as label_words
 
 @runtime_checkable
 class SceneOfRun(Protocol):
-    """Interface to a run's robot and workpiece, see `cell.RunScene`."""
+    """Interface to a run's robot and workpiece, see `cell.OpenedScene`."""
 
     @property
     def problem(self) -> str:
         """Reason why there is no scene; empty if there is one."""
 
-    def in_the_way(self, method: str) -> dict[int, Any]:
+    def colliding_bodies(self, method: str) -> dict[int, Any]:
         """Colliding bodies in the scenarios that a method failed, by their numbers."""
 
     def picture(self, number: int, method: str, title: str) -> Figure | None:
@@ -80,7 +80,7 @@ class Part:
         return dict(zip(self.numbers.tolist(), texts, strict=True))
 
     @cached_property
-    def paper_table(self) -> paper.Table | None:
+    def paper_table(self) -> paper.PaperTable | None:
         """The paper's table of the same grid about the same start, if there is one."""
         middle = [np.median(self.parameters[f"start_{joint}"]) for joint in self.joints]
         if len(middle) != len(paper.START) or not np.allclose(middle, paper.START) or self.targets != paper.TARGETS:
@@ -121,7 +121,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
     longest = max(each.status.shape[1] for each in plans.values())
     plans = {method: each.widened(longest) for method, each in plans.items()}
     parameters = {name: label_words.column_of(table[name]) for name in label_words.parameter_names(table)}
-    motions = {method: _motions(run, method) for method in methods}
+    motions = {method: _figures_of_method(run, method) for method in methods}
     timing = {method: run.timing(method) for method in methods}
     numbers, reachability = table["scenario"].to_numpy(), reachability_file.read_reachability(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
@@ -148,7 +148,9 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 motions={
                     method: motion.MotionFigures(*(c[numbers[here]] for c in each)) for method, each in motions.items()
                 },
-                timing={m: each and _rows(each.rows, numbers[here]) for m, each in timing.items() if m in own},
+                timing={
+                    m: each and _rows_of_scenarios(each.rows, numbers[here]) for m, each in timing.items() if m in own
+                },
                 reachability=None if reachability is None else reachability.prefix[numbers[here]],
                 not_excluded=None if reachability is None else reachability.most[numbers[here]],
                 **shared,
@@ -157,12 +159,12 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
     return parts
 
 
-def _rows(rows: pa.Table, numbers: np.ndarray) -> pa.Table:
+def _rows_of_scenarios(rows: pa.Table, numbers: np.ndarray) -> pa.Table:
     """Select the rows of some scenarios."""
     return rows.filter(pa.array(np.isin(rows["scenario"].to_numpy(), numbers)))
 
 
-def _motions(run: Run, method: str) -> motion.MotionFigures:
+def _figures_of_method(run: Run, method: str) -> motion.MotionFigures:
     """Figures of a method's motions, row s of scenario s."""
     table = run.scenarios(method)
     found = np.full((len(motion.MotionFigures._fields), run.manifest.count), np.nan)

@@ -29,10 +29,10 @@ MEANING = (
 )
 
 
-def motions(part: Part) -> Table:
+def motion_table(part: Part) -> Table:
     """Return executable targets, dwells, cost, largest joint step and curvature of every method."""
     common = common_scenarios(part)
-    rows = [_row(part, method, common) for method in part.plans]
+    rows = [_motion_row(part, method, common) for method in part.plans]
     return Table("motions", MOTIONS, tuple(tuple(row[column.key] for column in MOTIONS) for row in rows))
 
 
@@ -45,12 +45,12 @@ def meaning(part: Part) -> str:
 
 def common_scenarios(part: Part) -> np.ndarray:
     """Mask (S,) of the scenarios in which every method's motion leads to the last target."""
-    return np.logical_and.reduce([_whole(part, method) for method in part.plans])
+    return np.logical_and.reduce([_can_be_driven(part, method) for method in part.plans])
 
 
-def _row(part: Part, method: str, common: np.ndarray) -> dict:
+def _motion_row(part: Part, method: str, common: np.ndarray) -> dict:
     ends, found = part.plans[method].outcomes, part.motions[method]
-    known, whole = ~np.isnan(found.dwells), _whole(part, method)
+    known, whole = ~np.isnan(found.dwells), _can_be_driven(part, method)
     return {
         "method": method,
         "tracked": int(ends.tracked.sum()),
@@ -58,15 +58,15 @@ def _row(part: Part, method: str, common: np.ndarray) -> dict:
         "whole": int(whole.sum()),
         "dwells": int(found.dwells[known].sum()) if known.any() else None,
         "dwelling": int((found.dwells[known] > 0).sum()) if known.any() else None,
-        "cost_median_rad2": _over(np.median, found.motion_cost_rad2[whole]),
-        "cost_common_rad2": _over(_geometric_mean, found.motion_cost_rad2[common]),
-        "path_step_max_rad": _over(np.max, found.path_step_max_rad),
-        "curvature_median_rad_m2": _over(np.median, found.curvature_max_rad_m2),
-        "curvature_max_rad_m2": _over(np.max, found.curvature_max_rad_m2),
+        "cost_median_rad2": _reduced(np.median, found.motion_cost_rad2[whole]),
+        "cost_common_rad2": _reduced(_geometric_mean, found.motion_cost_rad2[common]),
+        "path_step_max_rad": _reduced(np.max, found.path_step_max_rad),
+        "curvature_median_rad_m2": _reduced(np.median, found.curvature_max_rad_m2),
+        "curvature_max_rad_m2": _reduced(np.max, found.curvature_max_rad_m2),
     }
 
 
-def _whole(part: Part, method: str) -> np.ndarray:
+def _can_be_driven(part: Part, method: str) -> np.ndarray:
     return part.plans[method].outcomes.can_be_driven
 
 
@@ -74,7 +74,7 @@ def _geometric_mean(values: np.ndarray) -> float:
     return float(np.exp(np.log(values).mean())) if (values > 0).all() else 0.0
 
 
-def _over(reduce, values: np.ndarray) -> float:
+def _reduced(reduce, values: np.ndarray) -> float:
     """Reduce the known values; NaN if there are none."""
     known = values[~np.isnan(values)]
     return float(reduce(known)) if known.size else math.nan

@@ -13,7 +13,7 @@ TARGETS = 105  # of one scenario
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # middle of the starts, our reading of the paper, which does not state it
 
 
-class Figures(NamedTuple):
+class PaperRow(NamedTuple):
     """Row of a table of the paper."""
 
     success_percent: float
@@ -22,7 +22,7 @@ class Figures(NamedTuple):
     safe_distance_mm: float  # "closest distance between robot and obstacle": minimum or mean, the paper does not say
 
 
-class Table(NamedTuple):
+class PaperTable(NamedTuple):
     """Table of the paper: a sweep planned by six methods, under our names."""
 
     number: int
@@ -30,7 +30,7 @@ class Table(NamedTuple):
     scenarios: int
     grid: tuple[str, ...]  # varied parameters, as in `groups.Part.axes` for a robot with these joints
     offsets: tuple[float, ...]  # the same on every axis, about its middle value
-    rows: dict[str, Figures]
+    rows: dict[str, PaperRow]
 
     @property
     def source(self) -> str:
@@ -50,34 +50,34 @@ class Table(NamedTuple):
         return round(self.rows[method].success_percent / 100 * self.scenarios * TARGETS)
 
 
-ROBOT = Table(
+ROBOT = PaperTable(
     1,
-    "125 start postures",
+    "125 start configurations",
     125,
     ("start_joint3_rad", "start_joint4_rad", "start_joint5_rad"),
     (-0.2, -0.1, 0.0, 0.1, 0.2),
     {
-        "baseline": Figures(66.95, 0.4281, 0.4474, 0.1561),
-        "cspace-sample": Figures(68.50, 0.4697, 0.4510, 0.1572),
-        "nspace-sample": Figures(70.85, 0.5266, 0.4494, 0.4622),
-        "nspace-sqp": Figures(99.84, 0.4142, 0.4450, 0.6309),
-        "nspace-ip": Figures(99.71, 0.4145, 0.4385, 0.7028),
-        "nspace-cmaes": Figures(100.0, 0.6745, 0.4533, 0.8200),
+        "baseline": PaperRow(66.95, 0.4281, 0.4474, 0.1561),
+        "cspace-sample": PaperRow(68.50, 0.4697, 0.4510, 0.1572),
+        "nspace-sample": PaperRow(70.85, 0.5266, 0.4494, 0.4622),
+        "nspace-sqp": PaperRow(99.84, 0.4142, 0.4450, 0.6309),
+        "nspace-ip": PaperRow(99.71, 0.4145, 0.4385, 0.7028),
+        "nspace-cmaes": PaperRow(100.0, 0.6745, 0.4533, 0.8200),
     },
 )
 
-WORKPIECE = Table(
+WORKPIECE = PaperTable(
     2,
     "49 workpiece poses",
     49,
     ("rotation_y_rad", "rotation_z_rad"),
     (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3),
     {
-        "baseline": Figures(39.16, 0.2789, 0.4831, 12.0973),
-        "cspace-sample": Figures(49.93, 0.5740, 0.4668, 4.6684),
-        "nspace-sample": Figures(50.11, 1.1377, 0.4557, 4.1437),
-        "nspace-sqp": Figures(70.73, 0.8583, 0.4207, 4.3668),
-        "nspace-ip": Figures(76.87, 1.0240, 0.3986, 1.7241),
-        "nspace-cmaes": Figures(62.22, 3.2577, 0.4287, 7.5280),
+        "baseline": PaperRow(39.16, 0.2789, 0.4831, 12.0973),
+        "cspace-sample": PaperRow(49.93, 0.5740, 0.4668, 4.6684),
+        "nspace-sample": PaperRow(50.11, 1.1377, 0.4557, 4.1437),
+        "nspace-sqp": PaperRow(70.73, 0.8583, 0.4207, 4.3668),
+        "nspace-ip": PaperRow(76.87, 1.0240, 0.3986, 1.7241),
+        "nspace-cmaes": PaperRow(62.22, 3.2577, 0.4287, 7.5280),
     },
 )

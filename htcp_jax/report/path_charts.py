@@ -27,7 +27,7 @@ from htcp_jax.status import Status
 REASONS = {
     Status.QP_INFEASIBLE: ("#e69f00", "s"),
     Status.ITERATION_LIMIT: ("#0072b2", "o"),
-    Status.ESCAPE_EXHAUSTED: ("#d55e00", "D"),
+    Status.RECOVERY_EXHAUSTED: ("#d55e00", "D"),
     Status.PATH_BLOCKED: ("#aa4499", "^"),
     Status.QP_FAILED: ("#000000", "X"),
     Status.START_IN_COLLISION: ("#7f7f7f", "*"),

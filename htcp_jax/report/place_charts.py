@@ -18,9 +18,9 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from htcp_jax.report.chart_style import INK, PAPER, QUIET, new_figure, plain_axes
-from htcp_jax.report.place_tables import Parameter, Searched
+from htcp_jax.report.place_tables import SearchTable, ShownParameter
 
-SPARE = LinearSegmentedColormap.from_list("spare", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
+SPARE = LinearSegmentedColormap.from_list("objective", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
 SPARE = SPARE.with_extremes(bad=SPARE(0.6))  # for unknown values, such as the cycle time without a motion
 SHARE = LinearSegmentedColormap.from_list("share", ["#dfe3e6", "#c3cad0", "#6f7c88"])
 NEARLY, LOST, RANK = "#e69f00", "#b9c0c6", "#c2185b"
@@ -41,7 +41,7 @@ class Ending(NamedTuple):
     colour: str | tuple
 
 
-def place_map(found: Searched, in_the_way: Mapping[str, int] | None = None) -> Figure:
+def place_map(found: SearchTable, colliding_bodies: Mapping[str, int] | None = None) -> Figure:
     """Draw every planned mounting over every pair of parameters, or of the first eight.
 
     Complete and nearly complete mountings are marked, for all others the reason of failure. The ranked ones are
@@ -49,7 +49,7 @@ def place_map(found: Searched, in_the_way: Mapping[str, int] | None = None) -> F
 
     Args:
         found: The search.
-        in_the_way: Colliding bodies, with their counts in a sample of the failed mountings.
+        colliding_bodies: Colliding bodies, with their counts in a sample of the failed mountings.
     """
     shown = found.parameters[:MOST_PARAMETERS]
     d, m = len(shown), max(1, min(len(shown), MOST_PARAMETERS) - 1)
@@ -61,40 +61,40 @@ def place_map(found: Searched, in_the_way: Mapping[str, int] | None = None) -> F
         for column in range(row + 1):
             axes = figure.add_subplot(grid[row, column])
             _panel(axes, found, column, row + 1 if d > 1 else None)
-            _axis(axes, shown[column], shown[row + 1] if d > 1 else None, row == m - 1, column == 0, ticks)
-    _beside(figure, grid[0, 1] if m == 1 else grid[:half, half:], found, in_the_way)
+            _label_axis(axes, shown[column], shown[row + 1] if d > 1 else None, row == m - 1, column == 0, ticks)
+    _draw_lists(figure, grid[0, 1] if m == 1 else grid[:half, half:], found, colliding_bodies)
     return figure
 
 
-def place_front(found: Searched) -> Figure:
+def place_pareto_front(found: SearchTable) -> Figure:
     """Draw the ranked mountings by two objectives, numbered, and the Pareto front."""
     note = "Numbers: the rank. Line: the Pareto front. Tails: the worst case when perturbed by up to "
-    figure = new_figure(5.2, f"Two objectives: {found.name}", f"{note}{found.disturbed}.")
+    figure = new_figure(5.2, f"Two objectives: {found.name}", f"{note}{found.perturbed}.")
     axes = figure.subplots()
-    x, y = found.spare.T
-    for start, end in zip(found.spare, found.off, strict=True):
+    x, y = found.objective.T
+    for start, end in zip(found.objective, found.worst, strict=True):
         if np.isfinite(end).all():
             axes.plot([start[0], end[0]], [start[1], end[1]], color=LOST, linewidth=1.2, alpha=0.7, zorder=1)
-    axes.scatter(x[~found.front], y[~found.front], color=LOST, s=46, zorder=3)
-    order = np.flatnonzero(found.front)[np.argsort(x[found.front], kind="stable")]
+    axes.scatter(x[~found.pareto_front], y[~found.pareto_front], color=LOST, s=46, zorder=3)
+    order = np.flatnonzero(found.pareto_front)[np.argsort(x[found.pareto_front], kind="stable")]
     axes.plot(x[order], y[order], color=RANK, linewidth=1.5, marker="o", markersize=7, zorder=4)
-    for number, at in enumerate(found.spare, 1):
-        bold = "bold" if found.front[number - 1] else "normal"
+    for number, at in enumerate(found.objective, 1):
+        bold = "bold" if found.pareto_front[number - 1] else "normal"
         axes.annotate(str(number), at, (6, 5), textcoords="offset points", color=INK, fontsize=9, fontweight=bold)
-    axes.set(xlabel=found.aim(0), ylabel=found.aim(1))
+    axes.set(xlabel=found.objective_name(0), ylabel=found.objective_name(1))
     plain_axes(axes, grid="both")
     return figure
 
 
-def _note(found: Searched) -> str:
-    told = f"{len(found.values):,} mountings. Incomplete ones are the darker, the more targets are executable."
+def _note(found: SearchTable) -> str:
+    reported = f"{len(found.values):,} mountings. Incomplete ones are the darker, the more targets are executable."
     if len(found.ranked):
-        told += " Ringed: proven motions; number: the rank."
+        reported += " Ringed: proven motions; number: the rank."
     more = len(found.parameters) - MOST_PARAMETERS
-    return told if more <= 0 else f"{told} {more} more parameters."
+    return reported if more <= 0 else f"{reported} {more} more parameters."
 
 
-def _panel(axes: Axes, found: Searched, column: int, row: int | None) -> None:
+def _panel(axes: Axes, found: SearchTable, column: int, row: int | None) -> None:
     """Draw the mountings over two parameters; over one, the share of the targets replaces the other."""
     points = found.values[:, [column, column if row is None else row]].copy()
     ranked = found.ranked[:, [column, column if row is None else row]].copy()
@@ -111,10 +111,10 @@ def _panel(axes: Axes, found: Searched, column: int, row: int | None) -> None:
     look = {"c": found.left[order, 0], "cmap": SPARE, "norm": _norm(found), "plotnonfinite": True}
     axes.scatter(*points[order].T, **look, s=size, linewidths=0, zorder=3)
     axes.scatter(*ranked.T, facecolors="none", edgecolors=RANK, s=2.2 * size + 8, linewidths=1.0, zorder=4)
-    _number(axes, ranked, points)
+    _number_ranks(axes, ranked, points)
 
 
-def _number(axes: Axes, ranked: Float[np.ndarray, "r 2"], points: Float[np.ndarray, "n 2"]) -> None:
+def _number_ranks(axes: Axes, ranked: Float[np.ndarray, "r 2"], points: Float[np.ndarray, "n 2"]) -> None:
     """Number the first ranks, except those that would cover a better one's."""
     low, high = points.min(axis=0), points.max(axis=0)
     width = np.where(high > low, high - low, 1.0)
@@ -128,7 +128,9 @@ def _number(axes: Axes, ranked: Float[np.ndarray, "r 2"], points: Float[np.ndarr
             text.set_path_effects([withStroke(linewidth=2.5, foreground=PAPER)])
 
 
-def _axis(axes: Axes, below: Parameter, left: Parameter | None, lowest: bool, first: bool, ticks: int) -> None:
+def _label_axis(
+    axes: Axes, below: ShownParameter, left: ShownParameter | None, lowest: bool, first: bool, ticks: int
+) -> None:
     plain_axes(axes, grid="both")
     axes.tick_params(labelsize=8.5, colors=QUIET, labelbottom=lowest, labelleft=first)
     for axis in (axes.xaxis, axes.yaxis):
@@ -140,21 +142,23 @@ def _axis(axes: Axes, below: Parameter, left: Parameter | None, lowest: bool, fi
     axes.set_ylabel(("targets [%]" if left is None else left.label) if first else "")
 
 
-def _beside(figure: Figure, place: SubplotSpec, found: Searched, in_the_way: Mapping[str, int] | None) -> None:
+def _draw_lists(
+    figure: Figure, place: SubplotSpec, found: SearchTable, colliding_bodies: Mapping[str, int] | None
+) -> None:
     """Draw the counts of results, of complete seams and of colliding bodies, and the colour scale."""
-    lists = {"mountings": _ends(found)}
+    lists = {"mountings": _result_counts(found)}
     if len(found.seams) > 1:
         lists["each seam alone"] = [Ending(name, count, "s", SPARE(0.6)) for name, count in found.seams.items()]
-    if in_the_way:
-        told = f"colliding, in {sum(in_the_way.values())} of the lost"
-        lists[told] = [Ending(body, count, "s", LOST) for body, count in in_the_way.items()]
+    if colliding_bodies:
+        reported = f"colliding, in {sum(colliding_bodies.values())} of the lost"
+        lists[reported] = [Ending(body, count, "s", LOST) for body, count in colliding_bodies.items()]
     inner = place.subgridspec(len(lists) + 1, 1, height_ratios=(*(len(each) + 0.6 for each in lists.values()), 0.35))
     for number, (head, endings) in enumerate(lists.items()):
-        _bars(figure.add_subplot(inner[number]), head, endings)
-    _scale(figure, figure.add_subplot(inner[len(lists)]), found)
+        _draw_bars(figure.add_subplot(inner[number]), head, endings)
+    _draw_scale(figure, figure.add_subplot(inner[len(lists)]), found)
 
 
-def _scale(figure: Figure, axes: Axes, found: Searched) -> None:
+def _draw_scale(figure: Figure, axes: Axes, found: SearchTable) -> None:
     """Draw the colour scale: of the objective if any mounting is complete, else of the share of the targets."""
     works = found.complete.any()
     if works and not np.isfinite(found.left[:, 0]).any():
@@ -164,10 +168,10 @@ def _scale(figure: Figure, axes: Axes, found: Searched) -> None:
     bar = figure.colorbar(colours, cax=axes, orientation="horizontal")
     bar.outline.set_visible(False)
     axes.tick_params(colors=QUIET, labelsize=8.5, length=0)
-    axes.set_xlabel(found.aim(0) if works else "targets [%]", color=QUIET, fontsize=9)
+    axes.set_xlabel(found.objective_name(0) if works else "targets [%]", color=QUIET, fontsize=9)
 
 
-def _bars(axes: Axes, head: str, endings: Sequence[Ending]) -> None:
+def _draw_bars(axes: Axes, head: str, endings: Sequence[Ending]) -> None:
     largest = max(1, *(each.count for each in endings))
     for y, (_, count, mark, colour) in enumerate(endings):
         axes.barh(y, count, height=0.6, color=colour, linewidth=0)
@@ -181,7 +185,7 @@ def _bars(axes: Axes, head: str, endings: Sequence[Ending]) -> None:
     axes.tick_params(colors=INK, labelsize=8.5, length=0, pad=16)
 
 
-def _ends(found: Searched) -> list[Ending]:
+def _result_counts(found: SearchTable) -> list[Ending]:
     """Counts of complete and of nearly complete mountings, and of the failed by reason."""
     nearly = _nearly(found)
     ends = [Ending("everything works", int(found.complete.sum()), "o", SPARE(0.6))]
@@ -190,17 +194,17 @@ def _ends(found: Searched) -> list[Ending]:
     return ends + [Ending(words, counts[words], mark, LOST) for words, mark in _marks(found).items() if counts[words]]
 
 
-def _marks(found: Searched) -> dict[str, str]:
+def _marks(found: SearchTable) -> dict[str, str]:
     """A marker for each reason of failure, the most frequent first; the rare ones share the last."""
     reasons = [words for words, _ in Counter(filter(None, found.lost)).most_common()]
     return {words: MARKS[min(k, len(MARKS) - 1)] for k, words in enumerate(reasons)}
 
 
-def _nearly(found: Searched) -> Bool[np.ndarray, "n"]:
+def _nearly(found: SearchTable) -> Bool[np.ndarray, "n"]:
     return ~found.complete & (found.done >= NEAR)
 
 
-def _norm(found: Searched) -> Normalize:
+def _norm(found: SearchTable) -> Normalize:
     known = found.left[found.complete, 0]
     known = known[np.isfinite(known)]
     return Normalize(known.min(), known.max()) if known.size else Normalize(0, 1)

@@ -1,4 +1,4 @@
-"""Pictures of a search, drawn into its folder: map.png, front.png for two objectives, the best as best-1.png.
+"""Pictures of a search, drawn into its folder: map.png, pareto_front.png for two objectives, the best as best-1.png.
 
 draw_search("out/duct")
 """
@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 
 from htcp_jax.io import files
 from htcp_jax.placement import mounting
-from htcp_jax.report.cell import RunScene
+from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.chart_style import INK
 from htcp_jax.report.document import png
-from htcp_jax.report.place_charts import place_front, place_map
-from htcp_jax.report.place_tables import Searched, read_search
+from htcp_jax.report.place_charts import place_map, place_pareto_front
+from htcp_jax.report.place_tables import SearchTable, read_search
 from htcp_jax.runs import Run, open_run
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.viewer import replay
@@ -33,14 +33,14 @@ def draw_search(folder: str | Path) -> list[Path]:
     """
     folder = Path(folder)
     found = read_search(folder)
-    figures = {"map": place_map(found, in_the_way(folder, found))}
-    if len(found.aims) > 1 and len(found.ranked):
-        figures["front"] = place_front(found)
-    figures |= {f"best-{rank}": figure for rank, figure in best(folder, found).items()}
-    return [_saved(folder / f"{name}.png", figure) for name, figure in figures.items()]
+    figures = {"map": place_map(found, colliding_bodies(folder, found))}
+    if len(found.objectives) > 1 and len(found.ranked):
+        figures["pareto_front"] = place_pareto_front(found)
+    figures |= {f"best-{rank}": figure for rank, figure in best_pictures(folder, found).items()}
+    return [_save_figure(folder / f"{name}.png", figure) for name, figure in figures.items()]
 
 
-def best(folder: Path, found: Searched) -> dict[int, Figure]:
+def best_pictures(folder: Path, found: SearchTable) -> dict[int, Figure]:
     """Draw the first mountings, each at the seam with the least guaranteed clearance.
 
     Returns:
@@ -51,11 +51,11 @@ def best(folder: Path, found: Searched) -> dict[int, Figure]:
     run = open_run(folder / plan_sets.MOTIONS)
     (method,) = run.methods
     plans, k = run.plans(method), len(found.seams)
-    scene, figures = RunScene(run, {method: plans}), {}
-    way = np.where(plans.executable, plans.way_clearance, np.inf).min(axis=1)
+    scene, figures = OpenedScene(run, {method: plans}), {}
+    clearance = np.where(plans.executable, plans.segment_clearance, np.inf).min(axis=1)
     for rank in range(1, min(BEST, len(found.ranked)) + 1):
         seams = range((rank - 1) * k, rank * k)
-        number = min(seams, key=lambda scenario: float(way[scenario]))
+        number = min(seams, key=lambda scenario: float(clearance[scenario]))
         figure = scene.picture(number, method, _title(found, rank, list(found.seams)[number - seams.start]))
         if figure is not None:
             figure.supxlabel(_given(found, rank), color=INK, fontsize=12, x=0.015, ha="left")
@@ -63,7 +63,7 @@ def best(folder: Path, found: Searched) -> dict[int, Figure]:
     return figures
 
 
-def in_the_way(folder: Path, found: Searched) -> dict[str, int]:
+def colliding_bodies(folder: Path, found: SearchTable) -> dict[str, int]:
     """Colliding bodies in an even sample of the failed mountings, with their counts, the most frequent first."""
     lost = np.flatnonzero(~found.complete)
     picked = lost[np.linspace(0, len(lost) - 1, min(SAMPLE, len(lost))).round().astype(int)]
@@ -88,21 +88,21 @@ def _blocking(run: Run, mountings: Int[np.ndarray, "m"], k: int) -> list[str]:
     return [each.cause("no body collides") for each in found.values()]
 
 
-def _title(found: Searched, rank: int, seam: str) -> str:
+def _title(found: SearchTable, rank: int, seam: str) -> str:
     left = [
-        f"{name} {spare:.3g} {mounting.UNITS[name][0]}" + (f", {off:.3g} perturbed" if np.isfinite(off) else "")
-        for name, spare, off in zip(found.aims, found.spare[rank - 1], found.off[rank - 1], strict=True)
+        f"{name} {objective:.3g} {mounting.UNITS[name][0]}" + (f", {off:.3g} perturbed" if np.isfinite(off) else "")
+        for name, objective, off in zip(found.objectives, found.objective[rank - 1], found.worst[rank - 1], strict=True)
     ]
     if np.isfinite(found.margin[rank - 1]):
         left.append(f"margin {found.margin[rank - 1]:.3g} mm")
     return f"Rank {rank}: {'; '.join(left)}" + (f"; at the seam {seam}" if len(found.seams) > 1 else "")
 
 
-def _given(found: Searched, rank: int) -> str:
+def _given(found: SearchTable, rank: int) -> str:
     values = found.ranked[rank - 1].tolist()
     return ",  ".join(f"{one.name} {v:.4g} {one.unit}".strip() for one, v in zip(found.parameters, values, strict=True))
 
 
-def _saved(file: Path, figure: Figure) -> Path:
-    files.write(file.parent, file.name, png(figure))
+def _save_figure(file: Path, figure: Figure) -> Path:
+    files.write_atomically(file.parent, file.name, png(figure))
     return file

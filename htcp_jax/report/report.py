@@ -16,11 +16,11 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import files
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.planning import registry
-from htcp_jax.report.cell import RunScene
+from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, literal, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
-from htcp_jax.report.tables import configuration
+from htcp_jax.report.tables import configuration_table
 from htcp_jax.report.validation import validated
 from htcp_jax.runs import Run, open_run
 from htcp_jax.runs import tables as run_tables
@@ -51,7 +51,7 @@ class Report(NamedTuple):
         names = [each.name for each in self.tables]
         if table not in names:
             raise InputError(f"the report has no table {table!r}; valid: {', '.join(names)}")
-        return run_tables.frame_of(pa.Table.from_pylist(self.tables[names.index(table)].records()))
+        return run_tables.table_frame(pa.Table.from_pylist(self.tables[names.index(table)].records()))
 
     def __repr__(self) -> str:
         parts, tables = (", ".join(each.name for each in group) for group in (self.parts, self.tables))
@@ -66,8 +66,8 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     """
     listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
     opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
-    names = _numbered([_name(given) for given in listed])
-    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name, RunScene)]
+    names = _numbered([_run_name(given) for given in listed])
+    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name, OpenedScene)]
     made = tuple(tables_of(part) for part in parts)
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:
@@ -78,21 +78,21 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     else:
         blocks += chapter(parts[0], made[0], "", 2)
     blocks += _appendix(parts)
-    return Report(tuple(parts), made, tuple(blocks), tuple(_merged(parts, made)))
+    return Report(tuple(parts), made, tuple(blocks), tuple(_concatenated_tables(parts, made)))
 
 
 def write_report(report: Report, folder: Path) -> None:
     """Write report.md with its pictures, report.html with everything in one file, and one CSV file per table."""
     pictures = {block.name: png(block.figure) for block in report.blocks if isinstance(block, Picture)}
     for name, data in pictures.items():
-        files.write(folder, f"{name}.png", data)
-    files.write(folder, "report.md", markdown(list(map(literal, report.blocks))).encode())
-    files.write(folder, "report.html", html(report.blocks, pictures).encode())
+        files.write_atomically(folder, f"{name}.png", data)
+    files.write_atomically(folder, "report.md", markdown(list(map(literal, report.blocks))).encode())
+    files.write_atomically(folder, "report.html", html(report.blocks, pictures).encode())
     for table in report.tables:
         write_csv(folder / f"{table.name}.csv", table)
 
 
-def record(report: Report) -> dict:
+def report_record(report: Report) -> dict:
     """Return the report as a mapping for JSON: the runs, and all tables except the long one of scenarios."""
     return {
         "runs": [
@@ -146,11 +146,11 @@ def _compared(ran: dict[str, PlanConfig], beside: dict[str, PlanConfig]) -> list
     others = f" and {', '.join(beside)}" if beside else ""
     return [
         f"Keys of the configuration in which the runs{others} are not all the same.",
-        configuration(ran, beside),
+        configuration_table(ran, beside),
     ]
 
 
-def _merged(parts: Sequence[Part], made: Sequence[dict[str, Table]]) -> list[Table]:
+def _concatenated_tables(parts: Sequence[Part], made: Sequence[dict[str, Table]]) -> list[Table]:
     """Concatenate the tables of all parts, with the part in the first column."""
     merged = []
     for name in made[0]:
@@ -178,7 +178,7 @@ def _provenance(run: Run) -> str:
     return "; ".join(facts) + "."
 
 
-def _name(run: Run | str | Path) -> str:
+def _run_name(run: Run | str | Path) -> str:
     """Name of a run: its sweep's, or its folder's."""
     return run.manifest.name if isinstance(run, Run) else Path(run).resolve().name
 

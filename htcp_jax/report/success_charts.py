@@ -111,12 +111,12 @@ def success_map(
     figure = new_figure(down * (side + 0.4) + 1.3, title, f"{_counted(tracked, shown, targets)} {note}".strip())
     panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     for axes, method in zip(panels.flat, tracked, strict=False):
-        image = _map(axes, shown[method], tracked[method], rows, columns, targets)
-        share = _shares(shown[method], tracked[method], targets)
+        image = _draw_map(axes, shown[method], tracked[method], rows, columns, targets)
+        share = _percent_pair(shown[method], tracked[method], targets)
         heading(axes, method if len(share) < 10 else f"{method}\n", share)  # two shares take a line of their own
     blank_the_rest(panels, len(tracked))
     outer_labels(panels, len(tracked), columns.label, rows.label)
-    _scale(figure, image, panels, targets, _cut(tracked, shown))
+    _draw_colour_bar(figure, image, panels, targets, _has_not_executable(tracked, shown))
     return figure
 
 
@@ -153,11 +153,11 @@ def success_slices(
         axes.set_title(f"{stem} = {name} {unit.rstrip(']')}".strip(), color=QUIET, fontsize=10)
     for line, (method, cube) in zip(panels, tracked.items(), strict=True):
         for axes, layer, whole in zip(line, shown[method], cube, strict=True):
-            image = _map(axes, layer, whole, rows, columns, targets)
-        share = _shares(shown[method], cube, targets)
+            image = _draw_map(axes, layer, whole, rows, columns, targets)
+        share = _percent_pair(shown[method], cube, targets)
         line[0].set_ylabel(f"{method}\n{share}", color=INK, fontweight="bold", fontsize=10)
     figure.supxlabel(f"across: {columns.label};  down: {rows.label}", color=QUIET, fontsize=10)
-    _scale(figure, image, panels, targets, _cut(tracked, shown))
+    _draw_colour_bar(figure, image, panels, targets, _has_not_executable(tracked, shown))
     return figure
 
 
@@ -184,7 +184,11 @@ def success_line(
         note: More text for the note below it.
     """
     shown = tracked if executable is None else executable
-    lines = "" if not _cut(tracked, shown) else "Line: executable, by a proven motion from the start; faint: tracked."
+    lines = (
+        ""
+        if not _has_not_executable(tracked, shown)
+        else "Line: executable, by a proven motion from the start; faint: tracked."
+    )
     figure = new_figure(
         4.2, title, " ".join(filter(None, (f"Tracked targets of {targets}.", lines, note, *_dashed(reachability))))
     )
@@ -209,7 +213,7 @@ def success_line(
     return figure
 
 
-def _map(
+def _draw_map(
     axes: Axes,
     values: Float[np.ndarray, "R C"],
     whole: Float[np.ndarray, "R C"],
@@ -223,7 +227,7 @@ def _map(
         if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
             style = {"color": PAPER if value > 0.82 * targets else INK, "ha": "center", "va": "center", "fontsize": 8}
             more = whole[row, column]
-            text = _brief(value) if more == value else f"{_brief(value)}\n({_brief(more)})"
+            text = _short_number(value) if more == value else f"{_short_number(value)}\n({_short_number(more)})"
             style["fontsize"] = 8 if more == value else 7
             axes.annotate(text, (column, row), fontweight="bold" if value == targets else "normal", **style)
     frame_map(axes, rows, columns)
@@ -249,7 +253,7 @@ def frame_map(axes: Axes, rows: Axis, columns: Axis) -> None:
     axes.spines[:].set_visible(False)
 
 
-def _scale(figure: Figure, image, panels, targets: int, cut: bool) -> None:
+def _draw_colour_bar(figure: Figure, image, panels, targets: int, cut: bool) -> None:
     bar = figure.colorbar(image, ax=panels, fraction=0.02, pad=0.015, aspect=30)
     bar.outline.set_visible(False)
     bar.set_ticks(sorted({round(part * targets) for part in (0, 0.25, 0.5, 0.75, 1)}))
@@ -257,28 +261,28 @@ def _scale(figure: Figure, image, panels, targets: int, cut: bool) -> None:
     bar.ax.tick_params(colors=QUIET, labelsize=9, length=0)
 
 
-def _brief(value: float) -> str:
+def _short_number(value: float) -> str:
     return f"{value:.0f}" if value == round(value) else f"{value:.1f}"
 
 
-def _cut(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray]) -> bool:
+def _has_not_executable(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray]) -> bool:
     """True if tracked targets of any scenario are not executable."""
     return any(not np.array_equal(tracked[method], shown[method], equal_nan=True) for method in tracked)
 
 
 def _counted(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray], targets: int) -> str:
-    if not _cut(tracked, shown):
+    if not _has_not_executable(tracked, shown):
         return f"Tracked targets of {targets}."
     return f"Targets of {targets} that a proven motion leads to; in brackets all that are tracked."
 
 
-def _shares(shown: np.ndarray, tracked: np.ndarray, targets: int) -> str:
+def _percent_pair(shown: np.ndarray, tracked: np.ndarray, targets: int) -> str:
     if np.array_equal(shown, tracked, equal_nan=True):
-        return _share(tracked, targets)
-    return f"{_share(shown, targets)} ({_share(tracked, targets)})"
+        return _mean_percent(tracked, targets)
+    return f"{_mean_percent(shown, targets)} ({_mean_percent(tracked, targets)})"
 
 
-def _share(values: Float[np.ndarray, "*n"], targets: int) -> str:
+def _mean_percent(values: Float[np.ndarray, "*n"], targets: int) -> str:
     """Mean in percent over the planned scenarios."""
     known = values[np.isfinite(values)]
     return f"{100 * known.mean() / targets:.2f} %" if known.size else "not planned"

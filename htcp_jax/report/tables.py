@@ -16,7 +16,7 @@ from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.runs import summary, timing_file
-from htcp_jax.status import Status, Way
+from htcp_jax.status import SegmentStatus, Status
 
 RESULTS = (
     Column("method", "method"),
@@ -62,7 +62,7 @@ STEPS = (
     Column("scenarios_blocked", "with a blocked step", "scenarios", ",d"),
     Column("tracked_before", "tracked before it", "targets", ",d"),
     Column("tracked_before_percent", "of all", "%", ".2f"),
-    Column("after_escape", "after escape", "targets", ",d"),
+    Column("after_recovery", "after recovery", "targets", ",d"),
     Column("step_median_rad", "median step", "rad", ".4f"),
     Column("step_max_rad", "longest", "rad", ".3f"),
 )
@@ -73,7 +73,7 @@ STOPS = (
     Column("first_target", "first", "target", "d"),
     Column("median_target", "median", "target", ".0f"),
     Column("last_target", "last", "target", "d"),
-    Column("in_the_way", "colliding body (how often)"),
+    Column("colliding_body", "colliding body (how often)"),
     Column("targets", "at targets (how many)"),
 )
 MOTION_ENDS = (
@@ -92,7 +92,7 @@ TIMES = (
 
 def results(part: Part) -> Table:
     """Table of the results: counts and percentages, time per step, TCP distance and clearance."""
-    return without_empty(_table("results", RESULTS, [_result(part, method) for method in part.plans]))
+    return without_empty(_table_of_rows("results", RESULTS, [_result(part, method) for method in part.plans]))
 
 
 def paper(part: Part) -> Table:
@@ -111,7 +111,7 @@ def paper(part: Part) -> Table:
         for method, theirs in table.rows.items()
         if method in part.plans
     ]
-    return _table("paper", PAPER, rows)
+    return _table_of_rows("paper", PAPER, rows)
 
 
 def _result(part: Part, method: str) -> dict:
@@ -128,16 +128,16 @@ def _result(part: Part, method: str) -> dict:
         "complete": int(ends.complete.sum()),
         "scenarios": int(ends.planned.sum()),
         "step_ms": 1e3 * part.step_s[method],
-        "tcp_distance_mean_mm": _over(np.mean, 1e3 * plans.residual[good]),
+        "tcp_distance_mean_mm": _reduced_values(np.mean, 1e3 * plans.residual[good]),
         "orientation_error_mean_deg": float(angle.mean())
         if (angle := summary.orientation_errors_deg(plans)).size
         else None,
-        "clearance_min_mm": _over(np.min, 1e3 * plans.clearance[good]),
-        "clearance_mean_mm": _over(np.mean, 1e3 * plans.clearance[good]),
+        "clearance_min_mm": _reduced_values(np.min, 1e3 * plans.clearance[good]),
+        "clearance_mean_mm": _reduced_values(np.mean, 1e3 * plans.clearance[good]),
     }
 
 
-def reachability(part: Part) -> Table:
+def reachability_table(part: Part) -> Table:
     """Table of tracked and reachable targets; no rows if reachability is unknown."""
     rows = []
     for method, plans in part.plans.items() if part.reachability is not None else ():
@@ -154,12 +154,12 @@ def reachability(part: Part) -> Table:
                 "beyond": int((count > reachable).sum()),
             }
         )
-    return _table("reachability", REACHABILITY, rows)
+    return _table_of_rows("reachability", REACHABILITY, rows)
 
 
 def steps(part: Part) -> Table:
     """Table of the accepted steps: blocked joint paths, and lengths."""
-    return _table("joint-steps", STEPS, [_step(part, method) for method in part.plans])
+    return _table_of_rows("joint-steps", STEPS, [_step(part, method) for method in part.plans])
 
 
 def _step(part: Part, method: str) -> dict:
@@ -175,13 +175,13 @@ def _step(part: Part, method: str) -> dict:
         "scenarios_blocked": int(blocked.any(axis=1).sum()),
         "tracked_before": before,
         "tracked_before_percent": percent(before, ends.targets.sum()),
-        "after_escape": int((plans.status == Status.TRACKED_AFTER_ESCAPE).sum()),
-        "step_median_rad": _over(np.median, plans.joint_step[good]),
-        "step_max_rad": _over(np.max, plans.joint_step[good]),
+        "after_recovery": int((plans.status == Status.TRACKED_AFTER_RECOVERY).sum()),
+        "step_median_rad": _reduced_values(np.median, plans.joint_step[good]),
+        "step_max_rad": _reduced_values(np.max, plans.joint_step[good]),
     }
 
 
-def stops(part: Part) -> Table:
+def stop_table(part: Part) -> Table:
     """Table of the reasons of the failed scenarios, with their targets and the colliding bodies there."""
     rows = []
     for method, plans in part.plans.items():
@@ -197,21 +197,21 @@ def stops(part: Part) -> Table:
                     "first_target": int(at.min()),
                     "median_target": float(np.median(at)),
                     "last_target": int(at.max()),
-                    "in_the_way": _bodies(part, method, reason, part.numbers[lost].tolist()),
+                    "colliding_body": _colliding_bodies(part, method, reason, part.numbers[lost].tolist()),
                     "targets": _tally(at),
                 }
             )
-    return without_empty(_table("stops", STOPS, rows))
+    return without_empty(_table_of_rows("stops", STOPS, rows))
 
 
-def _bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
+def _colliding_bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
     """Colliding bodies in some scenarios, the most frequent first; None if unknown.
 
     Scenarios in which no body collides are listed with the reason that ended the search.
     """
     if reason == Status.TIP_BLOCKED:
         return f"bare tip ({len(numbers)})"
-    found = [known for k in numbers if (known := part.scene.in_the_way(method).get(k)) is not None]
+    found = [known for k in numbers if (known := part.scene.colliding_bodies(method).get(k)) is not None]
     counts = Counter(each.cause(f"none: {reason.ended}") for each in found)
     return ", ".join(f"{body} ({count})" for body, count in counts.most_common()) or None
 
@@ -225,12 +225,12 @@ def motion_ends(part: Part) -> Table:
     for method, plans in part.plans.items():
         ends = plans.outcomes
         lost = ends.tracked - ends.executable
-        for way in map(Way, np.unique(ends.way[lost > 0]).tolist()):
-            here = (lost > 0) & (ends.way == way)
+        for segment_status in map(SegmentStatus, np.unique(ends.segment_status[lost > 0]).tolist()):
+            here = (lost > 0) & (ends.segment_status == segment_status)
             at = float(np.median(ends.executable[here]))
             counts = {"scenarios": int(here.sum()), "median_target": at, "targets": int(lost[here].sum())}
-            rows.append({"method": method, "reason": way.words, **counts})
-    return _table("motion-ends", MOTION_ENDS, rows)
+            rows.append({"method": method, "reason": segment_status.words, **counts})
+    return _table_of_rows("motion-ends", MOTION_ENDS, rows)
 
 
 def scenarios(part: Part) -> Table:
@@ -240,7 +240,7 @@ def scenarios(part: Part) -> Table:
     columns += [Column("executable", "executable", "", "d")]
     columns += [Column(name, name) for name in motion.MotionFigures._fields]
     columns += [Column(name, name) for name in timing_file.COLUMNS if any(part.timing.values())]
-    columns += [Column("end", "end"), Column("motion_end", "motion ends"), Column("in_the_way", "colliding body")]
+    columns += [Column("end", "end"), Column("motion_end", "motion ends"), Column("colliding_body", "colliding body")]
     columns += [Column("reachable", "reachable", "", "d")]
     times = {method: {row["scenario"]: row for row in rows.to_pylist()} for method, rows in part.timing.items() if rows}
     rows = []
@@ -249,34 +249,34 @@ def scenarios(part: Part) -> Table:
         for method, plans in part.plans.items():
             if (end := plans.outcome(s)).targets:
                 count = {"tracked": end.tracked, "targets": end.targets, "executable": end.executable}
-                blocked = part.scene.in_the_way(method).get(number)
+                blocked = part.scene.colliding_bodies(method).get(number)
                 reachable = None if part.reachability is None else int(part.reachability[s])
                 row = {"scenario": number, **given, "method": method, **count}
                 what = {
                     "end": "complete" if end.status is None else end.status.words,
-                    "motion_end": end.way.words if end.executable < end.tracked else None,
-                    "in_the_way": blocked and blocked.description,
+                    "motion_end": end.segment_status.words if end.executable < end.tracked else None,
+                    "colliding_body": blocked and blocked.description,
                     "reachable": reachable,
                 }
                 figures = {name: values[s].item() for name, values in part.motions[method]._asdict().items()}
                 rows.append({**times.get(method, {}).get(number, {}), **row, **figures, **what})
-    return _table("scenarios", columns, rows)
+    return _table_of_rows("scenarios", columns, rows)
 
 
 def times(part: Part) -> Table:
     """Table of the planning time of the complete run, and of the compilation time, which is not part of it."""
     seconds = {method: (plans.run_s, plans.compile_s) for method, plans in part.plans.items()}
-    return _table("times", TIMES, [{"method": m, "run_s": r, "compile_s": c} for m, (r, c) in seconds.items()])
+    return _table_of_rows("times", TIMES, [{"method": m, "run_s": r, "compile_s": c} for m, (r, c) in seconds.items()])
 
 
-def configuration(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfig]) -> Table:
+def configuration_table(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfig]) -> Table:
     """Table of every key of the configuration in which the runs and the presets differ."""
     flat = {name: _flat(config.model_dump()) for name, config in {**ran, **presets}.items()}
     keys = dict.fromkeys(key for config in flat.values() for key in config)
     differ = [key for key in keys if len({repr(config.get(key)) for config in flat.values()}) > 1]
     columns = [Column("key", "key"), *(Column(name, name, quiet=name in presets) for name in flat)]
-    rows = [{"key": key, **{name: _brief(config.get(key)) for name, config in flat.items()}} for key in differ]
-    return _table("configuration", columns, rows)
+    rows = [{"key": key, **{name: _cell_text(config.get(key)) for name, config in flat.items()}} for key in differ]
+    return _table_of_rows("configuration", columns, rows)
 
 
 NO_REASON = plan_arrays.NO_TARGET, Status.NOT_ATTEMPTED
@@ -298,7 +298,7 @@ def percent(k: int | np.integer, n: int | np.integer) -> float:
     return float(100 * k / n) if n else math.nan
 
 
-def _over(reduce, values: np.ndarray) -> float:
+def _reduced_values(reduce, values: np.ndarray) -> float:
     return float(reduce(values)) if values.size else math.nan
 
 
@@ -314,18 +314,18 @@ def _flat(raw: dict, prefix: str = "") -> dict:
     return flat
 
 
-def _brief(value: Any) -> str:
+def _cell_text(value: Any) -> str:
     """Format a value for a cell; a file by its name only."""
     if isinstance(value, str):
         return Path(value).name
     if isinstance(value, list | tuple):
-        return ", ".join(map(_brief, value))
+        return ", ".join(map(_cell_text, value))
     if isinstance(value, dict):  # a body of a tool
-        return " ".join(map(_brief, value.values()))
+        return " ".join(map(_cell_text, value.values()))
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _table(name: str, columns: Sequence[Column], rows: Sequence[dict]) -> Table:
+def _table_of_rows(name: str, columns: Sequence[Column], rows: Sequence[dict]) -> Table:
     return Table(name, tuple(columns), tuple(tuple(row.get(column.key) for column in columns) for row in rows))
 
 
@@ -336,8 +336,10 @@ def without_empty(table: Table) -> Table:
     return table._replace(columns=tuple(table.columns[k] for k in keep), rows=rows)
 
 
-def differences(config: PlanConfig, other: PlanConfig) -> dict[str, str]:
+def config_differences(config: PlanConfig, other: PlanConfig) -> dict[str, str]:
     """Keys in which `config` differs from `other`, with its values in brief."""
     theirs = _flat(other.model_dump())
     ours = _flat(config.model_dump())
-    return {key: _brief(value) for key, value in ours.items() if key not in theirs or repr(value) != repr(theirs[key])}
+    return {
+        key: _cell_text(value) for key, value in ours.items() if key not in theirs or repr(value) != repr(theirs[key])
+    }

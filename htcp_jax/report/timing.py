@@ -58,17 +58,17 @@ def timing_row(method: str, rows: pa.Table) -> dict:
     """Summarise one method's times; `rows` as in `timing_file`, one per scenario."""
     timed = rows.filter(pa.array(~np.isnan(timing_file.column(rows, "cycle_time_s"))))
     cycle, held = timing_file.column(timed, "cycle_time_s"), timing_file.column(timed, "feed_held_share")
-    most = {name: 100 * _over(np.max, timed, f"{name}_share") for name in SHARES}
+    most = {name: 100 * _reduced_column(np.max, timed, f"{name}_share") for name in SHARES}
     return {
         "method": method,
         "timed": len(timed),
         "scenarios": len(rows),
-        "cycle_min_s": _over(np.min, timed, "cycle_time_s"),
+        "cycle_min_s": _reduced_column(np.min, timed, "cycle_time_s"),
         "cycle_median_s": float(np.median(cycle)) if len(cycle) else math.nan,
-        "cycle_max_s": _over(np.max, timed, "cycle_time_s"),
+        "cycle_max_s": _reduced_column(np.max, timed, "cycle_time_s"),
         "held": int((held >= timing_file.HELD_OVER).sum()),
-        "held_min_percent": 100 * _over(np.min, timed, "feed_held_share"),
-        "reached_min_mm_s": 1e3 * _over(np.min, timed, "feed_reached_m_s"),
+        "held_min_percent": 100 * _reduced_column(np.min, timed, "feed_held_share"),
+        "reached_min_mm_s": 1e3 * _reduced_column(np.min, timed, "feed_reached_m_s"),
         **{f"{name}_percent": value for name, value in most.items()},
     }
 
@@ -89,12 +89,12 @@ def timing_section(part: Part, made: Table, prefix: str, level: int, label: Call
         Heading(level, "Cycle time and feed"),
         f"Timed at {' and '.join(dict.fromkeys(part.timed_with.values()))}. {MEANING}",
         made,
-        *_reasons(part),
+        *_reason_sentences(part),
         *_charts(part, prefix, label),
     ]
 
 
-def _reasons(part: Part) -> list[str]:
+def _reason_sentences(part: Part) -> list[str]:
     """Sentence with the reasons of feed drops, the most frequent first."""
     reasons: dict[str, int] = {}
     for rows in filter(None, part.timing.values()):
@@ -102,8 +102,8 @@ def _reasons(part: Part) -> list[str]:
             reasons[reason] = reasons.get(reason, 0) + 1
     if not reasons:
         return []
-    told = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
-    return [f"Where the feed is not reached, it is because of {', '.join(f'{name} ({n})' for name, n in told)}."]
+    reported = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
+    return [f"Where the feed is not reached, it is because of {', '.join(f'{name} ({n})' for name, n in reported)}."]
 
 
 def _charts(part: Part, prefix: str, label: Callable[[str], str]) -> list[Picture]:
@@ -140,7 +140,7 @@ def _values(part: Part, name: str) -> dict[str, np.ndarray]:
     return found
 
 
-def _over(reduce, rows: pa.Table, name: str) -> float:
+def _reduced_column(reduce, rows: pa.Table, name: str) -> float:
     values = timing_file.column(rows, name)
     values = values[~np.isnan(values)]
     return float(reduce(values)) if values.size else math.nan

@@ -79,9 +79,9 @@ def over_map(
     side = min(WIDTH / across - 0.5, 0.6 * len(columns.values) + 0.7) * len(rows.values) / len(columns.values)
     figure = new_figure(down * (side + 0.4) + 1.3, measure.title, f"{measure.note} {note}".strip())
     panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    scale = _scale(values, measure)
+    scale = _colour_scale(values, measure)
     for axes, (method, own) in zip(panels.flat, values.items(), strict=False):
-        image = _map(axes, own, rows, columns, scale, measure)
+        image = _draw_time_map(axes, own, rows, columns, scale, measure)
         mean = own[np.isfinite(own)]
         heading(axes, method, f"mean {measure.form.format(mean.mean())} {measure.unit}" if mean.size else "none timed")
     blank_the_rest(panels, len(values))
@@ -95,7 +95,7 @@ def over_map(
     return figure
 
 
-def _scale(values: Mapping[str, np.ndarray], measure: Measure) -> Normalize:
+def _colour_scale(values: Mapping[str, np.ndarray], measure: Measure) -> Normalize:
     """Colour scale, at least a tenth of the largest number wide, so that small differences have similar colours."""
     if measure.scale is not None:
         return Normalize(*measure.scale)
@@ -103,7 +103,7 @@ def _scale(values: Mapping[str, np.ndarray], measure: Measure) -> Normalize:
     return Normalize(min(known.min(), 0.9 * known.max()), known.max()) if known.size else Normalize(0.0, 1.0)
 
 
-def _map(axes: Axes, values: np.ndarray, rows: Axis, columns: Axis, scale: Normalize, measure: Measure):
+def _draw_time_map(axes: Axes, values: np.ndarray, rows: Axis, columns: Axis, scale: Normalize, measure: Measure):
     image = axes.imshow(values, cmap=TRACKED, norm=scale, aspect="equal")
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:

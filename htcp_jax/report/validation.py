@@ -19,7 +19,7 @@ AT_TARGETS = (
     Column("clearance_less_cover_min_mm", "less cover", "min mm", ".3g"),
     Column("clearance_off_max_mm", "differs from plan", "max mm", ".1e"),
 )
-ON_THE_WAY = (
+BETWEEN_TARGETS = (
     Column("method", "method"),
     Column("paths", "joint paths", "", ",d"),
     Column("paths_touching", "collide", "", ",d"),
@@ -53,7 +53,7 @@ def read_validation(run: Run) -> dict[str, Any] | None:
         found = files.read_json(file, file.parent)
         if found["files"] != run.result_files():
             return None
-        summary(found), validation_tables(found), notes(found)  # raises if a key is missing
+        validation_summary(found), validation_tables(found), notes(found)  # raises if a key is missing
         return found
     except FileNotFoundError:
         return None
@@ -68,7 +68,7 @@ def validated(found: dict[str, Any] | None) -> bool | None:
 
 def verdict(found: dict[str, Any] | None) -> str:
     """Sentence on a validation, see `read_validation`, or on its absence."""
-    return "Not validated independently." if found is None else summary(found)
+    return "Not validated independently." if found is None else validation_summary(found)
 
 
 def validation_section(found: dict[str, Any] | None, labels: dict[int, str], level: int) -> list[Block]:
@@ -81,12 +81,12 @@ def validation_section(found: dict[str, Any] | None, labels: dict[int, str], lev
     """
     if found is None:
         return []
-    about = f"By MuJoCo's kinematics and distances alone, for the complete run. {summary(found)}"
+    about = f"By MuJoCo's kinematics and distances alone, for the complete run. {validation_summary(found)}"
     where = scenarios_named(found, labels)
     return [Heading(level, "Validation"), about, *validation_tables(found), *where, *notes(found)]
 
 
-def summary(found: dict[str, Any]) -> str:
+def validation_summary(found: dict[str, Any]) -> str:
     """Sentence on the result of a validation, in the form of validation.json."""
     checks = found["methods"].values()
     checked, touching, paths = (sum(check[k] or 0 for check in checks) for k in ("checked", "paths_touching", "paths"))
@@ -99,12 +99,12 @@ def summary(found: dict[str, Any]) -> str:
 def validation_tables(found: dict[str, Any]) -> tuple[Table, ...]:
     """Tables of a validation by method: at the targets, on the joint paths between them, and of the task's rows."""
     rows = [{"method": method, **check} for method, check in found["methods"].items()]
-    tables = _table("validation", AT_TARGETS, rows), _table("validation-paths", ON_THE_WAY, rows)
+    tables = _filled_table("validation", AT_TARGETS, rows), _filled_table("validation-paths", BETWEEN_TARGETS, rows)
     held = [{"method": check["method"], **row} for check in rows for row in check.get("rows", ())]
-    return (*tables, _table("validation-rows", ROWS, held)) if held else tables
+    return (*tables, _filled_table("validation-rows", ROWS, held)) if held else tables
 
 
-def _table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> Table:
+def _filled_table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> Table:
     def cell(value: Any) -> Any:
         return f"{value[0]}: {value[1]}" if isinstance(value, list | tuple) else value
 

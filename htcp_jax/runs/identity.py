@@ -13,7 +13,6 @@ from htcp_jax.jobs import PlanConfig
 
 # Keys without influence on a run's identity: it lists its methods, may be planned anywhere, and is timed later.
 NO_IDENTITY = "method", "program", "ray"
-NO_CELL = PlanConfig().cell.model_dump(mode="json")
 
 
 def file_hash(file: str | Path) -> str:
@@ -56,7 +55,7 @@ def recorded_config(values: dict, file: Path) -> PlanConfig:
         InputError: For values that are no configuration of this version.
     """
     try:
-        return strict_model.validate(values, PlanConfig, file.name)
+        return strict_model.validate_model(values, PlanConfig, file.name)
     except InputError as error:
         raise other_format(file.parent, str(error).partition(";")[0]) from None
 
@@ -83,8 +82,6 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
         return f"{Path(value).name}, SHA-256 {files[value]}"
 
     config = {key: value for key, value in config.items() if key not in NO_IDENTITY}
-    if plain(config.get("cell")) == NO_CELL:
-        del config["cell"]
     if config.get("task") == []:  # then the tolerance of angles has no effect
         del config["task"]
         config["settings"] = {key: value for key, value in config["settings"].items() if key != "tolerance_rad"}
@@ -102,7 +99,7 @@ def config_hash(same: dict) -> str:
     return hashlib.sha256(json.dumps(same, sort_keys=True).encode()).hexdigest()
 
 
-def differences(there: dict, here: dict) -> list[str]:
+def identity_differences(there: dict, here: dict) -> list[str]:
     """Describe the differences between two identities."""
     a, b = _leaves(there), _leaves(here)
     names = [name for name in a | b if a.get(name) != b.get(name)]

@@ -8,7 +8,7 @@ from htcp_jax.jobs import config_file
 from htcp_jax.runs.identity import file_hash
 
 PARTS = {
-    "robot.model": safe_xml.files_of,
+    "robot.model": safe_xml.model_files,
     "cell.model": cell.files_of_cell,
 }  # functions that find the files to which a model refers
 

@@ -1,4 +1,4 @@
-"""Labels of a run's scenarios by their parameters: `tilt y 0.2 rad, height -0.1 m, tool 0.05 m`.
+"""Labels of a run's scenarios by their parameters: `rotation y 0.2 rad, height -0.1 m, tool 0.05 m`.
 
 Columns of a run's scenario table that are not results are parameters; those that vary form the label.
 """
@@ -14,13 +14,13 @@ from htcp_jax.runs.timing_file import COLUMNS
 
 RESULTS = (
     "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",
-    "after_escape", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad", "executable",
+    "after_recovery", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad", "executable",
     *motion.MotionFigures._fields, *COLUMNS,
 )  # fmt: skip
 SHORT = {
-    "rotation_x": "tilt x",
-    "rotation_y": "tilt y",
-    "rotation_z": "tilt z",
+    "rotation_x": "rotation x",
+    "rotation_y": "rotation y",
+    "rotation_z": "rotation z",
     "shift_x": "x",
     "shift_y": "y",
     "shift_z": "height",
@@ -37,11 +37,11 @@ def labels_of(table: pa.Table) -> dict[int, str]:
     table = table.take(pa.array(first))
     columns = varying({name: column_of(table[name]) for name in parameter_names(table)})
     groups = [f"{group}: " if group else "" for group in table["group"].to_pylist()]
-    told = [", ".join(part(name, values[k]) for name, values in columns.items()) for k in range(len(numbers))]
-    return {int(number): group + text for number, group, text in zip(numbers, groups, told, strict=True)}
+    reported = [", ".join(part(name, values[k]) for name, values in columns.items()) for k in range(len(numbers))]
+    return {int(number): group + text for number, group, text in zip(numbers, groups, reported, strict=True)}
 
 
-def named(number: int, labels: dict[int, str]) -> str:
+def named_scenario(number: int, labels: dict[int, str]) -> str:
     """Return a scenario's number with its label, if any, in brackets."""
     return f"{number} ({labels[number]})" if labels.get(number) else str(number)
 
@@ -66,7 +66,7 @@ def varying(parameters: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def part(name: str, value: Any) -> str:
-    """Return one parameter with its value and unit: `tilt y 0.2 rad`."""
+    """Return one parameter with its value and unit: `rotation y 0.2 rad`."""
     stem, unit = split_unit(name)
     text = f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
     return " ".join(filter(None, (SHORT.get(stem, stem.removeprefix("start_").replace("_", " ")), text, unit)))
@@ -87,13 +87,13 @@ def column_of(column: pa.ChunkedArray) -> np.ndarray:
     return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values
 
 
-def _read_json(told: list) -> list:
+def _read_json(reported: list) -> list:
     try:
-        read = [json.loads(text) for text in told]
+        read = [json.loads(text) for text in reported]
     except (TypeError, ValueError):
-        return told
+        return reported
     kinds = {type(value) for value in read}
-    return read if kinds <= {int, float} or kinds == {str} else told
+    return read if kinds <= {int, float} or kinds == {str} else reported
 
 
 def _determines(these: np.ndarray, those: np.ndarray) -> bool:

@@ -23,7 +23,7 @@ class Shard(NamedTuple):
     span: Span
 
 
-class Planned(NamedTuple):
+class PlannedShard(NamedTuple):
     """A shard's plans with their provenance, see `provenance.planned_by`."""
 
     shard: Shard
@@ -38,7 +38,7 @@ def plan_here(
     targets_in_all: int | None,
     shards: Sequence[Shard],
     report: Callable,
-) -> Iterator[Planned]:
+) -> Iterator[PlannedShard]:
     """Plan the shards one by one.
 
     report(method, batch.Progress of the current shard) is called as a shard advances; an exception in it ends the work.
@@ -49,7 +49,7 @@ def plan_here(
     for shard in shards:
         block = scenarios_of(batch, shard.span)
         plans = plan_cells(batch.cells, *block, shard.method, threads, report, device, targets_in_all)
-        yield Planned(shard, plans, by)
+        yield PlannedShard(shard, plans, by)
 
 
 def scenarios_of(batch: grid.Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
@@ -59,7 +59,7 @@ def scenarios_of(batch: grid.Batch, span: Span) -> tuple[Int[np.ndarray, "S"], S
 
 
 def plan_cells(
-    cells: Sequence[grid.Cell],
+    cells: Sequence[grid.PlannerInputs],
     cell: Int[np.ndarray, "S"],
     scenarios: Scenario,
     method: str,

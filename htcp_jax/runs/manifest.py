@@ -17,7 +17,7 @@ Count = Annotated[int, Field(ge=0, lt=2**53)]
 Scenarios = Annotated[int, Field(ge=0, le=grid_axes.MOST)]
 
 
-class FileRecord(strict_model.Section):
+class FileRecord(strict_model.FileSection):
     """Expected rows, size and checksum of a file."""
 
     rows: Count
@@ -25,7 +25,7 @@ class FileRecord(strict_model.Section):
     sha256: str
 
 
-class ShardRecord(strict_model.Section):
+class ShardRecord(strict_model.FileSection):
     """A finished shard: scenarios `first` to `last` by one method."""
 
     method: MethodName
@@ -39,14 +39,14 @@ class ShardRecord(strict_model.Section):
     scenarios: FileRecord
 
 
-class Seconds(strict_model.Section):
+class Seconds(strict_model.FileSection):
     """Wall time of one method."""
 
     compile_s: float = 0.0
     run_s: float = 0.0
 
 
-class Manifest(strict_model.Section):
+class Manifest(strict_model.FileSection):
     """Content of manifest.json.
 
     Config, grid, dtype and files identify the run; `writer` never mixes two.

@@ -7,7 +7,7 @@ import numpy as np
 
 from htcp_jax.motion import Plans, motion
 from htcp_jax.motion import plans as plan_arrays
-from htcp_jax.status import Kind, Way
+from htcp_jax.status import Kind, SegmentStatus
 
 LEAST_MM = 0.01  # smaller bounds are reported as "more than 0 mm"
 
@@ -37,10 +37,14 @@ class MotionSummary(NamedTuple):
     def _can_be_run(self) -> str:
         end, n = self.end, self.end.executable
         if n == end.targets:
-            sampled = "; a row of the task is sampled on its path, not proven" if end.way == Way.SAMPLED else ""
+            sampled = (
+                "; a row of the task is sampled on its path, not proven"
+                if end.segment_status == SegmentStatus.SAMPLED
+                else ""
+            )
             return f"yes: all {n} targets{sampled}"
         if n < end.tracked:
-            why = f"the segment to target {n} is {end.way.words}"
+            why = f"the segment to target {n} is {end.segment_status.words}"
         else:
             why = f"target {n}: {end.status.ended}"
         return f"no: {f'only the first {n} of {end.targets} targets' if n else f'none of {end.targets} targets'}; {why}"
@@ -54,7 +58,7 @@ class MotionSummary(NamedTuple):
         """Return texts by name: dwells and smoothness; empty if there is no motion."""
         if not self.end.executable:
             return {}
-        turns = f"{len(self.dwells)}, {_at(self.dwells)}" if self.dwells else "none"
+        turns = f"{len(self.dwells)}, {_target_list(self.dwells)}" if self.dwells else "none"
         return {
             "dwells": f"{turns} (changes of configuration while the tool stays at a target)",
             "smoothness": self._smoothness(),
@@ -78,7 +82,7 @@ class MotionSummary(NamedTuple):
         """Return the summary for JSON."""
         end, figures = self.end, self._asdict()
         del figures["end"]
-        return {"executable": end.executable, "way": end.way.name, **figures}
+        return {"executable": end.executable, "segment_status": end.segment_status.name, **figures}
 
 
 def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSummary:
@@ -90,7 +94,7 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
         scenario: Row of the scenario.
     """
     alone = plans.rows([scenario])
-    (found,) = zip(*motion.figures(alone, on_path), strict=True)
+    (found,) = zip(*motion.motion_figures(alone, on_path), strict=True)
     _, cost, step, bend, clearance = map(float, found)
     turning, at = np.flatnonzero(motion.dwells(alone, on_path)[0]), int(motion.tightest(alone)[0][0])
     bent = motion.curvature(alone, on_path)[0]
@@ -110,7 +114,7 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
     )
 
 
-def _at(targets: tuple[int, ...]) -> str:
+def _target_list(targets: tuple[int, ...]) -> str:
     """Format targets as text: at target 3; at targets 3, 7 and 9."""
     *others, last = map(str, targets)
     return f"at targets {', '.join(others)} and {last}" if others else f"at target {last}"

@@ -15,7 +15,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.io import files
 from htcp_jax.jobs import PlanConfig
-from htcp_jax.motion import Knots, Plans
+from htcp_jax.motion import Plans, ViaPoints
 from htcp_jax.runs import parameters
 from htcp_jax.runs.identity import file_hash, recorded_config, refuse_changed
 from htcp_jax.runs.manifest import MANIFEST
@@ -95,9 +95,10 @@ class RankedPlans(RunPlans):
         Raises:
             InputError: For damaged files.
         """
-        told = self.run.labels()
+        reported = self.run.labels()
         return {
-            number: f"rank {number // self._seams + 1}" + (f", {text}" if text else "") for number, text in told.items()
+            number: f"rank {number // self._seams + 1}" + (f", {text}" if text else "")
+            for number, text in reported.items()
         }
 
 
@@ -115,9 +116,9 @@ class FolderPlan:
         self.files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
         joints = record.arrays["x"].shape[-1]
         _check_shapes(folder / TRAJECTORY, record.arrays, joints)
-        knots = _knots(folder / TRAJECTORY, record, joints)
+        via_points = _read_via_points(folder / TRAJECTORY, record, joints)
         arrays = {name: array[None] for name, array in record.arrays.items()}
-        self._plans = Plans(**arrays, knots=knots, compile_s=0.0, run_s=0.0)
+        self._plans = Plans(**arrays, via_points=via_points, compile_s=0.0, run_s=0.0)
 
     def plans(self, method: str) -> Plans:
         """Return the plan's arrays, with a leading axis of length 1; the folder stores no run times."""
@@ -143,7 +144,7 @@ def open_plans(folder: str | Path) -> PlanSet:
         refuse_changed(record.files, folder)
         return FolderPlan(folder, record)
     if (folder / SEARCH).exists():
-        return _ranked(folder)
+        return _open_ranked(folder)
     raise InputError(f"{folder} holds neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
 
 
@@ -176,7 +177,7 @@ def _refuse_unfit(run: Run) -> None:
         raise InputError(f"{run.folder} has no finished shard yet")
 
 
-def _ranked(folder: Path) -> RankedPlans:
+def _open_ranked(folder: Path) -> RankedPlans:
     """Open the plans of a search.
 
     Raises:
@@ -191,16 +192,16 @@ def _ranked(folder: Path) -> RankedPlans:
     return RankedPlans(run, max(1, len(seams)))
 
 
-def _knots(file: Path, record: PlanRecord, joints: int) -> Knots:
+def _read_via_points(file: Path, record: PlanRecord, joints: int) -> ViaPoints:
     """Return a plan's via points.
 
     Raises:
         InputError: For arrays of the wrong shape.
     """
-    target, x = record.knots
+    target, x = record.via_points
     if x.shape != (len(target), joints) or target.dtype.kind not in "iu" or x.dtype.kind != "f":
-        raise InputError(f"{file}: the knots have the shape {x.shape}; damaged")
-    return Knots(np.zeros(len(target), np.int32), target, x)
+        raise InputError(f"{file}: the via points have the shape {x.shape}; damaged")
+    return ViaPoints(np.zeros(len(target), np.int32), target, x)
 
 
 def _check_shapes(file: Path, arrays: dict[str, np.ndarray], joints: int) -> None:

@@ -21,7 +21,7 @@ from htcp_jax.motion import Motion, Plans
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs.identity import other_format
 from htcp_jax.runs.summary import Summary
-from htcp_jax.status import Kind, Status, Way
+from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.unfinished import temporary_folder
 
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
@@ -35,7 +35,7 @@ class PlanRecord(NamedTuple):
     config: dict
     files: dict[str, str]  # SHA-256 of the files in the configuration
     arrays: dict[str, np.ndarray]  # of `Plans`, for the one scenario
-    knots: tuple[np.ndarray, np.ndarray]  # target (n,), x (n, N)
+    via_points: tuple[np.ndarray, np.ndarray]  # target (n,), x (n, N)
 
 
 def read_plan(folder: Path) -> PlanRecord:
@@ -49,8 +49,8 @@ def read_plan(folder: Path) -> PlanRecord:
         method, config = str(summary["method"]), dict(summary["config"])
         hashes = {str(name): str(known) for name, known in summary["files"].items()}
         found = files.read_arrays(folder / TRAJECTORY, folder, leave=("joint_names",))
-        knots = found["knot_target"], found["knot_x"]
-        return PlanRecord(method, config, hashes, {name: found[name] for name in plan_arrays.ARRAYS}, knots)
+        via_points = found["via_point_target"], found["via_point_x"]
+        return PlanRecord(method, config, hashes, {name: found[name] for name in plan_arrays.ARRAYS}, via_points)
     except OSError as error:
         raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
     except InputError:
@@ -120,7 +120,7 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
         InputError: As `write_text` does.
     """
     statuses = [Status(status).name for status in plans.status[row].tolist()]
-    columns = {"target": range(len(statuses)), "status": statuses, **_joints(robot, plans.x[row])}
+    columns = {"target": range(len(statuses)), "status": statuses, **_joint_columns(robot, plans.x[row])}
     for name, points in (("tcp", plans.tcp), ("target", plans.target)):
         columns |= {f"{name}_{axis}_m": points[row, :, k] for k, axis in enumerate("xyz")}
     columns |= {
@@ -129,10 +129,13 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
         "orientation_error_rad": plans.orientation_error[row],
         "joint_step_rad": plans.joint_step[row],
         "iterations": plans.iterations[row],
-        "escape": plans.escape[row],
+        "recovery": plans.recovery[row],
         "path_clear": plans.path_clear[row],
-        "way": [Way(code).name if code != Way.UNKNOWN else "" for code in plans.way[row].tolist()],
-        "way_clearance_m": plans.way_clearance[row],
+        "segment_status": [
+            SegmentStatus(code).name if code != SegmentStatus.NOT_CHECKED else ""
+            for code in plans.segment_status[row].tolist()
+        ],
+        "segment_clearance_m": plans.segment_clearance[row],
     }
     _write_csv(file, columns)
 
@@ -151,10 +154,10 @@ def write_motion_csv(file: Path, robot: Robot, motion: Motion) -> None:
         InputError: As `write_text` does.
     """
     kinds = [Kind(kind).name for kind in motion.kind.tolist()]
-    _write_csv(file, {"target": motion.target, "kind": kinds, **_joints(robot, motion.x)})
+    _write_csv(file, {"target": motion.target, "kind": kinds, **_joint_columns(robot, motion.x)})
 
 
-def _joints(robot: Robot, x: Float[np.ndarray, "n N"]) -> dict[str, np.ndarray]:
+def _joint_columns(robot: Robot, x: Float[np.ndarray, "n N"]) -> dict[str, np.ndarray]:
     """Return the configurations, one column per joint."""
     units = ["m" if slides else "rad" for slides in robot.slides]
     names = [f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True)]
@@ -174,7 +177,7 @@ def _write_csv(file: Path, columns: Mapping[str, Iterable]) -> None:
 def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
     """Write the arrays of `plans` for one scenario under the names of its fields; no pickles.
 
-    `start` is (N,). Further arrays: `joint_names` and the via points' `knot_target` (n,) and `knot_x` (n, N).
+    `start` is (N,). Further arrays: `joint_names` and the via points' `via_point_target` (n,) and `via_point_x` (n, N).
 
     Args:
         file: The file.
@@ -186,11 +189,13 @@ def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -
         InputError: If it cannot be written.
     """
     arrays = {name: array[row] for name, array in plans.arrays().items()}
-    knots = plans.knots.rows(np.array([row]))
+    via_points = plans.via_points.rows(np.array([row]))
     names = np.array(robot.joint_names)
     stream = io.BytesIO()
-    np.savez_compressed(stream, joint_names=names, knot_target=knots.target, knot_x=knots.x, **arrays)
-    files.write(file.parent, file.name, stream.getvalue())
+    np.savez_compressed(
+        stream, joint_names=names, via_point_target=via_points.target, via_point_x=via_points.x, **arrays
+    )
+    files.write_atomically(file.parent, file.name, stream.getvalue())
 
 
 def write_json(file: Path, record: dict) -> None:
@@ -204,7 +209,7 @@ def write_json(file: Path, record: dict) -> None:
 
 def json_text(record: Any) -> str:
     """Return `record` as JSON, NaN and infinities as null."""
-    return json.dumps(_plain(record), indent=2, allow_nan=False)
+    return json.dumps(_json_value(record), indent=2, allow_nan=False)
 
 
 @contextlib.contextmanager
@@ -250,7 +255,7 @@ def write_text(file: Path, text: str) -> None:
     Raises:
         InputError: If it cannot be written; an existing file is then unchanged.
     """
-    files.write(file.parent, file.name, text.encode())
+    files.write_atomically(file.parent, file.name, text.encode())
 
 
 def summary_record(summary: Summary) -> dict:
@@ -262,14 +267,14 @@ def summary_record(summary: Summary) -> dict:
     return {**summary._asdict(), "failures": failed}
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     """Convert `value` to JSON's types."""
     if dataclasses.is_dataclass(value):
         value = dataclasses.asdict(value)
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_json_value(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value

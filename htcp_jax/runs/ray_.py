@@ -25,7 +25,7 @@ from htcp_jax.jobs import config as configs
 from htcp_jax.model import Scenario
 from htcp_jax.motion import Plans
 from htcp_jax.planning import registry
-from htcp_jax.runs.local import Planned, Shard, plan_cells, scenarios_of
+from htcp_jax.runs.local import PlannedShard, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
 
 ANSWER_S = 5.0  # for a connection to a cluster, and for its first answer
@@ -118,12 +118,14 @@ def _constants(ray, **values: int | bool) -> Iterator[None]:
         known.update(before)
 
 
-def _on_host(cell: grid.Cell) -> grid.Cell:
+def _on_host(cell: grid.PlannerInputs) -> grid.PlannerInputs:
     arrays = jax.tree.map(np.asarray, (cell.robot, cell.obstacles))
     return cell._replace(robot=arrays[0], obstacles=arrays[1])
 
 
-def _plan(ray, batch: grid.Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable) -> Iterator[Planned]:
+def _plan(
+    ray, batch: grid.Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable
+) -> Iterator[PlannedShard]:
     """Plan the shards.
 
     More tasks are queued than the cluster can run, so that it never idles and may scale up. The slowest methods, the
@@ -157,7 +159,7 @@ def _plan(ray, batch: grid.Batch, config: PlanConfig, shards: Sequence[Shard], r
                 running.clear()
                 raise Lost("Ray lost its workers (no node is left)")
             for ref in done:
-                yield Planned(running.pop(ref), *ray.get(ref))
+                yield PlannedShard(running.pop(ref), *ray.get(ref))
     except ray.exceptions.RayTaskError as error:
         raise error.cause from None  # what the planner itself raised
     except (ray.exceptions.RayError, OSError) as error:  # OSError: Ray writes to a dead node
@@ -201,7 +203,7 @@ def _own_node_answers(ray) -> bool:
 
 
 def _plan_shard(
-    method: str, scenarios: Scenario, share: configs.RayConfig, cell: Int[np.ndarray, "S"], *cells: grid.Cell
+    method: str, scenarios: Scenario, share: configs.RayConfig, cell: Int[np.ndarray, "S"], *cells: grid.PlannerInputs
 ) -> tuple[Plans, dict]:
     """Plan one shard on a worker; return the plans and their provenance."""
     compile_cache.enable()

@@ -13,7 +13,7 @@ from htcp_jax.runs.run_folder import Run
 REACHABILITY = "reachability.json"
 
 
-class Reachable(NamedTuple):
+class ReachabilityBounds(NamedTuple):
     """Reachability bounds for every scenario of a run."""
 
     prefix: np.ndarray  # (S,) lower bound: consecutive targets known to be reachable, scenarios 0, 1, ...
@@ -22,7 +22,7 @@ class Reachable(NamedTuple):
     seed: int
 
 
-def read_reachability(run: Run) -> Reachable | None:
+def read_reachability(run: Run) -> ReachabilityBounds | None:
     """Read the reachability bounds of a run; None without a search, or after an interrupted one.
 
     Raises:
@@ -34,7 +34,7 @@ def read_reachability(run: Run) -> Reachable | None:
         if isinstance(record, dict) and not record.get("complete", True):
             warnings.warn(f"{file} is incomplete and not used; htcp reachability makes it anew", Note, stacklevel=2)
             return None
-        found = _read(record)
+        found = _read_record(record)
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
@@ -44,7 +44,7 @@ def read_reachability(run: Run) -> Reachable | None:
     return found
 
 
-def _read(record: dict) -> Reachable:
+def _read_record(record: dict) -> ReachabilityBounds:
     prefix, most = (np.asarray(record[name], int) for name in ("prefix", "most"))
     resolution_rad = None if record["resolution_rad"] is None else float(record["resolution_rad"])
-    return Reachable(prefix, most, resolution_rad, int(record["seed"]))
+    return ReachabilityBounds(prefix, most, resolution_rad, int(record["seed"]))

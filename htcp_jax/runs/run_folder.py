@@ -41,7 +41,7 @@ from htcp_jax.runs.manifest import (
 )
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
-from htcp_jax.runs.tables import empty_tables, frame_of, plans_of
+from htcp_jax.runs.tables import empty_tables, plans_of, table_frame
 from htcp_jax.runs.timing_file import Timing, read_timing, with_timing
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class Run:
         """
         if table not in TABLES:
             raise InputError(f"a run has no table {table!r}; valid: scenarios, targets")
-        return frame_of(self.scenarios(*methods) if table == "scenarios" else self.targets(*methods))
+        return table_frame(self.scenarios(*methods) if table == "scenarios" else self.targets(*methods))
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -116,7 +116,7 @@ class Run:
         """
         return grid_axes.varied_keys([name for group in self.manifest.grid for axis in group["axes"] for name in axis])
 
-    def points(self) -> tuple[grid_axes.Point, ...]:
+    def points(self) -> tuple[grid_axes.ScenarioPoint, ...]:
         """Return the scenarios with their complete configurations.
 
         Raises:

@@ -26,7 +26,7 @@ class RunningSummary:
 
     def add(self, shard: FinishedShard) -> None:
         """Add a shard, without its configurations."""
-        self._shards[shard.method, shard.span] = shard._replace(plans=shard.plans.without_postures())
+        self._shards[shard.method, shard.span] = shard._replace(plans=shard.plans.without_configurations())
 
     def plans(self, run: Run, method: str) -> Plans:
         """Return all plans of one method, without configurations if all are in memory; else read from the run's folder.

@@ -29,7 +29,7 @@ class Summary(NamedTuple):
     targets: int  # of all scenarios
     tracked: int
     executable: int  # tracked targets to which a proven motion leads
-    after_escape: int  # of the tracked
+    after_recovery: int  # of the tracked
     blocked_paths: int  # tracked targets whose straight joint path from the row before is known to collide
     success_rate: float  # tracked / targets
     step_ms: float  # run time per attempted target, without compilation
@@ -56,18 +56,18 @@ def summarise(plans: Plans) -> Summary:
         targets=int(ends.targets.sum()),
         tracked=int(ends.tracked.sum()),
         executable=int(ends.executable.sum()),
-        after_escape=int((plans.status == Status.TRACKED_AFTER_ESCAPE).sum()),
+        after_recovery=int((plans.status == Status.TRACKED_AFTER_RECOVERY).sum()),
         blocked_paths=int(ends.blocked_paths.sum()),
-        success_rate=_or_nan(np.mean, tracked[plans.exists]),
+        success_rate=_reduced_or_nan(np.mean, tracked[plans.exists]),
         step_ms=1e3 * plans.step_s,
         compile_s=float(plans.compile_s),
         run_s=float(plans.run_s),
-        tcp_distance_mean_mm=_or_nan(np.mean, residual_mm),
-        tcp_distance_max_mm=_or_nan(np.max, residual_mm),
+        tcp_distance_mean_mm=_reduced_or_nan(np.mean, residual_mm),
+        tcp_distance_max_mm=_reduced_or_nan(np.max, residual_mm),
         orientation_error_mean_deg=float(angle_deg.mean()) if angle_deg.size else None,
         orientation_error_max_deg=float(angle_deg.max()) if angle_deg.size else None,
-        clearance_min_mm=_or_nan(np.min, clearance_mm),
-        clearance_mean_mm=_or_nan(np.mean, clearance_mm),
+        clearance_min_mm=_reduced_or_nan(np.min, clearance_mm),
+        clearance_mean_mm=_reduced_or_nan(np.mean, clearance_mm),
         joint_motion_rad=float(plans.joint_step[tracked].sum()),
         failures=_failures(ends),
     )
@@ -84,5 +84,5 @@ def _failures(ends: plan_arrays.Outcomes) -> tuple[Failure, ...]:
     return tuple(Failure(end.scenario, end.failed, end.status) for end in found)
 
 
-def _or_nan(reduce, values: np.ndarray) -> float:
+def _reduced_or_nan(reduce, values: np.ndarray) -> float:
     return float(reduce(values)) if values.size else np.nan

@@ -96,10 +96,10 @@ def sweep(
             if value is not None and not 1 <= value <= grid_axes.MOST:
                 raise InputError(f"{name} is {value}; it must be 1 or more, and {grid_axes.MOST:,} at most")
         batch = spec.batch(limit)
-        asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
+        requested = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
         planned = _planner(on, chosen, batch, spec, threads, device, targets_in_all)
         with _folder(out) as (folder, keep, discard), locked(folder), planned as plan, signals() as came:
-            run = writer.begin(folder, asked, keep)
+            run = writer.begin(folder, requested, keep)
 
             def stopped() -> str:
                 discard()
@@ -217,7 +217,7 @@ def _manifest(
 ) -> Manifest:
     """Return the manifest of a requested run, without shards."""
     config = spec.config.model_dump(mode="json")
-    grid = [grid_axes.record(group, spec.stated) for group in spec.groups]
+    grid = [grid_axes.group_record(group, spec.stated) for group in spec.groups]
     named = anchor_files(config)
     for axis in (axis for group in grid for axis in group["axes"]):
         named += [

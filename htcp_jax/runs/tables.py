@@ -14,12 +14,13 @@
     iterations     int32    step QPs solved for the target; 0 if a plan made backwards pushed it there
     joint_step_rad double   |x_t - x_{t-1}|
     path_clear     bool     straight joint path from the row before; null if unknown
-    way            string   name of a htcp_jax.status.Way: verification of the motion segment from the row before; null
+    segment_status string name of a htcp_jax.status.SegmentStatus: verification of the motion segment from the row
+    before; null
                             if not verified
-    way_clearance_m double  guaranteed D along that segment; null if it is not proven
-    knots          list of double   via points of that segment, configurations one after the other; null for a straight
+    segment_clearance_m double  guaranteed D along that segment; null if it is not proven
+    via_points     list of double   via points of that segment, configurations one after the other; null for a straight
                             joint path
-    escape         int8     0 none, k: stage k of the method's recovery strategies; one beyond its last: planned
+    recovery       int8     0 none, k: stage k of the method's recovery strategies; one beyond its last: planned
                             backwards from a configuration sampled at a later target, see
                             `planning.tracking.backwards`
     <joint>_rad    double   configuration x, one column per joint (<joint>_m for a slide)
@@ -37,11 +38,11 @@
     failed_target  int32    the first that is not tracked; null if complete, as are the next two columns
     failure        string   its status
     reason         string   message of that status
-    after_escape   int32    targets tracked after a recovery
+    after_recovery int32    targets tracked after a recovery
     blocked_paths  int32    tracked targets whose joint path from the row before collides
     dwells         int32    targets at which the arm changes its configuration; this and the next four for the
                             executable part, null if no target, or none on the path, is executable
-    motion_cost_rad2, path_step_max_rad, curvature_max_rad_m2, way_clearance_min_m    double, see `MotionFigures`
+    motion_cost_rad2, path_step_max_rad, curvature_max_rad_m2, segment_clearance_min_m    double, see `MotionFigures`
     clearance_min_m, residual_max_m, joint_motion_rad    double, over the tracked targets
     start_<joint>_rad ...   double   first configuration of the plan: the job's, unless the planner starts elsewhere
     rotation_x_rad, rotation_y_rad, rotation_z_rad    double
@@ -63,16 +64,18 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import files
 from htcp_jax.jobs import grid_axes
 from htcp_jax.model import Robot
-from htcp_jax.motion import Knots, Plans, motion
+from htcp_jax.motion import Plans, ViaPoints, motion
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs import parameters
-from htcp_jax.status import Status, Way
+from htcp_jax.status import SegmentStatus, Status
 
 if TYPE_CHECKING:
     import pandas
 
 STATUSES = {status.name: int(status) for status in Status}
-STATES: dict[str | None, int] = {None: int(Way.UNKNOWN)} | {way.name: int(way) for way in Way}
+SEGMENT_STATUSES: dict[str | None, int] = {None: int(SegmentStatus.NOT_CHECKED)} | {
+    x.name: int(x) for x in SegmentStatus
+}
 XYZ = "xyz"
 
 LEAST_CELLS = 1_000_000  # scenarios times targets that any file may expand to; or GROWTH times its rows
@@ -107,10 +110,12 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
         "iterations": pa.array(plans.iterations[s, t], pa.int32()),
         "joint_step_rad": _doubles(plans.joint_step[s, t]),
         "path_clear": pa.array(path_clear == 1, pa.bool_(), mask=path_clear < 0),
-        "way": pa.array([_way(code) for code in plans.way[s, t].tolist()], pa.string()),
-        "way_clearance_m": _doubles(plans.way_clearance[s, t]),
-        "knots": _knots(plans, s, t),
-        "escape": pa.array(plans.escape[s, t], pa.int8()),
+        "segment_status": pa.array(
+            [_segment_status_name(code) for code in plans.segment_status[s, t].tolist()], pa.string()
+        ),
+        "segment_clearance_m": _doubles(plans.segment_clearance[s, t]),
+        "via_points": _via_point_column(plans, s, t),
+        "recovery": pa.array(plans.recovery[s, t], pa.int8()),
     }
     columns |= {name: _doubles(plans.x[s, t, k]) for k, name in enumerate(joints)}
     columns |= {name: _doubles(plans.tcp[s, t, k]) for k, name in enumerate(_axes("tcp"))}
@@ -119,7 +124,11 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
 
 
 def scenario_table(
-    method: str, points: Sequence[grid_axes.Point], plans: Plans, joints: Sequence[str], varied: Sequence[str] = ()
+    method: str,
+    points: Sequence[grid_axes.ScenarioPoint],
+    plans: Plans,
+    joints: Sequence[str],
+    varied: Sequence[str] = (),
 ) -> pa.Table:
     """Return the rows of scenarios, in the order of `points`.
 
@@ -138,19 +147,19 @@ def scenario_table(
         "targets": pa.array(ends.targets, pa.int32()),
         "tracked": pa.array(ends.tracked, pa.int32()),
         "executable": pa.array(ends.executable, pa.int32()),
-        **_ends(ends),
-        "after_escape": pa.array((plans.status == Status.TRACKED_AFTER_ESCAPE).sum(axis=1), pa.int32()),
+        **_end_columns(ends),
+        "after_recovery": pa.array((plans.status == Status.TRACKED_AFTER_RECOVERY).sum(axis=1), pa.int32()),
         "blocked_paths": pa.array(ends.blocked_paths, pa.int32()),
         **_figures(points, plans),
         "clearance_min_m": _extreme(np.min, plans.clearance, tracked, np.inf),
         "residual_max_m": _extreme(np.max, plans.residual, tracked, -np.inf),
         "joint_motion_rad": pa.array(np.where(tracked, plans.joint_step, 0.0).sum(axis=1)),
     }
-    columns |= _parameters(points, plans.start, joints)
+    columns |= _parameter_columns(points, plans.start, joints)
     return pa.table(columns | {key: pa.array([point.varied[key] for point in points], pa.string()) for key in varied})
 
 
-def _ends(ends: plan_arrays.Outcomes) -> dict[str, pa.Array]:
+def _end_columns(ends: plan_arrays.Outcomes) -> dict[str, pa.Array]:
     """Return the columns on completion: complete, the failed target, its status and the reason."""
     status = [Status(code) if code != plan_arrays.NO_TARGET else None for code in ends.status.tolist()]
     return {
@@ -161,9 +170,9 @@ def _ends(ends: plan_arrays.Outcomes) -> dict[str, pa.Array]:
     }
 
 
-def _figures(points: Sequence[grid_axes.Point], plans: Plans) -> dict[str, pa.Array]:
+def _figures(points: Sequence[grid_axes.ScenarioPoint], plans: Plans) -> dict[str, pa.Array]:
     """Return the columns of `MotionFigures`."""
-    found = motion.figures(plans, np.array([point.config.on_path for point in points], int))
+    found = motion.motion_figures(plans, np.array([point.config.on_path for point in points], int))
     columns = {name: _doubles(values) for name, values in found._asdict().items()}
     return columns | {"dwells": columns["dwells"].cast(pa.int32())}
 
@@ -206,35 +215,37 @@ def plans_of(
     plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
     for name in _READ:
         getattr(plans, name)[s, t] = _numpy(targets[_COLUMN.get(name, name)], plan_arrays.EMPTY[name])
-    plans.way[s, t] = [STATES[name] for name in targets["way"].to_pylist()]
+    plans.segment_status[s, t] = [SEGMENT_STATUSES[name] for name in targets["segment_status"].to_pylist()]
     for array, names in ((plans.x, joints), (plans.tcp, _axes("tcp")), (plans.target, _axes("target"))):
         array[s, t] = np.stack([_numpy(targets[name], np.nan) for name in names], axis=1)
-    ways = zip(s.tolist(), t.tolist(), targets["knots"].to_pylist(), strict=True)
-    knots = [(scenario, target, np.reshape(way, (-1, len(joints)))) for scenario, target, way in ways if way]
-    return plans._replace(knots=Knots.of(knots, len(joints)))
+    lists = zip(s.tolist(), t.tolist(), targets["via_points"].to_pylist(), strict=True)
+    via_points = [(scenario, target, np.reshape(x, (-1, len(joints)))) for scenario, target, x in lists if x]
+    return plans._replace(via_points=ViaPoints.of(via_points, len(joints)))
 
 
 _READ = (
-    *("clearance", "residual", "orientation_error", "status", "iterations", "joint_step", "escape", "path_clear"),
-    "way_clearance",
+    *("clearance", "residual", "orientation_error", "status", "iterations", "joint_step", "recovery", "path_clear"),
+    "segment_clearance",
 )
 _COLUMN = {
     "clearance": "clearance_m", "residual": "residual_m", "joint_step": "joint_step_rad",
-    "orientation_error": "orientation_error_rad", "way_clearance": "way_clearance_m",
+    "orientation_error": "orientation_error_rad", "segment_clearance": "segment_clearance_m",
 }  # fmt: skip
 
 
-def _way(code: int) -> str | None:
-    return None if code == Way.UNKNOWN else Way(code).name
+def _segment_status_name(code: int) -> str | None:
+    return None if code == SegmentStatus.NOT_CHECKED else SegmentStatus(code).name
 
 
-def _knots(plans: Plans, s: np.ndarray, t: np.ndarray) -> pa.Array:
+def _via_point_column(plans: Plans, s: np.ndarray, t: np.ndarray) -> pa.Array:
     """Return the via points on the segment to each row, flattened."""
     kind = pa.list_(pa.float64())
-    if not len(plans.knots.x):
+    if not len(plans.via_points.x):
         return pa.nulls(len(s), kind)
-    ways = [plans.knots.on_the_way(*row).ravel().tolist() or None for row in zip(s.tolist(), t.tolist(), strict=True)]
-    return pa.array(ways, kind)
+    lists = [
+        plans.via_points.on_segment(*row).ravel().tolist() or None for row in zip(s.tolist(), t.tolist(), strict=True)
+    ]
+    return pa.array(lists, kind)
 
 
 def _starts(scenarios: pa.Table, count: int, joints: Sequence[str]) -> np.ndarray:
@@ -250,7 +261,7 @@ def _axes(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_{axis}_m" for axis in XYZ)
 
 
-def frame_of(table: pa.Table) -> "pandas.DataFrame":
+def table_frame(table: pa.Table) -> "pandas.DataFrame":
     """Return the table as a pandas frame; integers and booleans keep their type with nulls.
 
     Raises:
@@ -264,7 +275,9 @@ def frame_of(table: pa.Table) -> "pandas.DataFrame":
     return table.to_pandas(types_mapper=kinds.get)
 
 
-def _parameters(points: Sequence[grid_axes.Point], start: np.ndarray, joints: Sequence[str]) -> dict[str, pa.Array]:
+def _parameter_columns(
+    points: Sequence[grid_axes.ScenarioPoint], start: np.ndarray, joints: Sequence[str]
+) -> dict[str, pa.Array]:
     """Return the columns of varied parameters; start: first configurations of the plans (S, N)."""
     jobs = [point.config for point in points]
     given = parameters.columns([parameters.of_job(job) for job in jobs], start, joints)

@@ -48,7 +48,7 @@ COLUMNS = tuple(SCHEMA.names[1:])
 
 
 @runtime_checkable
-class Shard(Protocol):
+class ResultShard(Protocol):
     """Required attributes of a shard of results; a manifest's `ShardRecord` has them."""
 
     method: str
@@ -98,7 +98,7 @@ def timing_file(folder: Path, method: str) -> Path:
     return folder / TIMING / f"{method}.parquet"
 
 
-def read_timing(folder: Path, shards: Iterable[Shard], method: str) -> Timing | None:
+def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Timing | None:
     """Read the times of a method's current results; None without any.
 
     Args:
@@ -125,16 +125,16 @@ def read_timing(folder: Path, shards: Iterable[Shard], method: str) -> Timing | 
         raise InputError(f"{file} is damaged: {what}; without it, htcp program --all makes it again") from None
 
 
-def timing_bytes(timing: Timing, shards: Iterable[Shard], method: str) -> bytes:
+def timing_bytes(timing: Timing, shards: Iterable[ResultShard], method: str) -> bytes:
     """Return the file's contents."""
     of = set(timing.rows["scenario"].to_pylist())
-    results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_numbers(s))]
+    results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_scenario_numbers(s))]
     made = {"feed_m_s": timing.feed_m_s, "limits": timing.limits, "results": results}
     rows = timing.rows.sort_by("scenario").replace_schema_metadata({MADE: json.dumps(made)})
     return files.parquet_bytes(rows, write_page_checksum=True)
 
 
-def with_timing(folder: Path, shards: Iterable[Shard], scenarios: pa.Table) -> pa.Table:
+def with_timing(folder: Path, shards: Iterable[ResultShard], scenarios: pa.Table) -> pa.Table:
     """Add columns of times to rows of the table of scenarios, if any of the methods has been timed.
 
     Args:
@@ -159,11 +159,11 @@ def with_timing(folder: Path, shards: Iterable[Shard], scenarios: pa.Table) -> p
     return scenarios
 
 
-def _of_results(shards: Iterable[Shard], method: str, results: list[str]) -> set[int]:
+def _of_results(shards: Iterable[ResultShard], method: str, results: list[str]) -> set[int]:
     """Return the scenarios whose results are unchanged."""
     kept = [s for s in shards if s.method == method and s.targets.sha256 in results]
-    return {number for shard in kept for number in _numbers(shard)}
+    return {number for shard in kept for number in _scenario_numbers(shard)}
 
 
-def _numbers(shard: Shard) -> range:
+def _scenario_numbers(shard: ResultShard) -> range:
     return range(shard.first, shard.last + 1)

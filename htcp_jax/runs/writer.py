@@ -11,20 +11,20 @@ import pyarrow as pa
 from htcp_jax.errors import InputError
 from htcp_jax.io import files as io_files
 from htcp_jax.motion import Plans
-from htcp_jax.runs.identity import differences, identity
+from htcp_jax.runs.identity import identity, identity_differences
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import Run, fault, open_run
 
 
-def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
-    """Create or continue the run `asked` in `folder`, and return it with its finished shards.
+def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
+    """Create or continue the run `requested` in `folder`, and return it with its finished shards.
 
     Shards with a damaged file become unfinished, with one warning per method.
 
     Args:
         folder: The run folder.
-        asked: Manifest of the requested run, without shards.
+        requested: Manifest of the requested run, without shards.
         keep: An object that the run keeps alive.
 
     Raises:
@@ -35,18 +35,18 @@ def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
     if not (folder / MANIFEST).exists():
         if strangers := _unlisted(folder, set()):
             raise InputError(f"{folder} holds results without a {MANIFEST}, {strangers[0]}; choose another --out")
-        return _saved(Run(folder, asked, keep))
+        return _write_manifest(Run(folder, requested, keep))
     old = open_run(folder)
-    _refuse_other(old, asked)
+    _refuse_other(old, requested)
     _warn_of_other_software(old)
     kept = {name: getattr(old.manifest, name) for name in ("shards", "planned_by", "shard_scenarios")}
-    methods = tuple(dict.fromkeys((*old.methods, *asked.methods)))
-    run = Run(folder, asked.model_copy(update={**kept, "methods": methods}), keep)
+    methods = tuple(dict.fromkeys((*old.methods, *requested.methods)))
+    run = Run(folder, requested.model_copy(update={**kept, "methods": methods}), keep)
     expected = {shard_name(method, span) for method in methods for span in spans(run.manifest)}
-    shards = _whole(run, asked.methods)
+    shards = _valid_shards(run, requested.methods)
     for stranger in _unlisted(folder, expected):
         warnings.warn(f"{stranger} is not of this run; it is left alone", stacklevel=3)
-    return _saved(_with_shards(run, shards))
+    return _write_manifest(_with_shards(run, shards))
 
 
 def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: Plans, by: dict) -> Run:
@@ -72,24 +72,24 @@ def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: P
         compile_s=plans.compile_s, run_s=plans.run_s, planned_by=planned_by.index(by), **files,
     )  # fmt: skip
     run = Run(run.folder, manifest.model_copy(update={"planned_by": planned_by}), run._keep)
-    return _saved(_with_shards(run, (*manifest.shards, shard)))
+    return _write_manifest(_with_shards(run, (*manifest.shards, shard)))
 
 
-def _refuse_other(old: Run, asked: Manifest) -> None:
-    differing = differences(_identity(old.manifest), _identity(asked))
+def _refuse_other(old: Run, requested: Manifest) -> None:
+    differing = identity_differences(_identity(old.manifest), _identity(requested))
     if differing:
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
         raise InputError(f"{old.folder} holds another sweep: {differing[0]}{more}; choose another --out")
-    if asked.count < old.manifest.count:
+    if requested.count < old.manifest.count:
         raise InputError(
-            f"{old.folder} holds this sweep with {old.manifest.count} scenarios, more than {asked.count}; "
+            f"{old.folder} holds this sweep with {old.manifest.count} scenarios, more than {requested.count}; "
             "choose another --out"
         )
 
 
 def _warn_of_other_software(old: Run) -> None:
     if old.manifest.planned_by:
-        if differing := differences(old.manifest.planned_by[-1], planned_by()):
+        if differing := identity_differences(old.manifest.planned_by[-1], planned_by()):
             warnings.warn(f"{old.folder} was planned by other software: {differing[0]}", stacklevel=4)
 
 
@@ -97,7 +97,7 @@ def _identity(manifest: Manifest) -> dict:
     return identity(manifest.config, manifest.grid, manifest.dtype, manifest.files)
 
 
-def _whole(run: Run, asked: tuple[str, ...]) -> tuple[ShardRecord, ...]:
+def _valid_shards(run: Run, requested: tuple[str, ...]) -> tuple[ShardRecord, ...]:
     """Return the recorded shards whose files are valid. A partial last shard is deleted if the limit has grown."""
     known, whole, damaged = set(spans(run.manifest)), [], defaultdict(list)
     for shard in run.manifest.shards:
@@ -111,7 +111,7 @@ def _whole(run: Run, asked: tuple[str, ...]) -> tuple[ShardRecord, ...]:
             whole.append(shard)
     for method, lost in damaged.items():
         scenarios = ", ".join(f"{shard.first} to {shard.last}" for shard, _ in lost)
-        then = f"are planned again by {method}" if method in asked else f"of {method} are unfinished now"
+        then = f"are planned again by {method}" if method in requested else f"of {method} are unfinished now"
         more = f" (and {len(lost) - 1} more shards)" if lost[1:] else ""
         warnings.warn(f"{lost[0][1]}{more}; scenarios {scenarios} {then}", stacklevel=4)
     return tuple(whole)
@@ -127,16 +127,16 @@ def _with_shards(run: Run, shards: tuple[ShardRecord, ...]) -> Run:
     return Run(run.folder, run.manifest.model_copy(update={"shards": order, "seconds": seconds}), run._keep)
 
 
-def _saved(run: Run) -> Run:
-    io_files.write(run.folder, MANIFEST, (run.manifest.model_dump_json(indent=2) + "\n").encode())
+def _write_manifest(run: Run) -> Run:
+    io_files.write_atomically(run.folder, MANIFEST, (run.manifest.model_dump_json(indent=2) + "\n").encode())
     return run
 
 
 def _write_parquet(folder: Path, table: str, name: str, rows: pa.Table) -> FileRecord:
     doubles = [field.name for field in rows.schema if pa.types.is_floating(field.type)]
-    words = [name for name in rows.column_names if name not in doubles and name != "knots"]
+    words = [name for name in rows.column_names if name not in doubles and name != "via_points"]
     data = io_files.parquet_bytes(rows, use_dictionary=words, use_byte_stream_split=doubles)
-    io_files.write(folder, f"{table}/{name}", data)
+    io_files.write_atomically(folder, f"{table}/{name}", data)
     return FileRecord(rows=len(rows), bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
 
 

@@ -91,7 +91,7 @@ def _closest_point(normal, offset, tolerance, u0) -> _Active:
         worst = jnp.argmax(jnp.where(height > tolerance, height, -jnp.inf)).astype(jnp.int32)
         entering = jnp.where(state.entering < 0, worst, state.entering)
         new = normal[entering]
-        across, along = _split(normal, state.row, new)
+        across, along = _split_normal(normal, state.row, new)
 
         # Step lengths at which an active multiplier becomes 0, and at which the entering row is met.
         uses = (state.row >= 0) & (along > 1e-14)
@@ -129,7 +129,7 @@ def _closest_point(normal, offset, tolerance, u0) -> _Active:
     return jax.lax.while_loop(lambda state: ~state.done & (state.count < ITERATIONS), step, start)
 
 
-def _split(normal, rows, new):
+def _split_normal(normal, rows, new):
     """Return a unit vector as across + sum along_k normal[rows_k], by Gram-Schmidt, twice, and back substitution.
 
     `across` is its part orthogonal to the active rows, `along` its coordinates in them.

@@ -27,7 +27,7 @@ class Distribution(NamedTuple):
     generation: Scalar
 
 
-class Rates(NamedTuple):
+class StrategyParameters(NamedTuple):
     """Strategy parameters for a population size and dimension; Table 1 of the tutorial, without negative weights."""
 
     weights: Float[np.ndarray, "parents"]
@@ -40,7 +40,7 @@ class Rates(NamedTuple):
     chi_n: float
 
 
-def rates(population: int, n: int) -> Rates:
+def rates(population: int, n: int) -> StrategyParameters:
     """Return the tutorial's default parameters, equations (49) to (58)."""
     parents = population // 2
     raw = np.log((population + 1) / 2) - np.log(np.arange(1, parents + 1))
@@ -48,7 +48,7 @@ def rates(population: int, n: int) -> Rates:
     mu_eff = 1 / np.sum(weights**2)
     c_1 = 2 / ((n + 1.3) ** 2 + mu_eff)
     c_sigma = (mu_eff + 2) / (n + mu_eff + 5)
-    return Rates(
+    return StrategyParameters(
         weights=weights,
         mu_eff=mu_eff,
         c_sigma=c_sigma,
@@ -75,13 +75,16 @@ def ask(distribution: Distribution, key: jax.Array, population: int) -> Float[Ar
         population: Number of samples.
     """
     n = distribution.mean.shape[0]
-    axes, _ = _square_roots(distribution.C)
+    axes, _ = _square_roots_of(distribution.C)
     normal = jax.random.normal(key, (population, n), distribution.mean.dtype)
-    return distribution.mean[None, :] + _times(distribution.sigma * normal, axes.T)
+    return distribution.mean[None, :] + _product(distribution.sigma * normal, axes.T)
 
 
 def tell(
-    distribution: Distribution, samples: Float[Array, "population n"], cost: Float[Array, "population"], r: Rates
+    distribution: Distribution,
+    samples: Float[Array, "population n"],
+    cost: Float[Array, "population"],
+    r: StrategyParameters,
 ) -> Distribution:
     """Update the distribution from samples ranked by cost, lowest first; equations (41) to (47).
 
@@ -94,10 +97,10 @@ def tell(
     n = distribution.mean.shape[0]
     best = samples[jnp.argsort(cost)[: len(r.weights)]]
     steps = (best - distribution.mean[None, :]) / distribution.sigma
-    step = _times(r.weights, steps)
-    _, whiten = _square_roots(distribution.C)
+    step = _product(r.weights, steps)
+    _, whiten = _square_roots_of(distribution.C)
     gain = np.sqrt(r.c_sigma * (2 - r.c_sigma) * r.mu_eff)
-    path_sigma = (1 - r.c_sigma) * distribution.path_sigma + _times(gain * whiten, step)
+    path_sigma = (1 - r.c_sigma) * distribution.path_sigma + _product(gain * whiten, step)
     length = jnp.linalg.norm(path_sigma)
     generation = distribution.generation + 1
     fair = length / jnp.sqrt(1 - (1 - r.c_sigma) ** (2 * generation))
@@ -111,7 +114,7 @@ def tell(
     return Distribution(distribution.mean + distribution.sigma * step, sigma, C, path_sigma, path_C, generation)
 
 
-def _square_roots(C):
+def _square_roots_of(C):
     """Return B D with B D^2 B' = C, and C^(-1/2)."""
     if backend().has_kernels:
         return square_roots_gpu.square_roots(C)
@@ -123,7 +126,7 @@ def _square_roots(C):
 # On a GPU a matrix product is a library call, apart from the code around it; on a CPU the two forms round differently.
 
 
-def _times(a, b):
+def _product(a, b):
     """Return a @ b."""
     return product(a, b) if backend().platform == "gpu" else a @ b
 

@@ -10,8 +10,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.gpu_kernel import kernel
 from htcp_jax.numerics import solve_spd_scalars
+from htcp_jax.pallas import kernel
 
 ROWS_OF_A_WARP = 64  # two rows per thread: with fewer threads, less synchronisation, but more divisions by each
 
@@ -26,12 +26,12 @@ def solve(H, c, G, h, tolerance: float, iterations: int, interpret: bool = False
     rows = jnp.pad(G.T, ((0, 0), (0, size - m)))
     limits = jnp.pad(h, (0, size - m), constant_values=1.0)
     out = [jax.ShapeDtypeStruct((k,), c.dtype) for k in (n, size, 1)]
-    run = kernel(partial(_solve, m, tolerance, iterations), out, 1, interpret, max(1, size // ROWS_OF_A_WARP))
+    run = kernel(partial(_solve_kernel, m, tolerance, iterations), out, 1, interpret, max(1, size // ROWS_OF_A_WARP))
     y, multipliers, error = run(H, c, rows, limits)
     return y, multipliers[:m], error[0]
 
 
-def _solve(m, tolerance, iterations, H, c, G, h, out_y, out_multipliers, out_error):
+def _solve_kernel(m, tolerance, iterations, H, c, G, h, out_y, out_multipliers, out_error):
     """Solve one QP: numbers of the n unknowns are scalars in lists, those of the rows are vectors."""
     n = c.shape[0]
     unknowns = range(n)

@@ -45,7 +45,7 @@ def path_cost(x: Float[np.ndarray, "P1 N"], weights: Float[np.ndarray, "N"]) -> 
 def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
     """Return the steps y of the path's configurations [rad or m]; zeros if the solver fails."""
     count, joints = qp.lower.shape
-    differences = _differences(count)[1:] if qp.begins_anywhere else _differences(count)
+    differences = _difference_matrix(count)[1:] if qp.begins_anywhere else _difference_matrix(count)
     cost = 2 * sparse.kron(differences.T @ differences, sparse.diags(qp.weights))
     pull = 2 * differences.T @ (np.diff(qp.x[qp.begins_anywhere :], axis=0) * qp.weights)
     rows, bounds, equal = _constraints(qp)
@@ -68,26 +68,26 @@ def _constraints(qp: PathQP) -> tuple[sparse.csc_matrix, np.ndarray, int]:
     most = np.maximum(-qp.lower, qp.upper)
     between = 0.5 * (most + np.concatenate([np.zeros((1, joints)), most[:-1]]))
     at = qp.h < np.einsum("prn,pn->pr", np.abs(qp.G), most)
-    on_the_way = qp.c < np.einsum("prn,pn->pr", np.abs(qp.C), between)
+    at_midpoints = qp.c < np.einsum("prn,pn->pr", np.abs(qp.C), between)
     held, identity = np.flatnonzero(qp.held), sparse.identity(count * joints, format="csc")
-    halves = _rows(np.nonzero(on_the_way)[0], 0.5 * qp.C[on_the_way], count)
-    earlier = _rows(np.nonzero(on_the_way)[0] - 1, 0.5 * qp.C[on_the_way], count)
-    task = _rows(np.repeat(held, qp.A.shape[1]), qp.A[held].reshape(-1, joints), count)
-    rows = [task, _rows(np.nonzero(at)[0], qp.G[at], count), halves + earlier, identity, -identity]
-    bounds = [np.zeros(task.shape[0]), qp.h[at], qp.c[on_the_way], qp.upper.ravel(), -qp.lower.ravel()]
+    halves = _sparse_rows(np.nonzero(at_midpoints)[0], 0.5 * qp.C[at_midpoints], count)
+    earlier = _sparse_rows(np.nonzero(at_midpoints)[0] - 1, 0.5 * qp.C[at_midpoints], count)
+    task = _sparse_rows(np.repeat(held, qp.A.shape[1]), qp.A[held].reshape(-1, joints), count)
+    rows = [task, _sparse_rows(np.nonzero(at)[0], qp.G[at], count), halves + earlier, identity, -identity]
+    bounds = [np.zeros(task.shape[0]), qp.h[at], qp.c[at_midpoints], qp.upper.ravel(), -qp.lower.ravel()]
     return sparse.vstack(rows, format="csc"), np.concatenate(bounds), task.shape[0]
 
 
-def _rows(posture: np.ndarray, coefficients: np.ndarray, count: int) -> sparse.csc_matrix:
+def _sparse_rows(configuration: np.ndarray, coefficients: np.ndarray, count: int) -> sparse.csc_matrix:
     """Return rows with the coefficients of one configuration's step each; those of the start, -1, are empty."""
-    joints, there = coefficients.shape[1], posture >= 0
+    joints, there = coefficients.shape[1], configuration >= 0
     row = np.repeat(np.flatnonzero(there), joints)
-    column = (posture[there][:, None] * joints + np.arange(joints)).ravel()
-    shape = len(posture), count * joints
+    column = (configuration[there][:, None] * joints + np.arange(joints)).ravel()
+    shape = len(configuration), count * joints
     return sparse.csc_matrix((coefficients[there].ravel(), (row, column)), shape=shape)
 
 
 @lru_cache(maxsize=128)
-def _differences(count: int) -> sparse.csc_matrix:
+def _difference_matrix(count: int) -> sparse.csc_matrix:
     """Return V without the start's column: row i is y_i - y_{i-1}."""
     return sparse.diags([np.ones(count), -np.ones(count - 1)], [0, -1], format="csc")

@@ -24,7 +24,7 @@ from htcp_jax.solvers.interior_point import solve_dense
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 Direction = Float[Array, "D"]
-Held = PyTree[Array]  # contacts: leaves have a leading axis of all rows, R, or of a multiple of R
+Observation = PyTree[Array]  # contacts: leaves have a leading axis of all rows, R, or of a multiple of R
 
 
 class Sphere(NamedTuple):
@@ -34,14 +34,14 @@ class Sphere(NamedTuple):
     differentiable in w; w and with it G and h have no unit.
     """
 
-    observe: Callable[[Direction], tuple[Float[Array, "K"], Held]]
+    observe: Callable[[Direction], tuple[Float[Array, "K"], Observation]]
     measure: Callable[[Direction], Scalar]  # min_k f_k(w) alone: cheaper than observe
-    predict: Callable[[Direction, Held], Float[Array, "R"]]
+    predict: Callable[[Direction, Observation], Float[Array, "R"]]
     curvature: Float[Array, "D D"]
     G: Float[Array, "m D"]
     h: Float[Array, "m"]
 
-    def predict_with_gradient(self, w: Direction, seen: Held) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
+    def predict_with_gradient(self, w: Direction, seen: Observation) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
         """Return the prediction [m] and its gradient by autodiff, from one evaluation."""
         return value_and_jacobian(lambda w: self.predict(w, seen), w)
 
@@ -60,7 +60,7 @@ def spread_directions(count: int, dimension: int) -> Float[np.ndarray, "count di
     return np.concatenate([axes, more / np.linalg.norm(more, axis=1, keepdims=True)])[:count]
 
 
-def _unit(v: Direction) -> Direction:
+def _unit_direction(v: Direction) -> Direction:
     return v / jnp.maximum(safe_norm(v), 1e-300)
 
 
@@ -69,7 +69,7 @@ def _merit(sphere: Sphere, w: Direction, value: Scalar) -> Scalar:
     return value - 10.0 * jnp.max(jnp.maximum(product(sphere.G, w) - sphere.h, 0.0), initial=0.0)
 
 
-def first_direction(sphere: Sphere, seen: Held, key: jax.Array | None = None, count: int = 64) -> Direction:
+def first_direction(sphere: Sphere, seen: Observation, key: jax.Array | None = None, count: int = 64) -> Direction:
     """Return the initial direction of a minimiser.
 
     It is the best of `count` spread directions by the given contacts, without an observation, or with a key a random
@@ -82,7 +82,7 @@ def first_direction(sphere: Sphere, seen: Held, key: jax.Array | None = None, co
         count: Number of spread directions.
     """
     if key is not None:
-        return _unit(jax.random.normal(key, sphere.curvature.shape[:1]))
+        return _unit_direction(jax.random.normal(key, sphere.curvature.shape[:1]))
     directions = jnp.asarray(spread_directions(count, sphere.curvature.shape[0]))
     merit = jax.vmap(lambda w: _merit(sphere, w, jnp.min(sphere.predict(w, seen))))(directions)
     return directions[jnp.argmax(merit)]
@@ -96,7 +96,7 @@ def _better_of_two(sphere: Sphere) -> Best:
 
 
 def sqp(
-    sphere: Sphere, seen: Held, observations: int = 12, memory: int = 8, start_key: jax.Array | None = None
+    sphere: Sphere, seen: Observation, observations: int = 12, memory: int = 8, start_key: jax.Array | None = None
 ) -> Best:
     """Sequential quadratic programming on the epigraph: maximise t with t <= the distance to every contact seen.
 
@@ -135,7 +135,7 @@ class _Search(NamedTuple):
 
     best: Best  # best observed direction
     proposed: Direction  # next direction to observe
-    store: Held  # contacts of the last observations
+    store: Observation  # contacts of the last observations
     more: Bool[Array, ""]  # True: the proposal is predicted to be better
     count: Int[Array, ""]  # observations
 
@@ -157,12 +157,12 @@ class _Climb(NamedTuple):
         return self.radius < 1e-6
 
 
-def _climb(sphere: Sphere, w: Direction, seen: Held, steps: int = 12) -> _Climb:
+def _climb(sphere: Sphere, w: Direction, seen: Observation, steps: int = 12) -> _Climb:
     """Climb from w to a local maximum of the predicted merit, by SQP steps within a trust region."""
 
     def body(climb):
         step, multipliers, gain = _tangent_step(sphere, climb)
-        w = _unit(climb.w + step)
+        w = _unit_direction(climb.w + step)
         value, gradient = sphere.predict_with_gradient(w, seen)
         merit = _merit(sphere, w, jnp.min(value))
         # A step that gains too little was too long: the next is a quarter of it. A QP without predicted gain ends it.
@@ -206,7 +206,7 @@ def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array
     return product(tangent, solution.y[:-1]), solution.multipliers[: value.shape[0]], solution.y[-1]
 
 
-def max_min_step(sphere: Sphere, seen: Held, longest: Scalar) -> Direction:
+def max_min_step(sphere: Sphere, seen: Observation, longest: Scalar) -> Direction:
     """Return the step w, |w| <= longest, that raises the smallest contact seen from w = 0 the most.
 
     One QP, no observation: the epigraph at first order, with slight damping, so that a flat optimum gives the shortest
@@ -229,7 +229,7 @@ def max_min_step(sphere: Sphere, seen: Held, longest: Scalar) -> Direction:
     return w * jnp.minimum(1.0, longest / jnp.maximum(safe_norm(w), 1e-12))
 
 
-def interior_point(sphere: Sphere, seen: Held, iterations: int = 24, start_key: jax.Array | None = None) -> Best:
+def interior_point(sphere: Sphere, seen: Observation, iterations: int = 24, start_key: jax.Array | None = None) -> Best:
     """Log barrier on the sphere: maximise t + mu (sum log(f_k(w) - t) + sum log(h - G w)), mu falling to 1e-7 m.
 
     t is eliminated (its optimum solves sum mu / (f_k - t) = 1), which leaves a smooth minimum over the bodies, repelled
@@ -271,7 +271,7 @@ def interior_point(sphere: Sphere, seen: Held, iterations: int = 24, start_key: 
         w, values, seen, scale, best, best_merit = state
         mu = 1e-2 * 0.35 ** (count // 2)
         _, gradient = sphere.predict_with_gradient(w, seen)
-        w_new = _unit(w + scale * newton(w, values, gradient, mu))
+        w_new = _unit_direction(w + scale * newton(w, values, gradient, mu))
         new_values, new_seen = sphere.observe(w_new)
         up = (barrier(w_new, new_values, mu) > barrier(w, values, mu)) & jnp.all(product(sphere.G, w_new) < sphere.h)
         w = jnp.where(up, w_new, w)
@@ -309,7 +309,7 @@ def _epigraph(values, mu):
 
 
 def adam(
-    sphere: Sphere, seen: Held, iterations: int = 40, rate: float = 0.15, start_key: jax.Array | None = None
+    sphere: Sphere, seen: Observation, iterations: int = 40, rate: float = 0.15, start_key: jax.Array | None = None
 ) -> Best:
     """Adam (optax) on the gradient of J2 by autodiff, projected onto the sphere after every step.
 
@@ -336,7 +336,7 @@ def adam(
         descent = descent - product(descent, w) * w
         with jax.numpy_dtype_promotion("standard"):  # optax raises a float to the power of its int32 count
             update, momentum = optimiser.update(descent, momentum, w)
-        return _unit(w + update), momentum, best, best_merit
+        return _unit_direction(w + update), momentum, best, best_merit
 
     w = first_direction(sphere, seen, start_key)
     start = (w, optimiser.init(w), w, jnp.full((), -jnp.inf))
@@ -346,7 +346,7 @@ def adam(
 
 def cmaes(
     sphere: Sphere,
-    seen: Held,
+    seen: Observation,
     key: jax.Array,
     population: int = 100,
     generations: int = 5,
@@ -369,7 +369,7 @@ def cmaes(
     def body(generation, state):
         distribution, best, best_merit = state
         samples = cma_es.ask(distribution, jax.random.fold_in(key, generation), population)
-        directions = jax.vmap(_unit)(samples)
+        directions = jax.vmap(_unit_direction)(samples)
         merit = jax.vmap(lambda w: _merit(sphere, w, sphere.measure(w)))(directions)
         top = jnp.argmax(merit)
         better = merit[top] > best_merit

@@ -7,7 +7,7 @@ cyclic method (Golub and Van Loan, Matrix Computations, section 8.5) needs only 
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.gpu_kernel import kernel
+from htcp_jax.pallas import kernel
 
 SWEEPS = 8  # quadratic convergence: 3 x 3 matrices need four, 7 x 7 six
 
@@ -18,10 +18,10 @@ def square_roots(C, interpret: bool = False):
     Eigenvalues are in ascending order; each axis is positive in its largest component.
     """
     shape = jax.ShapeDtypeStruct(C.shape, C.dtype)
-    return kernel(_square_roots, (shape, shape), 1, interpret)(C)
+    return kernel(_square_roots_kernel, (shape, shape), 1, interpret)(C)
 
 
-def _square_roots(C, axes, whiten):
+def _square_roots_kernel(C, axes, whiten):
     n = C.shape[0]
     square, B = _ordered(*_eigen([[C[i, j] for j in range(n)] for i in range(n)]))
     D = [jnp.sqrt(jnp.maximum(value, 1e-20)) for value in square]

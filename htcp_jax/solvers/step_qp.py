@@ -68,8 +68,8 @@ def assemble(
     margin_m: Scalar,
     lower: Joints,
     upper: Joints,
-    room: Float[Array, "B"] | None = None,
-    room_gradient: Float[Array, "B N"] | None = None,
+    slack: Float[Array, "B"] | None = None,
+    slack_gradient: Float[Array, "B N"] | None = None,
 ) -> StepQP:
     """Assemble equation (9) about x_ref.
 
@@ -85,8 +85,8 @@ def assemble(
         margin_m: Required clearance.
         lower: Lower joint limits [rad or m].
         upper: Upper joint limits [rad or m].
-        room: Slack of the task's bands and cones [m], if there are any.
-        room_gradient: Its gradient [m/rad or m/m].
+        slack: Slack of the task's bands and cones [m], if there are any.
+        slack_gradient: Its gradient [m/rad or m/m].
     """
     weights = jnp.asarray(settings.q_weights)
     about = x_ref if settings.cost_about == "reference" else x_previous
@@ -94,8 +94,8 @@ def assemble(
         body = jnp.argmin(clearance)
         clearance, gradient = clearance[body][None], gradient[body][None]
     G, h = -gradient, clearance - margin_m
-    if room is not None and len(room):
-        G, h = jnp.concatenate([G, -room_gradient]), jnp.concatenate([h, room])
+    if slack is not None and len(slack):
+        G, h = jnp.concatenate([G, -slack_gradient]), jnp.concatenate([h, slack])
     return StepQP(
         P=2 * weights,
         q=2 * weights * (x_ref - about),

@@ -1,22 +1,22 @@
-from . import figures, of_plan
+from . import figures, plan_program
+from .displacement import tcp_at
 from .formats.writers import FORMATS, format_of
-from .loads import Load
-from .nudge import tcp_at
-from .of_plan import OfPlan
+from .joint_torques import PeakTorque
+from .plan_program import PlanProgram
 from .program import Program
-from .timed import Timed
+from .timed_motion import TimedMotion
 from .whole_run import check_limits, time_run
 
 __all__ = [
     "FORMATS",
-    "Load",
-    "OfPlan",
+    "PeakTorque",
+    "PlanProgram",
     "Program",
-    "Timed",
+    "TimedMotion",
     "check_limits",
     "figures",
     "format_of",
-    "of_plan",
+    "plan_program",
     "tcp_at",
     "time_run",
 ]

@@ -31,7 +31,8 @@ class Curve(NamedTuple):
 
     u: Float[np.ndarray, "k"]  # rises
     x: Float[np.ndarray, "k N"]  # [rad or m]
-    reach: Float[np.ndarray, "k"]  # blend length d, in units of u: at most half of the adjacent legs; 0 at both ends
+    # blend length d, in units of u: at most half of the adjacent legs; 0 at both ends
+    blend_length: Float[np.ndarray, "k"]
 
     @property
     def slopes(self) -> Float[np.ndarray, "k1 N"]:
@@ -52,20 +53,20 @@ class Curve(NamedTuple):
         leg, slopes = self.leg(u), self.slopes
         ahead, slope = u - self.u[leg], slopes[leg]
         corner = leg + (2 * ahead > np.diff(self.u)[leg])
-        reach = self.reach[corner]
-        w = np.divide(u - self.u[corner], reach, out=np.full_like(u, 2.0), where=reach > 0)
+        blend_length = self.blend_length[corner]
+        w = np.divide(u - self.u[corner], blend_length, out=np.full_like(u, 2.0), where=blend_length > 0)
         x, first = self.x[leg] + ahead[:, None] * slope, slope
         second, third = np.zeros_like(x), np.zeros_like(x)
         near = np.flatnonzero(np.abs(w) < 1)
         turn, after = self.turns[corner[near]], (corner == leg)[near, None]
-        w, reach = w[near, None], reach[near, None]
+        w, blend_length = w[near, None], blend_length[near, None]
         square, bump = w * w, 1 - w * w
         slope = 0.5 + 15 / 16 * w * (1 - square * (2 / 3 - square / 5))
         rise = 5 / 32 + w / 2 + 15 / 16 * square * (0.5 - square * (1 / 6 - square / 30))
-        x[near] += turn * reach * (rise - after * w)
+        x[near] += turn * blend_length * (rise - after * w)
         first[near] += turn * (slope - after)
-        second[near] = turn * (15 / 16 * bump * bump / reach)
-        third[near] = turn * (-15 / 4 * w * bump / reach**2)
+        second[near] = turn * (15 / 16 * bump * bump / blend_length)
+        third[near] = turn * (-15 / 4 * w * bump / blend_length**2)
         return Derivatives(x, first, second, third)
 
     def grid(self, on_corner: int, on_leg: int) -> Float[np.ndarray, "m"]:
@@ -77,16 +78,16 @@ class Curve(NamedTuple):
         """
         near = 0.5 ** np.arange(1, on_leg + 1)
         shares = np.concatenate([[0.0], near[::-1], 1 - near[1:], [1.0]])
-        before, after = self.u[:-1] + self.reach[:-1], self.u[1:] - self.reach[1:]
+        before, after = self.u[:-1] + self.blend_length[:-1], self.u[1:] - self.blend_length[1:]
         legs = before[:, None] + shares * (after - before)[:, None]
-        corners = self.u[:, None] + np.linspace(-1, 1, on_corner) * self.reach[:, None]
+        corners = self.u[:, None] + np.linspace(-1, 1, on_corner) * self.blend_length[:, None]
         places = np.unique(np.concatenate([legs.ravel(), corners.ravel()]))
         return places[np.diff(places, prepend=-np.inf) > 1e-9 * self.u[-1]]
 
 
-class Stretch(NamedTuple):
+class Blend(NamedTuple):
     """A section of the motion: a curve from stop to stop, with the row of the motion to which each leg leads."""
 
     curve: Curve  # over the TCP's path length [m] if it feeds; else over the time at full speed [s]
     row: Int[np.ndarray, "m"]
-    feeds: bool
+    on_process: bool

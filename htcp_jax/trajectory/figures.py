@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.limits import KINDS, Limits
-from htcp_jax.trajectory.program import Dip, Program
-from htcp_jax.trajectory.time_law import Law, instants
+from htcp_jax.trajectory.limits import KINDS, MotionLimits
+from htcp_jax.trajectory.program import FeedDrop, Program
+from htcp_jax.trajectory.time_scaling import TimeScaling, instants
 
 ROUNDING = 1e-9  # of a speed limit
 
@@ -22,7 +22,7 @@ class Share(NamedTuple):
     time_s: float  # [s]
 
 
-class Figures(NamedTuple):
+class ProgramFigures(NamedTuple):
     """Figures of a program."""
 
     duration_s: float  # [s]
@@ -31,42 +31,42 @@ class Figures(NamedTuple):
     path_m: float  # path length of the TCP on the path [m]
     held_share: float  # share of it on which the feed is held within 1 % [1]
     reached_m_s: float  # minimum feed between the path's run-up and run-down; 0 if the arm stops there [m/s]
-    reason: str | None  # cause of the minimum, as in `Dip`; None if the feed is held
-    dips: list[Dip]
+    reason: str | None  # cause of the minimum, as in `FeedDrop`; None if the feed is held
+    drops: list[FeedDrop]
     shares: list[Share]
     path_shares: list[Share]  # on the path; off it the arm is always at a limit
 
     @property
     def path_s(self) -> float:
         """Duration on the path, with dwells [s]."""
-        return sum(self.seconds.get(kind.words, 0.0) for kind in (Kind.FEED, Kind.DWELL))
+        return sum(self.seconds.get(kind.words, 0.0) for kind in (Kind.PROCESS, Kind.DWELL))
 
 
-def figures(made: Program, limits: Limits) -> Figures:
+def program_figures(made: Program, limits: MotionLimits) -> ProgramFigures:
     """Compute the figures of a program.
 
     Without a motion along a path, shares of it and the feed are NaN, and `path_shares` is empty.
     """
-    feeding = [law for stretch, law in zip(made.stretches, made.laws, strict=True) if stretch.feeds]
-    path, dips = float(sum(law.path.place[-1] for law in feeding)), made.dips()
-    off = sum(dip.end_m - dip.begin_m for dip in dips)
+    feeding = [scaling for blend, scaling in zip(made.blends, made.scalings, strict=True) if blend.on_process]
+    path, drops = float(sum(scaling.path.place[-1] for scaling in feeding)), made.drops()
+    off = sum(drop.end_m - drop.begin_m for drop in drops)
     held = 1 - off / path if path else np.nan
-    looked_at = _looked_at(made, limits)
-    on_path = [part for part, stretch in zip(looked_at, made.stretches, strict=True) if stretch.feeds]
-    return Figures(
+    looked_at = _sampled_shares(made, limits)
+    on_path = [part for part, blend in zip(looked_at, made.blends, strict=True) if blend.on_process]
+    return ProgramFigures(
         duration_s=made.duration_s,
-        seconds=_seconds(made),
+        seconds=_seconds_by_kind(made),
         feed_m_s=made.feed_m_s,
         path_m=path,
         held_share=held,
-        **_reached(feeding, dips),
-        dips=dips,
-        shares=_shares(looked_at, made.joint_names),
-        path_shares=_shares(on_path, made.joint_names),
+        **_reached(feeding, drops),
+        drops=drops,
+        shares=_largest_shares(looked_at, made.joint_names),
+        path_shares=_largest_shares(on_path, made.joint_names),
     )
 
 
-def _seconds(made: Program) -> dict[str, float]:
+def _seconds_by_kind(made: Program) -> dict[str, float]:
     found: dict[str, float] = {}
     time, row = made.passes()
     kinds = made.motion.kind[row]
@@ -75,7 +75,7 @@ def _seconds(made: Program) -> dict[str, float]:
     return found
 
 
-def _reached(feeding: list[Law], dips: list[Dip]) -> dict[str, float | str | None]:
+def _reached(feeding: list[TimeScaling], drops: list[FeedDrop]) -> dict[str, float | str | None]:
     """Return the minimum feed and its cause; the arm stops between two sections."""
     if not feeding:
         return {"reached_m_s": np.nan, "reason": None}
@@ -83,20 +83,20 @@ def _reached(feeding: list[Law], dips: list[Dip]) -> dict[str, float | str | Non
         return {"reached_m_s": 0.0, "reason": "stop"}
     place, speed = _between_ends(feeding[0])
     least = int(speed.argmin())
-    around = [dip for dip in dips if dip.begin_m <= place[least] <= dip.end_m]
-    reason = min(around, key=lambda dip: dip.feed_m_s).reason if around else None
+    around = [drop for drop in drops if drop.begin_m <= place[least] <= drop.end_m]
+    reason = min(around, key=lambda drop: drop.feed_m_s).reason if around else None
     return {"reached_m_s": float(speed[least]), "reason": reason}
 
 
-def _between_ends(law: Law) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+def _between_ends(scaling: TimeScaling) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Return positions and speeds between run-up and run-down.
 
     That is from the first to the last position at which the time scaling, before its moving mean, reaches a speed
     limit; only the fastest position if there are none.
     """
-    own, when = law.speed, instants(law.speed)
+    own, when = scaling.speed, instants(scaling.speed)
     place, speed = own.at(when)[:2]
-    capped = np.flatnonzero(own.speed[1:-1] >= (1 - ROUNDING) * law.cap[1:-1]) + 1
+    capped = np.flatnonzero(own.speed[1:-1] >= (1 - ROUNDING) * scaling.speed_limit[1:-1]) + 1
     if len(capped):
         first, last = own.slower * (own.time[capped[0]] + own.window_s), own.slower * own.time[capped[-1]]
         between = (when >= first) & (when <= last)
@@ -106,18 +106,18 @@ def _between_ends(law: Law) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "
     return place[fastest], speed[fastest]
 
 
-def _looked_at(made: Program, limits: Limits) -> list[tuple[np.ndarray, list[np.ndarray]]]:
+def _sampled_shares(made: Program, limits: MotionLimits) -> list[tuple[np.ndarray, list[np.ndarray]]]:
     """Return for each section times, and the joints' used shares of velocity, acceleration and jerk."""
     found = []
-    for law, end in zip(made.laws, made.ends_s.tolist(), strict=True):
-        when = instants(law.speed)
-        rates = law.at(when)[1][1:]
+    for scaling, end in zip(made.scalings, made.ends_s.tolist(), strict=True):
+        when = instants(scaling.speed)
+        rates = scaling.at(when)[1][1:]
         shares = [np.abs(rate) / limit for rate, limit in zip(rates, limits, strict=True)]
-        found.append((end - law.speed.duration_s + when, shares))
+        found.append((end - scaling.speed.duration_s + when, shares))
     return found
 
 
-def _shares(looked_at: list[tuple[np.ndarray, list[np.ndarray]]], names: tuple[str, ...]) -> list[Share]:
+def _largest_shares(looked_at: list[tuple[np.ndarray, list[np.ndarray]]], names: tuple[str, ...]) -> list[Share]:
     if not looked_at:
         return []
     times, parts = zip(*looked_at, strict=True)

@@ -12,7 +12,7 @@ from htcp_jax.model import Robot
 KINDS = "velocity", "acceleration", "jerk"
 
 
-class Limits(NamedTuple):
+class MotionLimits(NamedTuple):
     """Limits of N joints, in both directions."""
 
     velocity: Float[np.ndarray, "N"]  # [rad/s or m/s]
@@ -39,7 +39,7 @@ class Limits(NamedTuple):
         return np.stack(found, axis=2).reshape(len(v), -1)
 
 
-def joint_limits(robot: Robot, job: config.ProgramConfig | None = None) -> Limits:
+def joint_limits(robot: Robot, job: config.ProgramConfig | None = None) -> MotionLimits:
     """Return the limits of an arm.
 
     The job's; else the model's, if stated; else full speed in `job.full_speed_s`, and full acceleration in
@@ -55,14 +55,14 @@ def joint_limits(robot: Robot, job: config.ProgramConfig | None = None) -> Limit
     """
     job = config.ProgramConfig() if job is None else job
     given = {kind: own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in KINDS}
-    velocity = _either(given["velocity"], np.asarray(robot.speed, float))
+    velocity = _given_or(given["velocity"], np.asarray(robot.speed, float))
     for name, speed in zip(robot.joint_names, velocity, strict=True):
         if not 0 < speed < np.inf:
             raise InputError(f"{robot.name} has no velocity limit of joint {name}; program.velocity gives one a joint")
     own = np.asarray(robot.acceleration, float)
     own = np.where(np.isfinite(own), own, velocity / job.full_speed_s)
-    acceleration = _either(given["acceleration"], own)
-    return Limits(velocity, acceleration, _either(given["jerk"], acceleration / job.full_acceleration_s))
+    acceleration = _given_or(given["acceleration"], own)
+    return MotionLimits(velocity, acceleration, _given_or(given["jerk"], acceleration / job.full_acceleration_s))
 
 
 def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:
@@ -83,5 +83,5 @@ def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np
     return np.array(values)
 
 
-def _either(given: np.ndarray | None, otherwise: np.ndarray) -> np.ndarray:
+def _given_or(given: np.ndarray | None, otherwise: np.ndarray) -> np.ndarray:
     return otherwise if given is None else given

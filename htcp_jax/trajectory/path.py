@@ -11,14 +11,14 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
 from htcp_jax.model import Robot
-from htcp_jax.trajectory.curve import Curve, Derivatives, Stretch
-from htcp_jax.trajectory.nudge import tcp_at
+from htcp_jax.trajectory.curve import Blend, Curve, Derivatives
+from htcp_jax.trajectory.displacement import tcp_at
 
 FINE, HALVINGS = 13, 8  # positions on a corner, and halvings between two corners
 CLOSE = 0.01  # of the step between positions on a corner: closer ones are merged, else rounding dominates the splines
 
 
-class Path(NamedTuple):
+class PathCurve(NamedTuple):
     """A curve over s."""
 
     curve: Curve
@@ -42,23 +42,23 @@ class Path(NamedTuple):
         )
 
 
-def path_of(robot: Robot, stretch: Stretch) -> Path:
+def path_of_blend(robot: Robot, blend: Blend) -> PathCurve:
     """Parameterise a section by s."""
-    curve = stretch.curve
+    curve = blend.curve
     u = curve.grid(FINE, HALVINGS)
-    ends = curve.u[:, None] + np.array([-1, 1]) * curve.reach[:, None]
-    if not stretch.feeds:
-        return Path(curve, u, ends, None)
-    u = _apart(curve, u)
+    ends = curve.u[:, None] + np.array([-1, 1]) * curve.blend_length[:, None]
+    if not blend.on_process:
+        return PathCurve(curve, u, ends, None)
+    u = _without_coinciding(curve, u)
     here = curve.at(u)
     rate = np.linalg.norm(np.einsum("nij,nj->ni", tcp_at(robot, here.x)[1], here.first), axis=1)
     length = CubicSpline(u, rate).antiderivative()
     place = length(u)
-    return Path(curve, place, length(ends), CubicSpline(place, u))
+    return PathCurve(curve, place, length(ends), CubicSpline(place, u))
 
 
-def _apart(curve: Curve, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
+def _without_coinciding(curve: Curve, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
     """Remove positions that nearly coincide with the one before, as where two corners almost touch."""
     leg = curve.leg(u)
     corner = leg + (2 * (u - curve.u[leg]) > np.diff(curve.u)[leg])
-    return u[np.diff(u, prepend=-np.inf) > CLOSE * 2 / (FINE - 1) * curve.reach[corner]]
+    return u[np.diff(u, prepend=-np.inf) > CLOSE * 2 / (FINE - 1) * curve.blend_length[corner]]

@@ -17,7 +17,7 @@ from jaxtyping import Float
 AT_ONCE_S = 1e-9
 
 
-class Speed(NamedTuple):
+class SpeedProfile(NamedTuple):
     """A time scaling on a grid of m positions, with the window T."""
 
     time: Float[np.ndarray, "m"]  # [s]
@@ -66,8 +66,8 @@ class Speed(NamedTuple):
 
 
 def fastest(
-    place: Float[np.ndarray, "m"], cap: Float[np.ndarray, "m"], push: Float[np.ndarray, "m"], window_s: float
-) -> Speed:
+    place: Float[np.ndarray, "m"], speed_limit: Float[np.ndarray, "m"], push: Float[np.ndarray, "m"], window_s: float
+) -> SpeedProfile:
     """Return the fastest time scaling within speeds and accelerations, at rest at both ends.
 
     z^2 grows by at most 2 push ds in both directions: with C the integral of 2 push, z^2 = C + min(cap^2 - C) over the
@@ -75,20 +75,20 @@ def fastest(
 
     Args:
         place: Grid of positions [m or s].
-        cap: Maximum speeds there [m/s or 1].
+        speed_limit: Maximum speeds there [m/s or 1].
         push: Maximum accelerations there [m/s2 or 1/s].
         window_s: Time window of the moving mean.
     """
-    square = cap * cap
+    square = speed_limit * speed_limit
     square[[0, -1]] = 0.0
     rise = np.minimum(push[:-1], push[1:]) * np.diff(place) * 2
     sums = np.append(0.0, np.cumsum(rise))
     square = np.minimum.accumulate(square - sums) + sums
     square = np.minimum.accumulate((square + sums)[::-1])[::-1] - sums
-    speed = np.minimum(np.sqrt(np.maximum(square, 0.0)), cap)
+    speed = np.minimum(np.sqrt(np.maximum(square, 0.0)), speed_limit)
     speed[[0, -1]] = 0.0
     step = 2 * np.diff(place) / (speed[:-1] + speed[1:])
     time = np.append(0.0, np.cumsum(step))
     push = np.diff(speed) / step
     whole = step * (place[:-1] + step * (speed[:-1] / 2 + step * push / 6))
-    return Speed(time, place, speed, np.append(0.0, np.cumsum(whole)), window_s)
+    return SpeedProfile(time, place, speed, np.append(0.0, np.cumsum(whole)), window_s)

@@ -27,11 +27,11 @@ from htcp_jax.motion import Plans
 from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import Run, lock, open_run, timing_file
 from htcp_jax.runs import open as plan_sets
-from htcp_jax.trajectory.figures import Figures, figures
+from htcp_jax.trajectory.figures import ProgramFigures, program_figures
+from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torques, torques
 from htcp_jax.trajectory.limits import joint_limits
-from htcp_jax.trajectory.loads import LOOKED_AT_S, Load, loads_of, model_of, torques
-from htcp_jax.trajectory.of_plan import OfPlan, asked_feed, timed_plan, with_program
-from htcp_jax.trajectory.timed import Timed
+from htcp_jax.trajectory.plan_program import PlanProgram, requested_feed, timed_plan, with_program
+from htcp_jax.trajectory.timed_motion import TimedMotion
 
 BLOCK = 64  # scenarios per write and torque computation; limits memory
 EACH_PAYS, MOST = 128, 16  # scenarios that justify one more process; maximum of processes
@@ -39,18 +39,18 @@ PART = 4  # scenarios per work unit of a process
 LIMITS = "velocity", "acceleration", "jerk", "full_speed_s", "full_acceleration_s"  # keys of `program`
 
 
-class _Asked(NamedTuple):
+class _TimingSettings(NamedTuple):
     """Settings with which a run is timed."""
 
     feed_m_s: float
     overrides: tuple[str, ...]
 
 
-class _OfScenario(NamedTuple):
+class _TimedScenario(NamedTuple):
     """One scenario, timed."""
 
-    figures: Figures
-    timed: Timed | None  # for the torques; None if the arm's model has no inertias
+    figures: ProgramFigures
+    timed: TimedMotion | None  # for the torques; None if the arm's model has no inertias
     effort: np.ndarray  # the joints' limits
 
 
@@ -81,9 +81,9 @@ def time_run(
             files that have changed, and a folder that is in use or cannot be written.
         Interrupted: On SIGINT and SIGTERM; finished times are kept.
     """
-    asked = _Asked(asked_feed(feed, with_program(run.config, overrides)), tuple(overrides))
-    timer = _Timer(plan_sets.plans_of_run(run), asked)
-    chosen = _chosen(timer.found, methods)
+    requested = _TimingSettings(requested_feed(feed, with_program(run.config, overrides)), tuple(overrides))
+    timer = _Timer(plan_sets.plans_of_run(run), requested)
+    chosen = _chosen_methods(timer.found, methods)
     check_limits(timer.jobs)
     stopped = f"stopped; what is timed is kept in {run.folder}; the same command goes on"
     with stop_message(lambda: stopped), lock.locked(run.folder), lock.signals() as came:
@@ -103,7 +103,7 @@ def check_limits(jobs: Iterable[PlanConfig]) -> None:
         joint_limits(build.robot_of(job.robot), job.program)
 
 
-def _chosen(found: plan_sets.RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
+def _chosen_methods(found: plan_sets.RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
     for method in methods or ():
         if method not in found.methods:
             raise InputError(f"{found.folder} has no plans by {method!r}; there are {', '.join(found.methods)}")
@@ -113,8 +113,8 @@ def _chosen(found: plan_sets.RunPlans, methods: Sequence[str] | None) -> tuple[s
 class _Timer:
     """Timer for the scenarios of one run; shared arms and parts are read once."""
 
-    def __init__(self, found: plan_sets.RunPlans, asked: _Asked):
-        self.found, self.asked = found, asked
+    def __init__(self, found: plan_sets.RunPlans, requested: _TimingSettings):
+        self.found, self.requested = found, requested
         self.plans: Callable[[str], Plans] = cache(found.plans)
         self._arms: dict[str, Robot] = {}
         self._models: dict[str, mujoco.MjModel | None] = {}
@@ -123,19 +123,19 @@ class _Timer:
 
     def __reduce__(self):
         """Pickle the folder, not its content; a reused worker reads it again for the next `time_run`."""
-        return _opened, (self.found.folder.resolve(), self.asked, os.urandom(8))
+        return _opened, (self.found.folder.resolve(), self.requested, os.urandom(8))
 
     @cached_property
     def jobs(self) -> list[PlanConfig]:
         """The scenarios' configurations, with the overrides of `program`."""
-        return [with_program(job, self.asked.overrides) for job in self.found.jobs]
+        return [with_program(job, self.requested.overrides) for job in self.found.jobs]
 
     @property
     def made_with(self) -> timing_file.Timing:
         """Settings of the times, without rows."""
-        program = with_program(self.found.config, self.asked.overrides).program.model_dump(mode="json")
+        program = with_program(self.found.config, self.requested.overrides).program.model_dump(mode="json")
         return timing_file.Timing(
-            self.asked.feed_m_s, {key: program[key] for key in LIMITS}, timing_file.SCHEMA.empty_table()
+            self.requested.feed_m_s, {key: program[key] for key in LIMITS}, timing_file.SCHEMA.empty_table()
         )
 
     def known(self, method: str) -> timing_file.Timing:
@@ -152,7 +152,7 @@ class _Timer:
         planned = {number for shard in shards for number in range(shard.first, shard.last + 1)}
         return sorted(planned - set(self.known(method).rows["scenario"].to_pylist()))
 
-    def one(self, method: str, scenario: int) -> _OfScenario | None:
+    def one(self, method: str, scenario: int) -> _TimedScenario | None:
         """Time a scenario; None if no motion leads to its last target."""
         plans, job = self.plans(method), self.jobs[scenario]
         if not plans.outcome(scenario).can_be_driven:
@@ -161,24 +161,24 @@ class _Timer:
         aims = build.scenario_of(job, arm, self._part(job, arm)).aims if job.task else None
         robot = robots.lengthen_tool(arm, job.robot.tool_extension_m)
         try:
-            made = timed_plan(plans, scenario, job, robot, aims, self.asked.feed_m_s, method)
+            made = timed_plan(plans, scenario, job, robot, aims, self.requested.feed_m_s, method)
         except InputError:  # limits and feed are valid: the arm never moves
             return None
-        return _OfScenario(figures(made.program, made.limits), self._timed(made), np.asarray(robot.effort))
+        return _TimedScenario(program_figures(made.program, made.limits), self._timed(made), np.asarray(robot.effort))
 
-    def _timed(self, made: OfPlan) -> Timed | None:
-        return None if self._model(made.job) is None else made.program.timed(LOOKED_AT_S)
+    def _timed(self, made: PlanProgram) -> TimedMotion | None:
+        return None if self._model(made.job) is None else made.program.timed(TORQUES_EVERY_S)
 
-    def loads(self, block: Sequence[int], found: Sequence[_OfScenario | None]) -> dict[int, Load]:
+    def loads(self, block: Sequence[int], found: Sequence[_TimedScenario | None]) -> dict[int, PeakTorque]:
         """Return the largest torques of a block's motions, by scenario; motions of one arm are computed at once."""
-        arms: dict[str, dict[int, _OfScenario]] = {}
+        arms: dict[str, dict[int, _TimedScenario]] = {}
         for number, one in zip(block, found, strict=True):
             if one is not None and one.timed is not None:
                 arms.setdefault(repr(build.arm_of(self.jobs[number])), {})[number] = one
-        loads: dict[int, Load] = {}
+        loads: dict[int, PeakTorque] = {}
         for arm, own in arms.items():
             motions, effort = [one.timed for one in own.values()], next(iter(own.values())).effort
-            loads |= zip(own, loads_of(self._torques(arm, next(iter(own))), motions, effort), strict=True)
+            loads |= zip(own, peak_torques(self._torques(arm, next(iter(own))), motions, effort), strict=True)
         return loads
 
     def _torques(self, arm: str, number: int) -> Callable:
@@ -214,41 +214,48 @@ def _time_method(timer: _Timer, method: str, find: Callable, progress: Callable 
         if progress is not None:
             progress(method, everything - len(missing) + first, everything)
         if came:
-            raise Interrupted(_stopped(timer, method, everything - len(missing) + first, everything), came[0])
+            raise Interrupted(_stop_text(timer, method, everything - len(missing) + first, everything), came[0])
         block = missing[first : first + BLOCK]
         found = find(method, block)
         loads = timer.loads(block, found)
-        rows = [_row(number, known.feed_m_s, one, loads.get(number)) for number, one in zip(block, found, strict=True)]
+        rows = [
+            _timing_row(number, known.feed_m_s, one, loads.get(number))
+            for number, one in zip(block, found, strict=True)
+        ]
         known = known._replace(rows=pa.concat_tables([known.rows, pa.Table.from_pylist(rows, timing_file.SCHEMA)]))
         _write(timer.found.run, method, known)
     if progress is not None:
         progress(method, everything, everything)
 
 
-def _stopped(timer: _Timer, method: str, done: int, of: int) -> str:
+def _stop_text(timer: _Timer, method: str, done: int, of: int) -> str:
     return f"stopped; {done} of {of} scenarios of {method} are timed in {timer.found.folder}; the same command goes on"
 
 
 def _write(run: Run, method: str, timing: timing_file.Timing) -> None:
     files.make_folder(run.folder, timing_file.TIMING)
     name = str(timing_file.timing_file(run.folder, method).relative_to(run.folder))
-    files.write(run.folder, name, timing_file.timing_bytes(timing, run.manifest.shards, method))
+    files.write_atomically(run.folder, name, timing_file.timing_bytes(timing, run.manifest.shards, method))
 
 
-def _row(number: int, feed_m_s: float, one: _OfScenario | None, load: Load | None) -> dict:
+def _timing_row(number: int, feed_m_s: float, one: _TimedScenario | None, peak_torque: PeakTorque | None) -> dict:
     """Return a row of the file."""
     row = {"scenario": number, "feed_m_s": feed_m_s}
     if one is None:
         return row
     found = one.figures
     row |= {"cycle_time_s": found.duration_s, "path_time_s": found.path_s, "feed_reason": found.reason}
-    row |= {"feed_held_share": _known(found.held_share), "feed_reached_m_s": _known(found.reached_m_s)}
+    row |= {"feed_held_share": _or_none(found.held_share), "feed_reached_m_s": _or_none(found.reached_m_s)}
     for share in found.path_shares:
         row |= {f"{share.limit}_share": share.share, f"{share.limit}_joint": share.joint}
-    return row | ({"torque_share": load.share, "torque_joint": load.joint} if load is not None and load.share else {})
+    return row | (
+        {"torque_share": peak_torque.share, "torque_joint": peak_torque.joint}
+        if peak_torque is not None and peak_torque.share
+        else {}
+    )
 
 
-def _known(value: float) -> float | None:
+def _or_none(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
 
 
@@ -261,9 +268,9 @@ def _finder(timer: _Timer, methods: Sequence[str], workers: int | None) -> Calla
         return lambda method, block: [timer.one(method, number) for number in block]
     shared = pickle.dumps((timer,))
 
-    def find(method: str, block: Sequence[int]) -> list[_OfScenario | None]:
+    def find(method: str, block: Sequence[int]) -> list[_TimedScenario | None]:
         parts = [(method, block[first : first + PART]) for first in range(0, len(block), PART)]
-        return list(chain(*processes.spread(workers, _part, shared, parts, None).results))
+        return list(chain(*processes.spread(workers, _time_part, shared, parts, None).results))
 
     return find
 
@@ -271,10 +278,10 @@ def _finder(timer: _Timer, methods: Sequence[str], workers: int | None) -> Calla
 # Functions that run in a worker
 
 
-def _opened(folder: Path, asked: _Asked, _: bytes) -> _Timer:
-    return _Timer(plan_sets.RunPlans(open_run(folder)), asked)
+def _opened(folder: Path, requested: _TimingSettings, _: bytes) -> _Timer:
+    return _Timer(plan_sets.RunPlans(open_run(folder)), requested)
 
 
-def _part(tell: Callable, timer: _Timer, part: tuple[str, Sequence[int]]) -> list[_OfScenario | None]:
+def _time_part(notify: Callable, timer: _Timer, part: tuple[str, Sequence[int]]) -> list[_TimedScenario | None]:
     method, numbers = part
     return [timer.one(method, number) for number in numbers]

@@ -5,7 +5,7 @@ none of the planner's mathematics. It returns a `Validation`: violations by kind
 Segments are sampled at steps of `STEP_RAD`. `record` and `write_validation` save it, and `check_timed` does the same
 for a timed program.
 
-A `Baseline` is a file of a run's expected counts: `read_baseline` reads it, `bless` writes it, and `gate` compares
+A `Baseline` is a file of a run's expected counts: `read_baseline` reads it, `update` writes it, and `gate` compares
 another run with it.
 
 `tests/lint.py` lists the names that this package may import from others: types of data, files, constants.

@@ -26,15 +26,15 @@ from htcp_jax.motion import plans
 from htcp_jax.runs import Run, identity, labels, plan_folder, reachability_file
 from htcp_jax.runs import manifest as manifests
 from htcp_jax.status import Status
-from htcp_jax.validation.result import MethodCheck, Refuted
-from htcp_jax.validation.validate import validate as check_by_mujoco
+from htcp_jax.validation.result import MethodCheck, Refutation
+from htcp_jax.validation.validate import validate_results as check_by_mujoco
 
 COMPLETE = "complete"
 DIGITS = 6  # of millimetres in the file
-HEAD = """# How a run stood, for `htcp gate` to hold later runs to. Written by --bless; only `allow` is to be edited.
+HEAD = """# How a run stood, for `htcp gate` to hold later runs to. Written by --update; only `allow` is to be edited.
 """
 
-Count = Annotated[int, Field(ge=0)]
+WholeNumber = Annotated[int, Field(ge=0)]
 Millimetres = Annotated[float, Field(ge=0)]
 
 
@@ -55,27 +55,27 @@ def _read_end(text: Any) -> End:
     return End(int(count), status)
 
 
-class Times(strict_model.Section):
+class Times(strict_model.FileSection):
     """Durations of one method's timed motions at a feed; see `htcp program --all`."""
 
     feed_m_s: float
     limits: dict[str, Any]  # keys of `program`
-    held: Count  # scenarios that hold their feed
-    cycle_time_s: dict[Count, Annotated[float, Field(gt=0)]]  # of scenarios with a motion to their last target
+    held: WholeNumber  # scenarios that hold their feed
+    cycle_time_s: dict[WholeNumber, Annotated[float, Field(gt=0)]]  # of scenarios with a motion to their last target
 
 
-class Scores(strict_model.Section):
+class Scores(strict_model.FileSection):
     """Results of one method."""
 
-    tracked: Count
-    targets: Count
-    executable: Count  # of the tracked
-    complete: Count  # scenarios
+    tracked: WholeNumber
+    targets: WholeNumber
+    executable: WholeNumber  # of the tracked
+    complete: WholeNumber  # scenarios
     tcp_error_max_mm: float | None  # over the tracked targets, like the next; None if there are none
     clearance_min_mm: float | None
     clearance_less_cover_min_mm: float | None = Field(None, exclude=True)  # of a run; no part of the file
     times: Times | None = None  # if the run is timed
-    scenarios: dict[Count, str]  # an `End` each, by the scenario's number
+    scenarios: dict[WholeNumber, str]  # an `End` each, by the scenario's number
 
     @property
     def ends(self) -> dict[int, End]:
@@ -92,10 +92,10 @@ class Scores(strict_model.Section):
         return self
 
 
-class Reachability(strict_model.Section):
+class ReachabilityScores(strict_model.FileSection):
     """Results of `htcp reachability`."""
 
-    reachable: Count  # targets
+    reachable: WholeNumber  # targets
     resolution_rad: float | None  # of the search; None for configurations spread over the joint limits
     seed: int
 
@@ -103,22 +103,22 @@ class Reachability(strict_model.Section):
     def searched(self) -> str:
         """Description of the search: resolution and seed."""
         spread = self.resolution_rad is None
-        how = "spread postures" if spread else f"a resolution of {self.resolution_rad:.3g} rad"
+        how = "spread configurations" if spread else f"a resolution of {self.resolution_rad:.3g} rad"
         return f"{how} and seed {self.seed}"
 
 
-class Allowance(strict_model.Section):
+class Allowance(strict_model.FileSection):
     """Largest differences from the baseline that a method may have."""
 
-    targets: Count = 0  # fewer tracked in all
-    more_targets: Count | None = None  # more tracked in all; None: any number
-    scenarios: Count = 0  # that end earlier
+    targets: WholeNumber = 0  # fewer tracked in all
+    more_targets: WholeNumber | None = None  # more tracked in all; None: any number
+    scenarios: WholeNumber = 0  # that end earlier
     cycle_time_percent: Annotated[float, Field(ge=0)] = 1.0  # that a scenario may take longer
     tcp_error_mm: Millimetres = 0.05
     clearance_mm: Millimetres = 0.05
 
 
-class Allowances(strict_model.Section):
+class Allowances(strict_model.FileSection):
     """Allowed differences from the baseline, by machine.
 
     `here` is for the device and versions of the baseline, where the same code plans the same bits; `elsewhere` for
@@ -130,7 +130,7 @@ class Allowances(strict_model.Section):
     elsewhere: Allowance = Allowance(targets=25, scenarios=2)
 
 
-class Baseline(strict_model.Section):
+class Baseline(strict_model.FileSection):
     """Contents of a baseline file."""
 
     format: Literal[1] = 1
@@ -142,7 +142,7 @@ class Baseline(strict_model.Section):
     config_hash: str
     allow: Allowances = Allowances()
     versions: dict[str, str | None]
-    reachability: Reachability | None
+    reachability: ReachabilityScores | None
     planned: dict[str, Any]  # the `identity` of the run: its configuration and its grid
     methods: dict[manifests.MethodName, Scores] = Field(min_length=1)
 
@@ -166,8 +166,8 @@ class RunSummary(NamedTuple):
 
     methods: dict[str, Scores]
     checks: dict[str, MethodCheck]
-    refuted: tuple[Refuted, ...]
-    reachability: Reachability | None
+    refuted: tuple[Refutation, ...]
+    reachability: ReachabilityScores | None
     problems: tuple[str, ...]
 
 
@@ -192,7 +192,7 @@ def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) 
     found = attempt("not validated", lambda: check_by_mujoco(run.folder, between=0, progress=progress))
     checks = found.methods if found else {}
     methods = {method: attempt(method, lambda m=method: _scores(run, m, checks.get(m))) for method in run.methods}
-    reachability = attempt("what is reachable is not known", lambda: _reachability(run))
+    reachability = attempt("what is reachable is not known", lambda: _reachability_scores(run))
     refuted = found.refuted if found else ()
     return RunSummary(
         {m: scores for m, scores in methods.items() if scores}, checks, refuted, reachability, tuple(problems)
@@ -205,10 +205,10 @@ def read_baseline(file: Path) -> Baseline:
     Raises:
         InputError: For a file that cannot be read, is damaged, or is not a baseline.
     """
-    return strict_model.validate(strict_yaml.read_yaml(file), Baseline, str(file))
+    return strict_model.validate_model(strict_yaml.read_yaml(file), Baseline, str(file))
 
 
-def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = None) -> Baseline:
+def update_baseline(run: Run, file: Path, progress: Callable[[int, int], None] | None = None) -> Baseline:
     """Write the results of the run into `file`, keeping the allowances of an older baseline there.
 
     Args:
@@ -222,14 +222,16 @@ def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = No
             lacks; and if it cannot be written.
     """
     old = read_baseline(file) if file.exists() else None
-    if reason := _not_to_be_blessed(run, old):
-        raise InputError(f"{run.folder} is not blessed: {reason}")
+    if reason := _reason_not_to_update(run, old):
+        raise InputError(f"{run.folder} is not taken as the baseline: {reason}")
     found = summarise_run(run, progress)
     if found.problems or found.refuted:
         refuted = f"{labels.counted(len(found.refuted), 'tracked target')} refuted by MuJoCo"
-        raise InputError(f"{run.folder} is not blessed: {found.problems[0] if found.problems else refuted}")
+        raise InputError(
+            f"{run.folder} is not taken as the baseline: {found.problems[0] if found.problems else refuted}"
+        )
     manifest, (origin,) = run.manifest, run.manifest.planned_by
-    blessed = Baseline(
+    updated = Baseline(
         sweep=manifest.name,
         commit=origin.get("commit"),
         device=origin["device"],
@@ -242,8 +244,8 @@ def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = No
         planned=planned(manifest),
         methods=found.methods,
     )
-    plan_folder.write_text(file, HEAD + yaml.dump(blessed.model_dump(), Dumper=_Dumper, sort_keys=False, width=118))
-    return blessed
+    plan_folder.write_text(file, HEAD + yaml.dump(updated.model_dump(), Dumper=_Dumper, sort_keys=False, width=118))
+    return updated
 
 
 def planned(manifest: manifests.Manifest) -> dict:
@@ -251,7 +253,7 @@ def planned(manifest: manifests.Manifest) -> dict:
     return identity.identity(manifest.config, manifest.grid, manifest.dtype, manifest.files)
 
 
-def _not_to_be_blessed(run: Run, old: Baseline | None) -> str | None:
+def _reason_not_to_update(run: Run, old: Baseline | None) -> str | None:
     manifest = run.manifest
     if manifest.count < manifest.full:
         return f"it is limited to {manifest.count} of {labels.counted(manifest.full, 'scenario')}"
@@ -279,15 +281,15 @@ def _scores(run: Run, method: str, check: MethodCheck | None) -> Scores:
         targets=int(found.targets.sum()),
         executable=int(found.executable.sum()),
         complete=int(found.complete.sum()),
-        tcp_error_max_mm=_rounded(check and check.tcp_error_max_mm),
-        clearance_min_mm=_rounded(check and check.clearance_min_mm),
-        clearance_less_cover_min_mm=_rounded(check and check.clearance_less_cover_min_mm),
-        times=_times(run, method),
+        tcp_error_max_mm=_rounded_or_none(check and check.tcp_error_max_mm),
+        clearance_min_mm=_rounded_or_none(check and check.clearance_min_mm),
+        clearance_less_cover_min_mm=_rounded_or_none(check and check.clearance_less_cover_min_mm),
+        times=_program_times(run, method),
         scenarios={number: str(_end(end)) for number, end in ends.items()},
     )
 
 
-def _times(run: Run, method: str) -> Times | None:
+def _program_times(run: Run, method: str) -> Times | None:
     if (found := run.timing(method)) is None:
         return None
     timed = found.timed
@@ -300,14 +302,14 @@ def _end(found: plans.Outcome) -> End:
     return End(found.targets, COMPLETE) if found.complete else End(found.failed, found.status.name)
 
 
-def _reachability(run: Run) -> Reachability | None:
+def _reachability_scores(run: Run) -> ReachabilityScores | None:
     found = reachability_file.read_reachability(run)
-    return found and Reachability(
+    return found and ReachabilityScores(
         reachable=int(found.prefix.sum()), resolution_rad=found.resolution_rad, seed=found.seed
     )
 
 
-def _rounded(value: float | None) -> float | None:
+def _rounded_or_none(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else round(value, DIGITS)
 
 

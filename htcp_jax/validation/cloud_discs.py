@@ -14,7 +14,7 @@ FURTHER, WIDEST = 1.1, 3.0  # radius by the distance of that neighbour; largest 
 Points = Float[np.ndarray, "m 3"]
 
 
-class Discs:
+class CloudDiscs:
     """Flat discs at P >= 4 points, with a radius each [m]; planes are fitted when they are needed.
 
     Args:

@@ -11,7 +11,7 @@ A method fails when
 - its largest TCP error or its minimum clearance is worse than the baseline's by more than is allowed;
 - the run lacks it, one of its scenarios, or one of these figures.
 
-Improvements pass and are listed, so that the baseline can be updated. Each of these is a `Check`.
+Improvements pass and are listed, so that the baseline can be updated. Each of these is a `GateCheck`.
 """
 
 from collections.abc import Callable
@@ -54,7 +54,7 @@ class Origin(NamedTuple):
         return f"{', '.join([f'commit {commit[:12]}{sign}{changes}', *known])}; {self.device}"
 
 
-class Check(NamedTuple):
+class GateCheck(NamedTuple):
     """Result of one comparison for one method."""
 
     method: str
@@ -98,7 +98,7 @@ class ChangedOutcome(NamedTuple):
         return f"{where}, {self.was.tracked} tracked before, {self.now.tracked} now; {self.reason}"
 
 
-class Row(NamedTuple):
+class GateRow(NamedTuple):
     """The baseline's and the run's figures for one method, or for reachability. None if there is none."""
 
     method: str
@@ -121,7 +121,7 @@ class Row(NamedTuple):
     verdict: str
 
 
-class Verdict(NamedTuple):
+class GateVerdict(NamedTuple):
     """Result of the gate. `failures` and `improvements` are sentences."""
 
     passed: bool
@@ -130,14 +130,14 @@ class Verdict(NamedTuple):
     run: tuple[Origin, ...]  # several if a run was planned in parts
     elsewhere: bool  # True if the run was planned on another device, or with other versions, than the baseline
     allow: Allowance
-    rows: tuple[Row, ...]
-    checks: tuple[Check, ...]
+    rows: tuple[GateRow, ...]
+    checks: tuple[GateCheck, ...]
     changed: tuple[ChangedOutcome, ...]  # the worse ones first
     failures: tuple[str, ...]
     improvements: tuple[str, ...]  # better or not in the baseline; these pass
 
 
-def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | None = None) -> Verdict:
+def compare(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | None = None) -> GateVerdict:
     """Compare the run with the baseline.
 
     Args:
@@ -148,47 +148,47 @@ def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | N
     Raises:
         InputError: If the baseline is of another sweep or configuration, and cannot be compared.
     """
-    if differing := identity.differences(baseline.planned, planned(run.manifest)):
+    if differing := identity.identity_differences(baseline.planned, planned(run.manifest)):
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
         raise InputError(
             f"{run.folder} was not planned as the baseline was: {differing[0]}{more}; "
-            "where that is meant, --bless a new one"
+            "where that is meant, --update a new one"
         )
     found = summarise_run(run, progress)
     verdict = _compare(baseline, found, tuple(map(_origin, run.manifest.planned_by)))
     labels = run.labels() if verdict.changed else {}
-    changed = (one._replace(label=run_labels.named(one.scenario, labels)) for one in verdict.changed)
+    changed = (one._replace(label=run_labels.named_scenario(one.scenario, labels)) for one in verdict.changed)
     return verdict._replace(sweep=run.manifest.name, changed=tuple(changed))
 
 
-def unreadable(baseline: Baseline, reason: str) -> Verdict:
+def unreadable_run(baseline: Baseline, reason: str) -> GateVerdict:
     """Verdict on a run that cannot be read: each method is missing."""
     return _compare(baseline, RunSummary({}, {}, (), None, (reason,)), ())
 
 
-def _compare(baseline: Baseline, found: RunSummary, run: tuple[Origin, ...]) -> Verdict:
+def _compare(baseline: Baseline, found: RunSummary, run: tuple[Origin, ...]) -> GateVerdict:
     was = Origin(baseline.commit, baseline.device, baseline.versions)
     elsewhere = any(_machine(one) != _machine(was) for one in run)
     allow = baseline.allow.elsewhere if elsewhere else baseline.allow.here
-    checks, rows, changed = [Check(RUN, "files", found.problems)], [], []
+    checks, rows, changed = [GateCheck(RUN, "files", found.problems)], [], []
     for method, scores in baseline.methods.items():
         own = [] if (now := found.methods.get(method)) is None else _changed(method, scores, now)
         lines = _lines(baseline, found, method, own, allow)
-        checks += [Check(method, name, tuple(lines[name] or ()), lines[name] is not None) for name in CHECKS]
-        verdict = "FAILED" if any(lines.values()) else "better" if _better(own) else "ok"
+        checks += [GateCheck(method, name, tuple(lines[name] or ()), lines[name] is not None) for name in CHECKS]
+        verdict = "FAILED" if any(lines.values()) else "better" if _is_improved(own) else "ok"
         changed += own
-        rows.append(_row(baseline, found, method, own, verdict))
+        rows.append(_gate_row(baseline, found, method, own, verdict))
     if baseline.reachability is not None:
         wrong = _reachability_shortfall(baseline, found, allow)
-        checks.append(Check(REACHABILITY, "reachable targets", tuple(wrong)))
+        checks.append(GateCheck(REACHABILITY, "reachable targets", tuple(wrong)))
         rows.append(_reachability_row(baseline, found, "FAILED" if wrong else "ok"))
     failures = [f"{check.method}: {line}" for check in checks for line in check.failures]
     better = [f"{method} is not in the baseline" for method in found.methods if method not in baseline.methods]
-    gains = {row.method: row.tracked - row.was_tracked for row in rows if _more(row)}
+    gains = {row.method: row.tracked - row.was_tracked for row in rows if _tracks_more(row)}
     better += [f"{method} tracks {run_labels.counted(gain, 'target')} more" for method, gain in gains.items()]
     changed.sort(key=lambda one: (not one.worse, one.better))
     groups = map(tuple, (rows, checks, changed, failures, better))
-    return Verdict(not failures, baseline.sweep, was, run, elsewhere, allow, *groups)
+    return GateVerdict(not failures, baseline.sweep, was, run, elsewhere, allow, *groups)
 
 
 def _origin(planned_by: dict) -> Origin:
@@ -204,11 +204,11 @@ def _changed(method: str, was: Scores, now: Scores) -> list[ChangedOutcome]:
     return [ChangedOutcome(method, number, a, b, str(number)) for number, a, b in both if b is not None and a != b]
 
 
-def _better(changed: list[ChangedOutcome]) -> bool:
+def _is_improved(changed: list[ChangedOutcome]) -> bool:
     return any(one.better for one in changed)
 
 
-def _more(row: Row) -> bool:
+def _tracks_more(row: GateRow) -> bool:
     return None not in (row.tracked, row.was_tracked) and row.tracked > row.was_tracked
 
 
@@ -234,7 +234,7 @@ def _lines(
         lines[TRACKED] = [f"{gained}; {allow.more_targets} may be gained"]
     if (worse := sum(one.worse for one in changed)) > allow.scenarios:
         lines[ENDS] = [f"{run_labels.counted(worse, 'scenario')} ended earlier; {allow.scenarios} may"]
-    was_share, share = _share(was, baseline.reachability), _share(now, found.reachability)
+    was_share, share = _reachable_share(was, baseline.reachability), _reachable_share(now, found.reachability)
     if was_share is None or share is None:
         lines[SHARE] = None
     elif share < was_share - 100 * allow.targets / baseline.reachability.reachable - ROUNDING:
@@ -247,13 +247,13 @@ def _lines(
         (TCP_ERROR, was.tcp_error_max_mm, now.tcp_error_max_mm, 1, allow.tcp_error_mm),
         (CLEARANCE, was.clearance_min_mm, now.clearance_min_mm, -1, allow.clearance_mm),
     )
-    for name, before, after, sign, room in bounds:
+    for name, before, after, sign, allowed in bounds:
         if before is None:
             lines[name] = None
         elif after is None:
             lines[name] = [f"the {name} is missing"]
-        elif sign * (after - before) > room + ROUNDING:
-            lines[name] = [f"the {name} is {after:.4g} mm, {before:.4g} mm before; it may move by {room:g} mm"]
+        elif sign * (after - before) > allowed + ROUNDING:
+            lines[name] = [f"the {name} is {after:.4g} mm, {before:.4g} mm before; it may move by {allowed:g} mm"]
     return lines
 
 
@@ -291,21 +291,23 @@ def _reachability_shortfall(baseline: Baseline, found: RunSummary, allow: Allowa
     return []
 
 
-def _share(scores: Scores | None, reachability) -> float | None:
+def _reachable_share(scores: Scores | None, reachability) -> float | None:
     return 100 * scores.tracked / reachability.reachable if scores and reachability and reachability.reachable else None
 
 
-def _row(baseline: Baseline, found: RunSummary, method: str, changed: list[ChangedOutcome], verdict: str) -> Row:
+def _gate_row(
+    baseline: Baseline, found: RunSummary, method: str, changed: list[ChangedOutcome], verdict: str
+) -> GateRow:
     was, now = baseline.methods[method], found.methods.get(method)
-    return Row(
+    return GateRow(
         method=method,
         was_tracked=was.tracked,
         tracked=now and now.tracked,
         targets=was.targets,
         worse=now and sum(one.worse for one in changed),
         better=now and sum(one.better for one in changed),
-        was_share=_share(was, baseline.reachability),
-        share=_share(now, found.reachability),
+        was_share=_reachable_share(was, baseline.reachability),
+        share=_reachable_share(now, found.reachability),
         was_tcp_error_max_mm=was.tcp_error_max_mm,
         tcp_error_max_mm=now and now.tcp_error_max_mm,
         was_clearance_min_mm=was.clearance_min_mm,
@@ -331,9 +333,9 @@ def _mean(times: Times) -> float | None:
     return sum(times.cycle_time_s.values()) / len(times.cycle_time_s) if times.cycle_time_s else None
 
 
-def _reachability_row(baseline: Baseline, found: RunSummary, verdict: str) -> Row:
-    nothing = dict.fromkeys(Row._fields)
+def _reachability_row(baseline: Baseline, found: RunSummary, verdict: str) -> GateRow:
+    nothing = dict.fromkeys(GateRow._fields)
     reachable = found.reachability and found.reachability.reachable
     targets = next(iter(baseline.methods.values())).targets
     counts = {"was_tracked": baseline.reachability.reachable, "tracked": reachable, "targets": targets}
-    return Row(**(nothing | {"method": REACHABILITY, **counts, "verdict": verdict}))
+    return GateRow(**(nothing | {"method": REACHABILITY, **counts, "verdict": verdict}))

@@ -58,14 +58,14 @@ def axis_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarr
         triangles: Corners of each segment's triangle [m].
     """
     steps = range(0, len(p), AT_ONCE)
-    parts = [_distances(*(values[k : k + AT_ONCE] for values in (p, q, triangles))) for k in steps]
+    parts = [_triangle_distances(*(values[k : k + AT_ONCE] for values in (p, q, triangles))) for k in steps]
     return np.concatenate(parts or [np.empty(0)])
 
 
-def _distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, "m"]:
+def _triangle_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, "m"]:
     ends = [_size(trimesh.triangles.closest_point(triangles, end) - end) for end in (p, q)]
     corners = np.moveaxis(triangles, 1, 0)
-    edges = [_between(p, q, corners[k], corners[k - 1]) for k in range(3)]
+    edges = [_segment_distance(p, q, corners[k], corners[k - 1]) for k in range(3)]
     return np.where(goes_through(p, q, triangles), 0.0, np.minimum.reduce([*ends, *edges]))
 
 
@@ -80,12 +80,12 @@ def goes_through(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray,
         triangles: Corners of each segment's triangle [m].
     """
     a, b, c = np.moveaxis(triangles, 1, 0)
-    sides = [_volume(a, b, c, end) for end in (p, q)]
-    about = np.stack([_volume(p, q, *edge) for edge in ((a, b), (b, c), (c, a))])
+    sides = [_signed_volume(a, b, c, end) for end in (p, q)]
+    about = np.stack([_signed_volume(p, q, *edge) for edge in ((a, b), (b, c), (c, a))])
     return (sides[0] * sides[1] < 0) & ((about >= 0).all(axis=0) | (about <= 0).all(axis=0))
 
 
-def _between(p: Points, q: Points, a: Points, b: Points) -> Float[np.ndarray, "m"]:
+def _segment_distance(p: Points, q: Points, a: Points, b: Points) -> Float[np.ndarray, "m"]:
     """Distance from each segment p q to its segment a b [m].
 
     For non-parallel lines the minimum of the lines is included; for parallel ones an end of p q or of a b is among the
@@ -93,24 +93,24 @@ def _between(p: Points, q: Points, a: Points, b: Points) -> Float[np.ndarray, "m
     """
     u, v, w = q - p, b - a, p - a
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
-    s = _share(uv * _dot(v, w) - vv * _dot(u, w), uu * vv - uv * uv)
-    t = _share(_dot(v, w) + s * uv, vv)
-    found = [_apart(p, u, _share(t * uv - _dot(u, w), uu), a, v, t)]
+    s = _clipped_ratio(uv * _dot(v, w) - vv * _dot(u, w), uu * vv - uv * uv)
+    t = _clipped_ratio(_dot(v, w) + s * uv, vv)
+    found = [_gap(p, u, _clipped_ratio(t * uv - _dot(u, w), uu), a, v, t)]
     for end in (np.zeros(len(p)), np.ones(len(p))):
-        found.append(_apart(p, u, _share(end * uv - _dot(u, w), uu), a, v, end))
+        found.append(_gap(p, u, _clipped_ratio(end * uv - _dot(u, w), uu), a, v, end))
     return np.minimum.reduce(found)
 
 
-def _apart(p: Points, u: Points, s: np.ndarray, a: Points, v: Points, t: np.ndarray) -> Float[np.ndarray, "m"]:
+def _gap(p: Points, u: Points, s: np.ndarray, a: Points, v: Points, t: np.ndarray) -> Float[np.ndarray, "m"]:
     return _size(p + s[:, None] * u - a - t[:, None] * v)
 
 
-def _share(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "m"]:
+def _clipped_ratio(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "m"]:
     """Return a / b, clipped to 0 and 1; 0 if b is 0."""
     return np.clip(np.divide(a, b, out=np.zeros_like(a), where=b > 0), 0.0, 1.0)
 
 
-def _volume(a: Points, b: Points, c: Points, d: Points) -> Float[np.ndarray, "m"]:
+def _signed_volume(a: Points, b: Points, c: Points, d: Points) -> Float[np.ndarray, "m"]:
     return _dot(np.cross(b - a, c - a), d - a)
 
 

@@ -29,7 +29,7 @@ _OWN_FRAME = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # else MuJoCo may use th
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
-class Postures(NamedTuple):
+class ArmPoses(NamedTuple):
     """TCP and ends of the K capsules' axes at n configurations, world [m]."""
 
     tcp: Float[np.ndarray, "n 3"]
@@ -37,7 +37,7 @@ class Postures(NamedTuple):
     q: Float[np.ndarray, "n K 3"]
 
 
-class Arm:
+class MujocoArm:
     """An arm's model file in MuJoCo, with the base and the tool of a job, and a probe that can be placed anywhere.
 
     `names`, `radius` and `length` are those of the K capsules and spheres, and of their axes [m]; `lower` and `upper`
@@ -73,7 +73,7 @@ class Arm:
         self._probe = self._model.geom(_PROBE).id
         self._geoms = np.array([g for g in range(self._model.ngeom) if g != self._probe])
         if any((*base_m, *base_rpy_rad)):
-            _stand(self._model, self._geoms, base_m, base_rpy_rad)
+            _move_base(self._model, self._geoms, base_m, base_rpy_rad)
         self._data = mujoco.MjData(self._model)
         if tool_extension_m:
             _lengthen(self._model, self._site, self._geoms, tool_extension_m)
@@ -82,7 +82,7 @@ class Arm:
         self._half = np.where(self._model.geom_type[self._geoms] == _CAPSULE, self._model.geom_size[self._geoms, 1], 0)
         self.length = 2 * self._half
         self.joints = tuple(self._model.joint(j).name or f"joint{j + 1}" for j in range(self._model.njnt))
-        self.lower, self.upper = _limits(self._model, limits)
+        self.lower, self.upper = _limits_of_profile(self._model, limits)
         self.speed = _numeric(self._model, "speed", math.inf)
         self._pose(np.zeros(self._model.njnt))
         fixed = self._model.body_weldid[self._model.geom_bodyid[self._geoms]] == 0
@@ -112,7 +112,7 @@ class Arm:
 
         None without a list, or if the joint limits are wider than those for which it was computed.
         """
-        model_lower, model_upper = _limits(self._model, "model")
+        model_lower, model_upper = _limits_of_profile(self._model, "model")
         if self._list is None or (self.lower < model_lower).any() or (self.upper > model_upper).any():
             return None
         numbers = {name: k for k, name in enumerate(self.names)}
@@ -148,7 +148,7 @@ class Arm:
         return all(self.links[a] == self.links[b] for a, b in zip(pair, other, strict=True))
 
     @property
-    def moving(self) -> "Arm":
+    def moving(self) -> "MujocoArm":
         """The arm without the capsules that are fixed to the world."""
         own, which = copy.copy(self), self.links > 0
         own._geoms, own._half, own.links = self._geoms[which], self._half[which], self.links[which]
@@ -156,14 +156,14 @@ class Arm:
         own.names = tuple(np.array(self.names)[which].tolist())
         return own
 
-    def postures(self, x: Float[np.ndarray, "n N"]) -> Postures:
+    def arm_poses(self, x: Float[np.ndarray, "n N"]) -> ArmPoses:
         """Compute the arm's TCP and capsule axes by MuJoCo's kinematics."""
         tcp, ends = np.empty((len(x), 3)), np.empty((2, len(x), len(self._geoms), 3))
         for k, row in enumerate(x):
             self._pose(row)
             tcp[k] = self._data.site_xpos[self._site]
             ends[:, k] = self._ends()
-        return Postures(tcp, *ends)
+        return ArmPoses(tcp, *ends)
 
     def frames(
         self, x: Float[np.ndarray, "n N"], name: str
@@ -189,10 +189,10 @@ class Arm:
             origin[k], rotation[k] = own[0], own[1].reshape(3, 3)
         return origin, rotation
 
-    def tip_start(self, postures: Postures) -> Float[np.ndarray, "n 3"]:
+    def tip_start(self, arm_poses: ArmPoses) -> Float[np.ndarray, "n 3"]:
         """Start of the bare tip, world: the end on the last link that is nearest to the TCP at zero joint values."""
         end, body = self._tip
-        return (postures.p, postures.q)[end][:, body]
+        return (arm_poses.p, arm_poses.q)[end][:, body]
 
     def distances(
         self, x: Float[np.ndarray, "N"], capsules: Int[np.ndarray, "c"], points: Float[np.ndarray, "c 3"]
@@ -241,8 +241,8 @@ def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, i
                 flange = flange.add_body(pos=position, quat=quaternion)
                 position, quaternion = np.zeros(3), np.array([1.0, 0, 0, 0])
             for part in tool.bodies:
-                _add_capsule(flange, part.name, part.p_m, part.q_m, part.radius_m)
-            position, quaternion = _composed(position, quaternion, np.array(tool.tip_m), _turn(tool.tip_rpy_rad))
+                _add_capsule_geom(flange, part.name, part.p_m, part.q_m, part.radius_m)
+            position, quaternion = _composed(position, quaternion, np.array(tool.tip_m), _quaternion(tool.tip_rpy_rad))
         flange.add_site(name=_TCP, pos=position, quat=quaternion)
         model = spec.compile()
         return model, model.site(_TCP).id
@@ -266,17 +266,17 @@ def _flange(model: mujoco.MjModel, name: str) -> tuple[int, np.ndarray, np.ndarr
         site = 0
     if site >= 0:
         return int(model.site_bodyid[site]), model.site_pos[site].copy(), model.site_quat[site].copy()
-    return body if body >= 0 else _outermost_body(model), np.zeros(3), np.array([1.0, 0, 0, 0])
+    return body if body >= 0 else _last_body(model), np.zeros(3), np.array([1.0, 0, 0, 0])
 
 
-def _add_capsule(body: mujoco.MjsBody, name: str, p: tuple, q: tuple, radius: float) -> None:
+def _add_capsule_geom(body: mujoco.MjsBody, name: str, p: tuple, q: tuple, radius: float) -> None:
     if p == q:
         body.add_geom(name=name, type=_SPHERE, pos=p, size=[radius, 0, 0])
     else:
         body.add_geom(name=name, type=_CAPSULE, fromto=[*p, *q], size=[radius, 0, 0])
 
 
-def _turn(rpy: tuple[float, float, float]) -> np.ndarray:
+def _quaternion(rpy: tuple[float, float, float]) -> np.ndarray:
     """Quaternion of rotations about the fixed axes x, y and z, in this order."""
     quaternion = np.empty(4)
     mujoco.mju_euler2Quat(quaternion, np.array(rpy), "XYZ")
@@ -293,9 +293,9 @@ def _composed(
     return position + moved, turned
 
 
-def _stand(model: mujoco.MjModel, geoms: np.ndarray, position: tuple, rpy: tuple) -> None:
+def _move_base(model: mujoco.MjModel, geoms: np.ndarray, position: tuple, rpy: tuple) -> None:
     """Move everything that is fixed to the world, except the probe, to the robot's base."""
-    base = np.array(position), _turn(rpy)
+    base = np.array(position), _quaternion(rpy)
     for body in np.flatnonzero(model.body_parentid == 0)[1:]:  # the world is its own parent
         model.body_pos[body], model.body_quat[body] = _composed(*base, model.body_pos[body], model.body_quat[body])
     for geom in geoms[model.geom_bodyid[geoms] == 0]:
@@ -315,7 +315,7 @@ def _joints_below(model: mujoco.MjModel, body: int) -> int:
     return int(model.body_jntnum[list(_upwards(model, body))].sum())
 
 
-def _outermost_body(model: mujoco.MjModel) -> int:
+def _last_body(model: mujoco.MjModel) -> int:
     """The last of the bodies with the most joints between them and the world."""
     depth = [_joints_below(model, body) for body in range(model.nbody)]
     return max(range(model.nbody), key=lambda body: (depth[body], body))
@@ -355,7 +355,7 @@ def _put(model: mujoco.MjModel, data: mujoco.MjData, geom: int, p: np.ndarray, q
         mujoco.mju_quatZ2Vec(model.geom_quat[geom], rotation.T @ (q - p))
 
 
-def _limits(model: mujoco.MjModel, profile: str) -> tuple[np.ndarray, np.ndarray]:
+def _limits_of_profile(model: mujoco.MjModel, profile: str) -> tuple[np.ndarray, np.ndarray]:
     lower, upper = np.where(model.jnt_limited[:, None], model.jnt_range, [-math.inf, math.inf]).T
     if profile == "simulation":
         hinge = model.jnt_type == _HINGE

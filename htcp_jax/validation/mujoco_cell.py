@@ -19,7 +19,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import load_geometry, safe_xml
 from htcp_jax.jobs import config, given_kinds
 from htcp_jax.model import fixture
-from htcp_jax.validation.mujoco_arm import FAR_M, Arm, Postures
+from htcp_jax.validation.mujoco_arm import FAR_M, ArmPoses, MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.own_pairs import OwnPairs, own_pairs, touch_m
 
@@ -28,7 +28,7 @@ _TYPES = {kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}") for kind in fi
 _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
 
 
-class Beside:
+class MujocoCell:
     """An arm and the obstacles in a job's cell.
 
     Raises InputError for a file that MuJoCo cannot read. plain: the arm without an extension of its tool, as in the
@@ -36,7 +36,7 @@ class Beside:
     `unmeasured`.
     """
 
-    def __init__(self, cell: config.CellConfig, arm: Arm, plain: Arm):
+    def __init__(self, cell: config.CellConfig, arm: MujocoArm, plain: MujocoArm):
         self._arm, self.walls = arm, []
         spec = mujoco.MjSpec() if cell.model is None else _spec(Path(cell.model))
         for k, radius in enumerate(arm.radius.tolist()):
@@ -63,25 +63,25 @@ class Beside:
         solids = [g for g in range(self._model.ngeom) if g not in self._bodies and not self._is_hollow(g)]
         moving = arm.moving
         for cloud in cell.clouds:
-            R, t = _frame(cloud.base_m, cloud.base_rpy_rad)
+            R, t = _pose_of(cloud.base_m, cloud.base_rpy_rad)
             found = load_geometry(cloud.cloud)
             self._add_wall(moving, found.points, found.triangles, R, t)
         self._own = own_pairs(plain, self._apart) if cell.self_collision else OwnPairs([], [], [])
         self.deepest = 0.0, ""  # overlap of capsules that are not checked [m], and which
         self._pairs = [(self._bodies[a], self._bodies[b]) for a, b in self._own.checked]
-        heeded = [(body, g) for body, link in zip(self._bodies, arm.links, strict=True) for g in solids if link > 0]
+        checked = [(body, g) for body, link in zip(self._bodies, arm.links, strict=True) for g in solids if link > 0]
         first = {self._bodies[k] for k in range(len(arm.links)) if arm.links[k] == 1}
-        at_zero = self._distances(plain.postures(np.zeros((1, len(plain.joints)))), heeded).min(axis=0)
-        self._pairs += [pair for pair, D in zip(heeded, at_zero, strict=True) if D > 0 or pair[0] not in first]
+        at_zero = self._distances(plain.arm_poses(np.zeros((1, len(plain.joints)))), checked).min(axis=0)
+        self._pairs += [pair for pair, D in zip(checked, at_zero, strict=True) if D > 0 or pair[0] not in first]
 
     def distances(
-        self, x: Float[np.ndarray, "n N"], postures: Postures, may: Bool[np.ndarray, "n R"] | None = None
+        self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses, may: Bool[np.ndarray, "n R"] | None = None
     ) -> Float[np.ndarray, "n R"]:
         """Distances of everything that must not touch [m].
 
         Args:
             x: Configurations [rad or m].
-            postures: The arm's capsules at these.
+            arm_poses: The arm's capsules at these.
             may: False for distances that are not needed, which are inf; None: all are.
 
         Returns:
@@ -92,13 +92,13 @@ class Beside:
         to_walls = np.full((len(x), len(self.walls)), np.inf)
         for column, rows, wall in zip(to_walls.T, may[:, len(self._pairs) : -1].T, self.walls, strict=True):
             column[rows] = wall.at(x[rows]).clearance
-        excluded = self._of_excluded(x, postures)[:, None]  # always: meshes are measured nowhere else
-        return np.hstack([self._distances(postures, self._pairs, may[:, : len(self._pairs)]), to_walls, excluded])
+        excluded = self._of_excluded(x, arm_poses)[:, None]  # always: meshes are measured nowhere else
+        return np.hstack([self._distances(arm_poses, self._pairs, may[:, : len(self._pairs)]), to_walls, excluded])
 
-    def _of_excluded(self, x: Float[np.ndarray, "n N"], postures: Postures) -> Float[np.ndarray, "n"]:
+    def _of_excluded(self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses) -> Float[np.ndarray, "n"]:
         """Negative penetration depth [m] of meshes that touch inside capsules that are not checked; inf elsewhere."""
         pairs, found = [*self._own.by_mesh, *self._own.excluded], np.full(len(x), np.inf)
-        depth = -self._apart(postures, pairs)
+        depth = -self._apart(arm_poses, pairs)
         if depth.size and depth.max() > self.deepest[0]:
             a, b = pairs[int(depth.max(axis=0).argmax())]
             self.deepest = float(depth.max()), f"{self._arm.names[a]} and {self._arm.names[b]}"
@@ -108,15 +108,15 @@ class Beside:
                     found[row] = min(found[row], -deep)
         return found
 
-    def _apart(self, postures: Postures, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
-        return self._distances(postures, [(self._bodies[a], self._bodies[b]) for a, b in pairs])
+    def _apart(self, arm_poses: ArmPoses, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
+        return self._distances(arm_poses, [(self._bodies[a], self._bodies[b]) for a, b in pairs])
 
     def _distances(
-        self, postures: Postures, pairs: Sequence[tuple[int, int]], may: Bool[np.ndarray, "n R"] | None = None
+        self, arm_poses: ArmPoses, pairs: Sequence[tuple[int, int]], may: Bool[np.ndarray, "n R"] | None = None
     ) -> Float[np.ndarray, "n R"]:
-        found = np.full((len(postures.p), len(pairs)), np.inf)
+        found = np.full((len(arm_poses.p), len(pairs)), np.inf)
         bodies = {geom: k for k, geom in enumerate(self._bodies)}
-        for k, (p, q) in enumerate(zip(postures.p, postures.q, strict=True)):
+        for k, (p, q) in enumerate(zip(arm_poses.p, arm_poses.q, strict=True)):
             own = range(len(pairs)) if may is None else np.flatnonzero(may[k]).tolist()
             for geom in {geom for pair in own for geom in pairs[pair]} & bodies.keys():
                 self._pose(geom, p[bodies[geom]], q[bodies[geom]])
@@ -148,7 +148,9 @@ class Beside:
         self._add_wall(self._arm.moving, triangles.reshape(-1, 3), triangles, R.copy(), t.copy())
         return True
 
-    def _add_wall(self, arm: Arm, points: np.ndarray, triangles: np.ndarray, R: np.ndarray, t: np.ndarray) -> None:
+    def _add_wall(
+        self, arm: MujocoArm, points: np.ndarray, triangles: np.ndarray, R: np.ndarray, t: np.ndarray
+    ) -> None:
         self.bound |= len(triangles) > 0
         wall = Wall(points, "none", None, triangles if len(triangles) else None)
         self.walls.append(CheckedScene(arm, wall, R, t, 0.0))
@@ -170,7 +172,7 @@ def _move(model: mujoco.MjModel, data: mujoco.MjData, cell: config.CellConfig) -
     """Rotate and shift the part of the cell that the job moves; the arm's capsules are placed later anyway."""
     body = 0 if cell.moved is None else model.body(cell.moved).id
     origin = np.zeros(3) if body == 0 else data.xpos[body].copy()
-    R, shift = _frame(cell.shift_m, cell.rpy_rad)
+    R, shift = _pose_of(cell.shift_m, cell.rpy_rad)
     for geom in range(model.ngeom):
         carrier = int(model.geom_bodyid[geom])
         while carrier not in (0, body):
@@ -180,7 +182,7 @@ def _move(model: mujoco.MjModel, data: mujoco.MjData, cell: config.CellConfig) -
             data.geom_xmat[geom] = (R @ data.geom_xmat[geom].reshape(3, 3)).ravel()
 
 
-def _frame(position: tuple, rpy: tuple) -> tuple[np.ndarray, np.ndarray]:
+def _pose_of(position: tuple, rpy: tuple) -> tuple[np.ndarray, np.ndarray]:
     quaternion, R = np.empty(4), np.empty(9)
     mujoco.mju_euler2Quat(quaternion, np.array(rpy), "XYZ")
     mujoco.mju_quat2Mat(R, quaternion)

@@ -1,8 +1,9 @@
 """Clearance between MuJoCo's capsules and the walls, for validation, with provably safe pruning by a tree.
 
-For a cloud MuJoCo measures (`Arm.distances`); scipy's tree only excludes points that need not be measured. A capsule's
-axis is cut into pieces. For a piece with the centre m and the half length h, let d be the distance from m to the
-nearest point of the cloud. Let the capsule's smallest distance, D = e - radius, be attained at the point s of its axis.
+For a cloud MuJoCo measures (`MujocoArm.distances`); scipy's tree only excludes points that need not be measured. A
+capsule's axis is cut into pieces. For a piece with the centre m and the half length h, let d be the distance from m to
+the nearest point of the cloud. Let the capsule's smallest distance, D = e - radius, be attained at the point s of its
+axis.
 
 - d - radius is an upper bound on the clearance, because m lies on the axis.
 - If s is an end of the axis, the sample m = s with h = 0, which is among the samples, is at the distance e exactly.
@@ -27,9 +28,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, cKDTree
 
 from htcp_jax.jobs import config
-from htcp_jax.validation.cloud_discs import Discs
+from htcp_jax.validation.cloud_discs import CloudDiscs
 from htcp_jax.validation.mesh_clearance import axis_distances, goes_through, in_grains, read_triangles
-from htcp_jax.validation.mujoco_arm import Arm, Postures
+from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.scene_rules import WorkpieceData
 
 COARSE = 0.5  # half length of the first pieces, in radii
@@ -39,7 +40,7 @@ SOLVER_M = 1e-5  # for mj_geomDistance, which iterates
 FACETS_AT_ONCE = 2_000_000  # heights in memory
 
 
-class Pieces(NamedTuple):
+class AxisPieces(NamedTuple):
     """Pieces of capsule axes: configuration, capsule, centre (0 at p, 1 at q), half length [m]."""
 
     row: Int[np.ndarray, "m"]
@@ -47,9 +48,9 @@ class Pieces(NamedTuple):
     centre: Float[np.ndarray, "m"]
     half: Float[np.ndarray, "m"]
 
-    def only(self, which: Bool[np.ndarray, "m"]) -> "Pieces":
+    def only(self, which: Bool[np.ndarray, "m"]) -> "AxisPieces":
         """Select some of the pieces."""
-        return Pieces(*(values[which] for values in self))
+        return AxisPieces(*(values[which] for values in self))
 
 
 class Wall:
@@ -79,9 +80,9 @@ class Wall:
         self.normal, self.offset, self.direction = planes[:, :3].copy(), -planes[:, 3], direction
 
     @cached_property
-    def discs(self) -> Discs:
+    def discs(self) -> CloudDiscs:
         """Discs at the points of a cloud."""
-        return Discs(self.middle, self.tree)
+        return CloudDiscs(self.middle, self.tree)
 
     def outside(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
         """Largest signed distance of each point to the planes of the hull's facets [m]; negative inside."""
@@ -111,18 +112,18 @@ def wall_of(part: config.WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
 class AtTargets(NamedTuple):
     """Results at n configurations, which `CheckedScene.between` reuses."""
 
-    postures: Postures
+    arm_poses: ArmPoses
     clearance: Float[np.ndarray, "n"]  # [m]
     samples: Float[np.ndarray, "n M 3"]  # world
     distance: Float[np.ndarray, "n M"]  # of the samples to their nearest points
     ends: Float[np.ndarray, "n E 3"]  # ends of all capsules, world
     outside: Float[np.ndarray, "n E"]  # NaN where the hull is not checked
-    beside: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.Beside.distances` [m]
+    surroundings: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.Beside.distances` [m]
     to_wall: Float[np.ndarray, "n"]  # distance to the cloud's points or the mesh's triangles [m]
 
     def less_cover(self, cover_m: float) -> Float[np.ndarray, "n"]:
         """Clearance [m] to points on the mesh, which may be that far from its triangles, and to everything else."""
-        return _worse(np.minimum(self.to_wall - cover_m, self.beside.min(axis=1, initial=np.inf)), self.outside)
+        return _worse(np.minimum(self.to_wall - cover_m, self.surroundings.min(axis=1, initial=np.inf)), self.outside)
 
 
 class CheckedScene:
@@ -137,20 +138,20 @@ class CheckedScene:
         rotate: Rotation from the wall's frame to the world (3, 3).
         translate: Translation from the wall's frame to the world (3,) [m].
         interior_depth_m: Distance from the start of the wall at which the rule begins.
-        beside: Function (x, postures, may) for the distances (n, R) to everything else that must not touch [m]; inf
-            where `may` (n, R) is False, None: all are measured. See `mujoco_cell.Beside.distances`.
+        surroundings: Function (x, arm poses, may) for the distances (n, R) to everything else that must not touch [m],
+            inf where `may` (n, R) is False, None: all are measured. See `mujoco_cell.MujocoCell.distances`.
     """
 
     def __init__(
         self,
-        arm: Arm,
+        arm: MujocoArm,
         wall: Wall,
         rotate: np.ndarray,
         translate: np.ndarray,
         interior_depth_m: float,
-        beside: Callable[[np.ndarray, Postures, np.ndarray | None], np.ndarray] | None = None,
+        surroundings: Callable[[np.ndarray, ArmPoses, np.ndarray | None], np.ndarray] | None = None,
     ):
-        self.beside = beside or (lambda x, postures, may: np.empty((len(x), 0)))
+        self.surroundings = surroundings or (lambda x, arm_poses, may: np.empty((len(x), 0)))
         self.arm, self.wall, self.rotate, self.translate = arm, wall, rotate, translate
         self.along = np.array([1.0, 0.0, 0.0]) if wall.direction is None else rotate @ wall.direction
         self.interior_from = ((wall.corners @ rotate.T + translate) @ self.along).min(initial=np.inf) + interior_depth_m
@@ -159,24 +160,24 @@ class CheckedScene:
 
     def at(self, x: Float[np.ndarray, "n N"]) -> AtTargets:
         """Compute the clearance of every configuration."""
-        postures = self.arm.postures(x)
+        arm_poses = self.arm.arm_poses(x)
         pieces = _whole_axes(self.arm, len(x))
-        samples = _centres(postures, pieces)
+        samples = _centres(arm_poses, pieces)
         distance = self.wall.tree.query(self.local(samples), workers=-1)[0]
-        upper = _least(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
+        upper = _lowered(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
         kept = pieces.only(self._may_hold(pieces, distance, upper))
-        beside = self.beside(x, postures, None)
-        to_wall = self._measured(x, postures, kept, upper)
-        ends = np.concatenate([postures.p, postures.q], axis=1)
+        surroundings = self.surroundings(x, arm_poses, None)
+        to_wall = self._measured(x, arm_poses, kept, upper)
+        ends = np.concatenate([arm_poses.p, arm_poses.q], axis=1)
         outside = self._outside(ends, ends @ self.along > self.interior_from)
         each = len(x), len(pieces.row) // len(x)
-        clearance = _worse(np.minimum(to_wall, beside.min(axis=1, initial=np.inf)), outside)
+        clearance = _worse(np.minimum(to_wall, surroundings.min(axis=1, initial=np.inf)), outside)
         samples, distance = samples.reshape(*each, 3), distance.reshape(each)
-        return AtTargets(postures, clearance, samples, distance, ends, outside, beside, to_wall)
+        return AtTargets(arm_poses, clearance, samples, distance, ends, outside, surroundings, to_wall)
 
     def between(
         self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: AtTargets, below: float
-    ) -> tuple[Postures, Float[np.ndarray, "n"]]:
+    ) -> tuple[ArmPoses, Float[np.ndarray, "n"]]:
         """Compute the clearance at configurations between known ones, where it is small.
 
         No sample approaches the cloud, and no end of an axis leaves the hull, by more than it moves, and no two bodies
@@ -191,34 +192,37 @@ class CheckedScene:
         Returns:
             The TCP and the capsules, and the clearance where it is at most `below`, inf elsewhere [m].
         """
-        postures = self.arm.postures(x)
+        arm_poses = self.arm.arm_poses(x)
         pieces = _whole_axes(self.arm, len(x))
-        samples = _centres(postures, pieces).reshape(len(x), -1, 3)
+        samples = _centres(arm_poses, pieces).reshape(len(x), -1, 3)
         near = [known.distance[b] - np.linalg.norm(samples - known.samples[b], axis=2) for b in (a, a + 1)]
         distance = np.maximum(0.0, np.maximum(*near)).reshape(-1)
         upper = np.full(len(x), below)
         kept = pieces.only(self._may_hold(pieces, distance, upper))
-        ends = np.concatenate([postures.p, postures.q], axis=1)
+        ends = np.concatenate([arm_poses.p, arm_poses.q], axis=1)
         moved = [np.linalg.norm(ends - known.ends[b], axis=2) for b in (a, a + 1)]
         furthest = [each.max(axis=1, initial=0.0)[:, None] for each in moved]
-        may = np.maximum(known.beside[a] - 2 * furthest[0], known.beside[a + 1] - 2 * furthest[1]) <= below + SOLVER_M
-        beside = self.beside(x, postures, may).min(axis=1, initial=np.inf)
-        clearance = np.minimum(self._measured(x, postures, kept, upper), beside)
+        may = (
+            np.maximum(known.surroundings[a] - 2 * furthest[0], known.surroundings[a + 1] - 2 * furthest[1])
+            <= below + SOLVER_M
+        )
+        surroundings = self.surroundings(x, arm_poses, may).min(axis=1, initial=np.inf)
+        clearance = np.minimum(self._measured(x, arm_poses, kept, upper), surroundings)
         proven = [known.outside[b] + each < 0 for b, each in zip((a, a + 1), moved, strict=True)]
         outside = self._outside(ends, (ends @ self.along > self.interior_from) & ~proven[0] & ~proven[1])
         clearance = _worse(clearance, outside)
-        return postures, np.where(clearance <= below, clearance, np.inf)
+        return arm_poses, np.where(clearance <= below, clearance, np.inf)
 
-    def tip_goes_through(self, postures: Postures, contact_m: float) -> Bool[np.ndarray, "n"]:
+    def tip_goes_through(self, arm_poses: ArmPoses, contact_m: float) -> Bool[np.ndarray, "n"]:
         """True if the bare tip passes through a triangle of the mesh or a disc of the cloud.
 
         The bare tip is the segment from the last body to the TCP, without its last `contact_m`.
         """
         if not len(self.wall.middle):
-            return np.zeros(len(postures.tcp), bool)
+            return np.zeros(len(arm_poses.tcp), bool)
         mesh = self.wall.triangles
         grain = self.wall.grain if mesh is not None else float(self.wall.discs.radius.max())
-        first, tcp = self.local(self.arm.tip_start(postures)), self.local(postures.tcp)
+        first, tcp = self.local(self.arm.tip_start(arm_poses)), self.local(arm_poses.tcp)
         length = np.linalg.norm(tcp - first, axis=1)
         last = tcp + (first - tcp) * np.minimum(1.0, contact_m / np.maximum(length, contact_m + 1e-12))[:, None]
         length = np.linalg.norm(last - first, axis=1)
@@ -233,22 +237,22 @@ class CheckedScene:
         through = self.wall.discs.crossed(*ends, near) if mesh is None else goes_through(*ends, mesh[near])
         return np.bincount(row[through], minlength=len(first)) > 0
 
-    def _measured(self, x: np.ndarray, postures: Postures, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
+    def _measured(self, x: np.ndarray, arm_poses: ArmPoses, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
         """Clearance to the points, by MuJoCo, or to the triangles [m]; inf if no piece can be within `upper`."""
-        row, capsule, point = self._candidates(postures, pieces, upper)
+        row, capsule, point = self._candidates(arm_poses, pieces, upper)
         clearance = np.full(len(x), np.inf)
         if self.wall.triangles is not None:
-            axis = (self.local(ends[row, capsule]) for ends in (postures.p, postures.q))
+            axis = (self.local(ends[row, capsule]) for ends in (arm_poses.p, arm_poses.q))
             found = axis_distances(*axis, self.wall.triangles[point]) - self.arm.radius[capsule]
             np.minimum.at(clearance, row, found)
             return clearance
         world = self.wall.middle[point] @ self.rotate.T + self.translate
-        for first, last in _runs(row):
+        for first, last in _equal_runs(row):
             found = self.arm.distances(x[row[first]], capsule[first:last], world[first:last])
             clearance[row[first]] = found.min()
         return clearance
 
-    def _candidates(self, postures: Postures, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
+    def _candidates(self, arm_poses: ArmPoses, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
         """Find everything that can be nearest in a row if its clearance is at most `upper`; see the module.
 
         The columns are (row, capsule, point), sorted.
@@ -258,14 +262,14 @@ class CheckedScene:
             return np.empty((3, 0), int)
         while len(pieces.row):
             reach = self._reach(pieces, upper)
-            centres = self.local(_centres(postures, pieces))
+            centres = self.local(_centres(arm_poses, pieces))
             distance = self.wall.tree.query(centres, distance_upper_bound=reach.max() + ROOM_M)[0]
-            upper = _least(upper, pieces, distance - radius[pieces.capsule])
+            upper = _lowered(upper, pieces, distance - radius[pieces.capsule])
             kept = self._may_hold(pieces, distance, upper)
             pieces, centres = pieces.only(kept), centres[kept]
             if pieces.half.max(initial=0.0) <= FINE_M:
                 break
-            pieces = _cut(pieces, postures)
+            pieces = _cut_pieces(pieces, arm_poses)
         if not len(pieces.row):
             return np.empty((3, 0), int)
         points = self.wall.tree.query_ball_point(centres, self._reach(pieces, upper), return_sorted=False)
@@ -274,19 +278,19 @@ class CheckedScene:
         triples = np.repeat(pieces.row, count), np.repeat(pieces.capsule, count), np.concatenate(points).astype(int)
         return np.stack(np.unravel_index(np.unique(np.ravel_multi_index(triples, shape)), shape))
 
-    def _reach(self, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
+    def _reach(self, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
         """Largest distance from a piece's centre to the nearest point, if the clearance is at most `upper` [m]."""
         reach = np.maximum(0.0, upper[pieces.row] + self.arm.radius[pieces.capsule])
         return np.hypot(reach, pieces.half) + self.wall.grain + ROOM_M
 
-    def _may_hold(self, pieces: Pieces, distance: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    def _may_hold(self, pieces: AxisPieces, distance: np.ndarray, upper: np.ndarray) -> np.ndarray:
         nearest = np.maximum(0.0, distance - self.wall.grain)
         least = np.sqrt(np.maximum(0.0, nearest**2 - pieces.half**2)) - self.arm.radius[pieces.capsule]
         return least <= upper[pieces.row] + ROOM_M
 
-    def _outside(self, ends: np.ndarray, asked: np.ndarray) -> np.ndarray:
-        found = np.full(asked.shape, np.nan)
-        found[asked] = self.wall.outside(self.local(ends[asked]))
+    def _outside(self, ends: np.ndarray, requested: np.ndarray) -> np.ndarray:
+        found = np.full(requested.shape, np.nan)
+        found[requested] = self.wall.outside(self.local(ends[requested]))
         return found
 
     def local(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
@@ -294,7 +298,7 @@ class CheckedScene:
         return (points - self.translate) @ self.rotate
 
 
-def _whole_axes(arm: Arm, n: int) -> Pieces:
+def _whole_axes(arm: MujocoArm, n: int) -> AxisPieces:
     """Divide every capsule's axis into pieces of COARSE radii, and its ends, for each of n configurations.
 
     The number of pieces is computed from the model's lengths, as lengths at a configuration have rounding errors.
@@ -307,7 +311,7 @@ def _whole_axes(arm: Arm, n: int) -> Pieces:
         half += [0.0, 0.0, *(length / 2 / count,) * count] if count else [0.0]
         capsule += [k] * (count + 2 if count else 1)
     each = len(capsule)
-    return Pieces(np.repeat(np.arange(n), each), *(np.tile(column, n) for column in (capsule, centre, half)))
+    return AxisPieces(np.repeat(np.arange(n), each), *(np.tile(column, n) for column in (capsule, centre, half)))
 
 
 def _samples(count: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m"]]:
@@ -316,28 +320,30 @@ def _samples(count: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Float[n
     return row, (np.arange(len(row)) - (np.cumsum(count) - count)[row] + 0.5) / count[row]
 
 
-def _cut(pieces: Pieces, postures: Postures) -> Pieces:
+def _cut_pieces(pieces: AxisPieces, arm_poses: ArmPoses) -> AxisPieces:
     """Cut each piece into four; an end stays as it is."""
     whole, split = pieces.only(pieces.half == 0), pieces.only(pieces.half > 0)
-    length = np.linalg.norm((postures.p - postures.q)[split.row, split.capsule], axis=1)
+    length = np.linalg.norm((arm_poses.p - arm_poses.q)[split.row, split.capsule], axis=1)
     quarters = np.array([-0.75, -0.25, 0.25, 0.75])
     centre = split.centre[:, None] + quarters * (split.half / length)[:, None]
-    cut = Pieces(*(np.repeat(v, 4) for v in split))._replace(centre=centre.ravel(), half=np.repeat(split.half / 4, 4))
-    return Pieces(*(np.concatenate(both) for both in zip(whole, cut, strict=True)))
+    cut = AxisPieces(*(np.repeat(v, 4) for v in split))._replace(
+        centre=centre.ravel(), half=np.repeat(split.half / 4, 4)
+    )
+    return AxisPieces(*(np.concatenate(both) for both in zip(whole, cut, strict=True)))
 
 
-def _centres(postures: Postures, pieces: Pieces) -> np.ndarray:
-    p, q = postures.p[pieces.row, pieces.capsule], postures.q[pieces.row, pieces.capsule]
+def _centres(arm_poses: ArmPoses, pieces: AxisPieces) -> np.ndarray:
+    p, q = arm_poses.p[pieces.row, pieces.capsule], arm_poses.q[pieces.row, pieces.capsule]
     return p + pieces.centre[:, None] * (q - p)
 
 
-def _runs(row: np.ndarray) -> Iterator[tuple[int, int]]:
+def _equal_runs(row: np.ndarray) -> Iterator[tuple[int, int]]:
     """Slices of equal numbers in a sorted array."""
     changes = np.flatnonzero(np.diff(row, prepend=-1, append=-1))
     return zip(changes[:-1].tolist(), changes[1:].tolist(), strict=True)
 
 
-def _least(upper: np.ndarray, pieces: Pieces, values: np.ndarray) -> np.ndarray:
+def _lowered(upper: np.ndarray, pieces: AxisPieces, values: np.ndarray) -> np.ndarray:
     """Return `upper`, lowered to the minimum of each row's values."""
     upper = upper.copy()
     np.minimum.at(upper, pieces.row, values)

@@ -13,13 +13,13 @@ from jaxtyping import Float
 
 from htcp_jax.io import LinkMeshes
 from htcp_jax.model import robot
-from htcp_jax.validation.mujoco_arm import Arm, Postures
+from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 
 SAMPLES, SEED = 10_000, 1
 ALWAYS, NEARLY = 0.95, 0.93  # smallest shares within NEAR_M, for an arm without a list; for one whose list has rule b
 NEAR_M = 1e-3  # pairs that are always this near could keep no usual margin
 Pair = tuple[int, int]
-Distances = Callable[[Postures, list[Pair]], Float[np.ndarray, "n R"]]
+Distances = Callable[[ArmPoses, list[Pair]], Float[np.ndarray, "n R"]]
 
 
 class OwnPairs(NamedTuple):
@@ -30,7 +30,7 @@ class OwnPairs(NamedTuple):
     excluded: list[Pair]
 
 
-def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
+def own_pairs(arm: MujocoArm, measured: Distances) -> OwnPairs:
     """Classify the pairs of an arm.
 
     Args:
@@ -40,7 +40,7 @@ def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
     stated, excluded = arm.stated, arm.excluded
     found, left = OwnPairs([], [], sorted(excluded)), [pair for pair in arm.apart if pair not in excluded]
     doubtful = [pair for pair in left if stated is None or pair in stated or arm.is_tool(pair)]
-    distance = measured(arm.postures(arm.random(SAMPLES, SEED)), doubtful)
+    distance = measured(arm.arm_poses(arm.random(SAMPLES, SEED)), doubtful)
     overlap, near = distance <= 0, dict(zip(doubtful, (distance <= NEAR_M).mean(axis=0).tolist(), strict=True))
     share = dict(zip(doubtful, overlap.mean(axis=0).tolist(), strict=True))
     for pair in left:
@@ -60,7 +60,7 @@ def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
     return found
 
 
-def touch_m(arm: Arm, pair: Pair, x: Float[np.ndarray, "N"]) -> float:
+def touch_m(arm: MujocoArm, pair: Pair, x: Float[np.ndarray, "N"]) -> float:
     """Penetration depth of a pair's meshes [m]; 0 up to TOUCHING_M.
 
     Args:

@@ -37,7 +37,7 @@ def _tracks(found: PlanSet) -> Iterator[Track]:
 
 def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
     there = plans.exists[number]
-    flags = plans.tracked, plans.path_clear == 0, np.isin(plans.way, MOTION)
+    flags = plans.tracked, plans.path_clear == 0, np.isin(plans.segment_status, MOTION)
     columns = plans.x, plans.tcp, plans.target, plans.clearance
     return Track(
         method,
@@ -45,7 +45,7 @@ def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
         config,
         plans.start[number],
         *(column[number][there] for column in flags),
-        tuple(plans.knots.on_the_way(number, target) for target in range(int(there.sum()))),
+        tuple(plans.via_points.on_segment(number, target) for target in range(int(there.sum()))),
         *(column[number][there] for column in columns),
     )
 

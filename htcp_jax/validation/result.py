@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-Place = tuple[int, int]  # scenario and target; for a path, the target at its end
+TargetPlace = tuple[int, int]  # scenario and target; for a path, the target at its end
 
 
-class Refuted(NamedTuple):
+class Refutation(NamedTuple):
     """A tracked configuration that failed validation."""
 
     method: str
@@ -14,14 +14,14 @@ class Refuted(NamedTuple):
     reason: str
 
 
-class RowHeld(NamedTuple):
+class RowDeviation(NamedTuple):
     """Largest deviation of a row of the task at the path's tracked targets, over all scenarios."""
 
     row: str  # task.2, and its description
     off: float  # deviation with the largest share of the tolerance
     most: float  # tolerance there
     unit: str  # of both: mm or degrees
-    at: Place
+    at: TargetPlace
 
 
 class MethodCheck(NamedTuple):
@@ -31,7 +31,7 @@ class MethodCheck(NamedTuple):
     refuted: int
     tcp_error_max_mm: float | None  # |site - target|
     clearance_min_mm: float | None
-    clearance_min_at: Place | None
+    clearance_min_at: TargetPlace | None
     clearance_less_cover_min_mm: float | None  # minus the covering radius of the mesh, as in plans; None: no mesh
     clearance_off_max_mm: float | None  # |MuJoCo's - saved|, like the next two
     tcp_off_max_mm: float | None
@@ -40,15 +40,15 @@ class MethodCheck(NamedTuple):
     paths_touching: int | None  # None if nothing was checked between the targets
     paths_blocked_on_record: int
     clearance_between_min_mm: float | None  # along the paths, targets included
-    clearance_between_min_at: Place | None
+    clearance_between_min_at: TargetPlace | None
     line_deviation_max_mm: float | None  # of the TCP from the straight line between two targets
-    line_deviation_max_at: Place | None
+    line_deviation_max_at: TargetPlace | None
     speed_ratio_max: float | None  # joint speed by its limit at the feed rate; None if the model has no limits
     speed_joint: str | None  # the joint with this ratio
-    speed_at: Place | None
+    speed_at: TargetPlace | None
     in_place_max_rad: float | None  # largest joint change between targets closer than the tolerance, for which there
     # is no time at the feed rate; also from the start to the first target
-    rows: tuple[RowHeld, ...]  # rows of the task, if the job has one
+    rows: tuple[RowDeviation, ...]  # rows of the task, if the job has one
 
 
 class Validation(NamedTuple):
@@ -56,7 +56,7 @@ class Validation(NamedTuple):
 
     validated: bool
     methods: dict[str, MethodCheck]
-    refuted: tuple[Refuted, ...]
+    refuted: tuple[Refutation, ...]
     between: int
     feed_mm_s: float
     seconds: float

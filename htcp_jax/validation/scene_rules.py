@@ -32,7 +32,7 @@ class Track(NamedTuple):
     tracked: Bool[np.ndarray, "T"]
     blocked: Bool[np.ndarray, "T"]  # joint path from the previous row, as saved
     proven: Bool[np.ndarray, "T"]  # True if the segment from the previous row is saved as a proven motion
-    knots: tuple[Float[np.ndarray, "k N"], ...]  # T times: via points of that segment
+    via_points: tuple[Float[np.ndarray, "k N"], ...]  # T times: via points of that segment
     x: Float[np.ndarray, "T N"]
     tcp: Float[np.ndarray, "T 3"]
     target: Float[np.ndarray, "T 3"]
@@ -55,7 +55,7 @@ class WorkpieceData:
     @cached_property
     def normals(self) -> Float[np.ndarray, "T 3"]:
         """Unit normals of the path."""
-        return fitted_normals(self.cloud, self.path) if self.given_normals is None else self.given_normals
+        return path_normals(self.cloud, self.path) if self.given_normals is None else self.given_normals
 
     @cached_property
     def tangents(self) -> Float[np.ndarray, "T 3"]:
@@ -112,7 +112,7 @@ def targets_of(
     return np.array([tcp, *steps, *path])
 
 
-def fitted_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+def path_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
     """Unit normals of the planes fitted to the points near a path.
 
     They point to the side on which most of the cloud lies, by weights that decrease over a quarter of its extent.

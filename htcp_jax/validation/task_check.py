@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from htcp_jax.kinds import with_arrays
 from htcp_jax.model import TaskRow, task_row_kind
 from htcp_jax.settings import Settings
-from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.result import ROUNDING_M
 from htcp_jax.validation.scene_rules import WorkpieceData
 
@@ -51,7 +51,7 @@ class RowCheck(NamedTuple):
         return bool(np.isnan(self.off).any())
 
 
-class Place(NamedTuple):
+class PartPose(NamedTuple):
     """Pose of the part, and n points of its path."""
 
     rotate: Float[np.ndarray, "3 3"]  # from the workpiece frame to the world
@@ -74,9 +74,9 @@ class Place(NamedTuple):
 
 def check_rows(
     rows: Sequence[task_row_kind.TaskRowKind],
-    arm: Arm,
+    arm: MujocoArm,
     x: Float[np.ndarray, "n N"],
-    place: Place,
+    place: PartPose,
     tolerance_m: float,
     tolerance_rad: float,
 ) -> list[RowCheck]:
@@ -90,15 +90,15 @@ def check_rows(
         tolerance_m: Tolerance of rows without one of their own, for positions.
         tolerance_rad: Tolerance of rows without one of their own, for directions.
     """
-    return [_check(row, arm, x, place, tolerance_m, float(np.rad2deg(tolerance_rad))) for row in rows or (HELD,)]
+    return [_check_row(row, arm, x, place, tolerance_m, float(np.rad2deg(tolerance_rad))) for row in rows or (HELD,)]
 
 
 def hold_between(
     rows: Sequence[task_row_kind.TaskRowKind],
-    arm: Arm,
+    arm: MujocoArm,
     x: Float[np.ndarray, "n N"],
-    before: Place,
-    here: Place,
+    before: PartPose,
+    here: PartPose,
     settings: Settings,
 ) -> Bool[np.ndarray, "R n"]:
     """True if a row holds between two points of the path, for a requirement between those at both points.
@@ -131,8 +131,8 @@ def hold_between(
     return good
 
 
-def follower(
-    rows: Sequence[task_row_kind.TaskRowKind], arm: Arm, x: Float[np.ndarray, "n N"]
+def path_follower(
+    rows: Sequence[task_row_kind.TaskRowKind], arm: MujocoArm, x: Float[np.ndarray, "n N"]
 ) -> Float[np.ndarray, "n 3"]:
     """Position of the point that follows the path [m]; the TCP if no row defines one.
 
@@ -155,8 +155,8 @@ def follows_all(rows: Sequence[task_row_kind.TaskRowKind]) -> bool:
     return row is not None and row.axes == "xyz" and row.within_m is None
 
 
-def _check(
-    row: task_row_kind.TaskRowKind, arm: Arm, x: np.ndarray, place: Place, most_m: float, most_deg: float
+def _check_row(
+    row: task_row_kind.TaskRowKind, arm: MujocoArm, x: np.ndarray, place: PartPose, most_m: float, most_deg: float
 ) -> RowCheck:
     if not isinstance(row, TaskRow):
         off = _off_kind(row, arm, x, (place,))
@@ -171,7 +171,7 @@ def _check(
 
 
 def _off_kind(
-    row: task_row_kind.TaskRowKind, arm: Arm, x: np.ndarray, places: tuple[Place, ...]
+    row: task_row_kind.TaskRowKind, arm: MujocoArm, x: np.ndarray, places: tuple[PartPose, ...]
 ) -> Float[np.ndarray, "n"]:
     """Deviation from a row of another package by its own check [m or rad]; NaN if it has none.
 
@@ -190,7 +190,7 @@ def _off_kind(
     return found
 
 
-def _along_path(row: task_row_kind.TaskRowKind, place: Place) -> dict[str, Float[np.ndarray, "n 3"]]:
+def _along_path(row: task_row_kind.TaskRowKind, place: PartPose) -> dict[str, Float[np.ndarray, "n 3"]]:
     """Places, tangents and normals of the path that a kind uses, in the world."""
     own, named = place.workpiece, {"place": "path", "tangent": "tangents", "normal": "normals"}
     return {
@@ -199,12 +199,12 @@ def _along_path(row: task_row_kind.TaskRowKind, place: Place) -> dict[str, Float
     }
 
 
-def _point(row: TaskRow, arm: Arm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:
+def _point(row: TaskRow, arm: MujocoArm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:
     origin, rotation = arm.frames(x, row.point)
     return origin + rotation @ np.array(row.offset_m)
 
 
-def _off_place(row: TaskRow, point: np.ndarray, place: Place) -> Float[np.ndarray, "n k"]:
+def _off_place(row: TaskRow, point: np.ndarray, place: PartPose) -> Float[np.ndarray, "n k"]:
     """Deviation of a point from its required position in the constrained directions [m]."""
     if row.on == "plane":
         normal = place.world(row, row.normal) / np.linalg.norm(row.normal)
@@ -228,18 +228,18 @@ def _off_place(row: TaskRow, point: np.ndarray, place: Place) -> Float[np.ndarra
     return off[:, ["xyz".index(letter) for letter in row.axes]]
 
 
-def _off_axis(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.ndarray, "n"]:
+def _off_axis(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n"]:
     """Angle between an axis and its required direction [rad]."""
-    return _angle(_axis(row, arm, x), _turned_to(row, arm, x, place))
+    return _angle(_axis_direction(row, arm, x), _turned_to(row, arm, x, place))
 
 
-def _axis(row: TaskRow, arm: Arm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:
+def _axis_direction(row: TaskRow, arm: MujocoArm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:
     name, k, sign = row.axis_of
     _, rotation = arm.frames(x, name)
     return sign * rotation[:, :, k]
 
 
-def _turned_to(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.ndarray, "n 3"]:
+def _turned_to(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n 3"]:
     """Required direction of an axis, of any length."""
     if row.looks_at_m is not None:
         origin, _ = arm.frames(x, row.axis_of[0])
@@ -254,13 +254,13 @@ def _angle(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
 
 
-def _off_turn(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.ndarray, "n"]:
+def _off_turn(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n"]:
     """Angle of the rotation between a frame and its required orientation [rad]."""
     _, rotation = arm.frames(x, row.of)
-    return _turn(rotation, _orientation(row, len(x), place))
+    return _turn_angle(rotation, _orientation(row, len(x), place))
 
 
-def _orientation(row: TaskRow, count: int, place: Place) -> Float[np.ndarray, "n 3 3"]:
+def _orientation(row: TaskRow, count: int, place: PartPose) -> Float[np.ndarray, "n 3 3"]:
     """Required orientation of a frame."""
     if row.orientation == "path":
         return place.rotate @ place.workpiece.rotations[place.point]
@@ -268,12 +268,12 @@ def _orientation(row: TaskRow, count: int, place: Place) -> Float[np.ndarray, "n
     return np.tile(place.rotate @ own if row.frame == "workpiece" else own, (count, 1, 1))
 
 
-def _turn(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n"]:
+def _turn_angle(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n"]:
     return Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).magnitude() if len(a) else np.zeros(0)
 
 
 def _turned_between(
-    row: TaskRow, arm: Arm, x: np.ndarray, places: tuple[Place, Place], tolerance_rad: float
+    row: TaskRow, arm: MujocoArm, x: np.ndarray, places: tuple[PartPose, PartPose], tolerance_rad: float
 ) -> Bool[np.ndarray, "n"]:
     """True if an axis or a frame is oriented as required at either end of a segment, or in the middle.
 
@@ -282,12 +282,12 @@ def _turned_between(
     """
     limit = np.deg2rad(row.limit_deg or 0.0)
     if row.axis is None:
-        (_, now), off = arm.frames(x, row.of), _turn
+        (_, now), off = arm.frames(x, row.of), _turn_angle
         a, b = (_orientation(row, len(x), place) for place in places)
         both = Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).as_rotvec() if len(x) else np.zeros((0, 3))
         middle = Rotation.from_rotvec(0.5 * both).as_matrix() @ a
     else:
-        now, off = _axis(row, arm, x), _angle
+        now, off = _axis_direction(row, arm, x), _angle
         a, b = (_turned_to(row, arm, x, place) for place in places)
         middle = a / np.linalg.norm(a, axis=1)[:, None] + b / np.linalg.norm(b, axis=1)[:, None]
     good = (off(now, a) <= limit + tolerance_rad) | (off(now, b) <= limit + tolerance_rad)

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.status import Kind
-from htcp_jax.trajectory import Timed
-from htcp_jax.validation.mujoco_arm import Postures
+from htcp_jax.trajectory import TimedMotion
+from htcp_jax.validation.mujoco_arm import ArmPoses
 from htcp_jax.validation.mujoco_clearance import CheckedScene
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.result import ONE_POINT_M, ROUNDING_M
-from htcp_jax.validation.task_check import Place, hold_between, holds_tcp
+from htcp_jax.validation.task_check import PartPose, hold_between, holds_tcp
 from htcp_jax.validation.track import from_line, scene_of
 from htcp_jax.validation.validate import parts_of
 
@@ -43,7 +43,7 @@ class TimedCheck(NamedTuple):
         return int(np.any(self[:5], axis=0).sum())
 
 
-class _Held(NamedTuple):
+class _PathConfigurations(NamedTuple):
     """Configurations at which the task holds, by their rows, and the targets before and after each."""
 
     rows: Int[np.ndarray, "m"]
@@ -55,7 +55,7 @@ class _Held(NamedTuple):
 
 def check_timed(
     folder: str | Path,
-    timed: Timed,
+    timed: TimedMotion,
     method: str,
     scenario: int = 0,
     *,
@@ -75,18 +75,18 @@ def check_timed(
     """
     results = read_results(Path(folder))
     track = next(one for one in results.tracks if (one.method, one.scenario) == (method, scenario))
-    arm, wall, beside = parts_of(results, track)
-    scene, targets, on_path = scene_of(results, arm, wall, beside, track)
+    arm, wall, surroundings = parts_of(results, track)
+    scene, targets, on_path = scene_of(results, arm, wall, surroundings, track)
     part, settings, task = results.workpiece(track.config), track.config.settings, track.config.task
     contact_m = track.config.workpiece.tip_contact_m
-    clearance, tcp, through = _at(scene, timed.x, contact_m, progress or (lambda done, count: None))
+    clearance, tcp, through = _measure(scene, timed.x, contact_m, progress or (lambda done, count: None))
     off, (turns_back, breaks) = np.zeros(len(timed.x)), np.zeros((2, len(timed.x)), bool)
-    held = _held(timed, tcp)
+    held = _path_configurations(timed, tcp)
     if holds_tcp(task):
         off[held.rows] = from_line(held.tcp, targets[held.before], targets[held.to])
         turns_back[held.rows] = _turns_back(held, targets)
     if task:
-        ends = [Place(scene.rotate, scene.translate, part, end - on_path) for end in (held.before, held.to)]
+        ends = [PartPose(scene.rotate, scene.translate, part, end - on_path) for end in (held.before, held.to)]
         inside = hold_between(task, arm, held.x, *ends, settings)
         breaks[held.rows] = ~inside.all(axis=0)
     beyond = ((timed.x < arm.lower - ROUNDING_M) | (timed.x > arm.upper + ROUNDING_M)).any(axis=1)
@@ -95,15 +95,15 @@ def check_timed(
     return TimedCheck(touches, leaves, turns_back, breaks, beyond, float(clearance.min()), float(off.max()))
 
 
-def _held(timed: Timed, tcp: np.ndarray) -> _Held:
+def _path_configurations(timed: TimedMotion, tcp: np.ndarray) -> _PathConfigurations:
     """Configurations on the path. During a dwell the arm stays at its target."""
-    rows = np.flatnonzero(np.isin(timed.kind, (Kind.FEED, Kind.DWELL)))
+    rows = np.flatnonzero(np.isin(timed.kind, (Kind.PROCESS, Kind.DWELL)))
     to = timed.target[rows]
     before = np.where(timed.kind[rows] == Kind.DWELL, to, to - 1)
-    return _Held(rows, timed.x[rows], tcp[rows], before, to)
+    return _PathConfigurations(rows, timed.x[rows], tcp[rows], before, to)
 
 
-def _turns_back(held: _Held, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarray, "m"]:
+def _turns_back(held: _PathConfigurations, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarray, "m"]:
     """True if the TCP has moved backwards along its line since the previous configuration.
 
     It may pass a corner between the two, so it must move backwards along the previous configuration's line, too. A line
@@ -118,7 +118,7 @@ def _turns_back(held: _Held, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarr
     return np.append(False, bound & (ahead < -ROUNDING_M))[: len(held.rows)]
 
 
-def _at(
+def _measure(
     scene: CheckedScene, x: Float[np.ndarray, "n N"], contact_m: float | None, progress: Callable[[int, int], None]
 ) -> tuple[np.ndarray, ...]:
     """Measure configurations: the clearance [m], the TCP, and True if the bare tip passes through a wall.
@@ -132,19 +132,19 @@ def _at(
         known = scene.at(x[own])
         clearance[own], tcp[own], through[own] = (
             known.clearance,
-            known.postures.tcp,
-            _through(scene, known.postures, contact_m),
+            known.arm_poses.tcp,
+            _through(scene, known.arm_poses, contact_m),
         )
         between = np.setdiff1d(np.arange(own[0], own[-1]), own)
         below = max(0.0, float(clearance.min()))
         for some in np.array_split(between, -(-len(between) // (8 * AT_ONCE)) or 1):
             if len(some):
                 before = np.searchsorted(own, some) - 1
-                postures, clearance[some] = scene.between(x[some], before, known, below)
-                tcp[some], through[some] = postures.tcp, _through(scene, postures, contact_m)
+                arm_poses, clearance[some] = scene.between(x[some], before, known, below)
+                tcp[some], through[some] = arm_poses.tcp, _through(scene, arm_poses, contact_m)
         progress(int(own[-1]) + 1, len(x))
     return clearance, tcp, through
 
 
-def _through(scene: CheckedScene, postures: Postures, contact_m: float | None) -> Bool[np.ndarray, "n"]:
-    return np.zeros(len(postures.tcp), bool) if contact_m is None else scene.tip_goes_through(postures, contact_m)
+def _through(scene: CheckedScene, arm_poses: ArmPoses, contact_m: float | None) -> Bool[np.ndarray, "n"]:
+    return np.zeros(len(arm_poses.tcp), bool) if contact_m is None else scene.tip_goes_through(arm_poses, contact_m)

@@ -7,13 +7,13 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.runs import parameters
-from htcp_jax.validation.mujoco_arm import Arm, Postures
-from htcp_jax.validation.mujoco_cell import Beside
+from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
+from htcp_jax.validation.mujoco_cell import MujocoCell
 from htcp_jax.validation.mujoco_clearance import AtTargets, CheckedScene, Wall
-from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refuted
+from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refutation
 from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
-from htcp_jax.validation.task_check import Place as RowPlace
-from htcp_jax.validation.task_check import RowCheck, check_rows, follower, follows_all, hold_between, holds_tcp
+from htcp_jax.validation.task_check import PartPose as RowPlace
+from htcp_jax.validation.task_check import RowCheck, check_rows, follows_all, hold_between, holds_tcp, path_follower
 
 
 class JointPaths(NamedTuple):
@@ -27,7 +27,7 @@ class JointPaths(NamedTuple):
     line_b: Float[np.ndarray, "m 3"]
 
 
-class Checked(NamedTuple):
+class TrackCheck(NamedTuple):
     """Results at the n tracked targets with a configuration, and along the m joint paths to them."""
 
     method: str
@@ -41,7 +41,7 @@ class Checked(NamedTuple):
     clearance_off: Float[np.ndarray, "n"]
     tcp_off: Float[np.ndarray, "n"]
     target_off: Float[np.ndarray, "n"]
-    refuted: list[Refuted]
+    refuted: list[Refutation]
     leads_to: Int[np.ndarray, "m"]  # target
     touches: Bool[np.ndarray, "m"] | None
     clearance_between: Float[np.ndarray, "m"] | None  # minimum on the path; inf if larger than at all targets
@@ -52,53 +52,55 @@ class Checked(NamedTuple):
     rows: list[RowCheck]  # rows of the task at these; none if the job has no task
 
 
-def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track, between: int) -> Checked:
+def check(
+    results: Results, arm: MujocoArm, wall: Wall, surroundings: MujocoCell | None, track: Track, between: int
+) -> TrackCheck:
     """Check one track.
 
     Args:
         results: The results to which the track belongs.
         arm: The arm, with the track's tool.
         wall: The workpiece.
-        beside: The other obstacles; None if there are none.
+        surroundings: The other obstacles; None if there are none.
         track: The track.
         between: Minimum number of steps per joint path; 0 to skip joint paths.
 
     Raises:
         InputError: If the configuration results in another number of targets than the saved one.
     """
-    scene, targets, on_path = scene_of(results, arm, wall, beside, track)
+    scene, targets, on_path = scene_of(results, arm, wall, surroundings, track)
     task, settings = track.config.task, track.config.settings
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
     rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
     at = scene.at(rows)
-    reached = follower(task, arm, track.x[t]) if task else at.postures.tcp[1:]
+    reached = path_follower(task, arm, track.x[t]) if task else at.arm_poses.tcp[1:]
     more = at.clearance[1:] - track.clearance[t]
     mesh = wall.triangles is not None
-    bound = mesh or (beside is not None and beside.bound)  # the saved clearance may be less, by the cover
+    bound = mesh or (surroundings is not None and surroundings.bound)  # the saved clearance may be less, by the cover
     found = {
         "tcp_error": np.linalg.norm(reached - targets[t], axis=1) if follows_all(task) else np.zeros(len(t)),
         "clearance": at.clearance[1:],
-        "clearance_off": _off(np.minimum(more, 0.0) if bound else more),
-        "tcp_off": _off(np.linalg.norm(at.postures.tcp[1:] - track.tcp[t], axis=1)),
-        "target_off": _off(np.linalg.norm(targets[t] - track.target[t], axis=1)),
+        "clearance_off": _absolute_difference(np.minimum(more, 0.0) if bound else more),
+        "tcp_off": _absolute_difference(np.linalg.norm(at.arm_poses.tcp[1:] - track.tcp[t], axis=1)),
+        "target_off": _absolute_difference(np.linalg.norm(targets[t] - track.target[t], axis=1)),
     }
     tolerance, contact = settings.tolerance_m, track.config.workpiece.tip_contact_m
     through = np.zeros(len(t), bool)
     if mesh and contact is not None and len(t):
-        through = scene.tip_goes_through(Postures(*(values[1:] for values in at.postures)), contact)
+        through = scene.tip_goes_through(ArmPoses(*(values[1:] for values in at.arm_poses)), contact)
     paths = _paths(track, rows, targets, t)
     moved, line = np.abs(paths.b - paths.a), paths.line_b - paths.line_a
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
     if track.config.home_rad is not None:
         in_place[paths.target == 0] = 0.0  # the motion to it begins at home
-    between_rows = _walk(scene, at, paths, between, on_path)
+    between_rows = _check_paths(scene, at, paths, between, on_path)
     refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
-    refuted += _refuted_ways(track, paths, between_rows)
+    refuted += _refuted_segments(track, paths, between_rows)
     on = t[t >= on_path]
-    rows_held = _rows(results, arm, track, scene, on, on_path)
+    rows_held = _check_task_rows(results, arm, track, scene, on, on_path)
     refuted += _refuted_rows(track, rows_held, on)
     refuted += _refuted_between(results, arm, track, scene, paths, between, on_path)
-    return Checked(
+    return TrackCheck(
         method=track.method,
         scenario=track.scenario,
         tracked=int(track.tracked.sum()),
@@ -117,7 +119,7 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
 
 
 def scene_of(
-    results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track
+    results: Results, arm: MujocoArm, wall: Wall, surroundings: MujocoCell | None, track: Track
 ) -> tuple[CheckedScene, Float[np.ndarray, "T 3"], int]:
     """Build the scene of a track.
 
@@ -125,7 +127,7 @@ def scene_of(
         results: The results to which the track belongs.
         arm: The arm, with the track's tool.
         wall: The workpiece.
-        beside: The other obstacles; None if there are none.
+        surroundings: The other obstacles; None if there are none.
         track: The track.
 
     Returns:
@@ -139,7 +141,7 @@ def scene_of(
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     start = track.start if track.config.start is None else np.array(track.config.start)
     path = workpiece.path @ rotate.T + translate
-    targets = targets_of(track.config, follower(track.config.task, arm, start[None])[0], inlet, path)
+    targets = targets_of(track.config, path_follower(track.config.task, arm, start[None])[0], inlet, path)
     if len(targets) != len(track.target):
         raise InputError(
             f"{results.folder}: scenario {track.scenario} has {len(track.target)} targets on record, "
@@ -148,21 +150,25 @@ def scene_of(
     on_path = len(targets) - len(path)
     if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach deviates from its lines
         targets[1:on_path] = path[0]
-    beside = None if beside is None else beside.distances
-    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m, beside), targets, on_path
+    surroundings = None if surroundings is None else surroundings.distances
+    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m, surroundings), targets, on_path
 
 
 def _refuted(
-    arm: Arm, track: Track, t: np.ndarray, tolerance_m: float, record_m: float, found: dict[str, np.ndarray]
-) -> list[Refuted]:
+    arm: MujocoArm, track: Track, t: np.ndarray, tolerance_m: float, record_m: float, found: dict[str, np.ndarray]
+) -> list[Refutation]:
     reasons = {int(k): ["no configuration on record"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
     for k, target in enumerate(t.tolist()):
         own = {name: float(values[k]) for name, values in found.items()}
-        reasons[target] = _reasons(arm, tolerance_m, record_m, track.x[target], float(track.clearance[target]), own)
-    return [Refuted(track.method, track.scenario, k, "; ".join(reasons[k])) for k in sorted(reasons) if reasons[k]]
+        reasons[target] = _failure_reasons(
+            arm, tolerance_m, record_m, track.x[target], float(track.clearance[target]), own
+        )
+    return [Refutation(track.method, track.scenario, k, "; ".join(reasons[k])) for k in sorted(reasons) if reasons[k]]
 
 
-def _rows(results: Results, arm: Arm, track: Track, scene: CheckedScene, t: np.ndarray, on_path: int) -> list[RowCheck]:
+def _check_task_rows(
+    results: Results, arm: MujocoArm, track: Track, scene: CheckedScene, t: np.ndarray, on_path: int
+) -> list[RowCheck]:
     """Check the rows of the task at targets t of the path; an empty list without a task.
 
     Without a task the only row is the TCP on the path, which is checked elsewhere.
@@ -172,19 +178,19 @@ def _rows(results: Results, arm: Arm, track: Track, scene: CheckedScene, t: np.n
     return check_rows(task, arm, track.x[t], place, settings.tolerance_m, settings.tolerance_rad) if task else []
 
 
-def _refuted_rows(track: Track, rows: list[RowCheck], t: np.ndarray) -> list[Refuted]:
+def _refuted_rows(track: Track, rows: list[RowCheck], t: np.ndarray) -> list[Refutation]:
     """Targets t at which a row of the task does not hold."""
     found = []
     for k, target in enumerate(t.tolist()):
         reasons = [reason for number, one in enumerate(rows, 1) if (reason := one.reason(number, k)) is not None]
         if reasons:
-            found.append(Refuted(track.method, track.scenario, target, "; ".join(reasons)))
+            found.append(Refutation(track.method, track.scenario, target, "; ".join(reasons)))
     return found
 
 
 def _refuted_between(
-    results: Results, arm: Arm, track: Track, scene: CheckedScene, paths: JointPaths, between: int, on_path: int
-) -> list[Refuted]:
+    results: Results, arm: MujocoArm, track: Track, scene: CheckedScene, paths: JointPaths, between: int, on_path: int
+) -> list[Refutation]:
     """Segments along the path that are saved as proven, and on which a row of the task does not hold."""
     task, own = track.config.task, np.flatnonzero(track.proven[paths.target] & (paths.target > on_path))
     if not task or between < 2 or not len(own):
@@ -198,18 +204,18 @@ def _refuted_between(
     found = []
     for target in np.unique(paths.target[path[~good.all(axis=0)]]).tolist():
         number = int(np.argmin(good[:, paths.target[path] == target].all(axis=1)))
-        reason = f"the way there is on record as proven, and task.{number + 1} ({task[number]}) does not hold on it"
-        found.append(Refuted(track.method, track.scenario, target, reason))
+        reason = f"the segment is recorded as valid, and task.{number + 1} ({task[number]}) does not hold on it"
+        found.append(Refutation(track.method, track.scenario, target, reason))
     return found
 
 
-def _off(difference: np.ndarray) -> np.ndarray:
+def _absolute_difference(difference: np.ndarray) -> np.ndarray:
     """Absolute difference; infinity if the saved value is missing."""
     return np.where(np.isnan(difference), np.inf, np.abs(difference))
 
 
-def _reasons(
-    arm: Arm, tolerance_m: float, record_m: float, x: np.ndarray, recorded: float, found: dict[str, float]
+def _failure_reasons(
+    arm: MujocoArm, tolerance_m: float, record_m: float, x: np.ndarray, recorded: float, found: dict[str, float]
 ) -> list[str]:
     """Sentences on why a configuration fails."""
     reasons = []
@@ -233,18 +239,18 @@ def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -
     """Joint paths to those of the targets t whose previous target is tracked, too, or is the start."""
     parts = []
     for k in np.flatnonzero(t == np.concatenate([[-1], t[:-1]])[: len(t)] + 1).tolist():
-        way = np.concatenate([rows[k][None], track.knots[t[k]], rows[k + 1][None]])
-        count, to, before = len(way) - 1, targets[t[k]], targets[max(t[k] - 1, 0)]
+        x = np.concatenate([rows[k][None], track.via_points[t[k]], rows[k + 1][None]])
+        count, to, before = len(x) - 1, targets[t[k]], targets[max(t[k] - 1, 0)]
         last = (np.arange(count) == count - 1)[:, None]  # on those before it the arm changes its configuration in place
         start = np.broadcast_to(before, (count, 3))
-        parts.append((np.full(count, t[k]), np.full(count, k), way[:-1], way[1:], start, np.where(last, to, before)))
+        parts.append((np.full(count, t[k]), np.full(count, k), x[:-1], x[1:], start, np.where(last, to, before)))
     if not parts:
         none, joints = np.zeros(0, int), np.zeros((0, rows.shape[1]))
         return JointPaths(none, none, joints, joints, np.zeros((0, 3)), np.zeros((0, 3)))
     return JointPaths(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any]) -> list[Refuted]:
+def _refuted_segments(track: Track, paths: JointPaths, found: dict[str, Any]) -> list[Refutation]:
     """Segments that are saved as proven motions and fail."""
     if found["touches"] is None:
         return []
@@ -252,14 +258,14 @@ def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any]) -> lis
     settings = track.config.settings
     away = holds_tcp(track.config.task) & proven & (found["deviation"] > settings.tube_m + ROUNDING_M)
     for k in np.flatnonzero(proven & found["touches"]).tolist():
-        reasons.setdefault(int(paths.target[k]), "the way there is on record as proven, and touches")
+        reasons.setdefault(int(paths.target[k]), "the segment is recorded as valid, and touches")
     for k in np.flatnonzero(away).tolist():
         off = f"{1e3 * found['deviation'][k]:.3f} mm"
-        reasons.setdefault(int(paths.target[k]), f"the way there is on record as proven, and leaves its path by {off}")
-    return [Refuted(track.method, track.scenario, target, reasons[target]) for target in sorted(reasons)]
+        reasons.setdefault(int(paths.target[k]), f"the segment is recorded as valid, and leaves its path by {off}")
+    return [Refutation(track.method, track.scenario, target, reasons[target]) for target in sorted(reasons)]
 
 
-def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, on_path: int) -> dict[str, Any]:
+def _check_paths(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, on_path: int) -> dict[str, Any]:
     """Check the joint paths: collisions, minimum clearance where it is less than at all targets, and path deviation.
 
     The deviation is the TCP's distance from its line; it is 0 up to the path's first point, `on_path`, as the approach
@@ -272,19 +278,19 @@ def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, o
     move = paths.b - paths.a
     furthest = abs(move).max(axis=1, initial=0.0)
     steps = np.where(furthest > 0, np.maximum(between, np.ceil(furthest / STEP_RAD)), 1).astype(int)
-    path, fraction = _looks(steps)
+    path, fraction = _sampled_fractions(steps)
     if len(path):
-        way = paths.a[path] + fraction[:, None] * move[path]
-        postures, clearance = scene.between(way, paths.row[path], at, max(0.0, float(at.clearance.min())))
+        x = paths.a[path] + fraction[:, None] * move[path]
+        arm_poses, clearance = scene.between(x, paths.row[path], at, max(0.0, float(at.clearance.min())))
         np.minimum.at(least, path, clearance)
         off = np.where(
-            paths.target[path] > on_path, from_line(postures.tcp, paths.line_a[path], paths.line_b[path]), 0.0
+            paths.target[path] > on_path, from_line(arm_poses.tcp, paths.line_a[path], paths.line_b[path]), 0.0
         )
         np.maximum.at(deviation, path, off)
     return {"touches": least <= 0, "clearance_between": least, "deviation": deviation}
 
 
-def _looks(steps: Int[np.ndarray, "m"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+def _sampled_fractions(steps: Int[np.ndarray, "m"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Path number and fraction of each point between two steps, for paths of `steps` steps each."""
     path = np.repeat(np.arange(len(steps)), steps - 1)
     before = np.cumsum(steps - 1) - (steps - 1)
@@ -307,7 +313,7 @@ def from_line(
     return np.linalg.norm(points - a - fraction[:, None] * along, axis=1)
 
 
-def _speed(arm: Arm, moved: np.ndarray, length: np.ndarray, tolerance_m: float) -> tuple[np.ndarray, np.ndarray]:
+def _speed(arm: MujocoArm, moved: np.ndarray, length: np.ndarray, tolerance_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Compute `speed` and `in_place` of Checked, for joint changes (m, N) along lines of these lengths.
 
     Targets closer than the tolerance coincide; at the feed rate there is no time for a change of configuration there.

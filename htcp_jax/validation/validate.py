@@ -25,18 +25,18 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import files
 from htcp_jax.jobs import build, config
 from htcp_jax.runs import plan_folder
-from htcp_jax.validation.mujoco_arm import Arm
-from htcp_jax.validation.mujoco_cell import Beside
+from htcp_jax.validation.mujoco_arm import MujocoArm
+from htcp_jax.validation.mujoco_cell import MujocoCell
 from htcp_jax.validation.mujoco_clearance import Wall, wall_of
 from htcp_jax.validation.records import read_results
-from htcp_jax.validation.result import MethodCheck, Place, RowHeld, Validation
+from htcp_jax.validation.result import MethodCheck, RowDeviation, TargetPlace, Validation
 from htcp_jax.validation.scene_rules import Results, Track
-from htcp_jax.validation.track import Checked, check
+from htcp_jax.validation.track import TrackCheck, check
 
 LISTED = 100  # refuted configurations that are listed one by one
 
 
-def validate(
+def validate_results(
     folder: str | Path,
     *,
     between: int = 20,
@@ -61,14 +61,14 @@ def validate(
         raise InputError(f"the feed rate is {feed_mm_s:g} mm/s; it must be positive")
     began = time.perf_counter()
     results = read_results(Path(folder))
-    arms: dict[config.RobotConfig, Arm] = {}
+    arms: dict[config.RobotConfig, MujocoArm] = {}
     walls: dict[tuple, Wall] = {}
-    besides: dict[tuple, Beside] = {}
+    surroundings_by_arm: dict[tuple, MujocoCell] = {}
     checked = []
     for track in results.tracks:
-        arm, wall = _arm(arms, results, track), _wall(walls, results, track)
-        beside = _beside(besides, arms, track)
-        checked.append(check(results, arm, wall, beside, track, between))
+        arm, wall = _arm_with_tool(arms, results, track), _wall(walls, results, track)
+        surroundings = _cell_of_track(surroundings_by_arm, arms, track)
+        checked.append(check(results, arm, wall, surroundings, track, between))
         if progress is not None:
             progress(len(checked), results.count)
     joints = next(iter(arms.values())).joints
@@ -78,13 +78,13 @@ def validate(
     }
     refuted = tuple(one for each in checked for one in each.refuted)
     seconds = time.perf_counter() - began
-    depth, pair = max((each.deepest for each in besides.values()), default=(0.0, ""))
+    depth, pair = max((each.deepest for each in surroundings_by_arm.values()), default=(0.0, ""))
     excluded = f"{pair}, {1e3 * depth:.3g} mm" if pair else None
     found = not refuted, methods, refuted, between, feed_mm_s, seconds, results.files, excluded
-    return Validation(*found, _unchecked(checked, besides.values()))
+    return Validation(*found, _unchecked(checked, surroundings_by_arm.values()))
 
 
-def record(found: Validation) -> dict[str, Any]:
+def validation_record(found: Validation) -> dict[str, Any]:
     """Return a validation as a mapping for JSON."""
     refuted = [one._asdict() for one in found.refuted[:LISTED]]
     versions = {"mujoco": mujoco.__version__, "scipy": scipy.__version__, "numpy": np.__version__}
@@ -109,7 +109,7 @@ def write_validation(folder: Path, found: Validation) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    recorded = record(found)
+    recorded = validation_record(found)
     if _is_stronger(folder / plan_folder.VALIDATION, recorded):
         warnings.warn(
             f"{folder / plan_folder.VALIDATION} is kept: of the same results, it looks closer between the targets than "
@@ -131,27 +131,27 @@ def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
     try:
         known = files.read_json(file, file.parent)
         same = all(known[key] == recorded[key] for key in ("files", "validated"))
-        return same and known["between"] > recorded["between"] and _keys(known) >= _keys(recorded)
+        return same and known["between"] > recorded["between"] and _record_keys(known) >= _record_keys(recorded)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return False  # there is none, or it is damaged
 
 
-def _keys(recorded: dict[str, Any]) -> set[str]:
+def _record_keys(recorded: dict[str, Any]) -> set[str]:
     """Keys of a validation, including its methods'; later versions may have more."""
     return {*recorded, *(f"{method}.{key}" for method, check in recorded["methods"].items() for key in check)}
 
 
-def parts_of(results: Results, track: Track) -> tuple[Arm, Wall, Beside | None]:
+def parts_of(results: Results, track: Track) -> tuple[MujocoArm, Wall, MujocoCell | None]:
     """Load the arm, the workpiece and the other obstacles of a track.
 
     Raises:
         InputError: For a model that cannot be read.
     """
-    arms: dict[config.RobotConfig, Arm] = {}
-    return _arm(arms, results, track), _wall({}, results, track), _beside({}, arms, track)
+    arms: dict[config.RobotConfig, MujocoArm] = {}
+    return _arm_with_tool(arms, results, track), _wall({}, results, track), _cell_of_track({}, arms, track)
 
 
-def _arm(arms: dict[config.RobotConfig, Arm], results: Results, track: Track) -> Arm:
+def _arm_with_tool(arms: dict[config.RobotConfig, MujocoArm], results: Results, track: Track) -> MujocoArm:
     """The arm with the track's tool. Raises InputError if its number of joints differs from the saved one."""
     arm = _compiled(arms, track.config.robot)
     if len(arm.joints) != track.x.shape[1]:
@@ -159,10 +159,10 @@ def _arm(arms: dict[config.RobotConfig, Arm], results: Results, track: Track) ->
     return arm
 
 
-def _compiled(arms: dict[config.RobotConfig, Arm], robot: config.RobotConfig) -> Arm:
+def _compiled(arms: dict[config.RobotConfig, MujocoArm], robot: config.RobotConfig) -> MujocoArm:
     """An arm; each is compiled once."""
     if robot not in arms:
-        arms[robot] = Arm(
+        arms[robot] = MujocoArm(
             robot.file,
             robot.tool_extension_m,
             robot.limits,
@@ -174,15 +174,17 @@ def _compiled(arms: dict[config.RobotConfig, Arm], robot: config.RobotConfig) ->
     return arms[robot]
 
 
-def _beside(besides: dict[tuple, Beside], arms: dict[config.RobotConfig, Arm], track: Track) -> Beside | None:
+def _cell_of_track(
+    surroundings_by_arm: dict[tuple, MujocoCell], arms: dict[config.RobotConfig, MujocoArm], track: Track
+) -> MujocoCell | None:
     """Obstacles of the track's arm other than the workpiece; None if there are none."""
     robot, cell = track.config.robot, track.config.cell
     if not (cell.self_collision or cell.model or cell.clouds or cell.obstacles):
         return None
-    if (robot, cell) not in besides:
+    if (robot, cell) not in surroundings_by_arm:
         plain = _compiled(arms, robot.model_copy(update={"tool_extension_m": 0.0}))
-        besides[robot, cell] = Beside(cell, _compiled(arms, robot), plain)
-    return besides[robot, cell]
+        surroundings_by_arm[robot, cell] = MujocoCell(cell, _compiled(arms, robot), plain)
+    return surroundings_by_arm[robot, cell]
 
 
 def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
@@ -196,7 +198,7 @@ def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
     return walls[key]
 
 
-def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float) -> MethodCheck:
+def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: float) -> MethodCheck:
     """Combine one method's tracks."""
     targets = [(one.scenario, target) for one in checked for target in one.target.tolist()]
     paths = [(one.scenario, target) for one in checked for target in one.leads_to.tolist()]
@@ -239,37 +241,41 @@ def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float)
         speed_joint=None if path is None else joints[joint],
         speed_at=None if path is None else paths[path],
         in_place_max_rad=float(all_of("in_place").max()) if paths else None,
-        rows=_rows(checked),
+        rows=_row_deviations(checked),
     )
 
 
-def _rows(checked: Sequence[Checked]) -> tuple[RowHeld, ...]:
+def _row_deviations(checked: Sequence[TrackCheck]) -> tuple[RowDeviation, ...]:
     """Every row of the task where it deviates by the largest share of its tolerance."""
     found = [
-        [_held(one, number) for number, row in enumerate(one.rows) if not row.unchecked]
+        [_row_deviation(one, number) for number, row in enumerate(one.rows) if not row.unchecked]
         for one in checked
         if len(one.on_path)
     ]
     return tuple(max(rows, key=lambda row: row.off / row.most) for rows in zip(*found, strict=True))
 
 
-def _unchecked(checked: Sequence[Checked], besides: Iterable[Beside]) -> tuple[str, ...]:
+def _unchecked(checked: Sequence[TrackCheck], surroundings_by_arm: Iterable[MujocoCell]) -> tuple[str, ...]:
     """Sentences on obstacles without shapes, and on rows without a check of their own."""
-    obstacles = sorted({name for beside in besides for name in beside.unmeasured})
+    obstacles = sorted({name for surroundings in surroundings_by_arm for name in surroundings.unmeasured})
     lines = [f"The obstacle {name!r} is not measured: it has no shapes for MuJoCo." for name in obstacles]
     rows = {f"task.{k} ({row.row})" for one in checked for k, row in enumerate(one.rows, 1) if row.unchecked}
     return *lines, *(f"The row {row} is not validated: its kind has no deviation." for row in sorted(rows))
 
 
-def _held(one: Checked, number: int) -> RowHeld:
+def _row_deviation(one: TrackCheck, number: int) -> RowDeviation:
     """Largest deviation from a row of one track."""
     row = one.rows[number]
     k = int(np.argmax(row.off))
     at = one.scenario, int(one.on_path[k])
-    return RowHeld(f"task.{number + 1}: {row.row}", row.factor * float(row.off[k]), row.factor * row.most, row.unit, at)
+    return RowDeviation(
+        f"task.{number + 1}: {row.row}", row.factor * float(row.off[k]), row.factor * row.most, row.unit, at
+    )
 
 
-def _worst(which: Callable, values: np.ndarray, places: Sequence[Place]) -> tuple[float | None, Place | None]:
+def _worst(
+    which: Callable, values: np.ndarray, places: Sequence[TargetPlace]
+) -> tuple[float | None, TargetPlace | None]:
     """The worst of values [m] in mm, and its place; `which` is argmin or argmax."""
     if not values.size:
         return None, None

@@ -1,7 +1,7 @@
-from . import movie, offscreen, replay, strip, timed_play
+from . import movie, offscreen, plot_strip, replay, timed_play
 from .arm_picture import draw_arm
 from .browser import Viewer
-from .needles import needles
+from .normal_glyphs import glyphs
 from .picture import draw_cell, draw_plan
 from .render import Studio
 
@@ -11,10 +11,10 @@ __all__ = [
     "draw_arm",
     "draw_cell",
     "draw_plan",
+    "glyphs",
     "movie",
-    "needles",
     "offscreen",
+    "plot_strip",
     "replay",
-    "strip",
     "timed_play",
 ]

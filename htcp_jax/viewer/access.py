@@ -47,7 +47,7 @@ class Access(NamedTuple):
     def refusal(self, request: Request) -> str | None:
         """Return the reason why a request is refused; None if it is not."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
-        if len(hosts) != 1 or (self.token is None and _name(hosts[0]) not in self.names):
+        if len(hosts) != 1 or (self.token is None and _host_name(hosts[0]) not in self.names):
             return "unknown host"
         if origins not in ([], [f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
             return "foreign page"
@@ -145,7 +145,7 @@ def _guarded(access: Access) -> Iterator[list[bool]]:
         websockets.asyncio.server.serve = original
 
 
-def _name(host: str) -> str | None:
+def _host_name(host: str) -> str | None:
     """A host without its port; None if it is invalid."""
     try:
         return urlsplit(f"//{host}").hostname

@@ -12,20 +12,20 @@ import viser
 
 from htcp_jax.errors import InputError
 from htcp_jax.markup import escaped
-from htcp_jax.trajectory import OfPlan
+from htcp_jax.trajectory import PlanProgram
 from htcp_jax.viewer.access import serve, silent
-from htcp_jax.viewer.browser_looks import Looks
+from htcp_jax.viewer.arm_pose import together
+from htcp_jax.viewer.browser_display import DisplayOptions
 from htcp_jax.viewer.browser_plots import Plots
-from htcp_jax.viewer.browser_scene import Stage
-from htcp_jax.viewer.browser_words import describe, facts, name_of
-from htcp_jax.viewer.course import ByTarget, ByTime, Course
-from htcp_jax.viewer.posture import together
+from htcp_jax.viewer.browser_scene import BrowserScene
+from htcp_jax.viewer.browser_words import describe, name_of, target_facts
 from htcp_jax.viewer.replay import Replay, Replays
+from htcp_jax.viewer.timeline import ByTarget, ByTime, Timeline
 
 WAITING_S = 0.1  # polling interval of the play button
 
 
-Programs = Callable[[int, str], OfPlan]  # robot program of a scenario's number and a method
+PlanPrograms = Callable[[int, str], PlanProgram]  # robot program of a scenario's number and a method
 
 
 class Viewer:
@@ -41,7 +41,7 @@ class Viewer:
         programs: Function for the robot program of a scenario and method, which is played in time.
 
     Raises:
-        InputError: For an unknown scenario or method, for an address that is not available, and as `programs` for the
+        InputError: For an unknown scenario or method, for an address that is not available, and as `executor` for the
             first scenario.
     """
 
@@ -52,19 +52,19 @@ class Viewer:
         port: int = 8080,
         scenario: int | None = None,
         method: str | None = None,
-        programs: Programs | None = None,
+        programs: PlanPrograms | None = None,
     ):
         method = method or replays.methods[0]
         self._replays, self._programs, self._lock = replays, programs, threading.RLock()
         outcomes = replays.outcomes(method)
         first = next((end for end in outcomes if programs and end.can_be_driven), outcomes[0])
         replay = replays.replay(first.scenario if scenario is None else scenario, method)
-        course = ByTime(programs(replay.number, method)) if programs else ByTarget(replay)
+        timeline = ByTime(programs(replay.number, method)) if programs else ByTarget(replay)
         self._server, self.address = serve(host, port)
         self._ended = threading.Event()
-        self._stage = Stage(self._server)
+        self._stage = BrowserScene(self._server)
         self._build(replay)
-        self._show(replay, course)
+        self._show(replay, timeline)
         threading.Thread(target=self._play, name="htcp view: play", daemon=True).start()
 
     @property
@@ -86,7 +86,7 @@ class Viewer:
             return self._replay.number, self._replay.method
 
     @property
-    def stage(self) -> Stage:
+    def stage(self) -> BrowserScene:
         """The 3D scene."""
         return self._stage
 
@@ -116,7 +116,7 @@ class Viewer:
         self._playing = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
         self._rate = None
         self._plots = Plots(gui, self._playing.order + 0.2)
-        self._looks = Looks(self._server, self._stage, self._lock)
+        self._display = DisplayOptions(self._server, self._stage, self._lock)
         self._method.on_update(lambda _: self._pick_method())
         self._scenario.on_update(lambda _: self._pick_scenario())
         self._playing.on_click(lambda _: self._toggle())
@@ -140,9 +140,9 @@ class Viewer:
             number = self._names(self._method.value).get(self._scenario.value)
             if number is not None and (number, self._method.value) != self.shown:
                 replay = self._replays.replay(number, self._method.value)
-                self._show(replay, self._course_of(replay))
+                self._show(replay, self._timeline_of(replay))
 
-    def _course_of(self, replay: Replay) -> Course:
+    def _timeline_of(self, replay: Replay) -> Timeline:
         """Timeline of a replay: by time if there is a robot program, else by target."""
         try:
             return ByTime(self._programs(replay.number, replay.method)) if self._programs else ByTarget(replay)
@@ -151,52 +151,52 @@ class Viewer:
 
     # The displayed plan
 
-    def _show(self, replay: Replay, course: Course) -> None:
+    def _show(self, replay: Replay, timeline: Timeline) -> None:
         with self._lock, self._server.atomic():
-            self._replay, self._course, self._target = replay, course, -1
+            self._replay, self._timeline, self._target = replay, timeline, -1
             self._play_or_pause(False)
-            self._looks.show(replay, together(course.passed))
-            self._plots.show(replay, course.curves)
-            self._show_course()
+            self._display.show(replay, together(timeline.passed))
+            self._plots.show(replay, timeline.curves)
+            self._show_timeline()
             self.go_to(0)
 
-    def _show_course(self) -> None:
+    def _show_timeline(self) -> None:
         """Replace the slider and the list of rates by the timeline's."""
-        gui, course, order = self._server.gui, self._course, self._facts.order
+        gui, timeline, order = self._server.gui, self._timeline, self._facts.order
         for each in (self._slider, self._rate):
             if each is not None:
                 each.remove()
-        last = max(course.last, course.step)
-        self._slider = gui.add_slider(course.name, 0, last, course.step, 0, order=order - 0.5)
+        last = max(timeline.last, timeline.step)
+        self._slider = gui.add_slider(timeline.name, 0, last, timeline.step, 0, order=order - 0.5)
         self._rate = gui.add_dropdown(
-            course.rate_name, course.rates, initial_value=course.usual_rate, order=self._playing.order + 0.1
+            timeline.rate_name, timeline.rates, initial_value=timeline.usual_rate, order=self._playing.order + 0.1
         )
         self._slider.on_update(lambda _: self._slide())
 
     def _slide(self) -> None:
         with self._lock:
-            if self._slider.value != self._course.on_slider(self._place):
+            if self._slider.value != self._timeline.on_slider(self._place):
                 self.go_to(self._slider.value)
 
     def go_to(self, place: int | float) -> None:
         """Show a target or, for a robot program, a time [s]; fractions of targets are between two targets."""
         with self._lock, self._server.atomic():
-            self._place = float(min(place, self._course.last))
-            posture, told = self._course.look(self._place)
-            if (target := max(posture.target, 0)) != self._target:
+            self._place = float(min(place, self._timeline.last))
+            pose, reported = self._timeline.look(self._place)
+            if (target := max(pose.target, 0)) != self._target:
                 self._target = target
                 self._stage.pose(target)
                 self._plots.at_target(target)
-            self._stage.move(posture.arm)
+            self._stage.move(pose.arm)
             self._plots.at_time(self._place)
-            self._facts.content = "\n\n".join(filter(None, (told, facts(self._replay, target))))
-            self._slider.value = self._course.on_slider(self._place)
+            self._facts.content = "\n\n".join(filter(None, (reported, target_facts(self._replay, target))))
+            self._slider.value = self._timeline.on_slider(self._place)
 
     def _toggle(self) -> None:
         with self._lock:
             self._play_or_pause(not self._running)
-            if self._running and (self._place == 0 or self._place >= self._course.end):
-                self.go_to(self._course.begin)
+            if self._running and (self._place == 0 or self._place >= self._timeline.end):
+                self.go_to(self._timeline.begin)
             self._looked_s = time.monotonic()
 
     def _play_or_pause(self, running: bool) -> None:
@@ -217,8 +217,8 @@ class Viewer:
         """Show the next position; returns the pause until the next [s]."""
         now, rate = time.monotonic(), float(self._rate.value)
         passed, self._looked_s = now - self._looked_s, now
-        if self._place >= self._course.end:
+        if self._place >= self._timeline.end:
             self._toggle()
         else:
-            self.go_to(self._course.after(self._place, passed, rate))
-        return self._course.pause_s(self._place, rate)
+            self.go_to(self._timeline.after(self._place, passed, rate))
+        return self._timeline.pause_s(self._place, rate)

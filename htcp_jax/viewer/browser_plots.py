@@ -32,10 +32,12 @@ class Plots:
         self._replay, self._curves, self._shown, self._row = replay, curves, [], -1
         if curves is not None:
             over = {"y": {"range": (0.0, curves.top_mm_s)}}, "time [s]"
-            self.tcp = self._plot("TCP [mm/s]", _tcp(curves, 0), _tcp_series(curves), *over)
+            self.tcp = self._plot("TCP [mm/s]", _tcp_columns(curves, 0), _tcp_series(curves), *over)
             self._legend({kind.words: KINDS[kind] for kind in curves.tcp_mm_s} | {"required feed": INK})
             over = {"y": {"distr": LOG, "range": BOUNDS}}, "time [s]"
-            self.joints = self._plot("Joint speeds [% of the limit]", _joints(curves, 0), _joint_series(curves), *over)
+            self.joints = self._plot(
+                "Joint speeds [% of the limit]", _joint_columns_of(curves, 0), _joint_series(curves), *over
+            )
             self._legend({name: joint_colour(k) for k, name in enumerate(curves.share_percent)})
         scales = {"x": {"time": False}, "y": {"distr": LOG}}
         self.clearance = self._plot("Clearance [mm]", _curves(replay, 0), _series(replay), scales, "target")
@@ -52,7 +54,7 @@ class Plots:
         row = int(np.searchsorted(self._curves.time_s, time_s, side="right")) - 1
         if row != self._row:
             self._row = row
-            self.tcp.data, self.joints.data = _tcp(self._curves, row), _joints(self._curves, row)
+            self.tcp.data, self.joints.data = _tcp_columns(self._curves, row), _joint_columns_of(self._curves, row)
 
     def _plot(
         self, title: str, data: Columns, series: tuple[uplot.Series, ...], scales: dict, across: str
@@ -85,19 +87,24 @@ def _now(curves: Curves, row: int, bottom: float, top: float) -> np.ndarray:
     return line
 
 
-def _tcp(curves: Curves, row: int) -> Columns:
-    asked = np.full(len(curves.time_s), curves.feed_mm_s)
-    return curves.time_s, asked, *curves.tcp_mm_s.values(), _now(curves, row, 0.0, curves.top_mm_s)
+def _tcp_columns(curves: Curves, row: int) -> Columns:
+    requested = np.full(len(curves.time_s), curves.feed_mm_s)
+    return curves.time_s, requested, *curves.tcp_mm_s.values(), _now(curves, row, 0.0, curves.top_mm_s)
 
 
-def _joints(curves: Curves, row: int) -> Columns:
+def _joint_columns_of(curves: Curves, row: int) -> Columns:
     shares = (np.maximum(share, BOUNDS[0]) for share in curves.share_percent.values())
     return curves.time_s, *shares, _now(curves, row, *BOUNDS)
 
 
 def _tcp_series(curves: Curves) -> tuple[uplot.Series, ...]:
-    asked = {"label": "required feed", "stroke": INK, "width": 1, "dash": (4, 4)}
-    return {"label": "time"}, asked, *(_line(kind.words, KINDS[kind]) for kind in curves.tcp_mm_s), _line("now", INK)
+    requested = {"label": "required feed", "stroke": INK, "width": 1, "dash": (4, 4)}
+    return (
+        {"label": "time"},
+        requested,
+        *(_line(kind.words, KINDS[kind]) for kind in curves.tcp_mm_s),
+        _line("now", INK),
+    )
 
 
 def _joint_series(curves: Curves) -> tuple[uplot.Series, ...]:
@@ -123,7 +130,7 @@ def _series(replay: Replay) -> tuple[uplot.Series, ...]:
     def points(colour: str, size: int) -> uplot.Series:
         return {"stroke": colour, "width": 0, "points": {"show": True, "size": size, "fill": colour, "space": 0}}
 
-    sizes = {"tracked": 3, "tracked after an escape": 6, "failed": 11}
+    sizes = {"tracked": 3, "tracked after a recovery": 6, "failed": 11}
     parts = [{"label": style.name, **points(style.colour, sizes[style.name])} for style in _plotted(replay)]
     here = {"label": "shown", "stroke": INK, "width": 0}
     here["points"] = {"show": True, "size": 12, "fill": HERE, "stroke": INK, "width": 1.5, "space": 0}

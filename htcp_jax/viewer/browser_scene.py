@@ -1,6 +1,6 @@
 """3D scene of the viewer: the arm, the workpiece cut open, the targets, the minimum distance.
 
-One `Stage` belongs to a viser server. `show` draws a plan, `pose` moves the arm to a target.
+One `BrowserScene` belongs to a viser server. `show` draws a plan, `pose` moves the arm to a target.
 """
 
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ ROUND = 72, 72  # facets of a capsule about its axis and along its ends
 Vector = Float[np.ndarray, "3"]
 
 
-class Stage:
+class BrowserScene:
     """The scene of a viser server."""
 
     def __init__(self, server: viser.ViserServer):
@@ -209,7 +209,7 @@ class Stage:
             look = {"position": place, "anchor": "bottom-left"}
             marks.append(self._scene.add_label(f"/motion/dwells from {group[0]}", words, **look))
         if (narrow := replay.narrow) is not None:
-            words = f"tightest, on the way to target {narrow.target}: {replay.summary.proven} proven, "
+            words = f"tightest, on the segment to target {narrow.target}: {replay.summary.proven} proven, "
             words += f"{1e3 * narrow.seen_m:.3g} mm seen"
             label_at = narrow.cloud + np.array([0.0, 0.0, LEADER_M])
             ball = {"radius": TIGHTEST_M, "color": lit(NEAREST), "cast_shadow": False}

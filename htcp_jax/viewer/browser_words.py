@@ -4,7 +4,7 @@ import numpy as np
 
 from htcp_jax.markup import escaped
 from htcp_jax.motion import plans
-from htcp_jax.status import Status, Way
+from htcp_jax.status import SegmentStatus, Status
 from htcp_jax.viewer.replay import Replay, Replays
 
 
@@ -21,7 +21,7 @@ def name_of(names: dict[str, int], number: int) -> str | None:
     return next((name for name, known in names.items() if known == number), None)
 
 
-def facts(replay: Replay, target: int) -> str:
+def target_facts(replay: Replay, target: int) -> str:
     """Describe a target's result in a few lines."""
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
@@ -34,17 +34,18 @@ def facts(replay: Replay, target: int) -> str:
     here += f"TCP error {error:.2f} mm"
     if not np.isnan(angle := replay.orientation_error[target]):
         here += f", orientation error {np.rad2deg(angle):.3g} deg"
-    return f"{what}.\n\n{here}.\n\n{_motion(replay, target)}"
+    return f"{what}.\n\n{here}.\n\n{_segment_text(replay, target)}"
 
 
-def _motion(replay: Replay, target: int) -> str:
+def _segment_text(replay: Replay, target: int) -> str:
     """Describe the segment to a target, and a dwell there."""
-    known = Way(int(replay.way[target]))
+    known = SegmentStatus(int(replay.segment_status[target]))
     text = f"Segment to this target: {known.message}"
     if known.is_motion:
         text = (
-            f"The segment to this target is {known.words}: {1e3 * replay.way_clearance[target]:.3g} mm clear at least"
+            f"The segment to this target is {known.words}: {1e3 * replay.segment_clearance[target]:.3g} mm "
+            "clear at least"
         )
     tightest = " It is the tightest of the proof." if target == replay.summary.tightest else ""
-    dwells = " **The arm changes its posture here.**" if target in replay.summary.dwells else ""
+    dwells = " **The arm changes its configuration here.**" if target in replay.summary.dwells else ""
     return f"{text}.{tightest}{dwells}"

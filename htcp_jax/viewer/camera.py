@@ -8,12 +8,12 @@ from jaxtyping import Bool, Float
 from htcp_jax.model import kinematics
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.replay import Replay
-from htcp_jax.viewer.sides import ABOVE_RAD, View, towards_camera
+from htcp_jax.viewer.viewpoints import ABOVE_RAD, View, towards_camera
 
 FILLED = 0.94  # largest share of the picture that the objects fill
 
 
-class Sight(NamedTuple):
+class CameraPose(NamedTuple):
     """An upright camera; world [m]."""
 
     eye: Float[np.ndarray, "3"]
@@ -37,7 +37,7 @@ def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] |
     return depth <= depth.max() - share * np.ptp(depth)
 
 
-def sight(replay: Replay, arms: kinematics.ArmShape, fovy_rad: float, aspect: float, close: bool = False) -> Sight:
+def sight(replay: Replay, arms: kinematics.ArmShape, fovy_rad: float, aspect: float, close: bool = False) -> CameraPose:
     """Camera that shows the cloud, the targets and n arms completely.
 
     Args:
@@ -60,7 +60,7 @@ def sight(replay: Replay, arms: kinematics.ArmShape, fovy_rad: float, aspect: fl
 
 def fitted(
     centres: Float[np.ndarray, "n 3"], radii: Float[np.ndarray, "n"], azimuth: float, fovy_rad: float, aspect: float
-) -> Sight:
+) -> CameraPose:
     """Nearest camera that shows all spheres.
 
     Args:
@@ -81,4 +81,4 @@ def fitted(
     more, less = (reach + across).max(axis=0), (reach - across).max(axis=0)
     own, middle = -((more + less) / (2 * slope)).max(), (more - less) / 2
     line = middle[0] * right + middle[1] * up
-    return Sight(line + own * ahead, line + depth.mean() * ahead)
+    return CameraPose(line + own * ahead, line + depth.mean() * ahead)

@@ -19,7 +19,7 @@ QUIET, RULE = "#5d6b77", "#dfe3e6"  # text next to a plot, lines behind it
 KINDS = {
     Kind.TRANSFER: "#8d99a6",
     Kind.APPROACH: "#b8860b",
-    Kind.FEED: "#1f6fb4",
+    Kind.PROCESS: "#1f6fb4",
     Kind.DWELL: DWELL,
     Kind.RETRACT: "#a0569c",
 }
@@ -42,7 +42,7 @@ def target_styles(status: Int8[np.ndarray, "T"]) -> list[TargetStyle]:
     return [
         TargetStyle("not attempted", status == Status.NOT_ATTEMPTED, "#9aa3ab", 10, "o"),
         TargetStyle("tracked", status == Status.TRACKED, "#1f6fb4", 16, "o"),
-        TargetStyle("tracked after an escape", status == Status.TRACKED_AFTER_ESCAPE, "#e8890c", 34, "D"),
+        TargetStyle("tracked after a recovery", status == Status.TRACKED_AFTER_RECOVERY, "#e8890c", 34, "D"),
         TargetStyle("failed", failed, FAILED, 130, "X"),
     ]
 

@@ -61,21 +61,21 @@ def check_kind(kind: str) -> None:
             raise InputError("an MP4 needs imageio-ffmpeg: pip install 'htcp_jax[movie]'; a GIF does not") from None
 
 
-def write_movie(file: Path, film: Film, told: Callable[[int, int], None] = lambda done, count: None) -> None:
+def write_movie(file: Path, film: Film, reported: Callable[[int, int], None] = lambda done, count: None) -> None:
     """Write a film as a GIF or an MP4.
 
     Args:
         file: The file; its suffix is the format.
         film: The film; width and height of an MP4's frames must be even.
-        told: Called after each frame with the number of written frames and of all.
+        reported: Called after each frame with the number of written frames and of all.
     """
-    (_write_gif if file.suffix.lower() == ".gif" else _write_mp4)(file, film, _one_by_one(film, told))
+    (_write_gif if file.suffix.lower() == ".gif" else _write_mp4)(file, film, _one_by_one(film, reported))
 
 
-def _one_by_one(film: Film, told: Callable[[int, int], None]) -> Iterator[Frame]:
+def _one_by_one(film: Film, reported: Callable[[int, int], None]) -> Iterator[Frame]:
     for done, frame in enumerate(film, 1):
         yield frame
-        told(done, len(film))
+        reported(done, len(film))
 
 
 def _write_gif(file: Path, film: Film, frames: Iterator[Frame]) -> None:

@@ -34,8 +34,8 @@ from htcp_jax.viewer.colours import (
     is_tool,
     target_styles,
 )
-from htcp_jax.viewer.needles import NO_NEEDLES, Needles
-from htcp_jax.viewer.sides import Bodies, View, flat_side
+from htcp_jax.viewer.normal_glyphs import NO_GLYPHS, NormalGlyphs
+from htcp_jax.viewer.viewpoints import ShownBodies, View, flat_side
 
 DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
 
@@ -48,8 +48,8 @@ def draw_plan(
     row: int = 0,
     title: str = "",
     obstruction: Obstruction | None = None,
-    fixtures: surface.Drawn = surface.NOTHING,
-    normals: Needles = NO_NEEDLES,
+    fixtures: surface.WorldGeometry = surface.NOTHING,
+    normals: NormalGlyphs = NO_GLYPHS,
 ) -> Figure:
     """Draw a plan.
 
@@ -80,10 +80,10 @@ def draw_plan(
     for axes in figure.axes:
         axes.add_collection(LineCollection(view.flat(normals), colors=NORMAL, linewidths=0.7, zorder=4))
         _mark_dwells(axes, view.flat(plans.target[row]), motion)
-    in_the_way = obstruction.description if obstruction is not None else ""
+    colliding_body = obstruction.description if obstruction is not None else ""
     below = figure.add_subplot(grid[1, :])
     _draw_motion(below, motion)
-    _draw_clearance(below, plans, row, float(scenario.margin_m), in_the_way)
+    _draw_clearance(below, plans, row, float(scenario.margin_m), colliding_body)
     return figure
 
 
@@ -96,13 +96,15 @@ def _draw_scene(
     row: int,
     x_start: Float[np.ndarray, "1 N"],
     obstruction: Obstruction | None = None,
-    fixtures: surface.Drawn = surface.NOTHING,
+    fixtures: surface.WorldGeometry = surface.NOTHING,
 ) -> View:
     """Draw two views from the same side, of everything and of the workpiece, and return that side."""
-    shown = poses(plans, row)
+    shown = shown_targets(plans, row)
     x = plans.x[row, shown] if shown else x_start
     arm = _shape(robot, x)
-    view = flat_side(cloud, plans.target[row], Bodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot)))
+    view = flat_side(
+        cloud, plans.target[row], ShownBodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot))
+    )
     for column, heading in enumerate((_pose_heading(shown), "Inside")):
         axes = figure.add_subplot(grid[0, column])
         _draw_wall(axes, view, cloud)
@@ -111,7 +113,7 @@ def _draw_scene(
         _draw_targets(axes, view, plans, row)
         if obstruction is not None:
             _draw_obstruction(axes, view, robot, obstruction)
-        _frame(axes, view.flat(cloud) if column else None)
+        _set_limits(axes, view.flat(cloud) if column else None)
         _heading(axes, heading)
     return view
 
@@ -122,7 +124,7 @@ def draw_cell(
     x_start: Float[np.ndarray, "1 N"],
     plans: Plans,
     title: str,
-    fixtures: surface.Drawn = surface.NOTHING,
+    fixtures: surface.WorldGeometry = surface.NOTHING,
 ) -> Figure:
     """Draw the arm in the workpiece cut open, and the other obstacles.
 
@@ -145,7 +147,7 @@ def draw_cell(
     return figure
 
 
-def poses(plans: Plans, row: int) -> list[int]:
+def shown_targets(plans: Plans, row: int) -> list[int]:
     """Targets whose configurations are drawn: the first, the middle and the last of the tracked ones."""
     tracked = np.flatnonzero(plans.tracked[row])
     return sorted({int(tracked[i]) for i in (0, tracked.size // 2, -1)}) if tracked.size else []
@@ -161,7 +163,7 @@ def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
     axes.scatter(*flat.T, c=cut - depth[behind], cmap=DEPTH, s=1.2, linewidths=0, rasterized=True, zorder=1)
 
 
-def _draw_fixtures(axes: Axes, view: View, fixtures: surface.Drawn) -> None:
+def _draw_fixtures(axes: Axes, view: View, fixtures: surface.WorldGeometry) -> None:
     """Draw the fixtures, transparent, the farthest first."""
     triangles, clouds = fixtures
     if len(clouds.points):
@@ -245,7 +247,9 @@ def _draw_motion(axes: Axes, motion: motion_summary.MotionSummary) -> None:
     if motion.tightest is not None:
         _draw_line(axes, motion.tightest, f"tightest: {motion.proven}", color=NEAREST, linestyle=":")
     if (end := motion.end).executable < end.tracked:
-        _draw_line(axes, end.executable, f"target {end.executable}: {end.way.message}", color=INK, linestyle="--")
+        _draw_line(
+            axes, end.executable, f"target {end.executable}: {end.segment_status.message}", color=INK, linestyle="--"
+        )
 
 
 def _draw_line(axes: Axes, target: int, text: str, **look: str) -> None:
@@ -255,7 +259,7 @@ def _draw_line(axes: Axes, target: int, text: str, **look: str) -> None:
     axes.annotate(text, (target, 0.5), (-2, 0), ("data", "axes fraction"), "offset points", **how)
 
 
-def _frame(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
+def _set_limits(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
     """Set equal scales, limits about everything or about the points `around`, and a scale bar."""
     axes.set_aspect("equal", anchor="NW")
     axes.axis("off")
@@ -285,13 +289,13 @@ def _heading(axes: Axes, text: str) -> None:
     axes.set_title(text, color=INK, fontsize=12, loc="left")
 
 
-def _draw_failure(axes: Axes, end: plan_arrays.Outcome, targets: int, in_the_way: str) -> None:
+def _draw_failure(axes: Axes, end: plan_arrays.Outcome, targets: int, colliding_body: str) -> None:
     """Draw a line at the failed target, its reason on the wider side, and grey over the targets not attempted."""
     axes.axvspan(end.failed + 0.5, targets, color="#eef0f2", linewidth=0, zorder=0)
     axes.axvline(end.failed, color=FAILED, linewidth=1.2, zorder=1)
     side, align = (-7, "right") if end.failed > targets / 2 else (7, "left")
     axes.annotate(
-        "\n".join(filter(None, (f"target {end.failed}: {end.status.message}", in_the_way))),
+        "\n".join(filter(None, (f"target {end.failed}: {end.status.message}", colliding_body))),
         (end.failed, 1.0),
         (side, -7),
         xycoords=("data", "axes fraction"),
@@ -303,7 +307,7 @@ def _draw_failure(axes: Axes, end: plan_arrays.Outcome, targets: int, in_the_way
     )
 
 
-def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, in_the_way: str) -> None:
+def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, colliding_body: str) -> None:
     """Draw clearance over target index, on a logarithmic scale, which resolves its minimum."""
     status, clearance_mm = plans.status[row], 1e3 * plans.clearance[row]
     index = np.arange(len(status))
@@ -318,7 +322,7 @@ def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, in_the_
         style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
         axes.axhline(1e3 * margin_m, label="required margin", **style)
     if (end := plans.outcome(row)).failed is not None:
-        _draw_failure(axes, end, len(status), in_the_way)
+        _draw_failure(axes, end, len(status), colliding_body)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set_xlim(-1, len(status))
     axes.set_xlabel("target", color=INK)

@@ -5,18 +5,18 @@ from jaxtyping import Float
 
 from htcp_jax.model import kinematics
 from htcp_jax.status import Kind
-from htcp_jax.viewer.posture import Posture, arms_at, postures
+from htcp_jax.viewer.arm_pose import ArmPose, arm_poses, arms_at
 from htcp_jax.viewer.replay import Replay
 
 STRIDE_M = 0.04  # largest displacement of a point from one configuration to the next
 
 
-def at(replay: Replay, target: int) -> Posture:
+def at(replay: Replay, target: int) -> ArmPose:
     """The arm at a target."""
-    return Posture(replay.arm_at(target), target)
+    return ArmPose(replay.arm_at(target), target)
 
 
-def way(replay: Replay) -> list[Posture]:
+def poses_along(replay: Replay) -> list[ArmPose]:
     """Configurations up to the last tracked target, interpolated along the straight joint paths.
 
     No point of the arm moves by more than STRIDE_M from one to the next.
@@ -28,7 +28,7 @@ def way(replay: Replay) -> list[Posture]:
     come = np.where(np.append(np.diff(leads) != 0, True), leads, leads - 1)  # a segment's last row is at its target
     first = int(len(motion.x) > 1 and (motion.x[0] == motion.x[1]).all() and come[1] == 0)  # it starts at target 0
     x, come, turns = motion.x[first:], come[first:], motion.kind[first:] == Kind.DWELL
-    points = _points(arms_at(replay.robot, x))
+    points = _moving_points(arms_at(replay.robot, x))
     moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1, initial=0.0)
     counts = np.maximum(1, np.ceil(moved / STRIDE_M)).astype(int)
     legs = zip(x, x[1:], counts, strict=False)
@@ -36,9 +36,9 @@ def way(replay: Replay) -> list[Posture]:
     reached = np.concatenate([come[:1], np.repeat(come[:-1], counts)])
     reached[np.cumsum(counts)] = come[1:]
     dwells = np.append(False, np.repeat(turns[1:], counts))
-    return postures(replay.robot, x, reached, dwells)
+    return arm_poses(replay.robot, x, reached, dwells)
 
 
-def _points(shape: kinematics.ArmShape) -> Float[np.ndarray, "n P 3"]:
+def _moving_points(shape: kinematics.ArmShape) -> Float[np.ndarray, "n P 3"]:
     """Points whose displacement limits the stride."""
     return np.concatenate([shape.p, shape.q, shape.tcp[:, None]], axis=1)

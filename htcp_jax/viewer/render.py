@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from htcp_jax.model import surface as surfaces
+from htcp_jax.viewer.arm_pose import ArmPose, together
 from htcp_jax.viewer.camera import kept, open_side, sight
 from htcp_jax.viewer.colours import (
     DWELL,
@@ -29,13 +30,12 @@ from htcp_jax.viewer.colours import (
 )
 from htcp_jax.viewer.movie import HELD, Film
 from htcp_jax.viewer.offscreen import Camera
-from htcp_jax.viewer.playback import at, way
-from htcp_jax.viewer.posture import Posture, together
+from htcp_jax.viewer.playback import at, poses_along
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
 MARK_M, NOWHERE = 0.012, [0.0] * 4  # radius of a contact point's marker, and its colour if hidden
-NEEDLE_M = 0.0012  # radius of a normal's glyph
+GLYPH_M = 0.0012  # radius of a normal's glyph
 DWELL_M = 0.011  # half the side of the cube at a dwell
 FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
 FOVY_DEG = 32.0
@@ -67,7 +67,7 @@ class Studio:
         self._beads = np.array([self._model.geom(f"target {t}").id for t in range(len(replay.target))])
         self._met_rgba = self._model.geom_rgba[self._beads].copy()
         self._not_yet = _rgba(target_styles(replay.status)[0].colour)
-        self._in_the_way = _in_the_way(replay, self._model)
+        self._colliding = _colliding_geoms(replay, self._model)
         self._dwells = {target: self._model.geom(f"dwell {target}").id for target in replay.summary.dwells}
 
     def __enter__(self) -> "Studio":
@@ -83,50 +83,50 @@ class Studio:
 
     def still(self, target: int) -> UInt8[np.ndarray, "H W 3"]:
         """Render the arm at a target, with all targets in their colours."""
-        posture = at(self._replay, target)
-        return self._frame(posture, self._view([posture]), len(self._beads))
+        pose = at(self._replay, target)
+        return self._frame(pose, self._view([pose]), len(self._beads))
 
     def movie(self) -> Film:
         """Film of the motion up to the last tracked target, through all its configurations."""
-        postures = way(self._replay)
-        return self.film([*postures, postures[-1]], HELD)
+        poses = poses_along(self._replay)
+        return self.film([*poses, poses[-1]], HELD)
 
-    def film(self, postures: Sequence[Posture], held: int = 0) -> Film:
+    def film(self, poses: Sequence[ArmPose], held: int = 0) -> Film:
         """Film with one frame per configuration.
 
         Targets are coloured when they are reached, all of them in the last frame, and the cube at a dwell is lit while
         the arm dwells there.
 
         Args:
-            postures: The configurations.
+            poses: The configurations.
             held: The number of repetitions of the last frame.
         """
-        met, view = np.maximum.accumulate([posture.target + 1 for posture in postures]), self._view(postures)
+        met, view = np.maximum.accumulate([pose.target + 1 for pose in poses]), self._view(poses)
         met = [*met.tolist()[:-1], len(self._beads)]
-        return Film(len(postures), lambda k: self._frame(postures[k], view, met[k]), held)
+        return Film(len(poses), lambda k: self._frame(poses[k], view, met[k]), held)
 
-    def _frame(self, posture: Posture, view: mujoco.MjvCamera, met: int) -> UInt8[np.ndarray, "H W 3"]:
-        ends = posture.arm.axes()
+    def _frame(self, pose: ArmPose, view: mujoco.MjvCamera, met: int) -> UInt8[np.ndarray, "H W 3"]:
+        ends = pose.arm.axes()
         self._data.mocap_pos[:] = (ends[0] + ends[1]) / 2
         for body, axis in enumerate(ends[1] - ends[0]):
             mujoco.mju_quatZ2Vec(self._data.mocap_quat[body], axis)
         self._model.geom_rgba[self._beads] = np.where(
             np.arange(len(self._beads))[:, None] < met, self._met_rgba, self._not_yet
         )
-        for geom, shown, else_shown in self._in_the_way:
-            self._model.geom_rgba[geom] = shown if posture.target == self._replay.failed else else_shown
+        for geom, shown, else_shown in self._colliding:
+            self._model.geom_rgba[geom] = shown if pose.target == self._replay.failed else else_shown
         for target, geom in self._dwells.items():
-            turning = posture.dwells and posture.target == target
+            turning = pose.dwells and pose.target == target
             self._model.geom_rgba[geom] = _rgba(HERE if turning else DWELL)
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         return self._camera.shoot(self._data, view)
 
-    def _view(self, postures: Sequence[Posture]) -> mujoco.MjvCamera:
+    def _view(self, poses: Sequence[ArmPose]) -> mujoco.MjvCamera:
         """Camera that shows the arms completely; close up only those at the targets, as home may be far away."""
         size = self._model.vis.global_
         aspect = size.offwidth / size.offheight
-        arms = self._replay.shape if self._close and len(postures) > 1 else together(postures)
+        arms = self._replay.shape if self._close and len(poses) > 1 else together(poses)
         eye, look_at = sight(self._replay, arms, np.radians(FOVY_DEG), aspect, self._close)
         ahead = look_at - eye
         camera = mujoco.MjvCamera()
@@ -153,11 +153,11 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
             place = {"name": f"target {t}", "pos": replay.target[t]}
             spec.worldbody.add_geom(**place, **bead, material="bead", rgba=_rgba(style.colour), **UNTOUCHED)
     for foot, tip in replay.normals:
-        needle = {"type": _Geom.mjGEOM_CAPSULE, "fromto": [*foot, *tip], "size": [NEEDLE_M, 0, 0]}
-        spec.worldbody.add_geom(**needle, material="bead", rgba=_rgba(NORMAL), **UNTOUCHED)
+        glyph = {"type": _Geom.mjGEOM_CAPSULE, "fromto": [*foot, *tip], "size": [GLYPH_M, 0, 0]}
+        spec.worldbody.add_geom(**glyph, material="bead", rgba=_rgba(NORMAL), **UNTOUCHED)
     if replay.obstruction is not None:
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
-        spec.worldbody.add_geom(name="in the way", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
+        spec.worldbody.add_geom(name="colliding body", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
     _add_marks(spec, replay)
     _add_cloud(spec, replay, surfaces.CORNERS if fine else FEW_CORNERS)
     _add_fixtures(spec, replay)
@@ -178,14 +178,14 @@ def _add_marks(spec: mujoco.MjSpec, replay: Replay) -> None:
         spec.worldbody.add_geom(name="tightest", **ball, material="bead", rgba=_rgba(NEAREST), **UNTOUCHED)
 
 
-def _in_the_way(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[float], np.ndarray]]:
+def _colliding_geoms(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[float], np.ndarray]]:
     """Geoms that are highlighted at the failed target, with their colours there and elsewhere.
 
     They are the colliding body and the contact point.
     """
     if replay.obstruction is None:
         return []
-    names = f"body {replay.robot.capsule_names.index(replay.obstruction.body)}", "in the way"
+    names = f"body {replay.robot.capsule_names.index(replay.obstruction.body)}", "colliding body"
     colours = _rgba(FAILED), _rgba(NEAREST)
     geoms = [model.geom(name).id for name in names]
     return [(geom, colour, model.geom_rgba[geom].copy()) for geom, colour in zip(geoms, colours, strict=True)]

@@ -30,12 +30,12 @@ from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstruction_module
 from htcp_jax.runs import PlanSet, motion_summary, open_plans
 from htcp_jax.viewer.colours import is_tool
-from htcp_jax.viewer.needles import Needles, needles
-from htcp_jax.viewer.sides import Bodies, Side, camera_side
+from htcp_jax.viewer.normal_glyphs import NormalGlyphs, glyphs
+from htcp_jax.viewer.viewpoints import ShownBodies, Viewpoint, camera_view
 from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
 
 LOOKED_AT = 5  # number of configurations by which the viewpoint is chosen
-LOOKED_AT_ON_WAY = 33  # samples of one segment, of which the minimum is taken
+LOOKED_AT_ON_SEGMENT = 33  # samples of one segment, of which the minimum is taken
 
 
 class Witness(NamedTuple):
@@ -50,12 +50,12 @@ class Witness(NamedTuple):
         return Witness(*(part[which] for part in self))
 
 
-class Narrow(NamedTuple):
+class NarrowSegment(NamedTuple):
     """Segment with the least guaranteed clearance, and the minimum distance sampled there."""
 
     target: int  # at the end of the segment
     proven_m: float  # D all along it, at least
-    seen_m: float  # minimum of LOOKED_AT_ON_WAY samples
+    seen_m: float  # minimum of LOOKED_AT_ON_SEGMENT samples
     body: str  # the capsule's name
     arm: Float[np.ndarray, "3"]  # on its surface, world [m]
     cloud: Float[np.ndarray, "3"]
@@ -83,13 +83,13 @@ class Replay(NamedTuple):
     witness: Witness
     motion: Motion  # motion up to the last tracked target
     summary: motion_summary.MotionSummary  # of the executable part
-    narrow: Narrow | None  # of the executable part
-    way: Int8[np.ndarray, "T"]  # `status.Way`
-    way_clearance: Float[np.ndarray, "T"]  # D all along it, at least
+    narrow: NarrowSegment | None  # of the executable part
+    segment_status: Int8[np.ndarray, "T"]  # `status.SegmentStatus`
+    segment_clearance: Float[np.ndarray, "T"]  # D all along it, at least
     obstruction: Obstruction | None  # at the target that failed
-    side: Side  # viewpoint
-    fixtures: surfaces.Drawn  # other obstacles
-    normals: Needles  # of the path, if the task refers to them
+    side: Viewpoint  # viewpoint
+    fixtures: surfaces.WorldGeometry  # other obstacles
+    normals: NormalGlyphs  # of the path, if the task refers to them
 
     @property
     def cloud(self) -> Float[np.ndarray, "P 3"]:
@@ -176,19 +176,19 @@ class Replays:
             raise InputError(f"{self.name} has no scenario {number} by {method}; it has {_spans(numbers)}")
         plans, placement = self.plans(method), self._cells.placement(number)
         cell, there = self._cells.cell(self._cells.key(number)), plans.exists[number]
-        x = _held(plans.x[number, there], plans.start[number])
+        x = _without_gaps(plans.x[number, there], plans.start[number])
         blocked = self.obstructions(method, [number]).get(number)
         if blocked is not None:
             x[obstruction_module.blocked_target(plans, number)] = blocked.x
         robot = robots.lengthen_tool(cell.robot, placement.tool_extension_m)
         alone, on_path = plans.rows([number]), min(cell.approach, len(x))
         summary = motion_summary.summarise_motion(alone, on_path)
-        looked_at = _tightest_way(alone, summary.tightest)
+        looked_at = _tightest_segment(alone, summary.tightest)
         witness = _witness(robot, cell.obstacle, placement, np.concatenate([x, looked_at]))
         shape = kinematics.ArmShape(*map(np.asarray, kinematics.capsules_and_tcp(robot, jnp.asarray(x))))
         surface = cell.surface.placed(placement.T_world_workpiece)
         target, status = plans.target[number, there], plans.status[number, there]
-        arm = _looked_at(shape, robot, np.flatnonzero(plan_arrays.is_tracked(status)), on_path)
+        arm = _arm_at_targets(shape, robot, np.flatnonzero(plan_arrays.is_tracked(status)), on_path)
         return Replay(
             method=method,
             number=number,
@@ -207,12 +207,12 @@ class Replays:
             motion=motions.motions(alone, on_path, np.logical_and.accumulate(alone.tracked, axis=1)).of(0),
             summary=summary,
             narrow=_narrow(summary, witness.rows(slice(len(x), None))),
-            way=plans.way[number, there],
-            way_clearance=plans.way_clearance[number, there],
+            segment_status=plans.segment_status[number, there],
+            segment_clearance=plans.segment_clearance[number, there],
             obstruction=blocked,
-            side=camera_side(surface.points, target[on_path:] if len(target) > on_path + 1 else target, arm),
+            side=camera_view(surface.points, target[on_path:] if len(target) > on_path + 1 else target, arm),
             fixtures=cell.fixtures,
-            normals=needles(cell.config.task, cell.workpiece, placement.T_world_workpiece),
+            normals=glyphs(cell.config.task, cell.workpiece, placement.T_world_workpiece),
         )
 
     def label(self, number: int) -> str:
@@ -227,10 +227,10 @@ class Replays:
                 together.setdefault(self._cells.key(number), {})[number] = target
         found = {}
         for key, targets in together.items():
-            found |= self._in_the_way(self._cells.cell(key), plans, targets)
+            found |= self._colliding_bodies(self._cells.cell(key), plans, targets)
         return {number: found[number] for number in sorted(found)}
 
-    def _in_the_way(self, cell: Workcell, plans: Plans, targets: dict[int, int]) -> dict[int, Obstruction]:
+    def _colliding_bodies(self, cell: Workcell, plans: Plans, targets: dict[int, int]) -> dict[int, Obstruction]:
         """Colliding bodies in scenarios of one workcell, with the failed target of each.
 
         It is empty if the job has a task, whose goals are not saved.
@@ -266,7 +266,7 @@ def recorded_replays(found: PlanSet, plans: Callable[[str], Plans] | None = None
 
 
 @runtime_checkable
-class Planned(Protocol):
+class PlannedJob(Protocol):
     """A job and its result, as `htcp_jax.plan` returns it; the robot has its tool."""
 
     job: PlanConfig
@@ -276,60 +276,62 @@ class Planned(Protocol):
     plans: Plans
 
 
-def replays_of(name: str, plan: Planned) -> Replays:
+def replays_of(name: str, plan: PlannedJob) -> Replays:
     """Return the replay of a plan in memory, as `Replays`."""
     cells = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
     return Replays(name, (plan.job.method,), lambda _: plan.plans, cells)
 
 
-def _looked_at(shape: kinematics.ArmShape, robot: Robot, tracked: np.ndarray, path: int) -> Bodies:
+def _arm_at_targets(shape: kinematics.ArmShape, robot: Robot, tracked: np.ndarray, path: int) -> ShownBodies:
     """The arm at a few tracked targets, on the tool path if possible; else at the first target."""
     shown = tracked[tracked >= path] if (tracked >= path).any() else tracked if tracked.size else np.zeros(1, int)
     shown = shown[np.linspace(0, len(shown) - 1, LOOKED_AT).round().astype(int)]
-    return Bodies(shape.p[shown], shape.q[shown], np.asarray(robot.capsule_radius), is_tool(robot))
+    return ShownBodies(shape.p[shown], shape.q[shown], np.asarray(robot.capsule_radius), is_tool(robot))
 
 
-def _tightest_way(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:
+def _tightest_segment(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:
     """Configurations along the straight joint paths to a target, evenly spaced; the start if the target is None."""
     if target is None:
-        return np.repeat(plans.start, LOOKED_AT_ON_WAY, axis=0)
-    x = [plans.before(0, target)[None], plans.knots.on_the_way(0, target), plans.x[:1, target]]
+        return np.repeat(plans.start, LOOKED_AT_ON_SEGMENT, axis=0)
+    x = [plans.before(0, target)[None], plans.via_points.on_segment(0, target), plans.x[:1, target]]
     x = np.concatenate(x)
-    place = np.linspace(0, len(x) - 1, LOOKED_AT_ON_WAY)
+    place = np.linspace(0, len(x) - 1, LOOKED_AT_ON_SEGMENT)
     return np.stack([np.interp(place, np.arange(len(x)), joint) for joint in x.T], axis=1)
 
 
-def _narrow(summary: motion_summary.MotionSummary, seen: Witness) -> Narrow | None:
+def _narrow(summary: motion_summary.MotionSummary, seen: Witness) -> NarrowSegment | None:
     """Minimum distance of the sampled configurations in the segment with the least guaranteed clearance."""
     if summary.tightest is None:
         return None
     apart = np.linalg.norm(seen.arm - seen.cloud, axis=1)
     k = int(apart.argmin())
-    return Narrow(summary.tightest, summary.clearance_m, float(apart[k]), seen.body[k], seen.arm[k], seen.cloud[k])
+    return NarrowSegment(
+        summary.tightest, summary.clearance_m, float(apart[k]), seen.body[k], seen.arm[k], seen.cloud[k]
+    )
 
 
 def _witness(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[np.ndarray, "T N"]) -> Witness:
-    row, arm, cloud = map(np.asarray, _nearest(robot, obstacle, where, jnp.asarray(x)))
+    row, arm, cloud = map(np.asarray, _nearest_points(robot, obstacle, where, jnp.asarray(x)))
     body = np.array(rows_of(robot, obstacle).body)[row]
     return Witness([robot.capsule_names[k] for k in body.tolist()], arm, cloud)
 
 
 @jax.jit
-def _nearest(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.Array, "T N"]):
+def _nearest_points(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.Array, "T N"]):
     """Witness of the minimum distance (row, point on the body, point of the obstacle), of every configuration."""
     bodies = jnp.asarray(rows_of(robot, obstacle).body)
 
     def one(x):
         touch = contacts(robot, obstacle, where, x)
         row = jnp.argmin(touch.distance)
-        point, normal, ended = touch.point[row], touch.normal[row], touch.plane[row] & (touch.reach[row] == 0)
+        point, normal, ended = touch.point[row], touch.normal[row], touch.plane[row] & (touch.radius[row] == 0)
         arm = point - jnp.where(ended, 0.0, robot.capsule_radius[bodies[row]]) * normal
         return row, arm, arm - touch.distance[row] * normal
 
     return jax.vmap(one)(x)
 
 
-def _held(x: Float[np.ndarray, "T N"], start: Float[np.ndarray, "N"]) -> Float[np.ndarray, "T N"]:
+def _without_gaps(x: Float[np.ndarray, "T N"], start: Float[np.ndarray, "N"]) -> Float[np.ndarray, "T N"]:
     """Replace unknown configurations by the last known one."""
     rows = np.concatenate([start[None], x])
     known = np.where(np.isnan(rows).any(axis=1), 0, np.arange(len(rows)))

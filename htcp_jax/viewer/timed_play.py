@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float, Int, Int8
 
 from htcp_jax.status import Kind
-from htcp_jax.trajectory import OfPlan, Program, tcp_at
+from htcp_jax.trajectory import PlanProgram, Program, tcp_at
+from htcp_jax.viewer.arm_pose import ArmPose, arm_poses
 from htcp_jax.viewer.movie import RATE
-from htcp_jax.viewer.posture import Posture, postures
 
 INSTANTS = 600
 BOUNDS = 0.1, 100.0  # of a joint's limit [%]: on the path joints are slower by two orders of magnitude
@@ -39,7 +39,7 @@ class Curves(NamedTuple):
     share_percent: dict[str, Float[np.ndarray, "n"]]  # by joint: its speed by its limit
 
     @classmethod
-    def of(cls, made: OfPlan, instants: int = INSTANTS) -> "Curves":
+    def of(cls, made: PlanProgram, instants: int = INSTANTS) -> "Curves":
         """Compute the curves of a robot program."""
         play = played(made, np.linspace(0, made.program.duration_s, instants))
         tcp = {
@@ -54,7 +54,7 @@ class Curves(NamedTuple):
         return ROOM * self.feed_mm_s
 
 
-def played(made: OfPlan, time_s: Float[np.ndarray, "n"]) -> Played:
+def played(made: PlanProgram, time_s: Float[np.ndarray, "n"]) -> Played:
     """Sample a robot program at times that increase from 0; after its end the arm is at rest."""
     timed = made.program.at(time_s)
     _, jacobian = tcp_at(made.robot, timed.x)
@@ -63,9 +63,9 @@ def played(made: OfPlan, time_s: Float[np.ndarray, "n"]) -> Played:
     return Played(time_s, timed.x, timed.kind, _come_to(made.program, time_s), tcp, share)
 
 
-def arms_of(made: OfPlan, play: Played) -> list[Posture]:
+def arms_of(made: PlanProgram, play: Played) -> list[ArmPose]:
     """The arm at each instant."""
-    return postures(made.robot, play.x, play.target, play.kind == Kind.DWELL)
+    return arm_poses(made.robot, play.x, play.target, play.kind == Kind.DWELL)
 
 
 def frame_times(duration_s: float, speed: float = 1.0) -> Float[np.ndarray, "n"]:
@@ -86,7 +86,7 @@ def _come_to(program: Program, time_s: Float[np.ndarray, "n"]) -> Int[np.ndarray
     Of the program's configurations that lead to a target, the last one is at it; during the retract each is at its
     target or past it.
     """
-    passed = program.at_postures()
+    passed = program.at_configurations()
     back = passed.kind == Kind.RETRACT
     leads = passed.target + (passed.kind == Kind.DWELL)
     there = np.append((np.diff(leads) != 0) | back[1:], True) | back

@@ -22,7 +22,7 @@ MOST_CELLS = 8  # largest number of workcells in memory
 
 
 class Placement(NamedTuple):
-    """Workpiece pose and interior plane of one scenario, as `obstacle.Posed` requires, and the tool's extension."""
+    """Workpiece pose, interior plane and tool extension of one scenario, as `HasWorkpiecePose` requires."""
 
     T_world_workpiece: Float[np.ndarray, "4 4"]
     interior_plane: Float[np.ndarray, "4"]
@@ -47,7 +47,7 @@ class Workcell:
         return of_workpiece.all_obstacles(self.workpiece, build.obstacles_of(self.config.cell, self.robot))
 
     @cached_property
-    def fixtures(self) -> surfaces.Drawn:
+    def fixtures(self) -> surfaces.WorldGeometry:
         """The other obstacles, for drawing."""
         return build.drawn_of(self.config.cell)
 
@@ -135,7 +135,7 @@ def cells_of(found: PlanSet) -> RecordedCells:
         shape = cell.approach + len(cell.workpiece.path), len(cell.robot.joint_names)
         if found.plans(found.methods[0]).x.shape[1:] != shape:
             raise InputError(
-                f"{found.folder / plan_folder.TRAJECTORY} is no plan of the configuration beside it; damaged"
+                f"{found.folder / plan_folder.TRAJECTORY} is no plan of the configuration next to it; damaged"
             )
     return cells
 

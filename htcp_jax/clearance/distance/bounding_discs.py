@@ -23,7 +23,7 @@ from htcp_jax.types import Array, Float
 SLACK = 1e-5  # [m]; a bound in 32-bit floats is wrong by less than this within 20 m of the origin
 
 
-class Segments(NamedTuple):
+class LineSegments(NamedTuple):
     """Segments p + s d, 0 <= s <= 1: coordinates first, then the bodies, so that bodies can be picked and broadcast."""
 
     p: Float[Array, "3 *K"]
@@ -31,25 +31,25 @@ class Segments(NamedTuple):
     inverse: Float[Array, "*K"]  # 1 / |d|^2
 
 
-def as_segments(p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> Segments:
+def as_segments(p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> LineSegments:
     """Return the segments between p and q [m]."""
     d = q - p
     square = jnp.sum(d * d, axis=1)
     # A segment shorter than 1e-15 m is as good as a point; its inverse would be infinite in 32-bit.
-    return Segments(p.T, d.T, 1 / jnp.maximum(square, 1e-30))
+    return LineSegments(p.T, d.T, 1 / jnp.maximum(square, 1e-30))
 
 
-def single(segments: Segments) -> Segments:
+def single(segments: LineSegments) -> LineSegments:
     """Convert the segments to 32-bit."""
     return jax.tree.map(lambda a: a.astype(jnp.float32), segments)
 
 
-def spread(segments: Segments, axes: int) -> Segments:
+def with_axes(segments: LineSegments, axes: int) -> LineSegments:
     """Return the segments with extra axes, for broadcasting against points or discs."""
     return jax.tree.map(lambda a: a.reshape(*a.shape, *[1] * axes), segments)
 
 
-def arm(segment: Segments, points):
+def lever_arm(segment: LineSegments, points):
     """Return the vector from the closest point of the segment to each point (3, ...)."""
     a = [points[i] - segment.p[i] for i in range(3)]
     s = sum(a[i] * segment.d[i] for i in range(3)) * segment.inverse
@@ -58,15 +58,15 @@ def arm(segment: Segments, points):
     return [a[i] - s * segment.d[i] for i in range(3)]
 
 
-def squared_distance(segment: Segments, points):
+def squared_distance(segment: LineSegments, points):
     """Return the squared distance of points (3, ...) to a segment [m^2]."""
-    a = arm(segment, points)
+    a = lever_arm(segment, points)
     return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
 
 
-def lower_bounds(segment: Segments, bound):
+def lower_bounds(segment: LineSegments, bound):
     """Return lower bounds on the distance to discs (8, ...) [m]."""
-    a = arm(segment, bound)
+    a = lever_arm(segment, bound)
     square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
     distance = jnp.sqrt(square)
     along = a[0] * bound[3] + a[1] * bound[4] + a[2] * bound[5]  # |c - m| (v.n), up to its sign
@@ -85,7 +85,7 @@ def bounding_discs(groups: Float[np.ndarray, "n points 3"]) -> Float[np.ndarray,
     height, a, b = np.einsum("npi,nij->jnp", offset, axes)
     middle = np.stack([(height.max(1) + height.min(1)) / 2, *_middle(a, b)])
     thickness = np.abs(height - middle[0, :, None]).max(1)
-    radius = np.sqrt(_square(a, b, *middle[1:]).max(1))
+    radius = np.sqrt(_square_distance(a, b, *middle[1:]).max(1))
     return np.column_stack([mean + np.einsum("nij,jn->ni", axes, middle), axes[:, :, 0], thickness, radius])
 
 
@@ -97,10 +97,10 @@ def _middle(a, b):
     x, y = (a.max(1) + a.min(1)) / 2, (b.max(1) + b.min(1)) / 2
     groups = np.arange(len(a))
     for step in 0.25 * 0.85 ** np.arange(10):
-        furthest = groups, np.argmax(_square(a, b, x, y), axis=1)
+        furthest = groups, np.argmax(_square_distance(a, b, x, y), axis=1)
         x, y = x + step * (a[furthest] - x), y + step * (b[furthest] - y)
     return x, y
 
 
-def _square(a, b, x, y):
+def _square_distance(a, b, x, y):
     return (a - x[:, None]) ** 2 + (b - y[:, None]) ** 2

@@ -14,7 +14,7 @@ FAN = 16  # members of a cluster: points, facets, or clusters
 NONE_LEFT = np.int32(2**31 - 1)
 
 
-def cut(points: Float[np.ndarray, "P d"], rows: Int[np.ndarray, "n"], parts: int) -> list[Int[np.ndarray, "..."]]:
+def cut_rows(points: Float[np.ndarray, "P d"], rows: Int[np.ndarray, "n"], parts: int) -> list[Int[np.ndarray, "..."]]:
     """Cut rows into `parts` groups of nearly equal size, each time across the longest axis of inertia.
 
     Args:
@@ -31,10 +31,10 @@ def cut(points: Float[np.ndarray, "P d"], rows: Int[np.ndarray, "n"], parts: int
     middle = len(rows) * left // parts
     # A part without points repeats a neighbour's.
     low, high = (order[:middle], order[middle:]) if middle else (order, order)
-    return cut(points, low, left) + cut(points, high, parts - left)
+    return cut_rows(points, low, left) + cut_rows(points, high, parts - left)
 
 
-def padded(rows: Int[np.ndarray, "n"]) -> Int[np.ndarray, "FAN"]:
+def padded_cluster(rows: Int[np.ndarray, "n"]) -> Int[np.ndarray, "FAN"]:
     """Return the rows of one cluster, padded with the last one."""
     return np.concatenate([rows, np.repeat(rows[-1:], FAN - len(rows))])
 

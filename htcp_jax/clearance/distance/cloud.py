@@ -14,8 +14,8 @@ import numpy as np
 from htcp_jax.clearance.distance.cloud_index import CloudIndex
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import build_index, nearest_body, nearest_rows
-from htcp_jax.clearance.distance.sweep import Sweep, Wanted
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, in_workpiece
+from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
+from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, in_workpiece
 from htcp_jax.model import Robot
 from htcp_jax.numerics import axis_contact, capsule_point_distance, product
 from htcp_jax.pytree import register_pytree
@@ -34,57 +34,65 @@ class Cloud(Obstacle):
     of_workpiece = True
     sweeps = True
 
-    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest point."""
         rows = nearest_rows(self.index, bodies.p_workpiece, bodies.q_workpiece)
         return self._contacts(robot, where, bodies, self.points[rows])
 
-    def closest(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+    def closest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with the point nearest to any of them: one search, as in `smallest`."""
-        reach = robot.capsule_radius + self.cover
-        row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach).row
-        return self._contacts(robot, where, bodies, self.points[jnp.broadcast_to(row, reach.shape)])
+        radius = robot.capsule_radius + self.cover
+        row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius).row
+        return self._contacts(robot, where, bodies, self.points[jnp.broadcast_to(row, radius.shape)])
 
-    def _contacts(self, robot: Robot, where: Posed, bodies: Bodies, witness: Float[jax.Array, "K 3"]) -> Contacts:
+    def _contacts(
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, witness: Float[jax.Array, "K 3"]
+    ) -> Contacts:
         """Return the contact of every body with a given point."""
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         p, q = bodies.p_workpiece, bodies.q_workpiece
-        reach = robot.capsule_radius + self.cover
+        radius = robot.capsule_radius + self.cover
         point, normal = axis_contact(p, q, witness)
         return Contacts(
-            distance=capsule_point_distance(p, q, reach, witness),
+            distance=capsule_point_distance(p, q, radius, witness),
             point=product(point, rotate.T) + translate[None, :],
             normal=product(normal, rotate.T),
-            reach=reach,
-            plane=jnp.zeros(reach.shape, bool),
+            radius=radius,
+            plane=jnp.zeros(radius.shape, bool),
         )
 
-    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
+    def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
         """Return the smallest distance [m]: one search for all bodies, cheaper than one per body."""
-        reach = robot.capsule_radius + self.cover
-        body, row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach)
+        radius = robot.capsule_radius + self.cover
+        body, row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius)
         p, q = bodies.p_workpiece[body], bodies.q_workpiece[body]
-        return capsule_point_distance(p, q, reach[body], self.points[row])
+        return capsule_point_distance(p, q, radius[body], self.points[row])
 
-    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
+    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
         """Return True in collision.
 
         Cheaper than `smallest`, because the search skips all points beyond the capsules' radii.
         """
-        reach = robot.capsule_radius + self.cover
-        return nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach, below=0.0).row >= 0
+        radius = robot.capsule_radius + self.cover
+        return nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius, below=0.0).row >= 0
 
     def clear_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
+        self,
+        robot: Robot,
+        where: HasWorkpiecePose,
+        bodies: BodyAxes,
+        sweep: BodySweep,
+        requested: Bool[jax.Array, "K"],
+        wanted: RequiredClearance,
     ) -> Float[jax.Array, "K"]:
         """Return lower bounds on the clearance along the sweep, to second order: see `cloud_sweep`."""
-        rotate, reach = where.T_world_workpiece[:3, :3], robot.capsule_radius + self.cover
+        rotate, radius = where.T_world_workpiece[:3, :3], robot.capsule_radius + self.cover
         own = sweep._replace(p=product(sweep.p, rotate), q=product(sweep.q, rotate))
-        return clear_along(self.index, bodies.p_workpiece, bodies.q_workpiece, own, reach, asked, wanted)
+        return clear_along(self.index, bodies.p_workpiece, bodies.q_workpiece, own, radius, requested, wanted)
 
     def holds(
         self,
-        where: Posed,
+        where: HasWorkpiecePose,
         p: Float[jax.Array, "n 3"],
         q: Float[jax.Array, "n 3"],
         within: Float[jax.Array, "n"],
@@ -98,7 +106,7 @@ class Cloud(Obstacle):
 
     def surely_touches(
         self,
-        where: Posed,
+        where: HasWorkpiecePose,
         margin_m: Scalar,
         p: Float[jax.Array, "n 3"],
         q: Float[jax.Array, "n 3"],
@@ -109,10 +117,15 @@ class Cloud(Obstacle):
         return self.holds(where, p, q, radius + margin_m - moves)
 
     def touches_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+        self,
+        robot: Robot,
+        where: HasWorkpiecePose,
+        bodies: BodyAxes,
+        body: Int[jax.Array, ""],
+        requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
         """Return True if a point is within the body's radius at any of the marked configurations."""
-        within = jnp.where(asked, robot.capsule_radius[body] + self.cover, -1.0)
+        within = jnp.where(requested, robot.capsule_radius[body] + self.cover, -1.0)
         return jnp.any(nearest_rows(self.index, bodies.p_workpiece[:, body], bodies.q_workpiece[:, body], within) >= 0)
 
 

@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.backend import backend
-from htcp_jax.clearance.distance.bounding_discs import Segments, arm, as_segments, single, spread
+from htcp_jax.clearance.distance.bounding_discs import LineSegments, as_segments, lever_arm, single, with_axes
 from htcp_jax.clearance.distance.cloud_index import CloudIndex
 from htcp_jax.clearance.distance.cloud_tree_gpu import least_in_reach
 from htcp_jax.clearance.distance.cloud_tree_walk import empty_lists, for_each_leaf, in_reach
-from htcp_jax.clearance.distance.sweep import Sweep, Wanted
+from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float
 
@@ -29,10 +29,10 @@ def clear_along(
     index: CloudIndex,
     p: Float[Array, "K 3"],
     q: Float[Array, "K 3"],
-    sweep: Sweep,
+    sweep: BodySweep,
     reach: Float[Array, "K"],
-    asked: Bool[Array, "K"],
-    wanted: Wanted,
+    requested: Bool[Array, "K"],
+    wanted: RequiredClearance,
 ) -> Float[Array, "K"]:
     """Return lower bounds on the clearance [m] of bodies along a sweep.
 
@@ -44,22 +44,22 @@ def clear_along(
         q: Second ends [m].
         sweep: The bodies' motion.
         reach: Radii of the bodies [m].
-        asked: True for the bodies to bound.
+        requested: True for the bodies to bound.
         wanted: Clearance required, and the largest to compute.
 
     Returns:
-        The bounds; at most `wanted.enough`, which is also the value of bodies not in `asked`.
+        The bounds; at most `wanted.enough`, which is also the value of bodies not in `requested`.
     """
-    return _clear_along(index, p, q, *sweep, reach, asked, *wanted)
+    return _clear_along(index, p, q, *sweep, reach, requested, *wanted)
 
 
 @one_by_one
-def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach, asked, least, enough):
-    seen, moving = jnp.where(asked, enough + travel + reach, -1.0), (p, q, p_moves, q_moves, bend, travel, reach)
+def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach, requested, least, enough):
+    seen, moving = jnp.where(requested, enough + travel + reach, -1.0), (p, q, p_moves, q_moves, bend, travel, reach)
     if backend().has_kernels:  # where bodies do not wait for each other's results
         return least_in_reach(index, p, q, seen, jnp.broadcast_to(enough, reach.shape), _stays_clear, *moving)
     segments, moving = as_segments(p, q), tuple(a.T for a in moving)
-    top = in_reach(spread(single(segments), 1), index.levels[0][0][:, None, :], seen[:, None])
+    top = in_reach(with_axes(single(segments), 1), index.levels[0][0][:, None, :], seen[:, None])
 
     def look(k, state):
         clear, lists = state
@@ -77,9 +77,9 @@ def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach,
     return jax.lax.fori_loop(0, len(reach), look, start)[0]
 
 
-def _stays_clear(segment: Segments, p, q, p_moves, q_moves, bend, travel, reach, points):
+def _stays_clear(segment: LineSegments, p, q, p_moves, q_moves, bend, travel, reach, points):
     """Return one body's least clearance to points (3, n), by the plane between it and each point, or by its travel."""
-    towards = [-a for a in arm(segment, points)]
+    towards = [-a for a in lever_arm(segment, points)]
     distance = jnp.sqrt(sum(a * a for a in towards))
     first, second = (
         sum(towards[i] * (end[i] - points[i]) for i in range(3)) - jnp.abs(sum(towards[i] * moves[i] for i in range(3)))

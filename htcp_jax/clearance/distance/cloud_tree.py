@@ -14,7 +14,7 @@ import numpy as np
 
 from htcp_jax.backend import backend
 from htcp_jax.clearance.distance import branch_and_bound, cloud_tree_gpu, cloud_tree_walk
-from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, spread, squared_distance
+from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, squared_distance, with_axes
 from htcp_jax.clearance.distance.branch_and_bound import FAN
 from htcp_jax.clearance.distance.cloud_index import CloudIndex
 from htcp_jax.numerics import one_by_one
@@ -29,7 +29,7 @@ def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     while len(points) > TOP * FAN**depth:
         depth += 1
     top = -(-len(points) // FAN**depth)
-    rows = _tree(points, np.arange(len(points)), top, depth)
+    rows = _nested_clusters(points, np.arange(len(points)), top, depth)
     counts = [top * FAN**level for level in range(depth)]
     bounds = [bounding_discs(points[rows.reshape(count, -1)]) for count in counts]
     levels = [b.reshape(parents, -1, 8).transpose(0, 2, 1) for b, parents in zip(bounds, [1, *counts], strict=False)]
@@ -42,15 +42,15 @@ def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     return jax.device_put(index)  # in its types: JAX would compile an executable for every array that it converts
 
 
-def _tree(points, rows, parts: int, levels: int):
+def _nested_clusters(points, rows, parts: int, levels: int):
     """Cut rows into `parts` clusters, each of these into FAN, and so on: (parts, FAN, ..., FAN)."""
-    groups = branch_and_bound.cut(points, rows, parts)
+    groups = branch_and_bound.cut_rows(points, rows, parts)
     if levels == 1:
-        return np.stack([branch_and_bound.padded(group) for group in groups])
-    return np.stack([_tree(points, group, FAN, levels - 1) for group in groups])
+        return np.stack([branch_and_bound.padded_cluster(group) for group in groups])
+    return np.stack([_nested_clusters(points, group, FAN, levels - 1) for group in groups])
 
 
-class Nearest(NamedTuple):
+class NearestPoint(NamedTuple):
     """The nearest pair of a segment and a point of the cloud, by their numbers; -1, -1 if none is within the limit."""
 
     body: Int[Array, ""]
@@ -83,7 +83,7 @@ def nearest_body(
     q: Float[Array, "K 3"],
     radius: Float[Array, "K"],
     below: float = 1e150,
-) -> Nearest:
+) -> NearestPoint:
     """Return the pair of body and point with the smallest distance(segment, point) - radius.
 
     Cheaper than the nearest point of every body, because each point found excludes all points of other bodies farther
@@ -94,31 +94,31 @@ def nearest_body(
         p: First ends of the bodies' axes [m].
         q: Second ends [m].
         radius: Radii of the bodies [m].
-        below: Upper limit of the difference [m], see `Nearest`.
+        below: Upper limit of the difference [m], see `NearestPoint`.
     """
     return _nearest_body(index, *jax.lax.stop_gradient((p, q, radius, jnp.asarray(below, float))))
 
 
 @one_by_one
 def _nearest_rows(index: CloudIndex, p, q, limit):
-    return _search(index, p, q, jnp.zeros(limit.shape, float), limit, shared=False)
+    return _search_rows(index, p, q, jnp.zeros(limit.shape, float), limit, shared=False)
 
 
 @one_by_one
 def _nearest_body(index: CloudIndex, p, q, radius, below):
-    rows = _search(index, p, q, radius, jnp.broadcast_to(below, radius.shape), shared=True)
+    rows = _search_rows(index, p, q, radius, jnp.broadcast_to(below, radius.shape), shared=True)
     body = jnp.argmax(rows).astype(jnp.int32)
-    return Nearest(jnp.where(rows[body] < 0, -1, body), rows[body])
+    return NearestPoint(jnp.where(rows[body] < 0, -1, body), rows[body])
 
 
-def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
+def _search_rows(index: CloudIndex, p, q, radius, limit, shared: bool):
     """Return the row of the nearest point of each of K bodies, -1 if none has distance - radius below its limit.
 
     With a shared limit only the body that is nearest of all gets a row.
     """
     search = cloud_tree_gpu if backend().has_kernels else cloud_tree_walk
     leaf = search.nearest_leaves(index, p, q, radius, limit, shared)
-    square = squared_distance(spread(as_segments(p, q), 1), index.points[leaf].transpose(1, 0, 2))
+    square = squared_distance(with_axes(as_segments(p, q), 1), index.points[leaf].transpose(1, 0, 2))
     return jnp.where(leaf < 0, -1, _row_of_least(square, index.rows[leaf]))
 
 

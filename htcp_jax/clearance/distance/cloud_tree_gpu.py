@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 from jax.experimental import pallas as pl
 
-from htcp_jax.clearance.distance.bounding_discs import Segments, lower_bounds, single, squared_distance
+from htcp_jax.clearance.distance.bounding_discs import LineSegments, lower_bounds, single, squared_distance
 from htcp_jax.clearance.distance.branch_and_bound import FAN, NONE_LEFT, least_number, number_mask, order_keys
 from htcp_jax.clearance.distance.cloud_index import CloudIndex
-from htcp_jax.gpu_kernel import kernel
+from htcp_jax.pallas import kernel
 from htcp_jax.types import Array, Float, Int
 
 
@@ -25,7 +25,7 @@ def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = F
     With a shared limit it is returned for the nearest body only.
     """
     bodies, count = p.shape[0], _branch_count(index)
-    walk = partial(_walk, shared, count, bodies)
+    walk = partial(_tree_kernel, shared, count, bodies)
     tables = p, q, radius, limit, _branches(index), index.levels[-1], index.points
     out = jax.ShapeDtypeStruct((bodies,), jnp.int32)
     return kernel(walk, out, 1 if shared else bodies, interpret)(*tables)
@@ -47,7 +47,7 @@ def least_in_reach(
         *rows (Array): Tables (K,), or (K, 3), from which a body's row is a list.
         interpret: True: run on any machine.
     """
-    least = partial(_least, measure, _branch_count(index), len(rows))
+    least = partial(_least_of_branch, measure, _branch_count(index), len(rows))
     tables = p, q, reach, start, *rows, _branches(index), index.points
     return kernel(least, jax.ShapeDtypeStruct(start.shape, start.dtype), start.shape[0], interpret)(*tables)
 
@@ -59,11 +59,11 @@ def _branch_count(index: CloudIndex) -> int:
 def _branches(index: CloudIndex) -> Float[Array, "8 n"]:
     """Return the branches' discs in one row, padded to a power of two."""
     branches = index.levels[-2].transpose(1, 0, 2).reshape(8, -1)
-    room = (1 << (branches.shape[1] - 1).bit_length()) - branches.shape[1]
-    return jnp.pad(branches, ((0, 0), (0, room)), mode="edge")
+    missing = (1 << (branches.shape[1] - 1).bit_length()) - branches.shape[1]
+    return jnp.pad(branches, ((0, 0), (0, missing)), mode="edge")
 
 
-def _walk(shared, branch_count, bodies, p, q, radius, limit, branches, leaves, points, out):
+def _tree_kernel(shared, branch_count, bodies, p, q, radius, limit, branches, leaves, points, out):
     one = partial(_nearest_leaf, branch_count, p, q, radius, branches, leaves, points)
     if not shared:
         body = pl.program_id(0)
@@ -95,7 +95,7 @@ def _nearest_leaf(branch_count, p, q, radius, branches, leaves, points, body, li
 
     def descend(branch, state):
         take = lambda leaf, state: measure(branch * FAN + leaf, state)  # noqa: E731
-        return _for_each(segment, lambda i: leaves[branch, i, :], FAN, reach, take, state)
+        return _for_each_cluster(segment, lambda i: leaves[branch, i, :], FAN, reach, take, state)
 
     def nearest_middle(load):
         return least_number(squared_distance(single(segment), [load(i) for i in range(3)]))
@@ -103,38 +103,42 @@ def _nearest_leaf(branch_count, p, q, radius, branches, leaves, points, body, li
     # The leaf whose middle is nearest gives the first limit.
     first = jnp.minimum(nearest_middle(lambda i: branches[i, :]), branch_count - 1)
     start = measure(first * FAN + nearest_middle(lambda i: leaves[first, i, :]), (limit, jnp.int32(-1)))
-    return _for_each(segment, lambda i: branches[i, :], branch_count, reach, descend, start)
+    return _for_each_cluster(segment, lambda i: branches[i, :], branch_count, reach, descend, start)
 
 
-def _least(measure, branch_count, rows, p, q, reach, start, *refs):
+def _least_of_branch(measure, branch_count, rows, p, q, reach, start, *refs):
     """Measure all points of a branch at once: with 32 threads, selecting leaves takes longer."""
     *refs, branches, points, out = refs
     body = pl.program_id(0)
     segment, within = _segment(p, q, body), reach[body]
-    own = [_row(ref, body) for ref in refs[:rows]]
+    own = [_row_of_body(ref, body) for ref in refs[:rows]]
     number = jax.lax.broadcasted_iota(jnp.int32, (FAN * FAN,), 0)
 
     def descend(branch, least):
         w = [points[branch * FAN + number // FAN, i, number % FAN] for i in range(3)]
         return jnp.minimum(least, measure(segment, *own, w))
 
-    out[body] = _for_each(segment, lambda i: branches[i, :], branch_count, lambda _: within, descend, start[body])
+    out[body] = _for_each_cluster(
+        segment, lambda i: branches[i, :], branch_count, lambda _: within, descend, start[body]
+    )
 
 
-def _row(table, body):
+def _row_of_body(table, body):
     """Return one body's row: a number, or a list of coordinates."""
     return table[body] if len(table.shape) == 1 else [table[body, i] for i in range(table.shape[1])]
 
 
-def _segment(p, q, body) -> Segments:
+def _segment(p, q, body) -> LineSegments:
     """Return one body's segment."""
-    start, end = _row(p, body), _row(q, body)
+    start, end = _row_of_body(p, body), _row_of_body(q, body)
     along = [b - a for a, b in zip(start, end, strict=True)]
     square = along[0] * along[0] + along[1] * along[1] + along[2] * along[2]
-    return Segments(start, along, 1 / jnp.maximum(square, 1e-30))
+    return LineSegments(start, along, 1 / jnp.maximum(square, 1e-30))
 
 
-def _for_each(segment: Segments, load: Callable, count: int, reach: Callable, take: Callable, state: Any) -> Any:
+def _for_each_cluster(
+    segment: LineSegments, load: Callable, count: int, reach: Callable, take: Callable, state: Any
+) -> Any:
     """Return state after state = take(cluster, state) for each of `count` clusters, in the order of their bounds.
 
     Clusters that cannot have a point within reach(state) [m] of the segment are skipped. `load` reads a row of their

@@ -14,19 +14,19 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.distance.bounding_discs import (
-    Segments,
+    LineSegments,
     as_segments,
     lower_bounds,
     single,
-    spread,
     squared_distance,
+    with_axes,
 )
 from htcp_jax.clearance.distance.branch_and_bound import least_number
 from htcp_jax.clearance.distance.cloud_index import CloudIndex
 from htcp_jax.types import Array, Int, Scalar
 
 
-class _Opened(NamedTuple):
+class _OpenClusters(NamedTuple):
     """Groups of clusters, the first `count` of a list.
 
     Each has its number, and a bit mask of its clusters within the search radius, never 0.
@@ -37,7 +37,7 @@ class _Opened(NamedTuple):
     count: Int[Array, ""]
 
 
-Lists = list[_Opened]  # one per level, from the second
+Lists = list[_OpenClusters]  # one per level, from the second
 
 
 def nearest_leaves(index: CloudIndex, p, q, radius, limit, shared: bool) -> Int[Array, "K"]:
@@ -52,7 +52,7 @@ def nearest_leaves(index: CloudIndex, p, q, radius, limit, shared: bool) -> Int[
         found = jnp.where(body == jnp.argmin(found), found, jnp.inf)
     leaf = jnp.where(found < limit, leaf, -1)
     limit = jnp.minimum(limit, jnp.min(found) if shared else found)
-    top = in_reach(spread(single(segments), 1), index.levels[0][0][:, None, :], (limit + radius)[:, None])
+    top = in_reach(with_axes(single(segments), 1), index.levels[0][0][:, None, :], (limit + radius)[:, None])
 
     def search(k, state):
         limit, leaf, lists = state
@@ -65,15 +65,15 @@ def nearest_leaves(index: CloudIndex, p, q, radius, limit, shared: bool) -> Int[
     return jax.lax.fori_loop(0, len(body), search, (limit, leaf, empty_lists(index)))[1]
 
 
-def _descend(index: CloudIndex, segments: Segments):
+def _descend(index: CloudIndex, segments: LineSegments):
     """Return the nearer of the two leaves that the descents end at: its distance from each body, and its number."""
-    segments32 = spread(single(segments), 1)
+    segments32 = with_axes(single(segments), 1)
 
     def descent(cluster):
         for level in index.levels[1:]:
             middles = jnp.moveaxis(level[cluster, :3], 1, 0)
             cluster = cluster * level.shape[2] + least_number(squared_distance(segments32, middles))
-        return _distance(spread(segments, 1), jnp.moveaxis(index.points[cluster], 1, 0)), cluster
+        return _distance_to_points(with_axes(segments, 1), jnp.moveaxis(index.points[cluster], 1, 0)), cluster
 
     top = squared_distance(segments32, index.levels[0][0, :3, None, :])
     first = least_number(top)
@@ -82,12 +82,12 @@ def _descend(index: CloudIndex, segments: Segments):
     return jnp.min(distance, axis=0), jnp.where(distance[0] <= distance[1], *leaf)
 
 
-def _search_one(index: CloudIndex, segment: Segments, radius, limit, top, lists: Lists):
+def _search_one(index: CloudIndex, segment: LineSegments, radius, limit, top, lists: Lists):
     """Return one body's limit, lowered to the distance found, the leaf with that distance or -1, and the lists."""
 
     def measure(leaf, state):
         limit, best = state
-        here = _distance(spread(segment, 1), index.points[leaf]) - radius
+        here = _distance_to_points(with_axes(segment, 1), index.points[leaf]) - radius
         return jnp.minimum(limit, here), jnp.where(here < limit, leaf, best)
 
     (limit, best), lists = for_each_leaf(index, segment, limit + radius, top, measure, (limit, jnp.int32(-1)), lists)
@@ -96,11 +96,17 @@ def _search_one(index: CloudIndex, segment: Segments, radius, limit, top, lists:
 
 def empty_lists(index: CloudIndex) -> Lists:
     """Return lists of maximum length, made once: clearing them would cost more than a search."""
-    return [_Opened(*jnp.zeros((2, len(level)), jnp.int32), jnp.int32(0)) for level in index.levels[1:]]
+    return [_OpenClusters(*jnp.zeros((2, len(level)), jnp.int32), jnp.int32(0)) for level in index.levels[1:]]
 
 
 def for_each_leaf(
-    index: CloudIndex, segment: Segments, reach: Scalar, top: Int[Array, ""], take: Callable, state: Any, lists: Lists
+    index: CloudIndex,
+    segment: LineSegments,
+    reach: Scalar,
+    top: Int[Array, ""],
+    take: Callable,
+    state: Any,
+    lists: Lists,
 ) -> tuple[Any, Lists]:
     """Return state after state = take(leaf, state) for every leaf that may have a point near a segment, and the lists.
 
@@ -114,24 +120,24 @@ def for_each_leaf(
         lists: From `empty_lists`, or from the previous search.
     """
     segment32 = single(segment)
-    opened, filled = _Opened(jnp.zeros(1, jnp.int32), top[None], (top != 0).astype(jnp.int32)), []
-    for above, level, room in zip(index.levels[:-1], index.levels[1:], lists, strict=True):
+    opened, filled = _OpenClusters(jnp.zeros(1, jnp.int32), top[None], (top != 0).astype(jnp.int32)), []
+    for above, level, opened_here in zip(index.levels[:-1], index.levels[1:], lists, strict=True):
 
-        def open_group(group, found: _Opened, level=level):
-            bits = in_reach(spread(segment32, 1), level[group], reach)
-            return _Opened(
+        def open_group(group, found: _OpenClusters, level=level):
+            bits = in_reach(with_axes(segment32, 1), level[group], reach)
+            return _OpenClusters(
                 jax.lax.dynamic_update_index_in_dim(found.group, group, found.count, 0),
                 jax.lax.dynamic_update_index_in_dim(found.bits, bits, found.count, 0),
                 found.count + (bits != 0).astype(jnp.int32),
             )
 
-        opened = _for_each(opened, above.shape[2], open_group, room._replace(count=jnp.int32(0)))
+        opened = _for_each(opened, above.shape[2], open_group, opened_here._replace(count=jnp.int32(0)))
         filled.append(opened)
 
     return _for_each(opened, index.levels[-1].shape[2], take, state), filled
 
 
-def _for_each(opened: _Opened, fan: int, take: Callable, state):
+def _for_each(opened: _OpenClusters, fan: int, take: Callable, state):
     """Return state after state = take(cluster, state) for every opened cluster, in order."""
 
     def step(carry):
@@ -146,7 +152,7 @@ def _for_each(opened: _Opened, fan: int, take: Callable, state):
     return jax.lax.while_loop(lambda carry: carry[0] < opened.count, step, start)[2]
 
 
-def in_reach(segment: Segments, bound, reach):
+def in_reach(segment: LineSegments, bound, reach):
     """Return a bit mask of the discs (8, ..., n) that may have a point within `reach` [m] of the segment.
 
     It is empty if `reach` is negative.
@@ -157,7 +163,7 @@ def in_reach(segment: Segments, bound, reach):
     return jnp.sum(jnp.where(near, bit, 0), axis=-1, dtype=jnp.int32)
 
 
-def _distance(segment: Segments, points):
+def _distance_to_points(segment: LineSegments, points):
     """Return the distance from a segment to the nearest of points (3, ..., n).
 
     Squares order like their bits, and an integer minimum takes half the time: there is no NaN among them.

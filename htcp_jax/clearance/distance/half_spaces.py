@@ -65,27 +65,27 @@ def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
         return np.array([[0.0, 0.0, 0.0, 1.0]])  # too thin for one: the empty set
 
 
-def crossed_facets(hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"]) -> Int[Array, "n"]:
-    """Return the facet that each point in `asked` is furthest beyond, -1 for points inside and all others. F >= 1."""
-    return _crossed(hull, *jax.lax.stop_gradient((points, asked)))
+def crossed_facets(hull: HalfSpaces, points: Float[Array, "n 3"], requested: Bool[Array, "n"]) -> Int[Array, "n"]:
+    """Return the facet that each requested point is furthest beyond, -1 for points inside and all others; F >= 1."""
+    return _crossed(hull, *jax.lax.stop_gradient((points, requested)))
 
 
-def depths(hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"]) -> Float[Array, "n"]:
-    """Return a lower bound on the depth [m] inside the hull of each point in `asked`; 0 if it may be outside."""
-    return _depths(hull, *jax.lax.stop_gradient((points, asked)))
+def depths(hull: HalfSpaces, points: Float[Array, "n 3"], requested: Bool[Array, "n"]) -> Float[Array, "n"]:
+    """Return a lower bound on the depth [m] inside the hull of each point in `requested`; 0 if it may be outside."""
+    return _depths(hull, *jax.lax.stop_gradient((points, requested)))
 
 
 @one_by_one
-def _crossed(hull: HalfSpaces, points, asked):
-    left = asked & jnp.any(_core_heights(hull, points) > -ROOM, axis=1)
+def _crossed(hull: HalfSpaces, points, requested):
+    left = requested & jnp.any(_core_heights(hull, points) > -ROOM, axis=1)
     nothing = jnp.full(points.shape[0], -1, jnp.int32)
     return _measured(hull, lambda found: jnp.where(found.height > 0, found.facet, -1), left, points, nothing)
 
 
 @one_by_one
-def _depths(hull: HalfSpaces, points, asked):
+def _depths(hull: HalfSpaces, points, requested):
     core = -jnp.max(_core_heights(hull, points), axis=1).astype(float) - ROOM
-    exact = _measured(hull, lambda found: -found.height, asked & (core <= 0), points, core)
+    exact = _measured(hull, lambda found: -found.height, requested & (core <= 0), points, core)
     return jnp.maximum(exact, 0.0)
 
 
@@ -94,14 +94,14 @@ def _measured(hull: HalfSpaces, take, left, points, results):
     if backend().has_kernels:
         return jnp.where(left, take(_Highest(*highest(hull.table, points, left))), results)
     if not backend().is_cpu:
-        return jnp.where(left, take(jax.vmap(partial(_highest, hull))(points)), results)
+        return jnp.where(left, take(jax.vmap(partial(_highest_facet, hull))(points)), results)
     number = jnp.arange(left.shape[0])
 
     def step(state):
         left, results = state
         first = jnp.argmax(left)
         this = number == first
-        return left & ~this, jnp.where(this, take(_highest(hull, points[first])), results)
+        return left & ~this, jnp.where(this, take(_highest_facet(hull, points[first])), results)
 
     return jax.lax.while_loop(lambda state: jnp.any(state[0]), step, (left, results))[1]
 
@@ -113,7 +113,7 @@ class _Highest(NamedTuple):
     height: Float[Array, ""]
 
 
-def _highest(hull: HalfSpaces, point) -> _Highest:
+def _highest_facet(hull: HalfSpaces, point) -> _Highest:
     row = jnp.argmax(jnp.max(_heights(hull.table, point), axis=1))
     heights = _heights(hull.table[:, row], point)
     facet = jnp.minimum(row * FAN + jnp.argmax(heights), hull.offset.shape[0] - 1)

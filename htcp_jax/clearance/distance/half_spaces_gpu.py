@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax.experimental import pallas as pl
 
-from htcp_jax.gpu_kernel import kernel
+from htcp_jax.pallas import kernel
 from htcp_jax.types import Array, Bool, Float, Int
 
 BLOCK = 256  # facets at a time
@@ -29,10 +29,10 @@ def highest(
     filled = jnp.pad(facets, ((0, 0), (0, blocks * BLOCK - facets.shape[1])), mode="edge")
     out = [jax.ShapeDtypeStruct(left.shape, dtype) for dtype in (jnp.int32, points.dtype)]
     own_blocks = jnp.where(left, jnp.int32(blocks), jnp.int32(0))
-    return tuple(kernel(_highest, out, len(left), interpret)(points, own_blocks, filled))
+    return tuple(kernel(_height_kernel, out, len(left), interpret)(points, own_blocks, filled))
 
 
-def _highest(points, blocks, table, facet, height):
+def _height_kernel(points, blocks, table, facet, height):
     k = pl.program_id(0)
     x, y, z = (points[k, i] for i in range(3))
     number = jax.lax.broadcasted_iota(jnp.int32, (BLOCK,), 0)

@@ -14,7 +14,7 @@ from htcp_jax.numerics import safe_divide, segment_parameter
 from htcp_jax.types import Array, Float
 
 
-class Nearest(NamedTuple):
+class NearestPoints(NamedTuple):
     """Nearest points of two segments, row by row: parameters from 0 to 1, and the points [m]."""
 
     t: Float[Array, "*n"]
@@ -25,7 +25,7 @@ class Nearest(NamedTuple):
 
 def nearest_points(
     p: Float[Array, "*n 3"], q: Float[Array, "*n 3"], r: Float[Array, "*n 3"], s: Float[Array, "*n 3"]
-) -> Nearest:
+) -> NearestPoints:
     """Return the nearest points of the segments p q and r s, row by row.
 
     The parameters carry no gradient, which leaves the gradient of the distance unchanged.
@@ -36,23 +36,23 @@ def nearest_points(
         r: First ends of the second segments [m].
         s: Their second ends [m].
     """
-    t, u = _parameters(*jax.lax.stop_gradient((p, q, r, s)))
-    return Nearest(t, u, p + t[..., None] * (q - p), r + u[..., None] * (s - r))
+    t, u = _best_parameters(*jax.lax.stop_gradient((p, q, r, s)))
+    return NearestPoints(t, u, p + t[..., None] * (q - p), r + u[..., None] * (s - r))
 
 
-def _parameters(p, q, r, s):
+def _best_parameters(p, q, r, s):
     d, e, w = q - p, s - r, p - r
-    a, b, c = _dot(d, d), _dot(d, e), _dot(e, e)
-    t = jnp.clip(safe_divide(b * _dot(e, w) - c * _dot(d, w), a * c - b * b), 0, 1)
+    a, b, c = _row_dot(d, d), _row_dot(d, e), _row_dot(e, e)
+    t = jnp.clip(safe_divide(b * _row_dot(e, w) - c * _row_dot(d, w), a * c - b * b), 0, 1)
     u = segment_parameter(r, s, p + t[..., None] * d)
     t = segment_parameter(p, q, r + u[..., None] * e)
     zero = jnp.zeros_like(t)
     ts = jnp.stack([t, zero, zero + 1, segment_parameter(p, q, r), segment_parameter(p, q, s)])
     us = jnp.stack([u, segment_parameter(r, s, p), segment_parameter(r, s, q), zero, zero + 1])
     apart = w[None] + ts[..., None] * d[None] - us[..., None] * e[None]
-    best = jnp.argmin(_dot(apart, apart), axis=0)[None]
+    best = jnp.argmin(_row_dot(apart, apart), axis=0)[None]
     return (jnp.take_along_axis(each, best, axis=0)[0] for each in (ts, us))
 
 
-def _dot(u, v):
+def _row_dot(u, v):
     return jnp.sum(u * v, axis=-1)

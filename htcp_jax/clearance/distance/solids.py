@@ -27,14 +27,14 @@ HALVINGS = 48  # bisections of a segment: to 1e-14 of its length
 TOUCHES_M = 1e-9  # below this distance a normal would be rounding
 
 
-class Seen(NamedTuple):
+class SolidContact(NamedTuple):
     """Signed distance from a solid to a segment, and the place at which it is attained."""
 
     t: Scalar  # parameter on the segment, 0 to 1
     normal: Vector3  # from the solid to the segment, unit
     distance: Scalar  # signed [m]
     plane: Bool[Array, ""]  # True: the distance is to the plane n.x = h(n), not to a point
-    reach: Scalar  # from the fixed point to the solid's surface [m]
+    extent: Scalar  # from the fixed point to the solid's surface [m]
 
 
 class HalfSpace(NamedTuple):
@@ -43,10 +43,12 @@ class HalfSpace(NamedTuple):
     normal: Float[Array, "*n 3"]
     offset: Float[Array, "*n"]
 
-    def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the contact with a segment, at its lower end, see `Seen`."""
+    def seen(self, p: Vector3, q: Vector3) -> SolidContact:
+        """Return the contact with a segment, at its lower end, see `SolidContact`."""
         heights = jnp.stack([product(p, self.normal), product(q, self.normal)]) - self.offset
-        return Seen(jnp.argmin(heights).astype(float), self.normal, jnp.min(heights), jnp.ones((), bool), jnp.zeros(()))
+        return SolidContact(
+            jnp.argmin(heights).astype(float), self.normal, jnp.min(heights), jnp.ones((), bool), jnp.zeros(())
+        )
 
 
 class Rod(NamedTuple):
@@ -56,12 +58,12 @@ class Rod(NamedTuple):
     q: Float[Array, "*n 3"]
     radius: Float[Array, "*n"]
 
-    def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the contact with a segment, see `Seen`; where the axes cross, there is no normal."""
+    def seen(self, p: Vector3, q: Vector3) -> SolidContact:
+        """Return the contact with a segment, see `SolidContact`; where the axes cross, there is no normal."""
         t, _, on, other = nearest_points(p, q, self.p, self.q)
         length = safe_norm(on - other)
         normal = safe_divide(on - other, jnp.broadcast_to(length, (3,)))
-        return Seen(t, normal, length - self.radius, jnp.zeros((), bool), self.radius)
+        return SolidContact(t, normal, length - self.radius, jnp.zeros((), bool), self.radius)
 
 
 class Box(NamedTuple):
@@ -71,8 +73,8 @@ class Box(NamedTuple):
     centre: Float[Array, "*n 3"]
     half: Float[Array, "*n 3"]
 
-    def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the contact with a segment, see `Seen`."""
+    def seen(self, p: Vector3, q: Vector3) -> SolidContact:
+        """Return the contact with a segment, see `SolidContact`."""
         p, q = _within(self, p), _within(self, q)
         d = q - p
         faces = jnp.concatenate([safe_divide(self.half - p, d), safe_divide(-self.half - p, d)])
@@ -87,11 +89,11 @@ class Box(NamedTuple):
         x = p + t * d
         outside = x - jnp.clip(x, -self.half, self.half)
         axes = jnp.eye(3)
-        faces, beside = _both(axes), _both(_units(jnp.cross(axes, d[None])))
-        corners, normals = jnp.sign(beside) * self.half[None], jnp.concatenate([faces, beside])
-        places = jnp.concatenate([_lower(faces, p, q), _level(beside, p, q, corners, _both(axes))])
-        across = _best(normals, p, q, jnp.sum(jnp.abs(normals) * self.half[None], axis=1), places)
-        return _turned(self, _either(_outside(t, outside), across))
+        faces, adjacent = _both(axes), _both(_units(jnp.cross(axes, d[None])))
+        corners, normals = jnp.sign(adjacent) * self.half[None], jnp.concatenate([faces, adjacent])
+        places = jnp.concatenate([_lower(faces, p, q), _level(adjacent, p, q, corners, _both(axes))])
+        across = _least_penetration(normals, p, q, jnp.sum(jnp.abs(normals) * self.half[None], axis=1), places)
+        return _rotated_to_world(self, _outside_or_across(_outside(t, outside), across))
 
 
 class Cylinder(NamedTuple):
@@ -102,14 +104,14 @@ class Cylinder(NamedTuple):
     radius: Float[Array, "*n"]
     half: Float[Array, "*n"]
 
-    def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the contact with a segment, see `Seen`."""
+    def seen(self, p: Vector3, q: Vector3) -> SolidContact:
+        """Return the contact with a segment, see `SolidContact`."""
         p, q = _within(self, p), _within(self, q)
         d = q - p
-        t = _halved(lambda t: product(self._off(p + t * d), d) <= 0, jnp.zeros(()))
-        return _turned(self, _either(_outside(t, self._off(p + t * d)), self._across(p, q)))
+        t = _bisected_parameter(lambda t: product(self._off(p + t * d), d) <= 0, jnp.zeros(()))
+        return _rotated_to_world(self, _outside_or_across(_outside(t, self._off(p + t * d)), self._across(p, q)))
 
-    def _across(self, p: Vector3, q: Vector3) -> Seen:
+    def _across(self, p: Vector3, q: Vector3) -> SolidContact:
         """Return the contact with a segment that crosses the cylinder.
 
         The candidates are the normals of the caps, of the side, and one perpendicular to the segment.
@@ -119,9 +121,9 @@ class Cylinder(NamedTuple):
         middle = segment_parameter(p * flat, q * flat, jnp.zeros(3))
         rim = self._rim(p, d)
         normals = _units(jnp.stack([z, -z, (p + middle * d) * flat, _towards(jnp.cross(d, z), p), rim, x]))
-        reach = self.radius * safe_norm(normals * flat[None]) + self.half * jnp.abs(normals[:, 2])
+        extent = self.radius * safe_norm(normals * flat[None]) + self.half * jnp.abs(normals[:, 2])
         places = jnp.where(normals[:, 2] == 0, middle, _lower(normals, p, q))
-        return _best(normals, p, q, reach, places.at[4].set(self._beside(p, d, normals[4])))
+        return _least_penetration(normals, p, q, extent, places.at[4].set(self._nearest_side(p, d, normals[4])))
 
     def _rim(self, p: Vector3, d: Vector3) -> Vector3:
         """Return the best normal perpendicular to a segment through p.
@@ -142,10 +144,10 @@ class Cylinder(NamedTuple):
             return u * sine - v * c * cosine < self.radius * s * s * sine * cosine
 
         least = jnp.cbrt(jnp.maximum(-v * c, 0.0))
-        sine = _halved(short, safe_divide(least, jnp.hypot(least, jnp.cbrt(u))))
+        sine = _bisected_parameter(short, safe_divide(least, jnp.hypot(least, jnp.cbrt(u))))
         return c * jnp.sqrt(1 - sine * sine) * aside + sine * up
 
-    def _beside(self, p: Vector3, d: Vector3, normal: Vector3) -> Scalar:
+    def _nearest_side(self, p: Vector3, d: Vector3, normal: Vector3) -> Scalar:
         """Return the parameter on a segment from p that is nearest to the cylinder's outermost point along a normal."""
         round_ = jnp.array([1.0, 1.0, 0.0]) * normal
         outermost = self.radius * _units(round_[None])[0] + (self.half * jnp.sign(normal)).at[:2].set(0.0)
@@ -159,16 +161,16 @@ class Cylinder(NamedTuple):
         return aside.at[2].set(x[2] - jnp.clip(x[2], -self.half, self.half))
 
 
-class Piece(NamedTuple):
+class Polyhedron(NamedTuple):
     """A convex polyhedron in the world; stacked ones repeat the last face and edge."""
 
     corners: Float[Array, "*n F 3 3"]  # of its triangles
     normal: Float[Array, "*n F 3"]  # theirs, unit, outwards
     edges: Float[Array, "*n E 2 3"]
-    beside: Int[Array, "*n E 2"]  # the faces on both sides of an edge
+    adjacent: Int[Array, "*n E 2"]  # the faces on both sides of an edge
 
-    def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the contact with a segment, see `Seen`."""
+    def seen(self, p: Vector3, q: Vector3) -> SolidContact:
+        """Return the contact with a segment, see `SolidContact`."""
         many = jnp.broadcast_to(p, (len(self.edges), 3)), jnp.broadcast_to(q, (len(self.edges), 3))
         along, _, on, witness = nearest_points(*many, self.edges[:, 0], self.edges[:, 1])
         first, second = self._above(p), self._above(q)
@@ -179,7 +181,7 @@ class Piece(NamedTuple):
         outside = _outside(jnp.concatenate([along, faces, faces + 1])[k], arms[k])
         heights = product(jnp.stack([p, q]), self.normal.T) - self._offset[None]
         within = self._clipped(heights)
-        across = _best(*self._normals(p, q))
+        across = _least_penetration(*self._normals(p, q))
         return jax.tree.map(lambda a, b: jnp.where(within, a, b), across, outside)
 
     @property
@@ -206,46 +208,46 @@ class Piece(NamedTuple):
 
         With them the segment's ends, the support values h(n), and the segment's parameters nearest to the surface.
         """
-        ways = product(self.normal, q - p)[self.beside]
-        outline = ways[:, 0] * ways[:, 1] <= 0
+        sides = product(self.normal, q - p)[self.adjacent]
+        outline = sides[:, 0] * sides[:, 1] <= 0
         edges = self.edges[:, 1] - self.edges[:, 0]
         along = _units(jnp.cross(edges, (q - p)[None]))
-        outwards = jnp.sum(along * jnp.sum(self.normal[self.beside], axis=1), axis=1)
+        outwards = jnp.sum(along * jnp.sum(self.normal[self.adjacent], axis=1), axis=1)
         along = along * jnp.where(outwards < 0, -1.0, 1.0)[:, None]
-        reach = jnp.where(outline & jnp.any(along != 0, axis=1), jnp.sum(along * self.edges[:, 0], axis=1), jnp.inf)
+        extent = jnp.where(outline & jnp.any(along != 0, axis=1), jnp.sum(along * self.edges[:, 0], axis=1), jnp.inf)
         places = jnp.concatenate([_lower(self.normal, p, q), _level(along, p, q, self.edges[:, 0], edges)])
-        return jnp.concatenate([self.normal, along]), p, q, jnp.concatenate([self._offset, reach]), places
+        return jnp.concatenate([self.normal, along]), p, q, jnp.concatenate([self._offset, extent]), places
 
 
-Solid = HalfSpace | Rod | Box | Cylinder | Piece
+Solid = HalfSpace | Rod | Box | Cylinder | Polyhedron
 
 
 def _within(solid: Box | Cylinder, x: Vector3) -> Vector3:
     return product(x - solid.centre, solid.rotation)
 
 
-def _turned(solid: Box | Cylinder, seen: Seen) -> Seen:
+def _rotated_to_world(solid: Box | Cylinder, seen: SolidContact) -> SolidContact:
     return seen._replace(normal=product(solid.rotation, seen.normal))
 
 
-def _outside(t: Scalar, arm: Vector3) -> Seen:
+def _outside(t: Scalar, arm: Vector3) -> SolidContact:
     """Return the contact with a segment outside, from the vector between the nearest points."""
     length = safe_norm(arm)
     normal = safe_divide(arm, jnp.broadcast_to(length, (3,)))
-    return Seen(t, normal, length, length <= TOUCHES_M, jnp.zeros(()))
+    return SolidContact(t, normal, length, length <= TOUCHES_M, jnp.zeros(()))
 
 
-def _best(
-    normals: Float[Array, "n 3"], p: Vector3, q: Vector3, reach: Float[Array, "n"], places: Float[Array, "n"]
-) -> Seen:
+def _least_penetration(
+    normals: Float[Array, "n 3"], p: Vector3, q: Vector3, extent: Float[Array, "n"], places: Float[Array, "n"]
+) -> SolidContact:
     """Return the contact along the normal of least penetration.
 
-    `reach` is h(n), `places` are the segment's parameters nearest to the surface. A normal of length 0 is ignored.
+    `extent` is h(n), `places` are the segment's parameters nearest to the surface. A normal of length 0 is ignored.
     """
     ends = product(jnp.stack([p, q]), normals.T)
-    depth = jnp.where(jnp.any(normals != 0, axis=1), jnp.min(ends, axis=0) - reach, -jnp.inf)
+    depth = jnp.where(jnp.any(normals != 0, axis=1), jnp.min(ends, axis=0) - extent, -jnp.inf)
     k = jnp.argmax(depth)
-    return Seen(places[k], normals[k], depth[k], jnp.ones((), bool), jnp.zeros(()))
+    return SolidContact(places[k], normals[k], depth[k], jnp.ones((), bool), jnp.zeros(()))
 
 
 def _lower(normals: Float[Array, "n 3"], p: Vector3, q: Vector3) -> Float[Array, "n"]:
@@ -264,7 +266,7 @@ def _level(
     return jnp.clip(safe_divide(over, jnp.sum(jnp.cross((q - p)[None], edges) * normals, axis=1)), 0, 1)
 
 
-def _halved(short: Callable[[Scalar], Bool[Array, ""]], low: Scalar) -> Scalar:
+def _bisected_parameter(short: Callable[[Scalar], Bool[Array, ""]], low: Scalar) -> Scalar:
     """Bisect between `low` and 1 for the place where `short` becomes false.
 
     The result is exactly `low` or 1 if it is false or true everywhere.
@@ -281,7 +283,7 @@ def _halved(short: Callable[[Scalar], Bool[Array, ""]], low: Scalar) -> Scalar:
     return jnp.where(low == first, first, jnp.where(high == 1, 1.0, 0.5 * (low + high)))
 
 
-def _either(outside: Seen, across: Seen) -> Seen:
+def _outside_or_across(outside: SolidContact, across: SolidContact) -> SolidContact:
     return jax.tree.map(lambda a, b: jnp.where(outside.plane, a, b), across, outside)
 
 

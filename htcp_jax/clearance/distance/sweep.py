@@ -5,7 +5,7 @@ from typing import NamedTuple
 from htcp_jax.types import Array, Float, Scalar
 
 
-class Sweep(NamedTuple):
+class BodySweep(NamedTuple):
     """Bounds on the motion of K bodies about their positions, along a joint path that extends to both sides."""
 
     p: Float[Array, "K 3"]  # travel of each axis's first end along its velocity, to either side [m]
@@ -14,7 +14,7 @@ class Sweep(NamedTuple):
     travel: Float[Array, "K"]  # largest distance from its position in the middle [m]
 
 
-class Wanted(NamedTuple):
+class RequiredClearance(NamedTuple):
     """Clearance that bodies have to keep [m]."""
 
     least: Scalar  # required

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacle import Contacts, Rows, slopes
+from htcp_jax.clearance.obstacles.obstacle import Contacts, RowPairs, slopes
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import axis_contact, capsule_point_distance
 from htcp_jax.types import Array, Bool, Float, Joints
 
 
-class HeldContacts(NamedTuple):
+class ContactModel(NamedTuple):
     """Contacts of all rows in order, from one observation or several (H = R, 2 R, ...)."""
 
     witness: Float[Array, "H 3"]  # the obstacle's point, in the frame of its link or the world [m]
@@ -26,28 +26,28 @@ class HeldContacts(NamedTuple):
     end: Float[Array, "H 3"]  # that end, in the frame of the body's link
     normal: Float[Array, "H 3"]  # of the plane, inwards, world
     offset: Float[Array, "H"]  # distance = normal . end - offset
-    reach: Float[Array, "H"]  # distance = from the axis to the witness - reach
+    radius: Float[Array, "H"]  # distance = from the axis to the witness - reach
 
 
-def hold_contacts(robot: Robot, x: Joints, rows: Rows, touch: Contacts) -> HeldContacts:
+def hold_contacts(robot: Robot, x: Joints, rows: RowPairs, touch: Contacts) -> ContactModel:
     """Return the contacts at x in the frames of their links."""
-    T = _poses(robot, x, _links(robot, rows))
+    T = _link_poses(robot, x, _links(robot, rows))
     witness = touch.witness
-    if _moves(rows):
-        witness = _brought_back(_poses(robot, x, rows.other), witness)
-    return HeldContacts(
+    if _has_moving_bodies(rows):
+        witness = _brought_back(_link_poses(robot, x, rows.other), witness)
+    return ContactModel(
         witness=witness,
         plane=touch.plane,
         end=_brought_back(T, touch.point),
         normal=touch.normal,
         offset=jnp.sum(touch.normal * touch.point, axis=1) - touch.distance,
-        reach=touch.reach,
+        radius=touch.radius,
     )
 
 
 @partial(jax.jit, static_argnames="rows")
 def predict_distances(
-    robot: Robot, x: Joints, rows: Rows, held: HeldContacts
+    robot: Robot, x: Joints, rows: RowPairs, held: ContactModel
 ) -> tuple[Float[Array, "H"], Float[Array, "H N"]]:
     """Return the distance at x [m] by each contact held, and its gradient [m/rad].
 
@@ -58,34 +58,36 @@ def predict_distances(
         held: The contacts of one or several observations.
     """
     rounds = held.offset.shape[0] // len(rows.body)
-    T = _poses(robot, x, _links(robot, rows))
+    T = _link_poses(robot, x, _links(robot, rows))
     body = slice(None) if rows.body == tuple(range(len(robot.capsule_link))) else jnp.asarray(rows.body)
-    p, q = _moved(T, robot.capsule_p[body]), _moved(T, robot.capsule_q[body])
+    p, q = _transformed(T, robot.capsule_p[body]), _transformed(T, robot.capsule_q[body])
     p, q, T = (jnp.concatenate([each] * rounds) for each in (p, q, T))
-    many = Rows(rows.body * rounds, rows.other * rounds)
-    witness = _moved(_poses(robot, x, many.other), held.witness) if _moves(rows) else held.witness
+    many = RowPairs(rows.body * rounds, rows.other * rounds)
+    witness = (
+        _transformed(_link_poses(robot, x, many.other), held.witness) if _has_moving_bodies(rows) else held.witness
+    )
     axis_point, away = axis_contact(p, q, witness)
-    point = jnp.where(held.plane[:, None], _moved(T, held.end), axis_point)
+    point = jnp.where(held.plane[:, None], _transformed(T, held.end), axis_point)
     normal = jnp.where(held.plane[:, None], held.normal, away)
     to_plane = jnp.sum(held.normal * point, axis=1) - held.offset
-    value = jnp.where(held.plane, to_plane, capsule_point_distance(p, q, held.reach, witness))
+    value = jnp.where(held.plane, to_plane, capsule_point_distance(p, q, held.radius, witness))
     return value, slopes(robot, x, many, normal, point, witness)
 
 
-def _links(robot: Robot, rows: Rows) -> tuple[int, ...]:
+def _links(robot: Robot, rows: RowPairs) -> tuple[int, ...]:
     return tuple(robot.capsule_link[body] for body in rows.body)
 
 
-def _moves(rows: Rows) -> bool:
+def _has_moving_bodies(rows: RowPairs) -> bool:
     return any(link >= 0 for link in rows.other)
 
 
-def _poses(robot: Robot, x: Joints, links: tuple[int, ...]) -> Float[Array, "n 4 4"]:
+def _link_poses(robot: Robot, x: Joints, links: tuple[int, ...]) -> Float[Array, "n 4 4"]:
     T = jnp.concatenate([kinematics.link_poses(robot, x), jnp.eye(4)[None]])  # the world last, so that it is link -1
     return T[jnp.asarray(links)]
 
 
-def _moved(T: Float[Array, "n 4 4"], points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+def _transformed(T: Float[Array, "n 4 4"], points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
     return jnp.sum(T[:, :3, :3] * points[:, None, :], axis=2) + T[:, :3, 3]
 
 

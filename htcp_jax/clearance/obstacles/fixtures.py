@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Seen, Solid
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed
+from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid, SolidContact
+from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import one_by_one, safe_norm, segment_parameter
 from htcp_jax.pytree import register_pytree
@@ -30,22 +30,27 @@ class Fixtures(Obstacle):
     """Solids in the world, stacked by kind, and the mask of pairs of solid and body (K bodies) that are checked."""
 
     simple: tuple[HalfSpace | Rod | Box | Cylinder, ...]
-    pieces: Piece | None
+    pieces: Polyhedron | None
     balls: Float[jax.Array, "P 4"]  # about the pieces: centre, radius [m]
-    heeds: Bool[jax.Array, "G K"]  # True: the pair is checked; the simple solids first
+    is_checked: Bool[jax.Array, "G K"]  # True: the pair is checked; the simple solids first
     names: tuple[str, ...] = field(metadata={"static": True})
 
-    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest solid."""
-        return self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.heeds)
+        return self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.is_checked)
 
     def touches_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+        self,
+        robot: Robot,
+        where: HasWorkpiecePose,
+        bodies: BodyAxes,
+        body: Int[jax.Array, ""],
+        requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
         """Return True if a body touches at any of the marked configurations."""
-        heeds = self.heeds[:, body, None] & asked[None]
-        radius = jnp.broadcast_to(robot.capsule_radius[body], asked.shape)
-        return jnp.any(self._nearest(bodies.p[:, body], bodies.q[:, body], radius, heeds).distance <= 0)
+        is_checked = self.is_checked[:, body, None] & requested[None]
+        radius = jnp.broadcast_to(robot.capsule_radius[body], requested.shape)
+        return jnp.any(self._nearest(bodies.p[:, body], bodies.q[:, body], radius, is_checked).distance <= 0)
 
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "G K"]:
         """Return the distance of every solid to every body, in the order of the names, without the mask."""
@@ -55,50 +60,50 @@ class Fixtures(Obstacle):
 
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """Return the name of the solid nearest to a body, for messages."""
-        distance = np.where(self.heeds, _distances(self, robot, p, q), np.inf)[:, row]
+        distance = np.where(self.is_checked, _solid_distances(self, robot, p, q), np.inf)[:, row]
         return f"the fixture {self.names[distance.argmin()]!r}"
 
-    def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"], heeds: Bool[Array, "G K"]) -> Contacts:
-        """Return the contact of each capsule with the nearest of its solids in the mask `heeds`."""
-        seen = self._simple(p, q, heeds) if self.simple else _nothing(len(p))
+    def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"], is_checked: Bool[Array, "G K"]) -> Contacts:
+        """Return the contact of each capsule with the nearest of its solids in the mask `is_checked`."""
+        seen = self._simple(p, q, is_checked) if self.simple else _nothing(len(p))
         if self.pieces is not None:
-            heeds = heeds[len(heeds) - len(self.balls) :]
-            seen = _with_pieces((self.pieces, self.balls), heeds, *jax.lax.stop_gradient((p, q, radius, seen)))
-        return _contacts(seen, p, q, radius)
+            is_checked = is_checked[len(is_checked) - len(self.balls) :]
+            seen = _with_pieces((self.pieces, self.balls), is_checked, *jax.lax.stop_gradient((p, q, radius, seen)))
+        return _constant_contacts(seen, p, q, radius)
 
-    def _simple(self, p: Ends, q: Ends, heeds: Bool[Array, "G K"]) -> Seen:
+    def _simple(self, p: Ends, q: Ends, is_checked: Bool[Array, "G K"]) -> SolidContact:
         """Return the nearest of the solids that are always measured."""
         parts = [_each_seen(kind, p, q) for kind in self.simple]
         seen = jax.tree.map(lambda *each: jnp.concatenate(each), *parts)
-        distance = jnp.where(heeds[: len(seen.distance)], seen.distance, jnp.inf)
+        distance = jnp.where(is_checked[: len(seen.distance)], seen.distance, jnp.inf)
         best, body = jnp.argmin(distance, axis=0), jnp.arange(len(p))
         return jax.tree.map(lambda each: each[best, body], seen._replace(distance=distance))
 
 
 def fixtures(robot: Robot, named: list[tuple[str, Solid]]) -> Fixtures:
     """Return the obstacle of at least one named solid for a robot."""
-    order = (HalfSpace, Rod, Box, Cylinder, Piece)
+    order = (HalfSpace, Rod, Box, Cylinder, Polyhedron)
     named = sorted(named, key=lambda each: order.index(type(each[1])))
     stacks = [[solid for _, solid in named if isinstance(solid, kind)] for kind in order]
     *simple, pieces = [_stacked(own) for own in stacks if own] + ([] if stacks[-1] else [None])
     balls = np.array([_ball(piece) for piece in stacks[-1]]).reshape(-1, 4)
     links = np.array(robot.capsule_link)
-    heeds = jnp.broadcast_to(jnp.asarray(links >= 0)[None], (len(named), len(links)))
-    found = Fixtures(tuple(simple), pieces, jnp.asarray(balls), heeds, tuple(name for name, _ in named))
+    is_checked = jnp.broadcast_to(jnp.asarray(links >= 0)[None], (len(named), len(links)))
+    found = Fixtures(tuple(simple), pieces, jnp.asarray(balls), is_checked, tuple(name for name, _ in named))
     drawn = kinematics.capsule_segments(robot, jnp.zeros(len(robot.slides)))
-    stands = (np.asarray(_distances(found, robot, *drawn)) <= 0) & (links == 0)[None]
-    return dataclasses.replace(found, heeds=heeds & ~stands)
+    stands = (np.asarray(_solid_distances(found, robot, *drawn)) <= 0) & (links == 0)[None]
+    return dataclasses.replace(found, is_checked=is_checked & ~stands)
 
 
-_distances = jax.jit(Fixtures.distances)
+_solid_distances = jax.jit(Fixtures.distances)
 
 
 def _stacked(solids: list[Solid]) -> Solid:
     """Stack several solids of a kind; pieces are padded to the faces and edges of the largest with their last one."""
-    if isinstance(solids[0], Piece):
+    if isinstance(solids[0], Polyhedron):
         faces, edges = (max(len(each) for each in column) for column in list(zip(*solids, strict=True))[1:3])
-        sizes = Piece(faces, faces, edges, edges)
-        solids = [Piece(*map(_repeated, piece, sizes)) for piece in solids]
+        sizes = Polyhedron(faces, faces, edges, edges)
+        solids = [Polyhedron(*map(_repeated, piece, sizes)) for piece in solids]
     return jax.tree.map(lambda *each: jnp.stack(list(map(jnp.asarray, each))), *solids)
 
 
@@ -106,38 +111,38 @@ def _repeated(rows: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(rows)[np.minimum(np.arange(count), len(rows) - 1)]
 
 
-def _ball(piece: Piece) -> np.ndarray:
+def _ball(piece: Polyhedron) -> np.ndarray:
     corners = np.asarray(piece.corners).reshape(-1, 3)
     centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
     return np.append(centre, np.linalg.norm(corners - centre, axis=1).max())
 
 
-def _each_seen(stack: Solid, p: Ends, q: Ends) -> Seen:
+def _each_seen(stack: Solid, p: Ends, q: Ends) -> SolidContact:
     """Return the contact of every solid with every segment (n, K)."""
     return jax.vmap(lambda solid: jax.vmap(solid.seen)(p, q))(stack)
 
 
-def _nothing(bodies: int) -> Seen:
+def _nothing(bodies: int) -> SolidContact:
     none = jnp.zeros(bodies)
-    return Seen(none, jnp.zeros((bodies, 3)), jnp.full(bodies, jnp.inf), jnp.zeros(bodies, bool), none)
+    return SolidContact(none, jnp.zeros((bodies, 3)), jnp.full(bodies, jnp.inf), jnp.zeros(bodies, bool), none)
 
 
-def _contacts(seen: Seen, p: Ends, q: Ends, radius: Float[Array, "K"]) -> Contacts:
+def _constant_contacts(seen: SolidContact, p: Ends, q: Ends, radius: Float[Array, "K"]) -> Contacts:
     """Return the contacts, fixed: their distances depend on the ends alone, exactly to first order."""
     seen = jax.lax.stop_gradient(seen)
     point = p + seen.t[:, None] * (q - p)
     still = jax.lax.stop_gradient(point)
     moved = jnp.sum(seen.normal * (point - still), axis=1)
-    return Contacts(seen.distance + moved - radius, point, seen.normal, radius + seen.reach, seen.plane)
+    return Contacts(seen.distance + moved - radius, point, seen.normal, radius + seen.extent, seen.plane)
 
 
 @one_by_one
-def _with_pieces(search, heeds, p, q, radius, seen):
+def _with_pieces(search, is_checked, p, q, radius, seen):
     """Return `seen`, or the contact with a piece where one is nearer."""
     pieces, balls = search
     p_, q_, centre = jnp.broadcast_arrays(p[None], q[None], balls[:, None, :3])
     apart = p_ + segment_parameter(p_, q_, centre)[..., None] * (q_ - p_) - centre
-    lower = jnp.where(heeds, safe_norm(apart) - balls[:, 3:], jnp.inf)
+    lower = jnp.where(is_checked, safe_norm(apart) - balls[:, 3:], jnp.inf)
 
     def open_(state):
         lower, seen = state

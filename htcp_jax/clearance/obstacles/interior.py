@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.distance.half_spaces import HalfSpaces, crossed_facets, depths
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, in_workpiece
+from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, in_workpiece
 from htcp_jax.model import Robot
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
@@ -29,7 +29,7 @@ class Interior(Obstacle):
 
     of_workpiece = True
 
-    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return, for every body, the facet that its furthest deep end has crossed, if any."""
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         outside, second, inwards = self._outside(where, bodies)
@@ -39,29 +39,29 @@ class Interior(Obstacle):
             distance=jnp.where(outside > 0, -outside, jnp.inf),
             point=product(end, rotate.T) + translate[None, :],
             normal=product(inwards, rotate.T),
-            reach=jnp.zeros_like(outside),
+            radius=jnp.zeros_like(outside),
             plane=jnp.ones(outside.shape, bool),
         )
 
-    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
+    def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
         """Return minus the largest distance of an end outside; infinite if none is outside."""
         outside, _, _ = self._outside(where, bodies)
         return jnp.min(jnp.where(outside > 0, -outside, jnp.inf))
 
-    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
+    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
         """Return True if any deep end lies outside."""
         return jnp.any(self._outside(where, bodies)[0] > 0)
 
-    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
+    def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
         """Return the ends' distance before the interior or depth inside the hull, whichever is more."""
-        beyond = _beyond(where, bodies.p, bodies.q)
-        asked = beyond > -NEAR_M
-        depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), asked)
-        return jnp.min(jnp.where(asked, jnp.maximum(depth, -beyond), -beyond).reshape(2, -1), axis=0)
+        beyond = _depth_of_ends(where, bodies.p, bodies.q)
+        requested = beyond > -NEAR_M
+        depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), requested)
+        return jnp.min(jnp.where(requested, jnp.maximum(depth, -beyond), -beyond).reshape(2, -1), axis=0)
 
     def holds(
         self,
-        where: Posed,
+        where: HasWorkpiecePose,
         p: Float[jax.Array, "n 3"],
         q: Float[jax.Array, "n 3"],
         moves: Float[jax.Array, "n"],
@@ -71,13 +71,13 @@ class Interior(Obstacle):
         An end is deep if it is beyond the plane by more than it can move, too.
         """
         own, moves = in_workpiece(where, jnp.concatenate([p, q])), jnp.concatenate([moves, moves])
-        facet = crossed_facets(self.hull, own, _beyond(where, p, q) > moves)
+        facet = crossed_facets(self.hull, own, _depth_of_ends(where, p, q) > moves)
         outside = jnp.sum(self.hull.normal[facet] * own, axis=1) - self.hull.offset[facet]
         return jnp.any((facet >= 0) & (outside > moves))
 
     def surely_touches(
         self,
-        where: Posed,
+        where: HasWorkpiecePose,
         margin_m: Scalar,
         p: Float[jax.Array, "n 3"],
         q: Float[jax.Array, "n 3"],
@@ -88,20 +88,25 @@ class Interior(Obstacle):
         return self.holds(where, p, q, moves)
 
     def touches_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+        self,
+        robot: Robot,
+        where: HasWorkpiecePose,
+        bodies: BodyAxes,
+        body: Int[jax.Array, ""],
+        requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
         """Return True if a deep end of the body lies outside at any of the marked configurations."""
-        deep = _beyond(where, bodies.p[:, body], bodies.q[:, body]) > 0
+        deep = _depth_of_ends(where, bodies.p[:, body], bodies.q[:, body]) > 0
         ends = jnp.concatenate([bodies.p_workpiece[:, body], bodies.q_workpiece[:, body]])
-        return jnp.any(crossed_facets(self.hull, ends, jnp.concatenate([asked, asked]) & deep) >= 0)
+        return jnp.any(crossed_facets(self.hull, ends, jnp.concatenate([requested, requested]) & deep) >= 0)
 
-    def _outside(self, where: Posed, bodies: Bodies):
+    def _outside(self, where: HasWorkpiecePose, bodies: BodyAxes):
         """Return for every body the distance [m] of its furthest deep end outside the hull, -inf if none is outside.
 
         With it, True if that is the second end, and the inward normal of the facet it crossed, in the workpiece frame.
         """
         both = jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece])
-        facet = crossed_facets(self.hull, both, _beyond(where, bodies.p, bodies.q) > 0)
+        facet = crossed_facets(self.hull, both, _depth_of_ends(where, bodies.p, bodies.q) > 0)
         normal = self.hull.normal[facet]
         outside = jnp.where(facet < 0, -jnp.inf, jnp.sum(normal * both, axis=1) - self.hull.offset[facet])
         k = bodies.p.shape[0]
@@ -113,6 +118,8 @@ class Interior(Obstacle):
         )
 
 
-def _beyond(where: Posed, p: Float[jax.Array, "n 3"], q: Float[jax.Array, "n 3"]) -> Float[jax.Array, "ends"]:
+def _depth_of_ends(
+    where: HasWorkpiecePose, p: Float[jax.Array, "n 3"], q: Float[jax.Array, "n 3"]
+) -> Float[jax.Array, "ends"]:
     """Return the distances of the ends, all p then all q, beyond the plane [m]."""
     return product(jnp.concatenate([p, q]), where.interior_plane[:3]) - where.interior_plane[3]

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
+from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Obstacles
 from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, clearance_rows
 from htcp_jax.model import Robot, Task
 from htcp_jax.model import task as tasks
@@ -26,7 +26,12 @@ class Linearisation(NamedTuple):
 
 
 def linearise(
-    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = tasks.TCP_POSITION, smallest: bool = False
+    robot: Robot,
+    obstacles: Obstacles,
+    where: HasWorkpiecePose,
+    x: Joints,
+    task: Task = tasks.TCP_POSITION,
+    smallest: bool = False,
 ) -> Linearisation:
     """Return task and clearance at x, with their Jacobian and gradients.
 
@@ -35,7 +40,7 @@ def linearise(
     Args:
         robot: The robot.
         obstacles: The obstacles.
-        where: A scenario, or another `Posed`.
+        where: A scenario, or another `HasWorkpiecePose`.
         x: The configuration [rad or m].
         task: The task; by default the TCP's position.
         smallest: True: only the clearance row of the smallest distance, which costs less.

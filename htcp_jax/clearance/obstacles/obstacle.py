@@ -12,28 +12,28 @@ from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.distance.sweep import Sweep, Wanted
+from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import product
 from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar
 
 
 @runtime_checkable
-class Posed(Protocol):
+class HasWorkpiecePose(Protocol):
     """Workpiece pose: a scenario, or any object with these fields."""
 
     T_world_workpiece: Pose
     interior_plane: Float[jax.Array, "4"]  # unit normal n, offset [m]: ends with n @ x > offset must lie in the tunnel
 
 
-class Rows(NamedTuple):
+class RowPairs(NamedTuple):
     """The pairs that R rows of distances are between; static."""
 
     body: tuple[int, ...]  # the number of the capsule
     other: tuple[int, ...]  # the link, before the body's, that the obstacle's nearest point is fixed to; -1: the world
 
     @classmethod
-    def of_bodies(cls, robot: Robot) -> "Rows":
+    def of_bodies(cls, robot: Robot) -> "RowPairs":
         """Return one row per body, against the world: the rows of every kind with `per_body`."""
         bodies = len(robot.capsule_link)
         return cls(tuple(range(bodies)), (-1,) * bodies)
@@ -45,16 +45,16 @@ class Contacts(NamedTuple):
     distance: Float[jax.Array, "R"]  # D [m]
     point: Float[jax.Array, "R 3"]  # on the body's axis, world [m]
     normal: Float[jax.Array, "R 3"]  # unit, from the obstacle to the body, world
-    reach: Float[jax.Array, "R"]  # distance from the axis at which D is 0 [m], see `witness`
+    radius: Float[jax.Array, "R"]  # distance from the axis at which D is 0 [m], see `witness`
     plane: Bool[jax.Array, "R"]  # True: a plane fixed in the world that an end of the body has crossed
 
     @property
     def witness(self) -> Float[jax.Array, "R 3"]:
         """The obstacle's points, world [m]."""
-        return self.point - self.normal * (self.distance + self.reach)[:, None]
+        return self.point - self.normal * (self.distance + self.radius)[:, None]
 
 
-class Bodies(NamedTuple):
+class BodyAxes(NamedTuple):
     """Ends of the bodies' axes [m], in the world and in the workpiece frame."""
 
     p: Float[jax.Array, "*S K 3"]
@@ -63,13 +63,13 @@ class Bodies(NamedTuple):
     q_workpiece: Float[jax.Array, "*S K 3"]
 
 
-def bodies_at(robot: Robot, where: Posed, x: Joints) -> Bodies:
+def bodies_at(robot: Robot, where: HasWorkpiecePose, x: Joints) -> BodyAxes:
     """Return the bodies' positions at configuration x [rad or m]."""
     p, q = kinematics.capsule_segments(robot, x)
-    return Bodies(p, q, in_workpiece(where, p), in_workpiece(where, q))
+    return BodyAxes(p, q, in_workpiece(where, p), in_workpiece(where, q))
 
 
-def in_workpiece(where: Posed, points: Float[jax.Array, "n 3"]) -> Float[jax.Array, "n 3"]:
+def in_workpiece(where: HasWorkpiecePose, points: Float[jax.Array, "n 3"]) -> Float[jax.Array, "n 3"]:
     """Return world points [m] in the workpiece's frame."""
     rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
     return product(points - translate[None, :], rotate)
@@ -90,11 +90,11 @@ class Obstacle:
     sweeps: ClassVar[bool] = False
     names: ClassVar[tuple[str, ...]] = ()
 
-    def rows(self, robot: Robot) -> Rows:
+    def rows(self, robot: Robot) -> RowPairs:
         """Return the pairs that its rows are between."""
-        return Rows.of_bodies(robot)
+        return RowPairs.of_bodies(robot)
 
-    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return every row's contact.
 
         At other configurations, a fixed contact must never predict less than the true distance, see `contact_model`.
@@ -102,22 +102,22 @@ class Obstacle:
         """
         raise NotImplementedError
 
-    def closest(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+    def closest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return contacts of which only the one with the smallest distance has to be exact.
 
         The others may be overestimated.
         """
         return self.contacts(robot, where, bodies)
 
-    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
+    def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
         """Return the smallest distance of all rows."""
         return jnp.min(self.contacts(robot, where, bodies).distance)
 
-    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
+    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
         """Return True if any distance is 0 or less."""
         return self.smallest(robot, where, bodies) <= 0
 
-    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
+    def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "R"]:
         """Return each row's free radius; at most 0 in collision.
 
         It is a displacement of all points of the row's body, in any direction, as seen from the link of the row's
@@ -126,19 +126,30 @@ class Obstacle:
         return self.contacts(robot, where, bodies).distance
 
     def touches_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+        self,
+        robot: Robot,
+        where: HasWorkpiecePose,
+        bodies: BodyAxes,
+        body: Int[jax.Array, ""],
+        requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if one body touches at any of the S configurations marked in `asked`.
+        """Return True if one body touches at any of the S configurations marked in `requested`.
 
         `bodies` are those at all of them. For kinds with `per_body`.
         """
         distance = jax.vmap(lambda own: self.contacts(robot, where, own).distance)(bodies)
-        return jnp.any(asked & (distance[:, body] <= 0))
+        return jnp.any(requested & (distance[:, body] <= 0))
 
     def clear_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
+        self,
+        robot: Robot,
+        where: HasWorkpiecePose,
+        bodies: BodyAxes,
+        sweep: BodySweep,
+        requested: Bool[jax.Array, "K"],
+        wanted: RequiredClearance,
     ) -> Float[jax.Array, "K"]:
-        """Return a lower bound on the clearance of each body in `asked` along the sweep.
+        """Return a lower bound on the clearance of each body in `requested` along the sweep.
 
         It is tighter than distance minus travel. Once a body has less than `wanted.least`, the values of the others are
         arbitrary. For kinds with `per_body`.
@@ -147,7 +158,7 @@ class Obstacle:
 
     def surely_touches(
         self,
-        where: Posed,
+        where: HasWorkpiecePose,
         margin_m: Scalar,
         p: Float[jax.Array, "n 3"],
         q: Float[jax.Array, "n 3"],
@@ -169,10 +180,10 @@ class Obstacle:
 Obstacles = tuple[Obstacle, ...]
 
 
-def rows_of(robot: Robot, obstacles: Obstacles) -> Rows:
+def rows_of(robot: Robot, obstacles: Obstacles) -> RowPairs:
     """Return the pairs that the rows of all obstacles together are between."""
     parts = [own[0].rows(robot) for own in grouped(obstacles)]
-    return Rows(*(sum(columns, start=()) for columns in zip(*parts, strict=True)))
+    return RowPairs(*(sum(columns, start=()) for columns in zip(*parts, strict=True)))
 
 
 def grouped(obstacles: Obstacles) -> list[Obstacles]:
@@ -184,7 +195,7 @@ def grouped(obstacles: Obstacles) -> list[Obstacles]:
 def slopes(
     robot: Robot,
     x: Joints,
-    rows: Rows,
+    rows: RowPairs,
     normal: Float[jax.Array, "R 3"],
     point: Float[jax.Array, "R 3"],
     witness: Float[jax.Array, "R 3"],

@@ -18,9 +18,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Obstacles, Posed, bodies_at
+from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles, bodies_at
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import Kind, Template, fault_of, numbers_of, template_of
+from htcp_jax.kinds import ExtensionKind, Template, fault_of, numbers_of, template_of
 from htcp_jax.model import Robot, Scenario, tool
 from htcp_jax.numerics import safe_norm
 from htcp_jax.pytree import register_pytree
@@ -31,7 +31,7 @@ PIECES, SECTIONS = 128, 48  # of an axis that is not searched by sections alone;
 GOLDEN = (np.sqrt(5) - 1) / 2
 
 
-class Shape(NamedTuple):
+class ObstacleShape(NamedTuple):
     """A shape in the world for MuJoCo and for pictures, in metres and radians.
 
     type: plane, box, sphere, capsule or cylinder. size_m: as in MuJoCo: sphere (radius,); capsule and cylinder (radius,
@@ -45,7 +45,7 @@ class Shape(NamedTuple):
     rpy_rad: Sequence[float] = tool.ZERO
 
 
-class ObstacleKind(Kind):
+class ObstacleKind(ExtensionKind):
     """A kind of obstacle: derive a frozen dataclass from it, and define `name` and `distance`.
 
     convex: True if the obstacle is convex: distances are exact then, and cheaper.
@@ -60,7 +60,7 @@ class ObstacleKind(Kind):
         """
         raise NotImplementedError
 
-    def shapes(self) -> Sequence[Shape]:
+    def shapes(self) -> Sequence[ObstacleShape]:
         """Return the shapes that it is made of, exactly, for `htcp validate` and for pictures; none: not known."""
         return ()
 
@@ -81,11 +81,11 @@ class GivenObstacle(Obstacle):
         """The kind's name, as a tuple."""
         return (self.template.kind.name,)
 
-    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with the obstacle."""
         return self._measured(robot, where, bodies)[0]
 
-    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
+    def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
         """Return lower bounds on the distances."""
         return self._measured(robot, where, bodies)[1]
 
@@ -93,7 +93,9 @@ class GivenObstacle(Obstacle):
         """Return the kind's name, for messages."""
         return f"the obstacle {self.template.kind.name!r}"
 
-    def _measured(self, robot: Robot, where: Posed, bodies: Bodies) -> tuple[Contacts, Float[jax.Array, "K"]]:
+    def _measured(
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes
+    ) -> tuple[Contacts, Float[jax.Array, "K"]]:
         own = self.template.with_numbers(where.obstacle_numbers[self.first : self.first + self.template.size])
         radius = robot.capsule_radius
         point, distance, least = jax.vmap(lambda p, q: _nearest(own, p, q))(bodies.p, bodies.q)
@@ -104,7 +106,7 @@ class GivenObstacle(Obstacle):
         far = jnp.where(heeds, 0.0, jnp.inf)
         return Contacts(distance - radius + far, point, normal, radius, distance <= 0), least - radius + far
 
-    def _heeds(self, own: ObstacleKind, robot: Robot, where: Posed) -> Bool[jax.Array, "K"]:
+    def _heeds(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
         """True for bodies that are checked."""
         links = np.array(robot.capsule_link)
         first = np.flatnonzero(links == 0)

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from htcp_jax.backend import backend
 from htcp_jax.clearance.obstacles.obstacle import (
     Contacts,
+    HasWorkpiecePose,
     Obstacles,
-    Posed,
     bodies_at,
     grouped,
     rows_of,
@@ -35,7 +35,9 @@ class ClearanceRows(NamedTuple):
 
 
 @partial(jax.jit, static_argnames="smallest")
-def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False) -> Contacts:
+def contacts(
+    robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints, smallest: bool = False
+) -> Contacts:
     """Return the nearest contact of every row at configuration x [rad]; the robot's tool is the scenario's.
 
     smallest: only the row of the smallest distance has to be exact, others may be overestimated, see
@@ -44,11 +46,11 @@ def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smalle
     bodies = bodies_at(robot, where, x)
     ask = lambda each: each.closest if smallest else each.contacts  # noqa: E731
     groups = [[ask(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
-    return _one_after_another([_nearest(own) for own in groups])
+    return _one_after_another([_nearest_contacts(own) for own in groups])
 
 
 def clearances(
-    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
+    robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints, smallest: bool = False
 ) -> Float[jax.Array, "R"]:
     """Return D per row [m].
 
@@ -57,18 +59,18 @@ def clearances(
     Args:
         robot: The robot, with the scenario's tool.
         obstacles: The obstacles O.
-        where: A scenario, or another `Posed`.
+        where: A scenario, or another `HasWorkpiecePose`.
         x: The configuration [rad or m].
         smallest: True: only the row of the smallest distance has to be exact, see `contacts`.
     """
     distance = lambda x, *scene: contacts(*scene, x, smallest).distance  # noqa: E731
-    return with_gradient(distance, partial(_rows, smallest))(
-        kinematics.configuration(robot, x), robot, obstacles, where
+    return with_gradient(distance, partial(_distances_and_gradients, smallest))(
+        kinematics.checked_configuration(robot, x), robot, obstacles, where
     )
 
 
 @jax.jit
-def clearance(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Scalar:
+def clearance(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Scalar:
     """Return D(x, O) [m], the smallest over all rows, exact; its derivative is that row's.
 
     Cheaper than `clearances`.
@@ -76,19 +78,21 @@ def clearance(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Sc
     Args:
         robot: The robot, with the scenario's tool.
         obstacles: The obstacles O.
-        where: A scenario, or another `Posed`.
+        where: A scenario, or another `HasWorkpiecePose`.
         x: The configuration [rad or m].
     """
-    return _smallest(kinematics.configuration(robot, x), robot, obstacles, where)
+    return _smallest(kinematics.checked_configuration(robot, x), robot, obstacles, where)
 
 
-def is_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Bool[jax.Array, ""]:
+def is_clear(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Bool[jax.Array, ""]:
     """Return True if D(x, O) > 0; cheaper than `clearance`."""
     bodies = bodies_at(robot, where, x)
     return ~_together(jnp.logical_or, [each.touches(robot, where, bodies) for each in obstacles])
 
 
-def all_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Float[jax.Array, "S N"]) -> Bool[jax.Array, ""]:
+def all_clear(
+    robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Float[jax.Array, "S N"]
+) -> Bool[jax.Array, ""]:
     """Return True if D(x_s, O) > 0 at all of S >= 1 configurations that lie close together: a path.
 
     Only the middle one is measured completely. A body is clear wherever its ends, and so all its points, have moved
@@ -101,7 +105,7 @@ def all_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Float[jax.Arr
     bodies = jax.vmap(partial(bodies_at, robot, where))(x)
     surroundings = tuple(each for each in obstacles if each.per_body)
     others = tuple(each for each in obstacles if not each.per_body)
-    free = room(robot, surroundings, where, x[middle])
+    free = free_radius(robot, surroundings, where, x[middle])
     p, q = bodies.p_workpiece, bodies.q_workpiece
     moved = jnp.maximum(safe_norm(p - p[middle][None]), safe_norm(q - q[middle][None]))
     open_ = moved >= free[None, :] - 1e-9  # [S K]; 1 nm is more than any rounding
@@ -117,36 +121,40 @@ def all_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Float[jax.Arr
     return clear & jnp.all(jax.vmap(partial(is_clear, robot, others, where))(x)) if others else clear
 
 
-def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[jax.Array, "R"]:
-    """Return each row's free radius [m] at x, see `Obstacle.room`; at most 0 in collision."""
+def free_radius(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Float[jax.Array, "R"]:
+    """Return each row's free radius [m] at x, see `Obstacle.free_radius`; at most 0 in collision."""
     bodies = bodies_at(robot, where, x)
-    groups = [[each.room(robot, where, bodies) for each in own] for own in grouped(obstacles)]
+    groups = [[each.free_radius(robot, where, bodies) for each in own] for own in grouped(obstacles)]
     return _one_after_another([_together(jnp.minimum, own) for own in groups])
 
 
 def clearance_rows(
-    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
+    robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints, smallest: bool = False
 ) -> ClearanceRows:
     """Return the distances and their gradients at x: `clearances` and its autodiff Jacobian, from one evaluation."""
     return ClearanceRows(*value_and_jacobian(lambda x: clearances(robot, obstacles, where, x, smallest), x))
 
 
-def _distance(x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> Scalar:
+def _smallest_distance(x: Joints, robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose) -> Scalar:
     bodies = bodies_at(robot, where, x)
     return _together(jnp.minimum, [each.smallest(robot, where, bodies) for each in obstacles])
 
 
-def _distance_and_gradient(x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> tuple[Scalar, Joints]:
+def _distance_and_gradient(
+    x: Joints, robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose
+) -> tuple[Scalar, Joints]:
     """Return the smallest distance and, in closed form, its gradient."""
-    rows = _rows(True, x, robot, obstacles, where)
+    rows = _distances_and_gradients(True, x, robot, obstacles, where)
     lowest = jnp.argmin(rows.distance)
     return rows.distance[lowest], rows.gradient[lowest]
 
 
-_smallest = with_gradient(_distance, _distance_and_gradient)
+_smallest = with_gradient(_smallest_distance, _distance_and_gradient)
 
 
-def _rows(smallest: bool, x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> ClearanceRows:
+def _distances_and_gradients(
+    smallest: bool, x: Joints, robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose
+) -> ClearanceRows:
     """Return the distances and, in closed form, their gradients."""
     touch, rows = contacts(robot, obstacles, where, x, smallest), rows_of(robot, obstacles)
     return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, touch.witness))
@@ -155,7 +163,7 @@ def _rows(smallest: bool, x: Joints, robot: Robot, obstacles: Obstacles, where: 
 _clearances, _bodies_at = jax.jit(clearances), jax.jit(bodies_at)
 
 
-def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row: int) -> str:
+def nearest_to(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints, row: int) -> str:
     """Return a description of the obstacle nearest to a row's body at x."""
     if all(each.of_workpiece for each in obstacles):
         return "the workpiece"
@@ -175,7 +183,7 @@ def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row:
     return named[distance.index(min(distance))].hit(robot, row - rows, bodies.p, bodies.q)
 
 
-def _nearest(parts: list[Contacts]) -> Contacts:
+def _nearest_contacts(parts: list[Contacts]) -> Contacts:
     """Return row by row the contact with the smallest distance; the first of equals."""
     nearest = parts[0]
     for other in parts[1:]:

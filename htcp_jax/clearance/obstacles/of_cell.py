@@ -16,10 +16,10 @@ from jaxtyping import Float as HostFloat
 from scipy.spatial import ConvexHull
 
 from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
-from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Solid
-from htcp_jax.clearance.distance.sweep import Sweep, Wanted
+from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid
+from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
 from htcp_jax.clearance.obstacles.fixtures import fixtures
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Obstacles, Posed
+from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles
 from htcp_jax.model import Fixture, Robot, mesh_points
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
@@ -30,7 +30,7 @@ MANY = 300_000  # about the most points on one mesh, for any body
 FAR_M = 1e6  # distance between bodies and obstacles that are both fixed in the world
 
 
-class _Place(NamedTuple):
+class _PlacedFrame(NamedTuple):
     T_world_workpiece: Pose
     interior_plane: Float[jax.Array, "4"]
 
@@ -46,33 +46,44 @@ class PlacedCloud(Obstacle):
 
     sweeps = True
 
-    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest point."""
         return self.cloud.contacts(*self._seen(robot, bodies))
 
-    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
+    def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
         """Return the smallest distance of all bodies."""
         return self.cloud.smallest(*self._seen(robot, bodies))
 
-    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
+    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
         """Return True if any distance is 0 or less."""
         return self.cloud.touches(*self._seen(robot, bodies))
 
-    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
+    def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
         """Return the distance, which is a free radius."""
-        return self.cloud.room(*self._seen(robot, bodies))
+        return self.cloud.free_radius(*self._seen(robot, bodies))
 
     def clear_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
+        self,
+        robot: Robot,
+        where: HasWorkpiecePose,
+        bodies: BodyAxes,
+        sweep: BodySweep,
+        requested: Bool[jax.Array, "K"],
+        wanted: RequiredClearance,
     ) -> Float[jax.Array, "K"]:
         """Return lower bounds on the clearance along the sweep, to second order."""
-        return self.cloud.clear_along(*self._seen(robot, bodies), sweep, asked, wanted)
+        return self.cloud.clear_along(*self._seen(robot, bodies), sweep, requested, wanted)
 
     def touches_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+        self,
+        robot: Robot,
+        where: HasWorkpiecePose,
+        bodies: BodyAxes,
+        body: Int[jax.Array, ""],
+        requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
         """Return True if a body touches at any of the marked configurations."""
-        return self.cloud.touches_along(*self._seen(robot, bodies), body, asked)
+        return self.cloud.touches_along(*self._seen(robot, bodies), body, requested)
 
     @property
     def names(self) -> tuple[str]:
@@ -83,7 +94,7 @@ class PlacedCloud(Obstacle):
         """Return the cloud's name, for messages."""
         return f"the fixture {self.name!r}"
 
-    def _seen(self, robot: Robot, bodies: Bodies) -> tuple[Robot, _Place, Bodies]:
+    def _seen(self, robot: Robot, bodies: BodyAxes) -> tuple[Robot, _PlacedFrame, BodyAxes]:
         """Return robot, pose and bodies for the cloud's own methods, with the bodies in the cloud's frame.
 
         Bodies that are fixed in the world become infinitely thin.
@@ -91,7 +102,7 @@ class PlacedCloud(Obstacle):
         R, t = self.T_world[:3, :3], self.T_world[:3, 3].reshape((1,) * (bodies.p.ndim - 1) + (3,))
         own = bodies._replace(p_workpiece=product(bodies.p - t, R), q_workpiece=product(bodies.q - t, R))
         radius = jnp.where(np.array(robot.capsule_link) >= 0, robot.capsule_radius, -FAR_M)
-        return dataclasses.replace(robot, capsule_radius=radius), _Place(self.T_world, jnp.zeros(4)), own
+        return dataclasses.replace(robot, capsule_radius=radius), _PlacedFrame(self.T_world, jnp.zeros(4)), own
 
 
 def make_fixtures(robot: Robot, shapes: Sequence[Fixture]) -> Obstacles:
@@ -130,14 +141,14 @@ def placed_cloud(
     Raises:
         InputError: As `mesh_points.cover` does.
     """
-    found = _covered(robot, triangles, source) if len(triangles) else mesh_points.Cover(points, 0.0)
+    found = _covered(robot, triangles, source) if len(triangles) else mesh_points.PointCover(points, 0.0)
     return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name)
 
 
-def _covered(robot: Robot, triangles: HostFloat[np.ndarray, "F 3 3"], source: str) -> mesh_points.Cover:
+def _covered(robot: Robot, triangles: HostFloat[np.ndarray, "F 3 3"], source: str) -> mesh_points.PointCover:
     thinnest = float(np.min(robot.capsule_radius))
     many = np.sqrt(2 * mesh_points.area(triangles).sum() / MANY)
-    return mesh_points.cover(triangles, source, spacing=max(min(thinnest / FINER, COARSEST_M), many))
+    return mesh_points.cover_mesh(triangles, source, spacing=max(min(thinnest / FINER, COARSEST_M), many))
 
 
 def solid_of(shape: Fixture) -> Solid | None:
@@ -156,7 +167,7 @@ def solid_of(shape: Fixture) -> Solid | None:
     return convex_piece(shape.triangles.reshape(-1, 3)) if shape.convex else None
 
 
-def convex_piece(points: HostFloat[np.ndarray, "V 3"]) -> Piece:
+def convex_piece(points: HostFloat[np.ndarray, "V 3"]) -> Polyhedron:
     """Return the convex hull of points that are not in one plane, world [m]."""
     hull = ConvexHull(points)
     corners, normal = points[hull.simplices], hull.equations[:, :3]
@@ -168,4 +179,4 @@ def convex_piece(points: HostFloat[np.ndarray, "V 3"]) -> Piece:
             if face < other:
                 edges.append(points[np.delete(hull.simplices[face], side)])
                 beside.append((face, other))
-    return Piece(corners, normal, np.array(edges), np.array(beside))
+    return Polyhedron(corners, normal, np.array(edges), np.array(beside))

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles, Rows, rows_of
+from htcp_jax.clearance.obstacles.obstacle import Obstacles, RowPairs, rows_of
 from htcp_jax.model import Robot, Task
 from htcp_jax.model import robot as robots
 from htcp_jax.model import task as tasks
@@ -17,7 +17,7 @@ class Scene(NamedTuple):
     task: Task = tasks.TCP_POSITION
 
     @property
-    def rows(self) -> Rows:
+    def rows(self) -> RowPairs:
         """The pairs that the rows of clearance are between."""
         return rows_of(self.robot, self.obstacles)
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.segments import nearest_points
-from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacle, Posed, Rows
+from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, RowPairs
 from htcp_jax.clearance.obstacles.self_exclusions import (
     Pairs,
     candidates,
@@ -45,22 +45,24 @@ class SelfCollision(Obstacle):
 
     per_body = False
 
-    def rows(self, robot: Robot) -> Rows:
+    def rows(self, robot: Robot) -> RowPairs:
         """Return one row per body and link before it with a checked pair."""
-        return Rows(*zip(*self._rows(robot), strict=True))
+        return RowPairs(*zip(*self._rows(robot), strict=True))
 
-    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the nearest points of the axes of the nearest pair of every row."""
         every, nearest = self._nearest(robot, bodies.p, bodies.q)
         return jax.tree.map(lambda leaf: leaf[nearest], every)
 
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "n"]:
         """Return the distance of every pair, in their order."""
-        return _contacts(robot, self.pairs, p, q).distance
+        return _pair_contacts(robot, self.pairs, p, q).distance
 
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """Return the name of the capsule nearest to the body of a row, for messages."""
-        return robots.capsule_in_words(robot, robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]])
+        return robots.capsule_in_words(
+            robot, robot.capsule_names[self.pairs[int(_nearest_capsule(self, robot, p, q)[row])][1]]
+        )
 
     def described(self, robot: Robot) -> str:
         """Describe the number of checked pairs and of excluded pairs by rule."""
@@ -77,7 +79,7 @@ class SelfCollision(Obstacle):
 
     def _nearest(self, robot: Robot, p: Ends, q: Ends) -> tuple[Contacts, Int[jax.Array, "R"]]:
         """Return the contacts of all pairs, and the number of the nearest pair in every row."""
-        every, rows = _contacts(robot, self.pairs, p, q), list(self._rows(robot).values())
+        every, rows = _pair_contacts(robot, self.pairs, p, q), list(self._rows(robot).values())
         most = max(map(len, rows))
         table = np.array([(own + own[-1:] * most)[:most] for own in rows])
         best = jnp.argmin(every.distance[table], axis=1)
@@ -161,7 +163,7 @@ def _usual_depths(arm: _Hashable, pairs: Pairs) -> Float[np.ndarray, "R"]:
     return np.quantile(-distances(robot, pairs, samples(robot)), USUAL, axis=0)
 
 
-def _contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:
+def _pair_contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:
     a, b = (np.array(side) for side in zip(*pairs, strict=True))
     _, _, on_a, on_b = nearest_points(p[a], q[a], p[b], q[b])
     arm, reach = on_a - on_b, robot.capsule_radius[a] + robot.capsule_radius[b]
@@ -171,5 +173,5 @@ def _contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:
 
 
 @jax.jit
-def _nearest(own: SelfCollision, robot: Robot, p: Ends, q: Ends) -> Int[jax.Array, "R"]:
+def _nearest_capsule(own: SelfCollision, robot: Robot, p: Ends, q: Ends) -> Int[jax.Array, "R"]:
     return own._nearest(robot, p, q)[1]

@@ -54,7 +54,7 @@ def samples(robot: Robot) -> Samples:
 
 def distances(robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples) -> Float[np.ndarray, "n R"]:
     """Return the signed distance of the capsules of every pair at every configuration [m]."""
-    return np.asarray(_distances(robot, tuple(pairs), x))
+    return np.asarray(_sampled_distances(robot, tuple(pairs), x))
 
 
 def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[robots.Exclusion, ...]:
@@ -100,7 +100,7 @@ def _telescopes(
 
 
 @jax.jit(static_argnums=1)
-def _distances(robot: Robot, pairs: Pairs, x: Float[jax.Array, "n N"]) -> Float[jax.Array, "n R"]:
+def _sampled_distances(robot: Robot, pairs: Pairs, x: Float[jax.Array, "n N"]) -> Float[jax.Array, "n R"]:
     a, b = (np.array(side) for side in zip(*pairs, strict=True))
 
     def at(x: Joints) -> Float[jax.Array, "R"]:

@@ -24,7 +24,7 @@ INCLUSIVE = 1e-9  # tolerance relative to a triangle's size: a line through an e
 Ends = Float[np.ndarray, "n 3"]
 
 
-class Triangles:
+class WallTriangles:
     """The triangles of a mesh, in pieces of about the same size; their middles, and the grain [m]."""
 
     def __init__(self, triangles: Float[np.ndarray, "F 3 3"]):
@@ -41,17 +41,17 @@ class Triangles:
         v, 1 - u - v that are not negative. A line within the plane passes through nothing.
         """
         a, b, c = np.moveaxis(self._corners[rows], 1, 0)
-        way, ab, ac = q - p, b - a, c - a
-        across = np.cross(way, ac)
-        det = _dot(ab, across)
+        move, ab, ac = q - p, b - a, c - a
+        across = np.cross(move, ac)
+        det = _rows_dot(ab, across)
         with np.errstate(divide="ignore", invalid="ignore"):
-            u = _dot(p - a, across) / det
+            u = _rows_dot(p - a, across) / det
             other = np.cross(p - a, ab)
-            v, t = _dot(way, other) / det, _dot(ac, other) / det
+            v, t = _rows_dot(move, other) / det, _rows_dot(ac, other) / det
             return (np.minimum(np.minimum(u, v), 1 - u - v) >= -INCLUSIVE) & (t >= 0) & (t <= 1)
 
 
-class Discs:
+class WallDiscs:
     """The flat discs of a cloud's points; their middles, and the grain [m]."""
 
     def __init__(self, surface: surfaces.Surface):
@@ -63,7 +63,7 @@ class Discs:
         Its ends lie on both sides of the plane, and its point in the plane within the disc.
         """
         disc = self._surface.only(rows)
-        before, after = _dot(p - disc.points, disc.normals), _dot(q - disc.points, disc.normals)
+        before, after = _rows_dot(p - disc.points, disc.normals), _rows_dot(q - disc.points, disc.normals)
         with np.errstate(divide="ignore", invalid="ignore"):
             point = p + (before / (before - after))[:, None] * (q - p)
             return (before * after <= 0) & (np.linalg.norm(point - disc.points, axis=1) <= disc.radius)
@@ -72,7 +72,7 @@ class Discs:
 class TipGuard:
     """Walls that the tip must not pass through, in the workpiece frame; its end of length `contact_m` [m] may touch."""
 
-    def __init__(self, wall: Triangles | Discs, contact_m: float):
+    def __init__(self, wall: WallTriangles | WallDiscs, contact_m: float):
         self._wall, self._contact = wall, contact_m
         self._tree = cKDTree(wall.middle)
         self._reach = 1.5 * wall.grain * (1 + INCLUSIVE)
@@ -81,15 +81,15 @@ class TipGuard:
         """Return True where the segments from p to q, shortened at q by the contact length, pass through a wall."""
         length = np.linalg.norm(q - p, axis=1)
         kept = np.maximum(length - self._contact, 0.0)
-        way = (q - p) * np.divide(kept, length, out=np.zeros_like(kept), where=length > 0)[:, None]
-        row, middle = _stretches(p, way, np.ceil(kept / self._wall.grain).astype(int))
+        move = (q - p) * np.divide(kept, length, out=np.zeros_like(kept), where=length > 0)[:, None]
+        row, middle = _wall_samples(p, move, np.ceil(kept / self._wall.grain).astype(int))
         near = np.isfinite(self._tree.query(middle, distance_upper_bound=self._reach)[0])
         row = row[near]
         found = self._tree.query_ball_point(middle[near], self._reach, return_sorted=False)
         rows = np.repeat(row, [len(each) for each in found])
         things = np.concatenate([np.empty(0, int), *(np.array(each, int) for each in found)])
         through = np.zeros(len(p), bool)
-        through[rows[self._wall.crossed(things, p[rows], (p + way)[rows])]] = True
+        through[rows[self._wall.crossed(things, p[rows], (p + move)[rows])]] = True
         return through
 
 
@@ -98,22 +98,26 @@ def make_tip_guard(workpiece: Workpiece) -> TipGuard | None:
     """Return the guard of a workpiece, cached for the next plan; None if its tip may touch anywhere."""
     if workpiece.tip_contact_m is None:
         return None
-    wall = Triangles(workpiece.triangles) if len(workpiece.triangles) else Discs(surfaces.surface_of(workpiece.cloud))
+    wall = (
+        WallTriangles(workpiece.triangles)
+        if len(workpiece.triangles)
+        else WallDiscs(surfaces.surface_of(workpiece.cloud))
+    )
     return TipGuard(wall, workpiece.tip_contact_m)
 
 
-class _Stretches(NamedTuple):
+class _Samples(NamedTuple):
     row: Int[np.ndarray, "m"]
     middle: Float[np.ndarray, "m 3"]
 
 
-def _stretches(p: Ends, way: Ends, counts: Int[np.ndarray, "n"]) -> _Stretches:
+def _wall_samples(p: Ends, move: Ends, counts: Int[np.ndarray, "n"]) -> _Samples:
     """Cut the segments that begin at p into `counts` equal samples each; return their segment numbers and middles."""
     row = np.repeat(np.arange(len(p)), counts)
     before = np.cumsum(counts) - counts
     fraction = (np.arange(len(row)) - before[row] + 0.5) / counts[row]
-    return _Stretches(row, p[row] + fraction[:, None] * way[row])
+    return _Samples(row, p[row] + fraction[:, None] * move[row])
 
 
-def _dot(u: Ends, v: Ends) -> Float[np.ndarray, "n"]:
+def _rows_dot(u: Ends, v: Ends) -> Float[np.ndarray, "n"]:
     return (u * v).sum(axis=1)

@@ -12,9 +12,16 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.obstacles.obstacle import Posed
+from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose
 from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof.exclusion import PIECES, Segments, cut, seen_from, surely_touches, tool_collides
+from htcp_jax.clearance.proof.exclusion import (
+    PIECES,
+    SweptCapsules,
+    cut_capsules,
+    seen_from,
+    surely_touches,
+    tool_collides,
+)
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.model import Robot, kinematics, rotations
 from htcp_jax.numerics import product, safe_divide, safe_norm
@@ -31,7 +38,7 @@ class Wrist(NamedTuple):
     missed_m: Scalar  # distance between the axes [m]
 
 
-class Cell(NamedTuple):
+class CellBounds(NamedTuple):
     """Bounds on a cell of configurations."""
 
     collides: Bool[Array, ""]  # True: all of them collide
@@ -66,13 +73,13 @@ def wrist(robot: Robot) -> Wrist:
 
 
 def tool_cell(
-    scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, quaternion: Float[Array, "4"], rho: Scalar
-) -> Cell:
+    scene: Scene, where: HasWorkpiecePose, margin_m: Scalar, target: Vector3, quaternion: Float[Array, "4"], rho: Scalar
+) -> CellBounds:
     """Return the cell of all configurations of `exclusion.tool_collides`.
 
     Args:
         scene: The scene.
-        where: A scenario, or another `Posed`.
+        where: A scenario, or another `HasWorkpiecePose`.
         margin_m: Required clearance.
         target: The target, world [m].
         quaternion: Orientation of the last link, w first, without a unit.
@@ -81,10 +88,12 @@ def tool_cell(
     arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
     moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
     collides = tool_collides(scene, where, margin_m, target, quaternion, rho)
-    return Cell(collides, target + product(rotations.quaternion_matrix(quaternion), arm), moves + ROUNDING_M)
+    return CellBounds(collides, target + product(rotations.quaternion_matrix(quaternion), arm), moves + ROUNDING_M)
 
 
-def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: Joints, turns: Joints) -> Cell:
+def arm_cell(
+    scene: Scene, where: HasWorkpiecePose, margin_m: Scalar, target: Vector3, x: Joints, turns: Joints
+) -> CellBounds:
     """Return the cell of all configurations near x that have the TCP within the tolerance of the target.
 
     They also collide if the wrist is too near to the target for the tool, or too far; see docs/equations.md, section
@@ -92,7 +101,7 @@ def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: J
 
     Args:
         scene: The scene.
-        where: A scenario, or another `Posed`.
+        where: A scenario, or another `HasWorkpiecePose`.
         margin_m: Required clearance.
         target: The target, world [m].
         x: Middle of the cell [rad or m]; the values of the last three joints are ignored.
@@ -109,8 +118,8 @@ def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: J
     length = safe_norm(tool.on_tool - robot.T_link_tcp[:3, 3])
     off = jnp.abs(safe_norm(at[0] - target) - length) > moves[0] + scene.task.tolerance_m
     (p, q), (of_p, of_q) = jnp.split(at[1:], 2), jnp.split(moves[1:], 2)
-    bodies = Segments(p, q, radius, aside + jnp.maximum(of_p, of_q))
-    return Cell(off | surely_touches(scene.obstacles, where, margin_m, bodies), at[0], moves[0])
+    bodies = SweptCapsules(p, q, radius, aside + jnp.maximum(of_p, of_q))
+    return CellBounds(off | surely_touches(scene.obstacles, where, margin_m, bodies), at[0], moves[0])
 
 
 def _before_wrist(robot: Robot):
@@ -122,7 +131,7 @@ def _before_wrist(robot: Robot):
     links = np.array(robot.capsule_link)
     here = np.flatnonzero((links >= 0) & (links <= first))
     bodies = robot.capsule_p[here], robot.capsule_q[here], robot.capsule_radius[here]
-    p, q, radius, _ = cut(Segments(*bodies, jnp.zeros(len(here))))
+    p, q, radius, _ = cut_capsules(SweptCapsules(*bodies, jnp.zeros(len(here))))
     links, axis = np.tile(links[here], PIECES), robot.axis[first]
     turned = jnp.asarray(links == first)
     (on_p, off_p), (on_q, off_q) = seen_from(axis, p), seen_from(axis, q)

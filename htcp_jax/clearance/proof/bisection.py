@@ -15,14 +15,14 @@ WHOLE_DEPTH = 52  # places on a path are multiples of 2^-52; the depth must stay
 WHOLE = 1 << WHOLE_DEPTH
 
 
-class Verdict(enum.IntEnum):
-    """Result for a joint path; the same numbers as `status.Way`, which has the texts."""
+class PathVerdict(enum.IntEnum):
+    """Result for a joint path; the same numbers as `status.SegmentStatus`, which has the texts."""
 
-    PROVEN = 0
-    COLLIDES = 1  # refuted: a body touches
-    LEAVES = 2  # refuted: the TCP leaves its tube, or a row of the task is violated
-    TURNS_BACK = 3  # refuted: the TCP moves backwards along its line
-    OPEN = 4  # neither proven nor refuted
+    VALID = 0
+    IN_COLLISION = 1  # refuted: a body touches
+    OFF_PATH = 2  # refuted: the TCP leaves its tube, or a row of the task is violated
+    REVERSES = 3  # refuted: the TCP moves backwards along its line
+    UNDECIDED = 4  # neither proven nor refuted
 
 
 class Proof(NamedTuple):
@@ -55,12 +55,12 @@ class Bisection(NamedTuple):
     @property
     def going(self) -> Bool[ArrayLike, "*n"]:
         """True while intervals are left to check."""
-        return (self.proof.verdict == Verdict.PROVEN) & (self.place < self.end)
+        return (self.proof.verdict == PathVerdict.VALID) & (self.place < self.end)
 
 
 def begun() -> Bisection:
     """Return the initial state for a complete path."""
-    proof = Proof(np.int32(Verdict.PROVEN), np.float64(1), np.float64(np.inf), np.int32(0), np.int32(0))
+    proof = Proof(np.int32(PathVerdict.VALID), np.float64(1), np.float64(np.inf), np.int32(0), np.int32(0))
     return Bisection(np.int64(0), np.int64(0), np.int64(WHOLE), proof)
 
 
@@ -69,6 +69,6 @@ def of_proven(proof: Proof) -> Proof:
 
     The other values would depend on the order of the checks.
     """
-    proven = proof.verdict == Verdict.PROVEN
-    told = jax.tree.map(partial(jnp.where, proven), proof, begun().proof)
-    return told._replace(verdict=proof.verdict, place=proof.place)
+    proven = proof.verdict == PathVerdict.VALID
+    reported = jax.tree.map(partial(jnp.where, proven), proof, begun().proof)
+    return reported._replace(verdict=proof.verdict, place=proof.place)

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
+from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Obstacles
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
 from htcp_jax.model import Robot, rotations
@@ -26,7 +26,7 @@ from htcp_jax.types import Array, Bool, Float, Scalar, Vector3
 PIECES = 3  # per capsule: the part near the tip moves less than the complete one
 
 
-class Segments(NamedTuple):
+class SweptCapsules(NamedTuple):
     """Capsules, and bounds on the displacement of each one's points."""
 
     p: Float[Array, "n 3"]  # ends of the axes [m]
@@ -35,7 +35,9 @@ class Segments(NamedTuple):
     moves: Float[Array, "n"]  # [m]
 
 
-def surely_touches(obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies: Segments) -> Bool[jax.Array, ""]:
+def surely_touches(
+    obstacles: Obstacles, where: HasWorkpiecePose, margin_m: Scalar, bodies: SweptCapsules
+) -> Bool[jax.Array, ""]:
     """Return True if some body surely has less clearance than margin_m [m].
 
     The points of each body may be anywhere within `moves` of its segment, in the world. Obstacles that cannot decide
@@ -50,7 +52,7 @@ def surely_touches(obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies:
 
 def tool_collides(
     scene: Scene,
-    where: Posed,
+    where: HasWorkpiecePose,
     margin_m: Scalar,
     target: Vector3,
     quaternion: Float[Array, "4"],
@@ -63,7 +65,7 @@ def tool_collides(
 
     Args:
         scene: The scene.
-        where: A scenario, or another `Posed`.
+        where: A scenario, or another `HasWorkpiecePose`.
         margin_m: Required clearance, the margin.
         target: The target, world [m].
         quaternion: Orientation of the last link, w first, without a unit.
@@ -74,11 +76,14 @@ def tool_collides(
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
     at = partial(jnp.add, target[None])
     return surely_touches(
-        scene.obstacles, where, margin_m, Segments(at(product(own.p, R.T)), at(product(own.q, R.T)), own.radius, moves)
+        scene.obstacles,
+        where,
+        margin_m,
+        SweptCapsules(at(product(own.p, R.T)), at(product(own.q, R.T)), own.radius, moves),
     )
 
 
-def _about_tip(robot: Robot) -> Segments:
+def _about_tip(robot: Robot) -> SweptCapsules:
     """Return the tool's bodies relative to the TCP, in the last link's frame, and those of the link before it.
 
     The latter are placed on the last joint's axis.
@@ -92,7 +97,7 @@ def _about_tip(robot: Robot) -> Segments:
         (a, off_a), (b, off_b) = (_on_axis(robot, end[wrist]) for end in (robot.capsule_p, robot.capsule_q))
         p, q = jnp.concatenate([p, a]), jnp.concatenate([q, b])
         moves, tool = jnp.concatenate([moves, jnp.maximum(off_a, off_b)]), np.concatenate([tool, wrist])
-    return cut(Segments(p - tip[None], q - tip[None], robot.capsule_radius[tool], moves))
+    return cut_capsules(SweptCapsules(p - tip[None], q - tip[None], robot.capsule_radius[tool], moves))
 
 
 def _on_axis(robot: Robot, points: Float[Array, "n 3"]):
@@ -111,9 +116,9 @@ def seen_from(axis: Vector3, points: Float[Array, "n 3"]):
     return on, safe_norm(points - on)
 
 
-def cut(bodies: Segments) -> Segments:
+def cut_capsules(bodies: SweptCapsules) -> SweptCapsules:
     """Return the capsules, each cut into PIECES."""
     p, q, radius, moves = bodies
     ends = [p + (q - p) * (k / PIECES) for k in range(PIECES + 1)]
     many = partial(jnp.tile, reps=PIECES)
-    return Segments(jnp.concatenate(ends[:-1]), jnp.concatenate(ends[1:]), many(radius), many(moves))
+    return SweptCapsules(jnp.concatenate(ends[:-1]), jnp.concatenate(ends[1:]), many(radius), many(moves))

@@ -12,16 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from htcp_jax.clearance.distance.sweep import Sweep, Wanted
+from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
 from htcp_jax.clearance.obstacles.obstacle import (
-    Bodies,
+    BodyAxes,
+    HasWorkpiecePose,
     Obstacle,
     Obstacles,
-    Posed,
-    Rows,
+    RowPairs,
     bodies_at,
 )
-from htcp_jax.clearance.proof.motion_bound import sweep, travel_bound
+from htcp_jax.clearance.proof.motion_bound import body_sweep, travel_bound
 from htcp_jax.model import Robot
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
@@ -37,41 +37,43 @@ class Interval(NamedTuple):
 def on_interval(
     robot: Robot,
     obstacles: Obstacles,
-    where: Posed,
+    where: HasWorkpiecePose,
     x: Joints,
     rates: Joints,
     half: Scalar,
     least: Float[ArrayLike, ""],
     kept: Float[ArrayLike, ""],
     keeps: Bool[Array, ""],
-    asked: Bool[Array, ""],
+    requested: Bool[Array, ""],
 ) -> Interval:
     """Return bounds on D on the joint path x + s `rates` with |s| <= half.
 
     Args:
         robot: The robot.
         obstacles: The obstacles.
-        where: A scenario, or another `Posed`.
+        where: A scenario, or another `HasWorkpiecePose`.
         x: The middle [rad or m].
         rates: Its derivative in s [rad or m].
         half: Half of the interval's length.
         least: Required clearance [m].
         kept: Share of D in the middle that is required, too, where `keeps`.
         keeps: True: `kept` is required.
-        asked: True: obstacles' own bounds are used; False: only the bodies' travel.
+        requested: True: obstacles' own bounds are used; False: only the bodies' travel.
     """
-    bodies, moves = bodies_at(robot, where, x), sweep(robot, x, rates, half)
-    room = [each.room(robot, where, bodies) for each in obstacles]
-    middle = jnp.min(jnp.concatenate(room))
+    bodies, moves = bodies_at(robot, where, x), body_sweep(robot, x, rates, half)
+    free_radius = [each.free_radius(robot, where, bodies) for each in obstacles]
+    middle = jnp.min(jnp.concatenate(free_radius))
     good = jnp.maximum(kept * middle, least)
     # A larger bound than required is computed, as it is recorded.
-    wanted = Wanted(jnp.where(keeps, good, least), jnp.maximum(jnp.sqrt(kept) * middle, least))
+    wanted = RequiredClearance(jnp.where(keeps, good, least), jnp.maximum(jnp.sqrt(kept) * middle, least))
     clear = []
-    for each, own in zip(obstacles, room, strict=True):
+    for each, own in zip(obstacles, free_radius, strict=True):
         rows = each.rows(robot)
-        travel = moves.travel if rows == Rows.of_bodies(robot) else row_travel_bound(robot, rows, x, rates, half)
+        travel = moves.travel if rows == RowPairs.of_bodies(robot) else row_travel_bound(robot, rows, x, rates, half)
         closer = each.sweeps
-        clear.append(_closer(each, robot, where, bodies, moves, own, good, wanted, asked) if closer else own - travel)
+        clear.append(
+            _closer(each, robot, where, bodies, moves, own, good, wanted, requested) if closer else own - travel
+        )
     clear = jnp.min(jnp.concatenate(clear))
     return Interval(middle, clear, clear >= wanted.least)
 
@@ -79,25 +81,27 @@ def on_interval(
 def _closer(
     kind: Obstacle,
     robot: Robot,
-    where: Posed,
-    bodies: Bodies,
-    moves: Sweep,
-    room: Float[Array, "K"],
+    where: HasWorkpiecePose,
+    bodies: BodyAxes,
+    moves: BodySweep,
+    free_radius: Float[Array, "K"],
     good: Scalar,
-    wanted: Wanted,
-    asked: Bool[Array, ""],
+    wanted: RequiredClearance,
+    requested: Bool[Array, ""],
 ) -> Float[Array, "K"]:
     """Return a lower bound on the bodies' clearance, by the obstacle's own bound for those that travel too far.
 
     It is skipped if it can hardly succeed for one of them: if the body would come too near even along a flat wall.
     """
-    by_travel = room - moves.travel
+    by_travel = free_radius - moves.travel
     open_, nearer = by_travel < good, moves.travel**2 / (2 * robot.capsule_radius)  # of a point that it moves towards
-    asked &= jnp.all(~open_ | (room - moves.bend >= wanted.least) & (nearer <= 4 * room))
-    return jnp.where(open_ & asked, kind.clear_along(robot, where, bodies, moves, open_ & asked, wanted), by_travel)
+    requested &= jnp.all(~open_ | (free_radius - moves.bend >= wanted.least) & (nearer <= 4 * free_radius))
+    return jnp.where(
+        open_ & requested, kind.clear_along(robot, where, bodies, moves, open_ & requested, wanted), by_travel
+    )
 
 
-def row_travel_bound(robot: Robot, rows: Rows, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
+def row_travel_bound(robot: Robot, rows: RowPairs, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
     """Return `travel_bound` of each row's body, relative to the link of the row's other, before it in the chain [m].
 
     All joints up to that link are at rest.

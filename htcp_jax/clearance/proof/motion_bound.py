@@ -29,7 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.distance.sweep import Sweep
+from htcp_jax.clearance.distance.sweep import BodySweep
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import safe_norm
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
@@ -61,7 +61,7 @@ def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
         x: The configuration [rad or m].
         turns: Largest distance of every joint from x [rad or m].
     """
-    return _larger(point_motion_bound(robot, x, turns, *_ends(robot, kinematics.capsule_segments(robot, x))))
+    return _larger(point_motion_bound(robot, x, turns, *_axis_ends(robot, kinematics.capsule_segments(robot, x))))
 
 
 def point_motion_bound(
@@ -79,7 +79,7 @@ def point_motion_bound(
     return _bounds(robot, x, jnp.zeros_like(x), turns, points, links).moved
 
 
-def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:
+def body_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> BodySweep:
     """Return the motion of the bodies on a straight joint path.
 
     Args:
@@ -93,13 +93,13 @@ def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:
     along = half * safe_norm(within.velocity) + off
     travel = jnp.minimum(_larger(along), _larger(within.moved))
     p, q = half * within.velocity.reshape(2, -1, 3)
-    return Sweep(p, q, _larger(off), travel)
+    return BodySweep(p, q, _larger(off), travel)
 
 
 def tcp_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> TcpSweep:
     """Return the motion of the TCP on a straight joint path.
 
-    In a function that also calls `sweep`, it costs next to nothing.
+    In a function that also calls `body_sweep`, it costs next to nothing.
 
     Args:
         robot: The robot.
@@ -120,7 +120,7 @@ def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[
         rates: Its derivative in s [rad or m].
         half: Largest |s|.
     """
-    return sweep(robot, x, rates, half).travel
+    return body_sweep(robot, x, rates, half).travel
 
 
 def point_bend_bound(
@@ -148,11 +148,11 @@ def _of_arm(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> tuple[Float
 
 def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[Array, "P"]]:
     """Return the ends of the bodies' axes and, last, the TCP at x, world [m], and the link of each."""
-    ends, links = _ends(robot, kinematics.capsule_segments(robot, x))
+    ends, links = _axis_ends(robot, kinematics.capsule_segments(robot, x))
     return jnp.concatenate([ends, kinematics.tcp_position(robot, x)[None]]), jnp.append(links, len(robot.slides) - 1)
 
 
-def _ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
+def _axis_ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
     """Return both ends of every body's axis, the first ones first, and their links."""
     return jnp.concatenate(segments), jnp.tile(jnp.asarray(robot.capsule_link), 2)
 

@@ -22,10 +22,10 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from htcp_jax.clearance.obstacles.obstacle import Posed
+from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose
 from htcp_jax.clearance.obstacles.obstacles import all_clear
 from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof.bisection import Bisection, Proof, Verdict, begun
+from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, begun
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.proof.row_proof import between, rows_hold
@@ -54,7 +54,7 @@ class Tube(NamedTuple):
 
 def prove(
     scene: Scene,
-    where: Posed,
+    where: HasWorkpiecePose,
     a: Joints,
     b: Joints,
     tube: Tube | None = None,
@@ -66,7 +66,7 @@ def prove(
 
     Args:
         scene: The scene.
-        where: A scenario, or another `Posed`.
+        where: A scenario, or another `HasWorkpiecePose`.
         a: Start of the path [rad or m].
         b: End of the path [rad or m].
         tube: Allowed region of the TCP; None: anywhere.
@@ -75,13 +75,13 @@ def prove(
         kept: Share of D in the middle that must remain on all of an interval; else it is halved further, up to
             KEPT_DEPTH times. With 0, the proven clearance may be almost 0 where D is not.
     """
-    look = look_on(scene, where, a, b, tube, resolution_m, deepest, kept)
+    look = query_on(scene, where, a, b, tube, resolution_m, deepest, kept)
     return jax.lax.while_loop(lambda far: far.going, look, begun()).proof
 
 
-def look_on(
+def query_on(
     scene: Scene,
-    where: Posed,
+    where: HasWorkpiecePose,
     a: Joints,
     b: Joints,
     tube: Tube | None,
@@ -93,29 +93,31 @@ def look_on(
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)
-    asked = None if tube is None or tube.goals is None else between(scene.task, tube.goals)
+    requested = None if tube is None or tube.goals is None else between(scene.task, tube.goals)
 
     def look(far: Bisection) -> Bisection:
         index, depth, end, proof = far
         half = 0.5 * jnp.ldexp(1.0, -depth)
         place = (2 * index + 1).astype(half.dtype) * half
         x = a + place * (b - a)
-        stays, broken = jnp.full((), True), jnp.full((), int(Verdict.PROVEN), jnp.int32)
+        stays, broken = jnp.full((), True), jnp.full((), int(PathVerdict.VALID), jnp.int32)
         if tube is not None:
             stays, broken = _in_tube(scene, tube, forwards, x, b - a, half)
-        if asked is not None:
-            inside, out = rows_hold(scene.robot, scene.task.parts, asked, x, b - a, half)
+        if requested is not None:
+            inside, out = rows_hold(scene.robot, scene.task.parts, requested, x, b - a, half)
             stays &= jnp.all(inside) | ~tube.held
             out = jnp.any(out) & tube.held
-            broken = jnp.where((broken == Verdict.PROVEN) & out, int(Verdict.LEAVES), broken)
-        keeps, going_on = depth < KEPT_DEPTH, stays & (broken == Verdict.PROVEN)
+            broken = jnp.where((broken == PathVerdict.VALID) & out, int(PathVerdict.OFF_PATH), broken)
+        keeps, going_on = depth < KEPT_DEPTH, stays & (broken == PathVerdict.VALID)
         there = on_interval(scene.robot, scene.obstacles, where, x, b - a, half, -resolution_m, kept, keeps, going_on)
         proven = stays & there.proven
-        verdict = jnp.where(there.middle <= 0, int(Verdict.COLLIDES), broken)
-        verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth >= deepest), int(Verdict.OPEN), verdict)
+        verdict = jnp.where(there.middle <= 0, int(PathVerdict.IN_COLLISION), broken)
+        verdict = jnp.where(
+            (verdict == PathVerdict.VALID) & ~proven & (depth >= deepest), int(PathVerdict.UNDECIDED), verdict
+        )
         found = Proof(
             verdict,
-            jnp.where(verdict == Verdict.PROVEN, 1.0, place),
+            jnp.where(verdict == PathVerdict.VALID, 1.0, place),
             jnp.where(proven, jnp.minimum(proof.clearance, there.clear), proof.clearance),
             proof.queries + 1,
             jnp.maximum(proof.depth, depth.astype(jnp.int32)),
@@ -126,7 +128,7 @@ def look_on(
     return look
 
 
-def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
+def path_clear(scene: Scene, settings: Settings, where: HasWorkpiecePose, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
     """Return True if the straight joint path from a to b, without its ends, is clear by `settings.path_test`.
 
     The test is `bisection`, or `samples`, which tests a number of places and nothing between them.
@@ -134,7 +136,7 @@ def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joi
     Args:
         scene: The scene.
         settings: `path_test`, and the number of steps for `samples`.
-        where: A scenario, or another `Posed`.
+        where: A scenario, or another `HasWorkpiecePose`.
         a: Start of the path [rad or m].
         b: End of the path [rad or m].
     """
@@ -146,9 +148,9 @@ def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joi
     return all_clear(scene.robot, scene.obstacles, where, a[None, :] + fractions[:, None] * (b - a)[None, :])
 
 
-def proven_clear(scene: Scene, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
+def proven_clear(scene: Scene, where: HasWorkpiecePose, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
     """Return True if D > 0 wherever bisection samples the path, and D > -RESOLUTION_M is proven everywhere else."""
-    return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == Verdict.PROVEN
+    return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == PathVerdict.VALID
 
 
 def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, half: Scalar):
@@ -159,10 +161,10 @@ def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Join
     stays = jnp.maximum(before, after) + 0.5 * bend * half + ROUNDING_M <= tube.radius
     speed, is_line = product(forwards, v), jnp.any(forwards != 0)
     inside = stays & (~is_line | (speed >= bend))
-    verdict = jnp.where(is_line & (speed < 0), int(Verdict.TURNS_BACK), int(Verdict.PROVEN))
-    verdict = jnp.where(off > tube.radius, int(Verdict.LEAVES), verdict).astype(jnp.int32)
+    verdict = jnp.where(is_line & (speed < 0), int(PathVerdict.REVERSES), int(PathVerdict.VALID))
+    verdict = jnp.where(off > tube.radius, int(PathVerdict.OFF_PATH), verdict).astype(jnp.int32)
     bounded = jnp.isfinite(tube.radius)
-    return inside | ~bounded, jnp.where(bounded, verdict, int(Verdict.PROVEN))
+    return inside | ~bounded, jnp.where(bounded, verdict, int(PathVerdict.VALID))
 
 
 def _off_line(tube: Tube, points: Float[Array, "n 3"]) -> Float[Array, "n"]:

@@ -2,7 +2,7 @@
 
 Each row states its allowed region between the targets, see `model.row_bounds`; here are the bounds on the motion of its
 features, to second order. A row's slack is the displacement of the point [m], or of the vectors as a chord, that it
-still permits: a motion that stays that close to the joint path satisfies the row, see `trajectory.rows_left`.
+still permits: a motion that stays that close to the joint path satisfies the row, see `trajectory.row_slack`.
 """
 
 from collections.abc import Callable
@@ -36,44 +36,44 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region |
     )
 
 
-def heeded(parts: tuple[task_rows.Row, ...]) -> tuple[task_rows.Row, ...]:
-    """Return the parts of a task that `rows_left` covers."""
+def checked(parts: tuple[task_rows.Row, ...]) -> tuple[task_rows.Row, ...]:
+    """Return the parts of a task that `row_slack` covers."""
     return tuple(part for part in parts if part != HELD_ELSEWHERE)
 
 
 def rows_left(
     robot: Robot,
     parts: tuple[task_rows.Row, ...],
-    asked: tuple[row_bounds.Region | None, ...],
+    requested: tuple[row_bounds.Region | None, ...],
     x: Joints,
     rates: Joints,
     half: Scalar,
-) -> row_bounds.Left:
-    """Return the slack of each of the `heeded` parts on a straight joint path.
+) -> row_bounds.RowSlack:
+    """Return the slack of each of the `checked` parts on a straight joint path.
 
     Args:
         robot: The robot.
         parts: All parts of the task.
-        asked: Their constraints, see `between`.
+        requested: Their constraints, see `between`.
         x: The middle of the path x + s `rates` [rad or m].
         rates: Its derivative in s [rad or m].
         half: Largest |s|.
     """
-    given = [(part, own) for part, own in zip(parts, asked, strict=True) if own is not None]
+    given = [(part, own) for part, own in zip(parts, requested, strict=True) if own is not None]
     found = [own.left(_Moving(robot, part.features, x, rates, half)) for part, own in given]
-    return row_bounds.Left(*(jnp.stack(each) for each in zip(*found, strict=True)))
+    return row_bounds.RowSlack(*(jnp.stack(each) for each in zip(*found, strict=True)))
 
 
 def rows_hold(
     robot: Robot,
     parts: tuple[task_rows.Row, ...],
-    asked: tuple[row_bounds.Region | None, ...],
+    requested: tuple[row_bounds.Region | None, ...],
     x: Joints,
     rates: Joints,
     half: Scalar,
 ) -> tuple[Bool[Array, "P"], Bool[Array, "P"]]:
-    """Return True for parts proven to hold on the joint path of `rows_left`, and True for parts violated at x."""
-    found = rows_left(robot, parts, asked, x, rates, half)
+    """Return True for parts proven to hold on the joint path of `row_slack`, and True for parts violated at x."""
+    found = rows_left(robot, parts, requested, x, rates, half)
     return found.left >= 0, found.broken
 
 

@@ -25,28 +25,28 @@ import numpy as np
 from htcp_jax.device import tables
 from htcp_jax.motion import (
     CollisionChecker,
-    Knots,
     Plans,
     Problem,
+    ViaPoints,
     collision_checker,
-    kernels,
+    configuration_tree,
     lane_inputs,
     motion_check,
-    posture_tree,
+    step_functions,
     transfers,
 )
-from htcp_jax.planning.beam.functions import FEED, WALK
-from htcp_jax.planning.beam.record import Knotted, RoadmapRecord
+from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION
+from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
 from htcp_jax.planning.registry import Method
-from htcp_jax.status import Status, Way
+from htcp_jax.status import SegmentStatus, Status
 
 MOST_TRANSFERS = 3  # searches from other configurations, each from new ones
 IN_FLIGHT = 4  # scenarios planned together: the number of lanes divided by this
 
 
 @dataclass(frozen=True)
-class Roadmap(Method):
+class BeamSearchMethod(Method):
     """Beam search."""
 
     name: str
@@ -55,58 +55,58 @@ class Roadmap(Method):
     smooth = True  # unless the settings say otherwise
 
     def first_calls(self, problem: Problem) -> list[tuple]:
-        """Return the first calls of lane functions, see `Kernels.preparing`."""
+        """Return the first calls of lane functions, see `Executor.preparing`."""
         return _calls(problem)
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios; they are dealt out to threads, which write into different rows."""
         plans, threads = problem.empty_plans(), problem.threads
-        if not problem.checkers[0].kernels.pays_by_lane:
+        if not problem.checkers[0].executor.pays_by_lane:
             # Two per GPU: while it computes for one, the other builds its tables.
             threads = max(threads, 2 * len(problem.checkers))
 
-        def work(checker: CollisionChecker, share: slice) -> list[Knotted]:
-            return Growing(problem, plans, checker).run(iter(problem.to_plan[share].tolist()))
+        def work(checker: CollisionChecker, share: slice) -> list[ViaPointRow]:
+            return BeamSearch(problem, plans, checker).run(iter(problem.to_plan[share].tolist()))
 
-        ways = [way for part in problem.in_threads(work, threads) for way in part]
-        return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))
+        via_points = [row for part in problem.in_threads(work, threads) for row in part]
+        return plans._replace(via_points=ViaPoints.of(via_points, plans.x.shape[2]))
 
 
 def _calls(problem: Problem) -> list[tuple]:
-    """Return one call of each lane function, in the order in which they are needed, see `Kernels.preparing`."""
+    """Return one call of each lane function, in the order in which they are needed, see `Executor.preparing`."""
     one, zero = problem.to_plan[:1], np.zeros(1, int)
     x, turns = problem.scenarios.x_start[one], np.zeros(1, bool)
     inputs = lane_inputs.lane_inputs(problem.scenarios, one, zero)
     proof = collision_checker.prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
-    walks = [(WALK, inputs, x, zero.astype(np.int32))] if problem.checkers[0].kernels.freedom else []
-    smooths = [] if problem.settings.smooth is False else [(kernels.SETTLE, inputs, x)]
-    return [(kernels.ADVANCE, inputs, x, x), (FEED, inputs, x), proof, *walks, *smooths]
+    self_motions = [(SELF_MOTION, inputs, x, zero.astype(np.int32))] if problem.checkers[0].executor.freedom else []
+    smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, inputs, x)]
+    return [(step_functions.ADVANCE, inputs, x, x), (EXTEND, inputs, x), proof, *self_motions, *smooths]
 
 
-class Growing:
+class BeamSearch:
     """Beam searches of many scenarios at a time, in dense batches of all their configurations."""
 
     def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker):
         self._problem, self._checker = problem, checker
-        self._tree = posture_tree.BeamTree(plans.x.shape[2])
-        self._searches = Searches(problem.settings, self._tree, checker.kernels.freedom > 0)
-        self._record = RoadmapRecord(problem, plans, checker, self._searches)
+        self._tree = configuration_tree.BeamTree(plans.x.shape[2])
+        self._searches = Searches(problem.settings, self._tree, checker.executor.freedom > 0)
+        self._record = BeamRecord(problem, plans, checker, self._searches)
 
-    def run(self, scenarios: Iterator[int]) -> list[Knotted]:
+    def run(self, scenarios: Iterator[int]) -> list[ViaPointRow]:
         """Plan until the iterator is exhausted; return the via points of all segments that have some."""
-        ways, searches, most = [], self._searches, max(1, self._checker.kernels.lanes // IN_FLIGHT)
+        via_points, searches, most = [], self._searches, max(1, self._checker.executor.lanes // IN_FLIGHT)
         while True:
             before = searches.tracked
             self._begin(list(islice(scenarios, most - int(searches.going.sum()))))
             if not searches.going.any():
-                return ways
-            self._feed()
-            self._walk()
+                return via_points
+            self._extend()
+            self._spread()
             tracked, target = searches.tracked - before, searches.columns.target
             finished = [search for search in searches.take_ended() if not self._begin_elsewhere(search)]
             for last in finished:
                 search, *path = self._record.chosen(last)
-                ways += self._record.write(search, *path)
+                via_points += self._record.write(search, *path)
                 tracked += int(target[search] - target[searches.chain(last)[-1]])
                 searches.forget(searches.chain(last))
             searches.prune()
@@ -117,10 +117,10 @@ class Growing:
         if not new:
             return
         start, unknown = self._problem.scenarios.x_start[new], np.full((len(new), 3), np.nan)
-        at = kernels.State(start, clearance=unknown[:, 0], residual=unknown[:, 0], tcp=unknown)
+        at = step_functions.State(start, clearance=unknown[:, 0], residual=unknown[:, 0], tcp=unknown)
         roots = list(self._tree.plant(at, -1)[:, None])
         for k in np.flatnonzero(self._problem.begins_anywhere[new]).tolist():
-            others = self._other_postures(new[k], 0, 0)
+            others = self._other_configurations(new[k], 0, 0)
             roots[k] = others if len(others) else roots[k]
         self._searches.begin(new, self._problem.scenarios.count[new].tolist(), roots)
 
@@ -136,67 +136,67 @@ class Growing:
         may = off_path or self._problem.settings.transfers or (scenarios.auto_start[s] and not anywhere)
         if columns.status[search] == NONE or not may or len(chain) > MOST_TRANSFERS:
             return False
-        roots = self._other_postures(s, len(chain) - 1 + anywhere, on_path if off_path else 0)
+        roots = self._other_configurations(s, len(chain) - 1 + anywhere, on_path if off_path else 0)
         if len(roots):
             self._searches.begin([s], [int(scenarios.count[s])], [roots], search)
         return len(roots) > 0
 
-    def _other_postures(self, s: int, round_: int, target: int) -> np.ndarray:
-        return self._tree.plant(transfers.other_postures(self._problem, self._checker, s, round_, target), target)
+    def _other_configurations(self, s: int, round_: int, target: int) -> np.ndarray:
+        return self._tree.plant(transfers.other_configurations(self._problem, self._checker, s, round_, target), target)
 
-    def _feed(self) -> None:
+    def _extend(self) -> None:
         """Extend pending configurations to the next target; accepted if the joint path is a proven motion."""
-        searches, unfed = self._searches, self._searches.unfed
-        if not len(unfed.node):
+        searches, pending = self._searches, self._searches.pending
+        if not len(pending.node):
             return
-        scenario, target = searches.columns.scenario[unfed.search], self._tree.target[unfed.node] + 1
-        x = self._tree.x[unfed.node]
+        scenario, target = searches.columns.scenario[pending.search], self._tree.target[pending.node] + 1
+        x = self._tree.x[pending.node]
         inputs, tube = self._inputs(scenario, target, np.zeros_like(target), False)
-        fed = self._checker.kernels(FEED, inputs, x)
-        good = self._checker.valid(inputs, fed.at)
+        extended = self._checker.executor(EXTEND, inputs, x)
+        good = self._checker.valid(inputs, extended.at)
         proven = good.copy()
         if good.any():
-            edges = self._checker.edges(*tables.gather((inputs, x, fed.at.x, tube), good))
-            proven[good] = edges.verdict == Way.PROVEN
-        new = self._tree.grow(*tables.gather((unfed.node, fed.at, target, fed.step_qps), proven))
-        arrived = Members(unfed.search[proven], new)
-        self._say_why(searches.has(unfed), searches.has(arrived), searches.has(tables.gather(unfed, good)))
-        searches.take_fed(arrived)
+            edges = self._checker.edges(*tables.gather((inputs, x, extended.at.x, tube), good))
+            proven[good] = edges.verdict == SegmentStatus.VALID
+        new = self._tree.grow(*tables.gather((pending.node, extended.at, target, extended.step_qps), proven))
+        arrived = Members(pending.search[proven], new)
+        self._say_why(searches.has(pending), searches.has(arrived), searches.has(tables.gather(pending, good)))
+        searches.take_extended(arrived)
 
-    def _walk(self) -> None:
+    def _spread(self) -> None:
         """Spread searches without configurations to extend, by self-motions, as far as every step is proven."""
-        searches, (walkers, walker) = self._searches, self._searches.walkers()
-        if not len(walkers.node):
+        searches, (origins, motion_number) = self._searches, self._searches.origins()
+        if not len(origins.node):
             return
-        scenario, draws = tables.gather((searches.columns.scenario, searches.columns.draws), walkers.search)
-        target, x = self._tree.target[walkers.node], self._tree.x[walkers.node]
+        scenario, draws = tables.gather((searches.columns.scenario, searches.columns.draws), origins.search)
+        target, x = self._tree.target[origins.node], self._tree.x[origins.node]
         inputs, tube = self._inputs(scenario, target, draws, True)
-        walked = self._checker.kernels(WALK, inputs, x, walker.astype(np.int32))
-        lane, step = np.nonzero(np.arange(walked.path.x.shape[1]) < walked.steps[:, None])
-        before = np.concatenate([x[:, None], walked.path.x], axis=1)
-        proven = np.zeros(walked.path.clearance.shape, bool)
+        moved = self._checker.executor(SELF_MOTION, inputs, x, motion_number.astype(np.int32))
+        lane, step = np.nonzero(np.arange(moved.path.x.shape[1]) < moved.steps[:, None])
+        before = np.concatenate([x[:, None], moved.path.x], axis=1)
+        proven = np.zeros(moved.path.clearance.shape, bool)
         if len(lane):  # the tip is checked only at a self-motion's end
             edges = before[lane, step], before[lane, step + 1]
             proof = self._checker.edges(tables.gather(inputs, lane), *edges, tables.gather(tube, lane), tip=False)
-            proven[lane, step] = proof.verdict == Way.PROVEN
+            proven[lane, step] = proof.verdict == SegmentStatus.VALID
         steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
-        last = walked.path.x[np.arange(len(x)), np.maximum(steps - 1, 0)]
+        last = moved.path.x[np.arange(len(x)), np.maximum(steps - 1, 0)]
         good = self._checker.tip_free(inputs, last, steps > 0)
-        node, dwells = walkers.node.copy(), (target >= self._problem.scenarios.on_path[scenario]).astype(int)
-        for k in range(walked.path.x.shape[1]):
+        node, dwells = origins.node.copy(), (target >= self._problem.scenarios.on_path[scenario]).astype(int)
+        for k in range(moved.path.x.shape[1]):
             on = np.flatnonzero(good & (steps > k))
-            at = jax.tree.map(lambda leaf, on=on, k=k: leaf[on, k], walked.path)
-            node[on] = self._tree.grow(node[on], at, target[on], walked=True, dwells=dwells[on] * (k == 0))
-        searches.take_walked(walkers, Members(walkers.search[good], node[good]))
+            at = jax.tree.map(lambda leaf, on=on, k=k: leaf[on, k], moved.path)
+            node[on] = self._tree.grow(node[on], at, target[on], by_self_motion=True, dwells=dwells[on] * (k == 0))
+        searches.take_self_motions(origins, Members(origins.search[good], node[good]))
 
-    def _say_why(self, fed: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
+    def _say_why(self, extended: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
         """Set the status of the extended searches in case no more configurations arrive at the next target.
 
         If some did, the start is clear, as the motion from there is proven.
         """
         columns, scenarios = self._searches.columns, self._problem.scenarios
-        columns.failure[fed] = np.where(reached, Status.PATH_BLOCKED, Status.ESCAPE_EXHAUSTED)[fed]
-        lost = np.flatnonzero(fed & ~arrived & (columns.target < 0))
+        columns.failure[extended] = np.where(reached, Status.PATH_BLOCKED, Status.RECOVERY_EXHAUSTED)[extended]
+        lost = np.flatnonzero(extended & ~arrived & (columns.target < 0))
         if len(lost):
             s = columns.scenario[lost]
             inputs = lane_inputs.lane_inputs(scenarios, s, np.zeros_like(s))

@@ -1,7 +1,7 @@
 """Device functions of the beam search: extend a configuration to the next target, and move in the null space of one.
 
-Pure functions of one lane, as in `kernels`. `CollisionChecker.edges` proves that the results are motions, for many
-lanes at once.
+Pure functions of one lane, as in `step_functions`. `CollisionChecker.edges` proves that the results are motions, for
+many lanes at once.
 """
 
 from functools import partial
@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance import Scene, clearance
-from htcp_jax.device import Loop, kernel
+from htcp_jax.device import Loop, lane_function
 from htcp_jax.model import inverse_kinematics, kinematics
-from htcp_jax.motion import kernels, lane_inputs
+from htcp_jax.motion import lane_inputs, step_functions
 from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import active_set, step_qp
@@ -23,34 +23,34 @@ PATIENCE = 6  # step QPs with the higher goal before the lower one is used
 LEAST_STEP = 0.3  # minimum share of a step's length; shorter ones are blocked by joint limits
 
 
-class Fed(NamedTuple):
+class Extension(NamedTuple):
     """A lane at its next target."""
 
-    at: kernels.State
+    at: step_functions.State
     reached: jax.Array  # True if it meets the success criterion there
     step_qps: jax.Array
 
 
-class Walked(NamedTuple):
+class SelfMotion(NamedTuple):
     """A lane's self-motion, step by step."""
 
-    path: kernels.State  # (steps, ...), of which the first `steps` are valid
+    path: step_functions.State  # (steps, ...), of which the first `steps` are valid
     steps: jax.Array
 
 
-def feed(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> Loop:
+def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> Loop:
     """Extend x (N,) [rad or m] from the previous target to the lane's target.
 
-    By inverse kinematics if that keeps a clearance of `front_aim_m` above the margin, else by step QPs, with the same
+    By inverse kinematics if that keeps a clearance of `beam_aim_m` above the margin, else by step QPs, with the same
     goal at first and with the required margin in the end.
 
     Returns:
-        A loop whose result is `Fed`.
+        A loop whose result is `Extension`.
     """
     robot, task = scene.robot, scene.task
-    above = jnp.array([settings.front_aim_m, settings.aim_above_m])
+    above = jnp.array([settings.beam_aim_m, settings.aim_above_m])
     aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
-    look = jax.jit(partial(kernels.advance, settings))  # traced once, for the result and for the loop
+    look = jax.jit(partial(step_functions.advance, settings))  # traced once, for the result and for the loop
 
     def going(state):
         here, _, aim, count = state
@@ -62,7 +62,7 @@ def feed(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> L
         rows, held = here.linear.clearance, task.linear(*here.linear.task, lane.target)
         qp = step_qp.assemble(
             settings, here.x, x, held.error, held.jacobian,
-            rows.distance, rows.gradient, aims[aim], robot.lower, robot.upper, held.room, held.gradient,
+            rows.distance, rows.gradient, aims[aim], robot.lower, robot.upper, held.slack, held.gradient,
         )  # fmt: skip
         found = active_set.solve_step(qp, settings.qp_tolerance)
         stuck = (found.status != step_qp.QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))
@@ -71,18 +71,18 @@ def feed(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> L
         y = jnp.where(stuck | (count < 1), goes_to - here.x, found.y)
         return look(scene, lane, here.x, y), straight, jnp.where(stuck & (count > 0), aim + 1, aim), count + 1
 
-    def fed(state) -> Fed:
+    def extended(state) -> Extension:
         here, *_, count = state
         reached = task.counts(here.clearance, here.residual, lane.margin_m)
-        return Fed(here._replace(linear=None), reached, jnp.maximum(count - 1, 0))
+        return Extension(here._replace(linear=None), reached, jnp.maximum(count - 1, 0))
 
     straight, _ = inverse_kinematics.reanchor(robot, x, lane.target, task.fine_m, task=task)
     zero = jnp.zeros((), jnp.int32)
-    start = kernels.nothing_known(look, scene, lane, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
-    return Loop((start, straight, zero, zero - 1), going, step, fed)
+    start = step_functions.nothing_known(look, scene, lane, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
+    return Loop((start, straight, zero, zero - 1), going, step, extended)
 
 
-def walk(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, walker) -> Loop:
+def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, motion_number) -> Loop:
     """Move from x (N,) [rad or m], on its target, along a random direction of the null space.
 
     The direction is carried along by projection, for a random number of steps, as long as every configuration is valid.
@@ -92,15 +92,15 @@ def walk(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, walk
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
         x: Configuration on the lane's target (N,) [rad or m].
-        walker: Number that distinguishes the self-motions of one round.
+        motion_number: Number that distinguishes the self-motions of one round.
 
     Returns:
-        A loop whose result is `Walked`.
+        A loop whose result is `SelfMotion`.
     """
     robot, task = scene.robot, scene.task
-    key = fold_keys(jax.random.PRNGKey(lane.seed), lane.number, lane.row, lane.round, walker)
+    key = fold_keys(jax.random.PRNGKey(lane.seed), lane.number, lane.row, lane.round, motion_number)
     towards, length = jax.random.split(key)
-    longest = jax.random.randint(length, (), 1, settings.walk_steps + 1).astype(jnp.int32)
+    longest = jax.random.randint(length, (), 1, settings.self_motion_steps + 1).astype(jnp.int32)
 
     def going(state):
         good, *_, steps = state
@@ -112,26 +112,28 @@ def walk(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, walk
         within = jnp.where(steps == 0, direction[: basis.shape[1]], product(direction, basis))
         direction = product(basis, within)
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
-        ahead = jnp.clip(x + settings.walk_step_rad * direction, robot.lower, robot.upper)
+        ahead = jnp.clip(x + settings.self_motion_step_rad * direction, robot.lower, robot.upper)
         there, residual = inverse_kinematics.reanchor(robot, ahead, lane.target, task.fine_m, task=task)
         D = clearance(robot, scene.obstacles, lane, there)
         good = task.counts(D, residual, lane.margin_m)
-        good &= safe_norm(there - x) >= LEAST_STEP * settings.walk_step_rad
-        here = kernels.State(there, clearance=D, residual=residual, tcp=kinematics.tcp_position(robot, there))
+        good &= safe_norm(there - x) >= LEAST_STEP * settings.self_motion_step_rad
+        here = step_functions.State(there, clearance=D, residual=residual, tcp=kinematics.tcp_position(robot, there))
         path = jax.tree.map(lambda all_, new: all_.at[steps].set(jnp.where(good, new, all_[steps])), path, here)
         return good, there, direction, path, steps + good.astype(jnp.int32)
 
-    n, most = len(x), settings.walk_steps
+    n, most = len(x), settings.self_motion_steps
     names = {"x": (n,), "clearance": (), "residual": (), "tcp": (3,)}
-    path = kernels.State(**{name: jnp.zeros((most, *shape)) for name, shape in names.items()})
+    path = step_functions.State(**{name: jnp.zeros((most, *shape)) for name, shape in names.items()})
     # The first direction is drawn in the null space, in the first entries of this vector.
     first = jax.random.normal(towards, x.shape)
     start = (jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32))
-    return Loop(start, going, step, lambda state: Walked(*state[3:]))
+    return Loop(start, going, step, lambda state: SelfMotion(*state[3:]))
 
 
-FEED = kernel.Kernel(
-    "feed", feed, kernel.TRACKED,
-    ("q_weights", "cost_about", "clearance_rows", "aim_above_m", "max_step_qps", "qp_tolerance", "front_aim_m"),
+EXTEND = lane_function.LaneFunction(
+    "extend", extend, lane_function.TRACKED,
+    ("q_weights", "cost_about", "clearance_rows", "aim_above_m", "max_step_qps", "qp_tolerance", "beam_aim_m"),
 )  # fmt: skip
-WALK = kernel.Kernel("walk", walk, kernel.TRACKED, ("walk_steps", "walk_step_rad"))
+SELF_MOTION = lane_function.LaneFunction(
+    "self_motion", self_motion, lane_function.TRACKED, ("self_motion_steps", "self_motion_step_rad")
+)

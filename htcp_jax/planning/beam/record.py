@@ -5,15 +5,15 @@ from itertools import pairwise
 import numpy as np
 
 from htcp_jax.device import tables
-from htcp_jax.motion import CollisionChecker, Plans, Problem, posture_tree, transfers
+from htcp_jax.motion import CollisionChecker, Plans, Problem, configuration_tree, transfers
 from htcp_jax.planning.beam.searches import NONE, Searches
 from htcp_jax.status import Status
 
-TRANSFERRED = 1  # `Plans.escape` of a first target that is reached by a transfer
-Knotted = tuple[int, int, np.ndarray]  # via points of a segment: (scenario, target, configurations)
+TRANSFERRED = 1  # `Plans.recovery` of a first target that is reached by a transfer
+ViaPointRow = tuple[int, int, np.ndarray]  # via points of a segment: (scenario, target, configurations)
 
 
-class RoadmapRecord:
+class BeamRecord:
     """Writer of the results of searches into `plans`."""
 
     def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker, searches: Searches):
@@ -30,19 +30,19 @@ class RoadmapRecord:
         searches, scenarios = self._searches, self._problem.scenarios
         s, chain = int(searches.columns.scenario[last]), searches.chain(last)
         for search in sorted(chain[::-1], key=lambda one: -searches.columns.target[one]):
-            leaves = searches.front_of(search)
+            leaves = searches.beam_of(search)
             if search == chain[-1] or self._problem.begins_anywhere[s]:
                 return search, leaves[0], None
             roots = {leaf: int(self._tree.path(leaf)[0]) for leaf in leaves}
             start = self._tree.x[self._row_0(chain[-1])] if self._is_approach(search) else scenarios.x_start[s]
             distinct = list(dict.fromkeys(roots.values()))
-            ways = transfers.joined(self._problem, self._checker, s, start, self._tree.x[distinct])
-            known = {root: way for root, way in zip(distinct, ways, strict=False) if way is not None}
+            via_points = transfers.joined(self._problem, self._checker, s, start, self._tree.x[distinct])
+            known = {root: row for root, row in zip(distinct, via_points, strict=False) if row is not None}
             if found := [leaf for leaf in leaves if roots[leaf] in known]:
                 return search, found[0], known[roots[found[0]]]
         raise AssertionError("the first search begins at the start, and needs no transfer")
 
-    def write(self, search: int, leaf: int, transfer: np.ndarray | None) -> list[Knotted]:
+    def write(self, search: int, leaf: int, transfer: np.ndarray | None) -> list[ViaPointRow]:
         """Record the path to a leaf, and the search's status.
 
         Args:
@@ -55,32 +55,32 @@ class RoadmapRecord:
         """
         columns, plans, path = self._searches.columns, self._plans, self._tree.path(leaf)
         s, nodes = int(columns.scenario[search]), self._tree.nodes(path)
-        ways, fed = [], np.flatnonzero(~nodes.walked)
-        for before, row in pairwise(fed.tolist()):
+        via_points, extended = [], np.flatnonzero(~nodes.by_self_motion)
+        for before, row in pairwise(extended.tolist()):
             plans.joint_step[s, nodes.target[row]] = np.linalg.norm(nodes.at.x[row] - nodes.at.x[before])
             if row > before + 1:
-                ways.append((s, int(nodes.target[row]), nodes.at.x[before + 1 : row]))
-        self._write_rows(s, nodes.target[fed], tables.gather(nodes, fed))
+                via_points.append((s, int(nodes.target[row]), nodes.at.x[before + 1 : row]))
+        self._write_rows(s, nodes.target[extended], tables.gather(nodes, extended))
         if self._problem.begins_anywhere[s]:
             plans.start[s], plans.joint_step[s, 0] = plans.x[s, 0], 0.0
         if transfer is not None:
-            ways.append((s, self._write_joined(search, int(path[0])), transfer))
+            via_points.append((s, self._write_joined(search, int(path[0])), transfer))
         if columns.status[search] != NONE:
             plans.status[s, columns.target[search] + 1] = columns.status[search]
-        return ways
+        return via_points
 
     def _is_approach(self, search: int) -> bool:
         """Return True if the search begins at the path's first point instead of the first target."""
-        root = self._tree.path(self._searches.front_of(search)[0])[0]
+        root = self._tree.path(self._searches.beam_of(search)[0])[0]
         return bool(self._searches.columns.earlier[search] != NONE and self._tree.target[root] > 0)
 
     def _row_0(self, first: int) -> int:
         """Return the configuration at the first target on the best path of the first search."""
-        path = self._tree.path(self._searches.front_of(first)[0])
+        path = self._tree.path(self._searches.beam_of(first)[0])
         nodes = self._tree.nodes(path)
-        return int(path[(nodes.target == 0) & ~nodes.walked][0])
+        return int(path[(nodes.target == 0) & ~nodes.by_self_motion][0])
 
-    def _write_rows(self, s: int, target: np.ndarray, nodes: posture_tree.Nodes) -> None:
+    def _write_rows(self, s: int, target: np.ndarray, nodes: configuration_tree.Nodes) -> None:
         """Write one row per node, at its target; the start has none."""
         plans, (target, nodes) = self._plans, tables.gather((target, nodes), target >= 0)
         plans.x[s, target], plans.tcp[s, target] = nodes.at.x, nodes.at.tcp
@@ -96,7 +96,7 @@ class RoadmapRecord:
         s, plans, x = int(self._searches.columns.scenario[search]), self._plans, self._tree.x
         if not self._is_approach(search):
             plans.joint_step[s, 0] = np.linalg.norm(x[root] - plans.start[s])
-            plans.status[s, 0], plans.escape[s, 0] = Status.TRACKED_AFTER_ESCAPE, TRANSFERRED
+            plans.status[s, 0], plans.recovery[s, 0] = Status.TRACKED_AFTER_RECOVERY, TRANSFERRED
             return 0
         on_path, row_0 = int(self._problem.scenarios.on_path[s]), self._row_0(self._searches.chain(search)[-1])
         plans.target[s, 1:on_path] = plans.target[s, on_path]

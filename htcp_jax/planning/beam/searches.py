@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from htcp_jax.device import tables
-from htcp_jax.motion import front, posture_tree
+from htcp_jax.motion import configuration_tree, selection
 from htcp_jax.settings import Settings
 
 NONE = -1  # no status yet; no earlier search
@@ -36,7 +36,7 @@ class Members(NamedTuple):
         return tables.gather(both, np.argsort(both.search, kind="stable"))
 
 
-class Columns(NamedTuple):
+class SearchColumns(NamedTuple):
     """Columns of integers with one row per search."""
 
     scenario: Int[np.ndarray, "n"]
@@ -52,15 +52,15 @@ class Columns(NamedTuple):
 class Searches:
     """All searches of one tree.
 
-    `front` is the beam of each search at its target, `unfed` the part of it that is still to be extended to the next
-    target, and `arrived` the configurations already there while the search spreads.
+    `selection` is the beam of each search at its target, `pending` the part of it that is still to be extended to the
+    next target, and `arrived` the configurations already there while the search spreads.
     """
 
-    def __init__(self, settings: Settings, tree: posture_tree.BeamTree, can_walk: bool):
-        self._settings, self._can_walk, self.tree = settings, can_walk, tree
-        self.columns = Columns(*(np.zeros(0, int) for _ in Columns._fields))
+    def __init__(self, settings: Settings, tree: configuration_tree.BeamTree, has_self_motions: bool):
+        self._settings, self._has_self_motions, self.tree = settings, has_self_motions, tree
+        self.columns = SearchColumns(*(np.zeros(0, int) for _ in SearchColumns._fields))
         self.going = np.zeros(0, bool)
-        self.front = self.unfed = self.arrived = Members.none()
+        self.beam = self.pending = self.arrived = Members.none()
         self._ended: dict[int, np.ndarray] = {}  # the beams of searches that have ended
 
     def begin(self, scenario: list[int], targets: list[int], roots: list[np.ndarray], earlier: int = NONE) -> None:
@@ -76,14 +76,14 @@ class Searches:
         first = len(self.going)
         held = Members(np.repeat(np.arange(first, first + count), [len(own) for own in roots]), np.concatenate(roots))
         target = self.tree.target[[own[0] for own in roots]]
-        new = Columns(
+        new = SearchColumns(
             np.array(scenario),
             target,
             np.array(targets),
             *(np.full(count, value) for value in (earlier, 0, draws, NONE, NONE)),
         )
         self.columns, self.going = tables.concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
-        self.front, self.unfed = tables.concatenate([self.front, held]), tables.concatenate([self.unfed, held])
+        self.beam, self.pending = tables.concatenate([self.beam, held]), tables.concatenate([self.pending, held])
 
     def has(self, members: Members) -> Bool[np.ndarray, "searches"]:
         """Return True for searches that have any of these."""
@@ -99,51 +99,51 @@ class Searches:
         """Number of targets reached by running searches that are their scenario's first."""
         return int((self.columns.target[self.going & (self.columns.earlier == NONE)] + 1).sum())
 
-    def front_of(self, search: int) -> list[int]:
+    def beam_of(self, search: int) -> list[int]:
         """Return the beam of a search when it ended, the best first."""
         rows = self._ended[search]
-        return rows[front.best_first(self.tree.nodes(rows))].tolist()
+        return rows[selection.best_first(self.tree.nodes(rows))].tolist()
 
-    def take_fed(self, arrived: Members) -> None:
-        """Store the results of extending all `unfed` rows."""
-        now, count, fed = self.columns, self._count(arrived), self.has(self.unfed)
+    def take_extended(self, arrived: Members) -> None:
+        """Store the results of extending all `pending` rows."""
+        now, count, extended = self.columns, self._count(arrived), self.has(self.pending)
         last = now.target == now.targets - 2
-        thin = fed & (count > 0) & (count < self._settings.thin_front) & ~last & self._can_walk
-        self.unfed, self.arrived = Members.none(), arrived.of(thin)
-        self._lose(fed & (count == 0) & ((now.target < 0) | (not self._can_walk) | self._walked_enough))
+        thin = extended & (count > 0) & (count < self._settings.min_beam_width) & ~last & self._has_self_motions
+        self.pending, self.arrived = Members.none(), arrived.of(thin)
+        self._lose(extended & (count == 0) & ((now.target < 0) | (not self._has_self_motions) | self._rounds_spent))
         self._go_on(arrived.of(~thin))
 
-    def walkers(self) -> tuple[Members, Int[np.ndarray, "n"]]:
+    def origins(self) -> tuple[Members, Int[np.ndarray, "n"]]:
         """Return the configurations from which to move in the null space, and the self-motions' numbers.
 
         One row per self-motion; numbers count from 0 in every search.
         """
-        resting = self.going & ~self._done & ~self.has(self.unfed)
-        among = self.arrived.and_(self.front.of(resting & ~self.has(self.arrived)))
+        resting = self.going & ~self._done & ~self.has(self.pending)
+        among = self.arrived.and_(self.beam.of(resting & ~self.has(self.arrived)))
         rows, count = np.flatnonzero(resting), self._count(among)
-        walker = np.arange(self._settings.walks)
-        first, nth = np.cumsum(count) - count, walker + len(walker) * self.columns.rounds[rows][:, None]
+        motion_number = np.arange(self._settings.self_motions)
+        first, nth = np.cumsum(count) - count, motion_number + len(motion_number) * self.columns.rounds[rows][:, None]
         node = among.node[first[rows][:, None] + nth % count[rows][:, None]]
-        return Members(np.repeat(rows, len(walker)), node.ravel()), np.tile(walker, len(rows))
+        return Members(np.repeat(rows, len(motion_number)), node.ravel()), np.tile(motion_number, len(rows))
 
-    def take_walked(self, walkers: Members, found: Members) -> None:
+    def take_self_motions(self, origins: Members, found: Members) -> None:
         """Store the results of one round of self-motions."""
-        walked, wide = self.has(walkers), self.has(self.arrived)
-        self.columns.draws[walked] += 1
+        moved, wide = self.has(origins), self.has(self.arrived)
+        self.columns.draws[moved] += 1
         arrived, self.arrived = self.arrived.and_(found.of(wide)), Members.none()
         self._go_on(arrived)
-        stuck = walked & ~wide
+        stuck = moved & ~wide
         self.columns.rounds[stuck] += 1
-        new = self._dispersed(found.of(stuck), known=self.front.of(stuck))
-        self.front, self.unfed = self.front.and_(new), self.unfed.and_(new)
-        self._lose(stuck & ~self.has(new) & self._walked_enough)
+        new = self._dispersed(found.of(stuck), known=self.beam.of(stuck))
+        self.beam, self.pending = self.beam.and_(new), self.pending.and_(new)
+        self._lose(stuck & ~self.has(new) & self._rounds_spent)
 
     def take_ended(self) -> list[int]:
         """Stop and return the searches that have ended, by success or failure."""
         ended = self.going & self._done
-        held = self.front.of(ended)
+        held = self.beam.of(ended)
         self.going &= ~ended
-        self.front, self.unfed = self.front.of(self.going), self.unfed.of(self.going)
+        self.beam, self.pending = self.beam.of(self.going), self.pending.of(self.going)
         searches = np.flatnonzero(ended).tolist()
         self._ended |= {search: held.node[held.search == search] for search in searches}
         return searches
@@ -156,9 +156,9 @@ class Searches:
     def prune(self) -> None:
         """Remove all configurations without descendants in a beam if the tree is overgrown."""
         if self.tree.is_overgrown:
-            moved = self.tree.prune(np.concatenate([self.front.node, *self._ended.values()]))
-            self.front = self.front._replace(node=moved[self.front.node])
-            self.unfed = self.unfed._replace(node=moved[self.unfed.node])
+            moved = self.tree.prune(np.concatenate([self.beam.node, *self._ended.values()]))
+            self.beam = self.beam._replace(node=moved[self.beam.node])
+            self.pending = self.pending._replace(node=moved[self.pending.node])
             self._ended = {search: moved[rows] for search, rows in self._ended.items()}
 
     @property
@@ -166,8 +166,8 @@ class Searches:
         return (self.columns.status != NONE) | (self.columns.target == self.columns.targets - 1)
 
     @property
-    def _walked_enough(self) -> Bool[np.ndarray, "searches"]:
-        return self.columns.rounds >= self._settings.walk_rounds
+    def _rounds_spent(self) -> Bool[np.ndarray, "searches"]:
+        return self.columns.rounds >= self._settings.self_motion_rounds
 
     def _count(self, members: Members) -> Int[np.ndarray, "searches"]:
         return np.bincount(members.search, minlength=len(self.going))
@@ -178,15 +178,15 @@ class Searches:
     def _go_on(self, arrived: Members) -> None:
         """Make the best of the configurations at the next target the new beams."""
         which = self.has(arrived)
-        new = self._dispersed(arrived, most=self._settings.front)
-        self.front, self.unfed = self.front.of(~which).and_(new), self.unfed.and_(new)
+        new = self._dispersed(arrived, most=self._settings.beam_width)
+        self.beam, self.pending = self.beam.of(~which).and_(new), self.pending.and_(new)
         self.columns.target[which] += 1
         self.columns.rounds[which] = 0
 
     def _dispersed(self, members: Members, most: int | None = None, known: Members | None = None) -> Members:
         """Return the best members that are far apart, and far from the known ones."""
-        members = tables.gather(members, front.best_first(self.tree.nodes(members.node), members.search))
+        members = tables.gather(members, selection.best_first(self.tree.nodes(members.node), members.search))
         most = len(members.node) if most is None else most
         where = None if known is None else (self.tree.x[known.node], known.search)
-        x, apart = self.tree.x[members.node], self._settings.front_apart_rad
-        return tables.gather(members, front.dispersed(x, members.search, most, apart, where))
+        x, apart = self.tree.x[members.node], self._settings.beam_separation_rad
+        return tables.gather(members, selection.dispersed(x, members.search, most, apart, where))

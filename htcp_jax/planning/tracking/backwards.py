@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.device import tables
-from htcp_jax.motion import kernels
+from htcp_jax.motion import step_functions
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.lanes import CHECKING, DRAWING, PUSHING, Lanes
 from htcp_jax.planning.tracking.record import Record
-from htcp_jax.planning.tracking.stages import DRAW, PUSH, Escapes
+from htcp_jax.planning.tracking.stages import DRAW, PUSH, Recoveries
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
@@ -36,12 +36,12 @@ class Chains:
     rounds: int = 0  # rounds of draws so far
 
 
-class Replanned(NamedTuple):
+class BackwardsRound(NamedTuple):
     """Result of a round; the scenarios of lanes that are in neither `going` nor `found` have ended."""
 
     going: Lanes  # in their next phases
     found: Lanes  # with a recorded chain; they are at their target
-    now: kernels.State | None  # of these; None where there are none
+    now: step_functions.State | None  # of these; None where there are none
     lost: int  # scenarios
 
 
@@ -52,22 +52,22 @@ class BackwardPlans:
         self,
         checks: LaneChecks,
         record: Record,
-        escapes: Escapes,
+        recoveries: Recoveries,
         settings: Settings,
         starts: Float[np.ndarray, "S N"],
     ):
         self._checks, self._record, self._starts = checks, record, starts
-        self._rounds = settings.restart_rounds if escapes.replan_backwards else 0
-        self._escape = escapes.backwards
+        self._rounds = settings.restart_rounds if recoveries.replan_backwards else 0
+        self._recovery = recoveries.backwards
         self._chains: dict[int, Chains] = {}
 
-    def begin(self, lanes: Lanes) -> Replanned:
+    def begin(self, lanes: Lanes) -> BackwardsRound:
         """Begin with lanes whose target failed; all end if the method does not plan backwards."""
         none = np.zeros((0, 1, lanes.x_ref.shape[1]))
         self._chains.update({scenario: Chains(none) for scenario in lanes.scenario.tolist()})
         return self._replanned(lanes, np.zeros(lanes.size, bool))
 
-    def advance(self, lanes: Lanes, phase: int) -> Replanned:
+    def advance(self, lanes: Lanes, phase: int) -> BackwardsRound:
         """Advance lanes in one phase by one step."""
         if phase == CHECKING:
             return self._check(lanes)
@@ -80,7 +80,7 @@ class BackwardPlans:
     def _draw(self, lanes: Lanes) -> None:
         """Sample configurations at the failed targets, the clearest first; valid ones are chains of one row."""
         chains = self._of(lanes)
-        drawn = self._checks.kernels(DRAW, self._checks.inputs(lanes, np.array([each.rounds for each in chains])))
+        drawn = self._checks.executor(DRAW, self._checks.inputs(lanes, np.array([each.rounds for each in chains])))
         count = drawn.x.shape[1]
         flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), drawn)
         good = self._checks.at_target(tables.gather(lanes, np.repeat(np.arange(lanes.size), count)), flat)
@@ -94,20 +94,20 @@ class BackwardPlans:
         many = tables.gather(lanes, owner)
         length = np.array([each.x.shape[1] for each in chains], np.int32)
         many = many._replace(target=many.target - length[owner])
-        here = self._checks.kernels(PUSH, self._checks.inputs(many), np.concatenate([each.x[:, 0] for each in chains]))
+        here = self._checks.executor(PUSH, self._checks.inputs(many), np.concatenate([each.x[:, 0] for each in chains]))
         good = self._checks.at_target(many, here)
         for k, each in enumerate(chains):
             own = owner == k
             each.x = np.concatenate([here.x[own][:, None], each.x], axis=1)[good[own]]
 
-    def _check(self, lanes: Lanes) -> Replanned:
+    def _check(self, lanes: Lanes) -> BackwardsRound:
         """Record the first chain of every lane if all its paths are clear, else discard it."""
         chains = self._of(lanes)
         rows = [each.x.shape[1] for each in chains]
         owner, end = np.repeat(np.arange(lanes.size), rows), np.cumsum(rows) - 1
         x = np.concatenate([each.x[0] for each in chains])
         many = self._rows(tables.gather(lanes, owner), x, end)
-        blocked = np.bincount(owner, self._checks.path_clear(many, x, asked=True) == 0, lanes.size)
+        blocked = np.bincount(owner, self._checks.path_clear(many, x, requested=True) == 0, lanes.size)
         clear = blocked == 0
         for each in chains:
             each.x = each.x[1:]
@@ -134,11 +134,11 @@ class BackwardPlans:
         iteration[end] = many.iteration[end]
         return many._replace(target=target.astype(np.int32), x_previous=before, iteration=iteration)
 
-    def _write(self, many: Lanes, now: kernels.State) -> None:
-        self._record.track(many, now, Status.TRACKED_AFTER_ESCAPE, self._escape, np.ones(many.size, np.int8))
+    def _write(self, many: Lanes, now: step_functions.State) -> None:
+        self._record.track(many, now, Status.TRACKED_AFTER_RECOVERY, self._recovery, np.ones(many.size, np.int8))
         self._record.tracked -= many.size - len(np.unique(many.scenario))  # all but the failed one were counted before
 
-    def _replanned(self, lanes: Lanes, found: np.ndarray) -> Replanned:
+    def _replanned(self, lanes: Lanes, found: np.ndarray) -> BackwardsRound:
         """Return the lanes in their next phases, except those with a chain, `found`."""
         phases = np.array(
             [self._next(each, int(lost)) for each, lost in zip(self._of(lanes), lanes.target, strict=True)]
@@ -147,7 +147,7 @@ class BackwardPlans:
         for scenario in lanes.scenario[over].tolist():
             del self._chains[scenario]
         going = tables.gather(lanes._replace(phase=phases.astype(np.int32)), ~over)
-        return Replanned(going, tables.gather(lanes, found), None, int((over & ~found).sum()))
+        return BackwardsRound(going, tables.gather(lanes, found), None, int((over & ~found).sum()))
 
     def _next(self, chains: Chains, lost: int) -> int:
         """Return the next phase of a scenario that failed at target number `lost`."""

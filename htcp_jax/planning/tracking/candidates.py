@@ -11,18 +11,18 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.device import tables
-from htcp_jax.motion import kernels
+from htcp_jax.motion import step_functions
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.lanes import Lanes, new_lanes
 from htcp_jax.planning.tracking.sampling import Candidates
-from htcp_jax.planning.tracking.stages import Escapes
+from htcp_jax.planning.tracking.stages import Recoveries
 
 
-class Ends(NamedTuple):
+class ArrivedCandidates(NamedTuple):
     """Candidates that reached their target, and their state there."""
 
     number: np.ndarray
-    now: kernels.State
+    now: step_functions.State
 
 
 @dataclass
@@ -33,44 +33,45 @@ class PendingCandidates:
     stage: int  # its stage
     left: int  # candidates not decided yet
     qps: int = 0  # step QPs that the candidates took
-    ends: list[tuple[Ends, np.ndarray]] = field(default_factory=list)  # those that reached the target, by rows
+    # those that reached the target, by rows
+    ends: list[tuple[ArrivedCandidates, np.ndarray]] = field(default_factory=list)
 
 
 @dataclass
-class Waiting:
+class PendingScenarios:
     """The scenarios that wait for their candidates; any engine may track these."""
 
     of: dict[int, PendingCandidates] = field(default_factory=dict)  # by scenario
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
-class Arrived(NamedTuple):
+class Arrivals(NamedTuple):
     """Lanes that a stage has brought to their target."""
 
     lanes: Lanes
-    now: kernels.State
+    now: step_functions.State
     clear: np.ndarray  # the joint path there: 1 clear, 0 not; -1: not checked
 
 
-class Outcome(NamedTuple):
+class StageOutcome(NamedTuple):
     """Result of a stage; lanes that are in none of the three wait for their candidates."""
 
     stage: int
     spent: Lanes  # the stage has nothing left for these
-    arrived: Arrived | None = None
+    arrived: Arrivals | None = None
     candidates: Lanes | None = None  # to be tracked
 
 
 class CandidateSearch:
     """One engine's part in the scenarios that wait for their candidates."""
 
-    def __init__(self, checks: LaneChecks, escapes: Escapes, waiting: Waiting):
-        self._checks, self._kernels = checks, [stage.kernel(k) for k, stage in enumerate(escapes.stages)]
+    def __init__(self, checks: LaneChecks, recoveries: Recoveries, waiting: PendingScenarios):
+        self._checks, self._functions = checks, [stage.lane_function(k) for k, stage in enumerate(recoveries.stages)]
         self._waiting = waiting
 
-    def sample(self, lanes: Lanes, stage: int) -> Outcome:
+    def sample(self, lanes: Lanes, stage: int) -> StageOutcome:
         """Propose candidates for every lane: if some are done, take the best of them, else track from all."""
-        found: Candidates = self._checks.kernels(self._kernels[stage], self._checks.inputs(lanes), lanes.x_previous)
+        found: Candidates = self._checks.executor(self._functions[stage], self._checks.inputs(lanes), lanes.x_previous)
         found = found._replace(done=self._without_passing_tips(lanes, found))
         done = found.done.any(axis=1)
         outcome = self.track_from(tables.gather(lanes, ~done), found.x[~done], found.valid[~done], stage)
@@ -79,7 +80,7 @@ class CandidateSearch:
         lanes, (owner, number) = tables.gather(lanes, done), np.nonzero(found.done[done])
         x = found.x[done][owner, number]
         best, clear = self._best(lanes, owner, number, x)
-        return outcome._replace(arrived=Arrived(lanes, self._checks.measured(lanes, x[best]), clear))
+        return outcome._replace(arrived=Arrivals(lanes, self._checks.measured(lanes, x[best]), clear))
 
     def _without_passing_tips(self, lanes: Lanes, found: Candidates) -> np.ndarray:
         """Return True for candidates (lanes, C) that are done and whose tip passes through no wall."""
@@ -90,7 +91,7 @@ class CandidateSearch:
         )
         return done
 
-    def track_from(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> Outcome:
+    def track_from(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> StageOutcome:
         """Let each lane wait while candidates track its target from its valid configurations.
 
         Args:
@@ -109,13 +110,15 @@ class CandidateSearch:
         owner, number = np.nonzero(valid)
         spent = tables.gather(lanes, left == 0)
         if not len(owner):
-            return Outcome(stage, spent)
+            return StageOutcome(stage, spent)
         at = lanes.scenario[owner], lanes.target[owner], lanes.x_previous[owner]
-        return Outcome(
-            stage, spent, candidates=new_lanes(self._checks.kernels.sizes, *at, x[owner, number], candidate=number)
+        return StageOutcome(
+            stage, spent, candidates=new_lanes(self._checks.executor.sizes, *at, x[owner, number], candidate=number)
         )
 
-    def decide(self, lanes: Lanes, now: kernels.State, reached: np.ndarray, stuck: np.ndarray) -> list[Outcome]:
+    def decide(
+        self, lanes: Lanes, now: step_functions.State, reached: np.ndarray, stuck: np.ndarray
+    ) -> list[StageOutcome]:
         """Register candidates that reached the target, and those that did not.
 
         Args:
@@ -135,7 +138,7 @@ class CandidateSearch:
         qps = np.add.reduceat(lanes.iteration[decided], first)
         good = np.concatenate([[0], np.cumsum(reached[decided])])  # before each of the decided, and in the end
         rows = decided[reached[decided]]
-        ends = Ends(lanes.candidate[rows], tables.gather(now, rows))
+        ends = ArrivedCandidates(lanes.candidate[rows], tables.gather(now, rows))
         ready = []
         with self._waiting.lock:
             for k, (start, end) in enumerate(zip(first, [*first[1:], len(decided)], strict=True)):
@@ -150,27 +153,27 @@ class CandidateSearch:
         stages = sorted({pending.stage for pending in ready})
         return [self._choose([each for each in ready if each.stage == stage], stage) for stage in stages]
 
-    def _choose(self, ready: list[PendingCandidates], stage: int) -> Outcome:
+    def _choose(self, ready: list[PendingCandidates], stage: int) -> StageOutcome:
         """Choose the best of the candidates that reached the target."""
         lanes = tables.gather_from([each.lane for each in ready])
         lanes = lanes._replace(iteration=lanes.iteration + np.array([each.qps for each in ready], np.int32))
         found = np.array([bool(each.ends) for each in ready])
         spent = tables.gather(lanes, ~found)
         if not found.any():
-            return Outcome(stage, spent)
+            return StageOutcome(stage, spent)
         ready, lanes = [each for each in ready if each.ends], tables.gather(lanes, found)
         places = [place for each in ready for place in each.ends]
         number, now = tables.gather_from(places)
         owner = np.repeat(np.arange(len(ready)), [sum(len(rows) for _, rows in each.ends) for each in ready])
         best, clear = self._best(lanes, owner, number, now.x)
-        return Outcome(stage, spent, Arrived(lanes, tables.gather(now, best), clear))
+        return StageOutcome(stage, spent, Arrivals(lanes, tables.gather(now, best), clear))
 
     def _best(self, lanes: Lanes, owner: np.ndarray, number: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the best configuration of every lane as a row of x (M, N), and the result of its path.
 
         The best has the smallest joint change among those with a clear path. Results: 1 clear, 0 not, -1 not checked.
         """
-        clear = self._checks.path_clear(tables.gather(lanes, owner), x, self._checks.of_escapes)
+        clear = self._checks.path_clear(tables.gather(lanes, owner), x, self._checks.of_recoveries)
         best = nearest(owner, number, np.linalg.norm(x - lanes.x_previous[owner], axis=1), clear)
         return best, clear[best]
 

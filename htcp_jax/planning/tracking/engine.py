@@ -13,21 +13,21 @@ and the path to it is planned backwards (`backwards`). Each lane has its own tar
 leave, new scenarios take their place. Lanes in the same phase go through one lane function together, and do not
 influence each other: a scenario's result is the same alone, in any batch, in any order and on any thread.
 
-This module does the bookkeeping on numpy tables (`lanes`). The mathematics is in `kernels` and below; `batching` runs
-it over tables.
+This module does the bookkeeping on numpy tables (`lanes`). The mathematics is in `step_functions` and below; `batching`
+runs it over tables.
 """
 
 import numpy as np
 
 from htcp_jax.device import tables
-from htcp_jax.motion import CollisionChecker, Plans, Problem, kernels
-from htcp_jax.planning.tracking.backwards import BackwardPlans, Replanned
-from htcp_jax.planning.tracking.candidates import CandidateSearch, Outcome, Waiting
+from htcp_jax.motion import CollisionChecker, Plans, Problem, step_functions
+from htcp_jax.planning.tracking.backwards import BackwardPlans, BackwardsRound
+from htcp_jax.planning.tracking.candidates import CandidateSearch, PendingScenarios, StageOutcome
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.lane_table import LaneTable
 from htcp_jax.planning.tracking.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRACK, Lanes
 from htcp_jax.planning.tracking.record import Record
-from htcp_jax.planning.tracking.stages import ASCEND, ENTER, Escapes, NullSpace
+from htcp_jax.planning.tracking.stages import ASCEND, ENTER, NullSpace, Recoveries
 from htcp_jax.planning.tracking.work import Work
 from htcp_jax.solvers import step_qp
 from htcp_jax.status import Status
@@ -44,28 +44,28 @@ class Engine:
         problem: Problem,
         checker: CollisionChecker,
         solver: step_qp.QPSolver | None,
-        escapes: Escapes,
+        recoveries: Recoveries,
         plans: Plans,
         work: Work,
-        waiting: Waiting,
+        waiting: PendingScenarios,
     ):
         settings, scenarios, self._progress = problem.settings, problem.scenarios, problem.progress
-        self._kernels, self._solver, self._escapes = checker.kernels, solver, escapes
+        self._executor, self._solver, self._recoveries = checker.executor, solver, recoveries
         self._settings, self._counts = settings, scenarios.count
-        self._table = LaneTable(checker.kernels, scenarios, work)
-        self._checks = LaneChecks(problem, checker, escapes.check_paths)
+        self._table = LaneTable(checker.executor, scenarios, work)
+        self._checks = LaneChecks(problem, checker, recoveries.check_paths)
         self._record = Record(plans)
-        self._candidates = CandidateSearch(self._checks, escapes, waiting)
-        self._backwards = BackwardPlans(self._checks, self._record, escapes, settings, scenarios.x_start)
+        self._candidates = CandidateSearch(self._checks, recoveries, waiting)
+        self._backwards = BackwardPlans(self._checks, self._record, recoveries, settings, scenarios.x_start)
         # Without a null space, the stages in it have nothing to do.
-        self._possible = [checker.kernels.freedom > 0 or not stage.in_null_space for stage in escapes.stages]
-        self._walks = [stage.kernel(k) for k, stage in enumerate(escapes.stages)]
+        self._possible = [checker.executor.freedom > 0 or not stage.in_null_space for stage in recoveries.stages]
+        self._stage_functions = [stage.lane_function(k) for k, stage in enumerate(recoveries.stages)]
 
     def run(self) -> None:
         """Plan until no work is left; the problem's `progress` is called every round."""
         while self._table.fill():
             self._record.tracked = self._record.finished = 0
-            for phase, lanes in self._table.turn():
+            for phase, lanes in self._table.next_chunk():
                 self._advance(phase, lanes)
             self._progress(self._record.tracked, self._record.finished)
 
@@ -76,8 +76,8 @@ class Engine:
             self._track(lanes)
         elif phase in BACKWARDS:
             self._continue(self._backwards.advance(lanes, phase))
-        elif isinstance(self._escapes.stages[phase], NullSpace):
-            self._walk(lanes, phase)
+        elif isinstance(self._recoveries.stages[phase], NullSpace):
+            self._move_in_null_space(lanes, phase)
         else:
             self._come_to(self._candidates.sample(lanes, phase))
 
@@ -92,7 +92,7 @@ class Engine:
 
     def _track(self, lanes: Lanes) -> None:
         """Solve one step QP for every lane, or a chunk of them on the device."""
-        now, iteration, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
+        now, iteration, verdict = self._chunk(lanes) if self._solver is None else self._step(lanes)
         lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
         solved = verdict == step_qp.QPStatus.SOLVED
         reached = self._checks.at_target(lanes, now, solved)
@@ -112,46 +112,50 @@ class Engine:
         for outcome in self._candidates.decide(lanes, now, reached & ~main, stuck & ~main):
             self._come_to(outcome)
 
-    def _step(self, lanes: Lanes) -> tuple[kernels.State, np.ndarray, np.ndarray]:
-        qps = self._kernels(kernels.PREPARE, self._checks.inputs(lanes), lanes.x_ref, lanes.x_previous, lanes.linear)
+    def _step(self, lanes: Lanes) -> tuple[step_functions.State, np.ndarray, np.ndarray]:
+        qps = self._executor(
+            step_functions.PREPARE, self._checks.inputs(lanes), lanes.x_ref, lanes.x_previous, lanes.linear
+        )
         y, verdict = self._solver.solve(qps)
         return self._checks.advanced(lanes, y), lanes.iteration + 1, verdict
 
-    def _burst(self, lanes: Lanes) -> tuple[kernels.State, np.ndarray, np.ndarray]:
+    def _chunk(self, lanes: Lanes) -> tuple[step_functions.State, np.ndarray, np.ndarray]:
         state = lanes.x_ref, lanes.x_previous, lanes.linear, lanes.iteration
-        return self._kernels(kernels.TRACK_BURST, self._checks.inputs(lanes), *state)
+        return self._executor(step_functions.TRACK_CHUNK, self._checks.inputs(lanes), *state)
 
-    def _reached(self, lanes: Lanes, now: kernels.State) -> None:
+    def _reached(self, lanes: Lanes, now: step_functions.State) -> None:
         """Continue main lanes whose step QP reached the target: ascend if the method does, check the path, accept."""
         if not lanes.size:
             return
-        if self._escapes.keep_clear and self._kernels.freedom:
+        if self._recoveries.keep_clear and self._executor.freedom:
             lanes, now = self._ascended(lanes, now)
         clear = self._checks.path_clear(lanes, now.x, self._checks.of_steps)
         blocked = clear == 0
         self._accept(tables.gather(lanes, ~blocked), tables.gather(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
         self._enter(tables.gather(lanes, blocked), 0, Status.PATH_BLOCKED)
 
-    def _ascended(self, lanes: Lanes, now: kernels.State) -> tuple[Lanes, kernels.State]:
+    def _ascended(self, lanes: Lanes, now: step_functions.State) -> tuple[Lanes, step_functions.State]:
         """Return the lanes moved in the null space to larger D where D is small, unless that blocks a clear path."""
         low = now.clearance < self._settings.keep_clear_m
         if not low.any():
             return lanes, now
         near = tables.gather(lanes, low)
-        higher = self._kernels(ASCEND, self._checks.inputs(near), now.x[low]).x
+        higher = self._executor(ASCEND, self._checks.inputs(near), now.x[low]).x
         clear = self._checks.path_clear(near, higher, self._checks.of_steps)
         clear[~self._checks.tip_free(near, higher, clear != 0)] = 0
         higher = np.where(clear[:, None] != 0, higher, now.x[low])
         now = tables.scatter(now, low, self._checks.measured(near, higher))
         return lanes._replace(x_ref=now.x, linear=now.linear), now
 
-    def _accept(self, lanes: Lanes, now: kernels.State, status: Status, escape: int, clear: np.ndarray) -> None:
+    def _accept(
+        self, lanes: Lanes, now: step_functions.State, status: Status, recovery: int, clear: np.ndarray
+    ) -> None:
         """Record the target and continue with the next one, or finish."""
         if lanes.size:
-            self._record.track(lanes, now, status, escape, clear)
+            self._record.track(lanes, now, status, recovery, clear)
             self._go_on(lanes, now)
 
-    def _go_on(self, lanes: Lanes, now: kernels.State) -> None:
+    def _go_on(self, lanes: Lanes, now: step_functions.State) -> None:
         zero = np.zeros_like(lanes.target)
         lanes = lanes._replace(
             x_previous=now.x,
@@ -177,64 +181,64 @@ class Engine:
         while stage < len(self._possible) and not self._possible[stage]:
             stage, reason = stage + 1, Status.NO_NULL_SPACE
         if stage < len(self._possible):
-            phase, walked = np.full_like(lanes.phase, stage), np.full_like(lanes.walked, ENTERING)
-            self._table.keep(lanes._replace(phase=phase, walked=walked))
+            phase, null_space_steps = np.full_like(lanes.phase, stage), np.full_like(lanes.null_space_steps, ENTERING)
+            self._table.keep(lanes._replace(phase=phase, null_space_steps=null_space_steps))
         else:
             self._record.lose(lanes, reason)
             self._continue(self._backwards.begin(lanes))
 
-    def _walk(self, lanes: Lanes, stage: int) -> None:
+    def _move_in_null_space(self, lanes: Lanes, stage: int) -> None:
         """Take a chunk of null-space steps with every lane; one that enters is first brought onto its target."""
-        entering = lanes.walked == ENTERING
+        entering = lanes.null_space_steps == ENTERING
         if entering.any():
             new = tables.gather(lanes, entering)
-            now = self._kernels(ENTER, self._checks.inputs(new), new.x_previous)
-            new = self._arrived(new._replace(walked=np.zeros_like(new.walked)), now, stage)
+            now = self._executor(ENTER, self._checks.inputs(new), new.x_previous)
+            new = self._arrived(new._replace(null_space_steps=np.zeros_like(new.null_space_steps)), now, stage)
             lanes = tables.concatenate([tables.gather(lanes, ~entering), new])
         if lanes.size:
-            most = np.minimum(lanes.walked + kernels.STEPS_A_BURST, self._settings.max_null_space_steps).astype(
-                np.int32
-            )
-            state = lanes.x_previous, lanes.x_ref, lanes.walked, most
-            now, walked = self._kernels(self._walks[stage], self._checks.inputs(lanes), *state)
-            self._table.keep(self._arrived(lanes._replace(walked=walked), now, stage))
+            most = np.minimum(
+                lanes.null_space_steps + step_functions.STEPS_PER_CHUNK, self._settings.max_null_space_steps
+            ).astype(np.int32)
+            state = lanes.x_previous, lanes.x_ref, lanes.null_space_steps, most
+            now, null_space_steps = self._executor(self._stage_functions[stage], self._checks.inputs(lanes), *state)
+            self._table.keep(self._arrived(lanes._replace(null_space_steps=null_space_steps), now, stage))
 
-    def _arrived(self, lanes: Lanes, now: kernels.State, stage: int) -> Lanes:
+    def _arrived(self, lanes: Lanes, now: step_functions.State, stage: int) -> Lanes:
         """Return the lanes whose recovery in the null space continues.
 
         Those that meet the success criterion, or have spent their steps, leave it.
         """
         lanes = lanes._replace(x_ref=now.x)
         out = self._checks.at_target(lanes, now)
-        spent = ~out & (lanes.walked >= self._settings.max_null_space_steps)
-        reason = np.where(self._checks.keeps_margin(lanes, now), Status.TIP_BLOCKED, Status.ESCAPE_EXHAUSTED)
+        spent = ~out & (lanes.null_space_steps >= self._settings.max_null_space_steps)
+        reason = np.where(self._checks.keeps_margin(lanes, now), Status.TIP_BLOCKED, Status.RECOVERY_EXHAUSTED)
         self._enter(tables.gather(lanes, spent), stage + 1, reason[spent])
         free = tables.gather(lanes, out)
-        if self._settings.after_escape == "track":
+        if self._settings.after_recovery == "track":
             one_each = np.ones((free.size, 1), bool)
             self._come_to(self._candidates.track_from(free, free.x_ref[:, None], one_each, stage))
         else:
-            clear = self._checks.path_clear(free, free.x_ref, self._checks.of_escapes)
-            self._escaped(free, tables.gather(now, out), clear, stage)
+            clear = self._checks.path_clear(free, free.x_ref, self._checks.of_recoveries)
+            self._recovered(free, tables.gather(now, out), clear, stage)
         return tables.gather(lanes, ~out & ~spent)
 
-    def _escaped(self, lanes: Lanes, now: kernels.State, clear: np.ndarray, stage: int) -> None:
+    def _recovered(self, lanes: Lanes, now: step_functions.State, clear: np.ndarray, stage: int) -> None:
         """Accept lanes that a stage has brought to their target if the path there is clear, or not checked."""
         good = clear != 0
         self._accept(
-            tables.gather(lanes, good), tables.gather(now, good), Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[good]
+            tables.gather(lanes, good), tables.gather(now, good), Status.TRACKED_AFTER_RECOVERY, stage + 1, clear[good]
         )
         self._enter(tables.gather(lanes, ~good), stage + 1, Status.PATH_BLOCKED)
 
-    def _come_to(self, outcome: Outcome) -> None:
+    def _come_to(self, outcome: StageOutcome) -> None:
         """Continue with the outcome of a sampling stage."""
         if outcome.candidates is not None:
             self._table.queue(self._checks.linearised(outcome.candidates)[0])
         if outcome.arrived is not None:
-            self._escaped(*outcome.arrived, outcome.stage)
-        self._enter(outcome.spent, outcome.stage + 1, Status.ESCAPE_EXHAUSTED)
+            self._recovered(*outcome.arrived, outcome.stage)
+        self._enter(outcome.spent, outcome.stage + 1, Status.RECOVERY_EXHAUSTED)
 
-    def _continue(self, replanned: Replanned) -> None:
+    def _continue(self, replanned: BackwardsRound) -> None:
         """Continue with the result of a step of planning backwards."""
         self._table.keep(replanned.going)
         self._record.finished += replanned.lost

@@ -1,20 +1,20 @@
-"""Calls of lane functions that engines will certainly make, to be compiled in parallel, see `Kernels.preparing`."""
+"""Calls of lane functions that engines will certainly make, to be compiled in parallel, see `Executor.preparing`."""
 
 import numpy as np
 
 from htcp_jax.motion import Problem, collision_checker, lane_inputs
-from htcp_jax.motion import kernels as motion_kernels
+from htcp_jax.motion import step_functions as motion_kernels
 from htcp_jax.planning.tracking.lanes import new_lanes
 
 
 def first_calls(problem: Problem) -> list[tuple]:
     """Return one call of each lane function, in the order of need; quick compilations do not delay the longest."""
-    kernels, one, zero = problem.checkers[0].kernels, problem.to_plan[:1], np.zeros(1, int)
+    executor, one, zero = problem.checkers[0].executor, problem.to_plan[:1], np.zeros(1, int)
     x, inputs = problem.scenarios.x_start[one], lane_inputs.lane_inputs(problem.scenarios, one, zero)
-    lanes = new_lanes(kernels.sizes, one, zero, x, x)
+    lanes = new_lanes(executor.sizes, one, zero, x, x)
     state = inputs, lanes.x_ref, lanes.x_previous, lanes.linear
     advance = motion_kernels.advance_of(problem.settings), inputs, x, x
     proof = [collision_checker.prove_call(problem.task, inputs, x, x)] if problem.check_paths else []
     if problem.settings.qp == "device":
-        return [advance, (motion_kernels.TRACK_BURST, *state, lanes.iteration), *proof]
+        return [advance, (motion_kernels.TRACK_CHUNK, *state, lanes.iteration), *proof]
     return [advance, *proof, (motion_kernels.PREPARE, *state)]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from htcp_jax.motion import CollisionChecker, Problem, kernels, lane_inputs
+from htcp_jax.motion import CollisionChecker, Problem, lane_inputs, step_functions
 from htcp_jax.planning.tracking.lanes import TRACK, Lanes
 
 
@@ -13,20 +13,20 @@ class LaneChecks:
     """
 
     def __init__(self, problem: Problem, checker: CollisionChecker, check_paths: bool):
-        self._checker, self.kernels = checker, checker.kernels
+        self._checker, self.executor = checker, checker.executor
         self._scenarios, self._seed = problem.scenarios, problem.settings.seed
         self.of_steps = check_paths or problem.settings.path_check == "all"  # True if joint paths are checked
-        self.of_escapes = self.of_steps or problem.settings.path_check == "escapes"
+        self.of_recoveries = self.of_steps or problem.settings.path_check == "recoveries"
 
     def inputs(self, lanes: Lanes, round_: int | np.ndarray = 0) -> lane_inputs.LaneInputs:
         """Return the inputs of the lanes' functions; `round_` is the number of the round of draws."""
         return lane_inputs.lane_inputs(self._scenarios, lanes.scenario, lanes.target, seed=self._seed, round_=round_)
 
-    def advanced(self, lanes: Lanes, y: np.ndarray) -> kernels.State:
+    def advanced(self, lanes: Lanes, y: np.ndarray) -> step_functions.State:
         """Return the lanes' states after steps y (lanes, N) [rad or m]."""
         return self._checker.stepped(self.inputs(lanes), lanes.x_ref, y)
 
-    def measured(self, lanes: Lanes, x: np.ndarray) -> kernels.State:
+    def measured(self, lanes: Lanes, x: np.ndarray) -> step_functions.State:
         """Return the lanes' states at configurations x (lanes, N) [rad or m]."""
         return self._checker.stepped(self.inputs(lanes), x, np.zeros_like(x))
 
@@ -35,9 +35,9 @@ class LaneChecks:
         now = self.measured(lanes, lanes.x_ref)
         return lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)), now.clearance
 
-    def keeps_margin(self, lanes: Lanes, here: kernels.State) -> np.ndarray:
+    def keeps_margin(self, lanes: Lanes, here: step_functions.State) -> np.ndarray:
         """Return True for lanes on their target with the required margin."""
-        return self.kernels.task.counts(here.clearance, here.residual, self._scenarios.margin_m[lanes.scenario])
+        return self.executor.task.counts(here.clearance, here.residual, self._scenarios.margin_m[lanes.scenario])
 
     def tip_free(self, lanes: Lanes, x: np.ndarray, among: np.ndarray) -> np.ndarray:
         """Return True for lanes of `among` whose bare tip at x is outside of the walls.
@@ -49,7 +49,7 @@ class LaneChecks:
         """
         return self._checker.tip_free(self.inputs(lanes), x, among)
 
-    def at_target(self, lanes: Lanes, here: kernels.State, among: np.ndarray | bool = True) -> np.ndarray:
+    def at_target(self, lanes: Lanes, here: step_functions.State, among: np.ndarray | bool = True) -> np.ndarray:
         """Return True for lanes of `among` that meet the success criterion, see `CollisionChecker.valid`.
 
         Args:
@@ -59,14 +59,14 @@ class LaneChecks:
         """
         return self._checker.valid(self.inputs(lanes), here, among)
 
-    def path_clear(self, lanes: Lanes, x: np.ndarray, asked: bool) -> np.ndarray:
-        """Return 1 for each clear joint path from a lane's last target to x, 0 for others; -1 if not `asked`.
+    def path_clear(self, lanes: Lanes, x: np.ndarray, requested: bool) -> np.ndarray:
+        """Return 1 for each clear joint path from a lane's last target to x, 0 for others; -1 if not `requested`.
 
         Args:
             lanes: The lanes.
             x: Ends of the paths (lanes, N) [rad or m].
-            asked: True to check them.
+            requested: True to check them.
         """
-        if not (asked and len(x)):
+        if not (requested and len(x)):
             return np.full(len(x), -1, np.int8)
         return self._checker.path_clear(self.inputs(lanes), lanes.x_previous, x).astype(np.int8)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from htcp_jax.device import Kernels, tables
+from htcp_jax.device import Executor, tables
 from htcp_jax.model import Scenario
 from htcp_jax.planning.tracking.lanes import NEW, Lanes, new_lanes
 from htcp_jax.planning.tracking.work import Work
@@ -11,8 +11,8 @@ from htcp_jax.planning.tracking.work import Work
 class LaneTable:
     """One engine's lanes, refilled from the shared work."""
 
-    def __init__(self, kernels: Kernels, scenarios: Scenario, work: Work):
-        self._kernels, self._starts, self._work = kernels, scenarios.x_start, work
+    def __init__(self, executor: Executor, scenarios: Scenario, work: Work):
+        self._executor, self._starts, self._work = executor, scenarios.x_start, work
         self._kept: list[Lanes] = []  # in flight
         self._queue: list[Lanes] = []
 
@@ -55,7 +55,7 @@ class LaneTable:
 
     def _top_up(self) -> bool:
         """Fill the table from the queue, then with new scenarios; return False if there are no lanes."""
-        free = self._kernels.lanes - sum(lanes.size for lanes in self._kept)
+        free = self._executor.lanes - sum(lanes.size for lanes in self._kept)
         while free > 0 and self._queue:
             block = self._queue.pop(0)
             if block.size > free:
@@ -65,10 +65,10 @@ class LaneTable:
             free -= block.size
         if new := self._work.take(free):
             starts = self._starts[new]
-            self._kept.append(new_lanes(self._kernels.sizes, np.array(new), np.zeros(len(new), int), starts, starts))
+            self._kept.append(new_lanes(self._executor.sizes, np.array(new), np.zeros(len(new), int), starts, starts))
         return bool(self._kept)
 
-    def turn(self) -> list[tuple[int, Lanes]]:
+    def next_chunk(self) -> list[tuple[int, Lanes]]:
         """Take the lanes to advance next out of the table, by phase.
 
         These are all lanes or, if a call takes as long for few lanes, those of the phase with the most lanes, while the
@@ -76,7 +76,7 @@ class LaneTable:
         """
         lanes, self._kept = tables.concatenate(self._kept), []
         phases, counts = np.unique(lanes.phase, return_counts=True)
-        if not self._kernels.pays_by_lane:
+        if not self._executor.pays_by_lane:
             phases = phases[[np.argmax(counts)]]
             self.keep(tables.gather(lanes, lanes.phase != phases[0]))
         return [(int(phase), tables.gather(lanes, lanes.phase == phase)) for phase in phases]

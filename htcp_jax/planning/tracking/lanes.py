@@ -12,7 +12,7 @@ MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
 # lanes planned backwards: configurations are drawn at the failed target, carried back row by row, and checked.
 NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
 BACKWARDS = DRAWING, PUSHING, CHECKING
-ENTERING = -1  # `walked` of a lane before its first null-space step
+ENTERING = -1  # `null_space_steps` of a lane before its first null-space step
 KINDS = linearisation.TaskRows, ClearanceRows
 
 
@@ -24,7 +24,7 @@ class Lanes(NamedTuple):
     candidate: np.ndarray  # MAIN, or the number of a candidate
     phase: np.ndarray  # NEW: to be linearised; TRACK: by step QPs; a recovery stage; or planned backwards
     iteration: np.ndarray  # step QPs at this target so far
-    walked: np.ndarray  # ENTERING, or null-space steps so far
+    null_space_steps: np.ndarray  # ENTERING, or null-space steps so far
     x_previous: np.ndarray
     x_ref: np.ndarray
     linear: linearisation.Linearisation

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance import Obstacles, Posed, Scene, clearance, clearances, contacts
+from htcp_jax.clearance import HasWorkpiecePose, Obstacles, Scene, clearance, clearances, contacts
 from htcp_jax.clearance.obstacles import contact_model
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, inverse_kinematics, kinematics
-from htcp_jax.motion import kernels, lane_inputs
+from htcp_jax.motion import lane_inputs, step_functions
 from htcp_jax.numerics import fold_keys, null_basis, of_shape, product, with_gradient
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers import sphere
@@ -25,13 +25,13 @@ DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, number pushed clea
 
 
 @runtime_checkable
-class Asked(Posed, Protocol):
+class HasMargin(HasWorkpiecePose, Protocol):
     """Pose of the workpiece, and the required clearance: a scenario, or a lane's inputs."""
 
     margin_m: Scalar
 
 
-class Stuck(NamedTuple):
+class StuckScenario(NamedTuple):
     """State of one stuck scenario."""
 
     x_previous: Joints  # x_{t-1}
@@ -46,8 +46,8 @@ def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
 
 
 def sphere_problem(
-    scene: Scene, settings: Settings, where: Posed, x_ref: Joints, target: Float[Array, "G"] | None = None
-) -> tuple[sphere.Sphere, contact_model.HeldContacts, Float[Array, "N D"]]:
+    scene: Scene, settings: Settings, where: HasWorkpiecePose, x_ref: Joints, target: Float[Array, "G"] | None = None
+) -> tuple[sphere.Sphere, contact_model.ContactModel, Float[Array, "N D"]]:
     """Return the problem of equation (11) at x_ref, the contacts there, and alpha N(x_ref) [rad]; undefined if D = 0.
 
     Args:
@@ -89,7 +89,7 @@ def sphere_problem(
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
     if task.bands:
         G = jnp.concatenate([G, -product(held.gradient, step_basis)])
-        h = jnp.concatenate([h, jnp.maximum(held.room, 0.0)])
+        h = jnp.concatenate([h, jnp.maximum(held.slack, 0.0)])
     predict = with_gradient(lambda w, held: predicted(w, held)[0], predicted)
     problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
     return (
@@ -102,7 +102,7 @@ def sphere_problem(
 def null_space_objective(
     robot: Robot,
     obstacles: Obstacles,
-    where: Posed,
+    where: HasWorkpiecePose,
     x_ref: Joints,
     w: Float[Array, "D"],
     settings: Settings | Mapping[str, Any] | None = None,
@@ -133,7 +133,7 @@ def null_space_objective(
     Args:
         robot: With its tool, as in a plan.
         obstacles: See `make_obstacle`.
-        where: A scenario, or any other object that is `Posed`.
+        where: A scenario, or any other object that is `HasWorkpiecePose`.
         x_ref: Configuration [rad or m].
         w: Direction in the null space, D = N - 3 numbers.
         settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), with weight 1
@@ -142,7 +142,7 @@ def null_space_objective(
     Raises:
         InputError: For an x_ref or w of another shape, including batches, and for `q_weights` of another length.
     """
-    x_ref = kinematics.configuration(robot, x_ref, "x_ref")
+    x_ref = kinematics.checked_configuration(robot, x_ref, "x_ref")
     joints = x_ref.shape[0]
     w = of_shape(w, (joints - 3,), "w")
     settings = Settings(q_weights=(1.0,) * joints) if settings is None else settings_of(settings)
@@ -153,13 +153,15 @@ def null_space_objective(
 
 @partial(jax.jit, static_argnames="settings")
 def _objective(
-    robot: Robot, obstacles: Obstacles, where: Posed, x_ref: Joints, w: Float[Array, "D"], settings: Settings
+    robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x_ref: Joints, w: Float[Array, "D"], settings: Settings
 ) -> Scalar:
     problem, _, _ = sphere_problem(Scene(robot, obstacles), settings, where, x_ref)
     return -problem.measure(w)
 
 
-def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "G"]) -> kernels.State:
+def anchor(
+    scene: Scene, settings: Settings, where: HasWorkpiecePose, x: Joints, target: Float[Array, "G"]
+) -> step_functions.State:
     """Re-anchor x, (5b), if it is off the target by more than xi, Algorithm 1, line 13; then measure it.
 
     Args:
@@ -173,21 +175,21 @@ def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Fl
     off = task.off(robot, x, target)
     anchored, _ = inverse_kinematics.reanchor(robot, x, target, task.fine_m, task=task)
     x = jnp.where(task.reached(off), x, anchored)
-    return kernels.State(x, clearance=clearance(robot, obstacles, where, x), residual=task.off(robot, x, target))
+    return step_functions.State(x, clearance=clearance(robot, obstacles, where, x), residual=task.off(robot, x, target))
 
 
-Minimise = Callable[[sphere.Sphere, contact_model.HeldContacts, jax.Array, Settings], sphere.Best]
+Minimise = Callable[[sphere.Sphere, contact_model.ContactModel, jax.Array, Settings], sphere.Best]
 
 
 def null_space_step(
     minimise: Minimise,
     scene: Scene,
     settings: Settings,
-    where: Posed,
-    stuck: Stuck,
+    where: HasWorkpiecePose,
+    stuck: StuckScenario,
     x_ref: Joints,
     count: Int[Array, ""],
-) -> kernels.State:
+) -> step_functions.State:
     """Take one null-space step, Algorithm 1, lines 11 to 13: minimise J2 on the sphere, move, re-anchor.
 
     Args:
@@ -211,12 +213,12 @@ def null_space_step(
 def keep_clear_ascent(
     scene: Scene,
     settings: Settings,
-    where: Posed,
+    where: HasWorkpiecePose,
     x: Joints,
     target: Float[Array, "G"],
     enough_m: Scalar | float | None = None,
     steps: int | None = None,
-) -> kernels.State:
+) -> step_functions.State:
     """Take max-min null-space steps away from the workpiece; the result is never worse than the start.
 
     One linearisation per step: the best direction for the contacts at x, at most alpha long, halved on failure.
@@ -254,7 +256,9 @@ def keep_clear_ascent(
     return best
 
 
-def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "G"]) -> kernels.State:
+def push_clear(
+    scene: Scene, settings: Settings, where: HasMargin, x: Joints, target: Float[Array, "G"]
+) -> step_functions.State:
     """Bring x onto the target and push it in the null space until it keeps the margin, or as far as possible.
 
     Args:
@@ -277,6 +281,6 @@ def stuck_key(seed, number, row, stage: int, round_) -> jax.Array:
     return fold_keys(jax.random.key(seed), number, row, stage, round_)
 
 
-def stuck_at(lane: lane_inputs.LaneInputs, x_previous: Joints, stage: int) -> Stuck:
+def stuck_at(lane: lane_inputs.LaneInputs, x_previous: Joints, stage: int) -> StuckScenario:
     """Return the state of a stuck lane, with the random key of one stage."""
-    return Stuck(x_previous, lane.target, stuck_key(lane.seed, lane.number, lane.row, stage, lane.round))
+    return StuckScenario(x_previous, lane.target, stuck_key(lane.seed, lane.number, lane.row, stage, lane.round))

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from htcp_jax.model import robot as robots
-from htcp_jax.motion import Plans, Problem, kernels
+from htcp_jax.motion import Plans, Problem, step_functions
 from htcp_jax.planning.tracking.lanes import Lanes
 from htcp_jax.status import Status
 
@@ -16,20 +16,20 @@ class Record:
         self._plans = plans
         self.tracked = self.finished = 0
 
-    def track(self, lanes: Lanes, now: kernels.State, status: Status, escape: int, clear: np.ndarray) -> None:
+    def track(self, lanes: Lanes, now: step_functions.State, status: Status, recovery: int, clear: np.ndarray) -> None:
         """Record that every lane has reached its target.
 
         Args:
             lanes: The lanes.
             now: Their states.
-            status: TRACKED or TRACKED_AFTER_ESCAPE.
-            escape: See `Plans.escape`.
+            status: TRACKED or TRACKED_AFTER_RECOVERY.
+            recovery: See `Plans.recovery`.
             clear: See `Plans.path_clear` (lanes,).
         """
         s, t, plans = lanes.scenario, lanes.target, self._plans
         plans.x[s, t], plans.tcp[s, t] = now.x, now.tcp
         plans.clearance[s, t], plans.residual[s, t] = now.clearance, now.residual
-        plans.status[s, t], plans.escape[s, t] = status, escape
+        plans.status[s, t], plans.recovery[s, t] = status, recovery
         plans.iterations[s, t] = lanes.iteration
         plans.joint_step[s, t] = np.linalg.norm(now.x - lanes.x_previous, axis=1)
         plans.path_clear[s, t] = clear

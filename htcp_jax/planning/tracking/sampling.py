@@ -9,11 +9,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance import Posed, Scene, is_clear
+from htcp_jax.clearance import HasWorkpiecePose, Scene, is_clear
 from htcp_jax.model import Task, inverse_kinematics
-from htcp_jax.motion import kernels
+from htcp_jax.motion import step_functions
 from htcp_jax.numerics import null_basis, product, safe_norm
-from htcp_jax.planning.tracking.null_space import DRAWS, PUSHED, Asked, Stuck, anchor, push_clear
+from htcp_jax.planning.tracking.null_space import DRAWS, PUSHED, HasMargin, StuckScenario, anchor, push_clear
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float
 
@@ -26,10 +26,10 @@ class Candidates(NamedTuple):
     done: Bool[Array, "C"]  # on the target and clear as they are: no QP is needed
 
 
-Propose = Callable[[Scene, Settings, Posed, Stuck], Candidates]
+Propose = Callable[[Scene, Settings, HasWorkpiecePose, StuckScenario], Candidates]
 
 
-def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Candidates:
+def cspace_samples(scene: Scene, settings: Settings, where: HasWorkpiecePose, stuck: StuckScenario) -> Candidates:
     """Sample configurations about x_{t-1}, the paper's C-Space sample.
 
     Uniform in joint 3 within +-1 rad and in the joints beyond it within +-2 rad; the first `samples` feasible ones
@@ -40,7 +40,7 @@ def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck)
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
     draw = jax.random.uniform(stuck.key, (8 * settings.samples, n), minval=-1.0, maxval=1.0)
     x = stuck.x_previous[None, :] + width[None, :] * draw
-    feasible = jax.vmap(lambda x: inverse_kinematics.inside(robot, x))(x) & jax.vmap(
+    feasible = jax.vmap(lambda x: inverse_kinematics.within_limits(robot, x))(x) & jax.vmap(
         lambda x: is_clear(robot, scene.obstacles, where, x)
     )(x)
     feasible &= jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.max_sample_distance_rad
@@ -48,7 +48,7 @@ def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck)
 
 
 def nspace_samples(
-    scene: Scene, settings: Settings, where: Posed, stuck: Stuck, step_rad: tuple[float, ...]
+    scene: Scene, settings: Settings, where: HasWorkpiecePose, stuck: StuckScenario, step_rad: tuple[float, ...]
 ) -> Candidates:
     """Sample configurations in the null space, the paper's N-Space sample.
 
@@ -68,7 +68,7 @@ def nspace_samples(
     draw = jax.random.normal(stuck.key, (settings.samples, first.shape[1]))
     directions = jax.vmap(lambda w: product(first, w / safe_norm(w)))(draw)
 
-    def walk(direction, length):
+    def travel(direction, length):
         def step(_, state):
             x, v = state
             basis = null_basis(task.linear_at(robot, x, stuck.target).jacobian)
@@ -81,13 +81,18 @@ def nspace_samples(
         x, _ = jax.lax.fori_loop(0, settings.sample_steps, step, (origin, direction))
         return x
 
-    x = jnp.concatenate([jax.vmap(lambda v, r=r: walk(v, r))(directions) for r in step_rad])
+    x = jnp.concatenate([jax.vmap(lambda v, r=r: travel(v, r))(directions) for r in step_rad])
     near = jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.max_sample_distance_rad
     return Candidates(x, near, jnp.zeros_like(near))
 
 
 def best_nspace_samples(
-    scene: Scene, settings: Settings, where: Asked, stuck: Stuck, step_rad: tuple[float, ...], keep: int = 24
+    scene: Scene,
+    settings: Settings,
+    where: HasMargin,
+    stuck: StuckScenario,
+    step_rad: tuple[float, ...],
+    keep: int = 24,
 ) -> Candidates:
     """Return N-Space samples with their clearance: those that are clear on the target are done.
 
@@ -109,7 +114,9 @@ def best_nspace_samples(
     return Candidates(here.x, done | (near & worth & ~jnp.any(done)), done)
 
 
-def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spread: Bool[Array, ""]) -> kernels.State:
+def draw_clear(
+    scene: Scene, settings: Settings, where: HasMargin, stuck: StuckScenario, spread: Bool[Array, ""]
+) -> step_functions.State:
     """Return the best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows).
 
     Each draw is brought onto the target, and some are pushed clear: the clearest, or with `spread` any of the clearer
@@ -127,13 +134,13 @@ def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spr
     draw = jax.random.uniform(stuck.key, (DRAWS, lower.shape[0]))
     x = lower[None, :] + (upper - lower)[None, :] * draw
     reached = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
-    order = jnp.argsort(-_rank(scene.task, reached))
+    order = jnp.argsort(-_clearance_rank(scene.task, reached))
     quarter = jnp.sort(order[: DRAWS // 4])  # in the order of the draws: any PUSHED of them are as good as random
     first = jnp.where(spread, quarter[:PUSHED], order[:PUSHED])
     pushed = jax.lax.map(lambda x: push_clear(scene, settings, where, x, stuck.target), reached.x[first])
-    order = jnp.argsort(-_rank(scene.task, pushed))
+    order = jnp.argsort(-_clearance_rank(scene.task, pushed))
     return jax.tree.map(lambda leaf: leaf[order], pushed)
 
 
-def _rank(task: Task, here: kernels.State) -> Float[Array, "*n"]:
+def _clearance_rank(task: Task, here: step_functions.State) -> Float[Array, "*n"]:
     return jnp.where(task.reached(here.residual), here.clearance, -jnp.inf)

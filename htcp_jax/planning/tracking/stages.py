@@ -9,10 +9,10 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance import Scene
 from htcp_jax.device import Loop
-from htcp_jax.device import kernel as kernels
+from htcp_jax.device import lane_function as executor
 from htcp_jax.model import inverse_kinematics
-from htcp_jax.motion import kernels as motion_kernels
 from htcp_jax.motion import lane_inputs
+from htcp_jax.motion import step_functions as motion_kernels
 from htcp_jax.planning.tracking.null_space import (
     READS,
     Minimise,
@@ -39,10 +39,12 @@ class NullSpace:
 
     in_null_space = True
 
-    def kernel(self, index: int) -> kernels.Kernel:
+    def lane_function(self, index: int) -> executor.LaneFunction:
         """Return the lane function for a chunk of null-space steps, as stage `index` of a method."""
         reads = (*READS, *motion_kernels.MEASURED, *self.settings)
-        return kernels.Kernel(f"walk {index}", walk_null_space, kernels.WALKED, reads, (self.minimise, index))
+        return executor.LaneFunction(
+            f"null space {index}", take_null_space_steps, executor.DEEP_LOOP, reads, (self.minimise, index)
+        )
 
 
 @dataclass(frozen=True)
@@ -53,13 +55,13 @@ class Sample:
     settings: tuple[str, ...] = ()  # read by `propose`
     in_null_space: bool = True  # True if it proposes nothing without a null space
 
-    def kernel(self, index: int) -> kernels.Kernel:
+    def lane_function(self, index: int) -> executor.LaneFunction:
         """Return the lane function that proposes a lane's candidates, as stage `index` of a method."""
-        return kernels.Kernel(f"sample {index}", propose, kernels.SAMPLED, self.settings, (self.propose, index))
+        return executor.LaneFunction(f"sample {index}", propose, executor.SAMPLED, self.settings, (self.propose, index))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Escapes:
+class Recoveries:
     """Recovery stages, tried when the step QPs are stuck, and steps between targets."""
 
     stages: tuple[NullSpace | Sample, ...] = ()  # tried in order at a stuck target
@@ -69,18 +71,18 @@ class Escapes:
 
     @property
     def backwards(self) -> int:
-        """`Plans.escape` of targets that were planned backwards: one more than the last stage."""
+        """`Plans.recovery` of targets that were planned backwards: one more than the last stage."""
         return len(self.stages) + 1
 
 
-class Walked(NamedTuple):
+class NullSpaceState(NamedTuple):
     """A lane after a chunk of null-space steps: its state, and the number of steps so far."""
 
     now: motion_kernels.State
-    walked: jax.Array
+    null_space_steps: jax.Array
 
 
-def walk_null_space(
+def take_null_space_steps(
     minimise: Minimise,
     index: int,
     settings: Settings,
@@ -88,7 +90,7 @@ def walk_null_space(
     lane: lane_inputs.LaneInputs,
     x_previous: Joints,
     x_ref: Joints,
-    walked: Int[jax.Array, ""],
+    null_space_steps: Int[jax.Array, ""],
     most: Int[jax.Array, ""],
 ) -> Loop:
     """Take null-space steps until the target is reached with the margin, Algorithm 1, lines 10 to 14.
@@ -101,24 +103,24 @@ def walk_null_space(
         lane: The lane's inputs.
         x_previous: Configuration at the target before [rad or m].
         x_ref: Configuration to continue from [rad or m].
-        walked: Number of steps so far.
+        null_space_steps: Number of steps so far.
         most: Number of steps at which the chunk ends.
 
     Returns:
-        A loop whose state is `Walked`.
+        A loop whose state is `NullSpaceState`.
     """
     stuck = stuck_at(lane, x_previous, index)
 
-    def going(there: Walked):
+    def going(there: NullSpaceState):
         here = scene.task.counts(there.now.clearance, there.now.residual, lane.margin_m)
-        return ~(here & (there.walked > walked)) & (there.walked < most)
+        return ~(here & (there.null_space_steps > null_space_steps)) & (there.null_space_steps < most)
 
-    def step(here: Scene, there: Walked) -> Walked:
-        new = null_space_step(minimise, scene, settings, lane, stuck, there.now.x, there.walked)
-        return Walked(motion_kernels.measured(settings, here, lane, new.x), there.walked + 1)
+    def step(here: Scene, there: NullSpaceState) -> NullSpaceState:
+        new = null_space_step(minimise, scene, settings, lane, stuck, there.now.x, there.null_space_steps)
+        return NullSpaceState(motion_kernels.measured(settings, here, lane, new.x), there.null_space_steps + 1)
 
     now = motion_kernels.nothing_known(partial(motion_kernels.measured, settings, scene, lane), x_ref)._replace(x=x_ref)
-    return Loop(Walked(now, walked), going, step)
+    return Loop(NullSpaceState(now, null_space_steps), going, step)
 
 
 def propose(
@@ -168,7 +170,7 @@ def ascend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x):
     return keep_clear_ascent(scene, settings, lane, x, lane.target)
 
 
-ENTER = kernels.Kernel("enter", enter_null_space, kernels.DEEP, motion_kernels.MEASURED)
-ASCEND = kernels.Kernel("ascend", ascend, kernels.DEEP, (*READS, "keep_clear_m", "keep_clear_steps"))
-PUSH = kernels.Kernel("push", push, kernels.DEEP, READS)
-DRAW = kernels.Kernel("draw", draw, kernels.SAMPLED, READS)
+ENTER = executor.LaneFunction("enter", enter_null_space, executor.DEEP, motion_kernels.MEASURED)
+ASCEND = executor.LaneFunction("ascend", ascend, executor.DEEP, (*READS, "keep_clear_m", "keep_clear_steps"))
+PUSH = executor.LaneFunction("push", push, executor.DEEP, READS)
+DRAW = executor.LaneFunction("draw", draw, executor.SAMPLED, READS)

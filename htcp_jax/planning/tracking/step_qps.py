@@ -8,17 +8,17 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.motion import CollisionChecker, Plans, Problem
 from htcp_jax.planning.registry import Method
-from htcp_jax.planning.tracking.candidates import Waiting
+from htcp_jax.planning.tracking.candidates import PendingScenarios
 from htcp_jax.planning.tracking.engine import Engine
 from htcp_jax.planning.tracking.first_calls import first_calls
-from htcp_jax.planning.tracking.stages import Escapes
+from htcp_jax.planning.tracking.stages import Recoveries
 from htcp_jax.planning.tracking.work import Work
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import ClarabelSolver, QPSolversSolver, step_qp
 
 
 @dataclass(frozen=True)
-class StepQPs(Escapes, Method):
+class StepQPs(Recoveries, Method):
     """Step QPs along the path, equation (9), with these recovery stages."""
 
     name: str  # in files and on the command line
@@ -26,7 +26,7 @@ class StepQPs(Escapes, Method):
     description: str  # short description
 
     def first_calls(self, problem: Problem) -> list[tuple]:
-        """Return the first calls of lane functions, see `Kernels.preparing`."""
+        """Return the first calls of lane functions, see `Executor.preparing`."""
         return first_calls(problem)
 
     def plan(self, problem: Problem) -> Plans:
@@ -37,10 +37,10 @@ class StepQPs(Escapes, Method):
         """
         plans, count = problem.empty_plans(), len(problem.scenarios.number)
         threads = min(problem.threads, count)
-        work, waiting = Work(problem.to_plan.tolist(), threads), Waiting()
+        work, waiting = Work(problem.to_plan.tolist(), threads), PendingScenarios()
 
         def run(checker: CollisionChecker, _: slice) -> None:
-            settings, task, (_, rows) = problem.settings, problem.task, checker.kernels.sizes
+            settings, task, (_, rows) = problem.settings, problem.task, checker.executor.sizes
             try:
                 rows = step_qp.row_count(settings, rows, task.bands)
                 solver = make_solver(settings, len(problem.robot.joint_names), rows, task.rows)

@@ -6,11 +6,11 @@ import io
 import numpy as np
 
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.beside import Beside, header
-from htcp_jax.trajectory.timed import Timed
+from htcp_jax.trajectory.controller_data import ControllerData, header
+from htcp_jax.trajectory.timed_motion import TimedMotion
 
 
-def csv_text(timed: Timed, beside: Beside) -> str:
+def csv_text(timed: TimedMotion, controller: ControllerData) -> str:
     """Return comments after #, a header, and rows.
 
     Columns: `time_s`, `kind`, `target`; for each joint its value in `<joint>_rad`, its velocity in `<joint>_rad_s` and
@@ -18,7 +18,7 @@ def csv_text(timed: Timed, beside: Beside) -> str:
     """
     stream = io.StringIO()
     stream.writelines(f"# {line}\n" for line in header(timed))
-    units = ["m" if slides else "rad" for slides in beside.slides]
+    units = ["m" if slides else "rad" for slides in controller.slides]
     names = [f"{name}_{unit}" for name, unit in zip(timed.joint_names, units, strict=True)]
     rates = [f"{name}{per}" for per in ("", "_s", "_s2") for name in names]
     writer = csv.writer(stream, lineterminator="\n")

@@ -18,8 +18,8 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.beside import Beside, UserFrame, header
-from htcp_jax.trajectory.timed import Timed
+from htcp_jax.trajectory.controller_data import ControllerData, UserFrame, header
+from htcp_jax.trajectory.timed_motion import TimedMotion
 
 NAME = re.compile(r"[A-Z0-9_-]{1,32}")
 WIDTH = 32  # characters of a comment
@@ -30,39 +30,41 @@ UNUSED = (0,) * 18  # of RCONF's 24 numbers
 FIRST_PERCENT, LEAST_PERCENT, LEAST_MM_S = 1.0, 0.01, 0.1
 MORE = (
     "No times: speeds stand for them, and corners are rounded as the controller does it.",
-    "The arm first goes slowly from wherever it stands to the first posture.",
+    "The arm first goes slowly from wherever it stands to the first configuration.",
 )
 
 
-def jbi_text(timed: Timed, beside: Beside) -> str:
+def jbi_text(timed: TimedMotion, controller: ControllerData) -> str:
     """Return a relative job of RECTAN positions in the user frame.
 
     Raises:
         InputError: Without that frame or for an invalid number of it, without joint speeds or for speeds over them, for
             an arm without exactly six joints, for too many lines, and for an invalid job name.
     """
-    if (frame := beside.user_frame) is None:
+    if (frame := controller.user_frame) is None:
         raise InputError("jbi: RECTAN positions are in a user frame; program.user_frame names it, {number: 1 to 63}")
     if len(timed.joint_names) != RECTAN_JOINTS:
         joints = f"an arm of {len(timed.joint_names)} joints"
         raise InputError(f"jbi: {joints}; RECTAN holds {RECTAN_JOINTS}, jbi-pulses up to {MOST_JOINTS}")
     if frame.number not in USER_FRAMES:
         raise InputError(f"jbi: user frame {frame.number}; there are {USER_FRAMES[0]} to {USER_FRAMES[-1]}")
-    names = [f"///USER {frame.number}", f"///TOOL {beside.tool}", "///POSTYPE USER", "///RECTAN"]
+    names = [f"///USER {frame.number}", f"///TOOL {controller.tool}", "///POSTYPE USER", "///RECTAN"]
     attributes = ["///ATTR SC,RW,RJ", f"///FRAME USER {frame.number}"]
-    moves = _moves(timed, _percent(timed, beside, "jbi"), _feed_mm_s(timed, frame))
-    about = header(timed, *MORE, f"Tool {beside.tool} and user frame {frame.number} must be set as they were planned.")
-    return _job("jbi", beside, [*names, *_poses(frame)], attributes, [*_remarks(about), *moves])
+    moves = _move_lines(timed, _percent(timed, controller, "jbi"), _feed_mm_s(timed, frame))
+    about = header(
+        timed, *MORE, f"Tool {controller.tool} and user frame {frame.number} must be set as they were planned."
+    )
+    return _job("jbi", controller, [*names, *_position_lines(frame)], attributes, [*_remarks(about), *moves])
 
 
-def jbi_pulses_text(timed: Timed, beside: Beside) -> str:
+def jbi_pulses_text(timed: TimedMotion, controller: ControllerData) -> str:
     """Return a job of joint pulses, by the controller's encoder scale.
 
     Raises:
         InputError: Without that scale, without joint speeds or for speeds over them, for too many joints or lines, and
             for an invalid job name.
     """
-    if (pulses := beside.pulses) is None:
+    if (pulses := controller.pulses) is None:
         raise InputError("jbi-pulses: no table; program.pulses gives one: {per_rad: [...], source: ...}")
     if len(timed.joint_names) > MOST_JOINTS:
         raise InputError(f"jbi-pulses: an arm of {len(timed.joint_names)} joints; a job holds up to {MOST_JOINTS}")
@@ -70,20 +72,22 @@ def jbi_pulses_text(timed: Timed, beside: Beside) -> str:
         raise InputError(f"jbi-pulses: {np.size(pulses.per_unit)} pulses per radian for {timed.x.shape[1]} joints")
     counts = np.round((timed.x - pulses.zero) * pulses.per_unit).astype(int).tolist()
     positions = [f"C{k:05d}={','.join(map(str, row))}" for k, row in enumerate(counts)]
-    about = header(timed, *MORE, f"Tool {beside.tool}. Pulses by {pulses.source}.")
-    moves = _moves(timed, _percent(timed, beside, "jbi-pulses"), np.zeros(len(timed.x)))
-    names = [f"///TOOL {beside.tool}", "///POSTYPE PULSE", "///PULSE"]
-    return _job("jbi-pulses", beside, [*names, *positions], ["///ATTR SC,RW"], [*_remarks(about), *moves])
+    about = header(timed, *MORE, f"Tool {controller.tool}. Pulses by {pulses.source}.")
+    moves = _move_lines(timed, _percent(timed, controller, "jbi-pulses"), np.zeros(len(timed.x)))
+    names = [f"///TOOL {controller.tool}", "///POSTYPE PULSE", "///PULSE"]
+    return _job("jbi-pulses", controller, [*names, *positions], ["///ATTR SC,RW"], [*_remarks(about), *moves])
 
 
-def _job(format: str, beside: Beside, positions: list[str], attributes: list[str], instructions: list[str]) -> str:
-    if not NAME.fullmatch(beside.name):
-        raise InputError(f"{format}: {beside.name!r} is no name of a job; up to 32 of A to Z, 0 to 9, - and _")
+def _job(
+    format: str, controller: ControllerData, positions: list[str], attributes: list[str], instructions: list[str]
+) -> str:
+    if not NAME.fullmatch(controller.name):
+        raise InputError(f"{format}: {controller.name!r} is no name of a job; up to 32 of A to Z, 0 to 9, - and _")
     if (lines := len(instructions) + 2) > MOST_LINES:
         raise InputError(f"{format}: {lines:,} lines, a job holds {MOST_LINES:,}; the path has too many points for it")
     count = sum(line.startswith("C") for line in positions)
-    head = ["/JOB", f"//NAME {beside.name}", "//POS", f"///NPOS {count},0,0,0,0,0", *positions, "//INST"]
-    date = [] if beside.date is None else [f"///DATE {beside.date:%Y/%m/%d %H:%M}"]
+    head = ["/JOB", f"//NAME {controller.name}", "//POS", f"///NPOS {count},0,0,0,0,0", *positions, "//INST"]
+    date = [] if controller.date is None else [f"///DATE {controller.date:%Y/%m/%d %H:%M}"]
     return "\r\n".join([*head, *date, *attributes, "///GROUP1 RB1", "NOP", *instructions, "END"]) + "\r\n"
 
 
@@ -93,19 +97,19 @@ def _remarks(about: list[str]) -> Iterator[str]:
         yield from (f"'{line}" for line in textwrap.wrap(plain, WIDTH))
 
 
-def _poses(frame: UserFrame) -> Iterator[str]:
+def _position_lines(frame: UserFrame) -> Iterator[str]:
     """Yield the positions, with the arm configuration flags before positions where they change."""
-    at_mm = _rounded(1e3 * frame.T_frame_tcp[:, :3, 3], 3)
-    turn_deg = _rounded(np.degrees(_fixed_xyz_rad(frame.T_frame_tcp[:, :3, :3])), 4)
+    at_mm = _without_negative_zeros(1e3 * frame.T_frame_tcp[:, :3, 3], 3)
+    turn_deg = _without_negative_zeros(np.degrees(_fixed_xyz_rad(frame.T_frame_tcp[:, :3, :3])), 4)
     last = None
-    for k, (xyz, angles, form) in enumerate(zip(at_mm.tolist(), turn_deg.tolist(), frame.form.tolist(), strict=True)):
-        if form != last:
-            yield f"///RCONF {','.join(map(str, (*form, *UNUSED)))}"
-        last = form
+    for k, (xyz, angles, flags) in enumerate(zip(at_mm.tolist(), turn_deg.tolist(), frame.flags.tolist(), strict=True)):
+        if flags != last:
+            yield f"///RCONF {','.join(map(str, (*flags, *UNUSED)))}"
+        last = flags
         yield f"C{k:05d}={','.join([f'{v:.3f}' for v in xyz] + [f'{v:.4f}' for v in angles])}"
 
 
-def _rounded(values: np.ndarray, digits: int) -> np.ndarray:
+def _without_negative_zeros(values: np.ndarray, digits: int) -> np.ndarray:
     """Round without negative zeros."""
     return np.round(values, digits) + 0.0
 
@@ -122,27 +126,29 @@ def _fixed_xyz_rad(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
     return np.stack([about_x, np.arctan2(-R[:, 2, 0], flat), about_z], axis=1)
 
 
-def _moves(timed: Timed, percent: Float[np.ndarray, "n"], feed_mm_s: Float[np.ndarray, "n"]) -> Iterator[str]:
+def _move_lines(
+    timed: TimedMotion, percent: Float[np.ndarray, "n"], feed_mm_s: Float[np.ndarray, "n"]
+) -> Iterator[str]:
     for k, (joint, feed) in enumerate(zip(percent.tolist(), feed_mm_s.tolist(), strict=True)):
         end = " PL=0" if k == len(timed.x) - 1 else ""
         yield f"MOVL C{k:05d} V={feed:.1f}{end}" if feed >= LEAST_MM_S else f"MOVJ C{k:05d} VJ={joint:.2f}{end}"
 
 
-def _feed_mm_s(timed: Timed, frame: UserFrame) -> Float[np.ndarray, "n"]:
+def _feed_mm_s(timed: TimedMotion, frame: UserFrame) -> Float[np.ndarray, "n"]:
     """Return the TCP's speed on the segment to each row if it is on the path, else 0."""
-    way = np.linalg.norm(np.diff(frame.T_frame_tcp[:, :3, 3], axis=0), axis=1)
-    return np.where(timed.kind == Kind.FEED, np.append(0.0, 1e3 * way / np.diff(timed.time_s)), 0.0)
+    length_m = np.linalg.norm(np.diff(frame.T_frame_tcp[:, :3, 3], axis=0), axis=1)
+    return np.where(timed.kind == Kind.PROCESS, np.append(0.0, 1e3 * length_m / np.diff(timed.time_s)), 0.0)
 
 
-def _percent(timed: Timed, beside: Beside, format: str) -> Float[np.ndarray, "n"]:
+def _percent(timed: TimedMotion, controller: ControllerData, format: str) -> Float[np.ndarray, "n"]:
     """Return the fastest joint's share of its full speed on the segment to each row, in percent; slow to the first.
 
     Raises:
         InputError: Without joint speeds, and for more than 100 %.
     """
-    if beside.speed is None or not np.isfinite(beside.speed).all():
+    if controller.speed is None or not np.isfinite(controller.speed).all():
         raise InputError(f"{format}: speeds are in percent of full joint speed; program.velocity gives them")
-    share = 100 * np.abs(np.diff(timed.x, axis=0)) / (np.diff(timed.time_s)[:, None] * beside.speed)
+    share = 100 * np.abs(np.diff(timed.x, axis=0)) / (np.diff(timed.time_s)[:, None] * controller.speed)
     if (share > 100 + LEAST_PERCENT / 2).any():
         row, joint = np.unravel_index(share.argmax(), share.shape)
         fast = f"{timed.joint_names[joint]} at {share[row, joint]:.1f} % of its full speed"

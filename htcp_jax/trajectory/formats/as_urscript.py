@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.trajectory.beside import Beside, header
-from htcp_jax.trajectory.timed import Timed
+from htcp_jax.trajectory.controller_data import ControllerData, header
+from htcp_jax.trajectory.timed_motion import TimedMotion
 
 JOINTS = 6
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -22,41 +22,45 @@ SLOW_RAD_S, SLOW_RAD_S2 = 0.1, 0.1  # to the first configuration
 STOP_RAD_S2 = 1.0
 ONE_TIME_S = 1e-7
 MORE = (
-    "The arm first goes slowly from wherever it stands to the first posture.",
+    "The arm first goes slowly from wherever it stands to the first configuration.",
     "servoj follows with a lag and smooths; radians, to 6 digits.",
 )
 
 
-def urscript_text(timed: Timed, beside: Beside) -> str:
+def urscript_text(timed: TimedMotion, controller: ControllerData) -> str:
     """Return a function with the program's name, and its call.
 
     Raises:
         InputError: For an arm without exactly six revolute joints, an invalid function name, and times that are no
             multiples of the controller's step.
     """
-    if len(timed.joint_names) != JOINTS or any(beside.slides):
-        raise InputError(f"urscript: {_arm(beside)}; these arms have {JOINTS} turning joints")
-    if not NAME.fullmatch(beside.name):
-        raise InputError(f"urscript: {beside.name!r} is no name of a function; letters, digits and _, a letter first")
-    hold_s = _steps(timed, beside.control_step_s) * beside.control_step_s
-    postures = [", ".join(f"{value:.6f}" for value in row) for row in (np.round(timed.x, 6) + 0.0).tolist()]
-    lines = [f"# {line}" for line in header(timed, *MORE)] + [f"def {beside.name}():"]
-    lines.append(f"  movej([{postures[0]}], {SLOW_RAD_S2}, {SLOW_RAD_S})")
-    for posture, seconds in zip(postures[1:], hold_s.tolist(), strict=True):
-        lines.append(f"  servoj([{posture}], 0, 0, {seconds:.6f}, {LOOKAHEAD_S}, {GAIN})")
-    return "\n".join([*lines, f"  stopj({STOP_RAD_S2})", "end", f"{beside.name}()"]) + "\n"
+    if len(timed.joint_names) != JOINTS or any(controller.slides):
+        raise InputError(f"urscript: {_arm_description(controller)}; these arms have {JOINTS} turning joints")
+    if not NAME.fullmatch(controller.name):
+        raise InputError(
+            f"urscript: {controller.name!r} is no name of a function; letters, digits and _, a letter first"
+        )
+    hold_s = _controller_steps(timed, controller.control_step_s) * controller.control_step_s
+    configurations = [", ".join(f"{value:.6f}" for value in row) for row in (np.round(timed.x, 6) + 0.0).tolist()]
+    lines = [f"# {line}" for line in header(timed, *MORE)] + [f"def {controller.name}():"]
+    lines.append(f"  movej([{configurations[0]}], {SLOW_RAD_S2}, {SLOW_RAD_S})")
+    for configuration, seconds in zip(configurations[1:], hold_s.tolist(), strict=True):
+        lines.append(f"  servoj([{configuration}], 0, 0, {seconds:.6f}, {LOOKAHEAD_S}, {GAIN})")
+    return "\n".join([*lines, f"  stopj({STOP_RAD_S2})", "end", f"{controller.name}()"]) + "\n"
 
 
-def _steps(timed: Timed, step_s: float) -> Int[np.ndarray, "m"]:
+def _controller_steps(timed: TimedMotion, step_s: float) -> Int[np.ndarray, "m"]:
     """Return the number of controller steps for each sample except the first."""
     elapsed_s = timed.time_s - timed.time_s[0]
     steps = np.round(elapsed_s / step_s)
     wrong = np.abs(steps * step_s - elapsed_s) > ONE_TIME_S
     if wrong.any():
         at = timed.time_s[wrong.argmax()]
-        raise InputError(f"urscript: a posture at {at:.6g} s; times must be multiples of the controller's {step_s:g} s")
+        raise InputError(
+            f"urscript: a configuration at {at:.6g} s; times must be multiples of the controller's {step_s:g} s"
+        )
     return np.diff(steps).astype(int)
 
 
-def _arm(beside: Beside) -> str:
-    return f"an arm of {len(beside.slides)} joints, {sum(beside.slides)} of which slide"
+def _arm_description(controller: ControllerData) -> str:
+    return f"an arm of {len(controller.slides)} joints, {sum(controller.slides)} of which slide"

@@ -6,34 +6,34 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.trajectory.beside import Beside
+from htcp_jax.trajectory.controller_data import ControllerData
 from htcp_jax.trajectory.formats.as_csv import csv_text
 from htcp_jax.trajectory.formats.as_jbi import jbi_pulses_text, jbi_text
 from htcp_jax.trajectory.formats.as_keyframes import keyframes_text
 from htcp_jax.trajectory.formats.as_ros import ros_json_text, ros_yaml_text
 from htcp_jax.trajectory.formats.as_urscript import urscript_text
-from htcp_jax.trajectory.timed import Timed
+from htcp_jax.trajectory.timed_motion import TimedMotion
 
 
-class Format(NamedTuple):
+class ProgramFormat(NamedTuple):
     """A file format of programs."""
 
-    write: Callable[[Timed, Beside], str]
+    write: Callable[[TimedMotion, ControllerData], str]
     step_s: float | None  # default time step of samples; None: the motion's own configurations
 
 
 FORMATS = {
-    "csv": Format(csv_text, 0.001),
-    "ros": Format(ros_yaml_text, 0.01),
-    "ros-json": Format(ros_json_text, 0.01),
-    "jbi": Format(jbi_text, None),
-    "jbi-pulses": Format(jbi_pulses_text, None),
-    "urscript": Format(urscript_text, 0.002),
-    "keyframes": Format(keyframes_text, 0.01),
+    "csv": ProgramFormat(csv_text, 0.001),
+    "ros": ProgramFormat(ros_yaml_text, 0.01),
+    "ros-json": ProgramFormat(ros_json_text, 0.01),
+    "jbi": ProgramFormat(jbi_text, None),
+    "jbi-pulses": ProgramFormat(jbi_pulses_text, None),
+    "urscript": ProgramFormat(urscript_text, 0.002),
+    "keyframes": ProgramFormat(keyframes_text, 0.01),
 }
 
 
-def format_of(name: str) -> Format:
+def format_of(name: str) -> ProgramFormat:
     """Return a format in FORMATS.
 
     Raises:
@@ -44,21 +44,22 @@ def format_of(name: str) -> Format:
     return FORMATS[name]
 
 
-def program_text(format: str, timed: Timed, beside: Beside) -> str:
+def program_text(format: str, timed: TimedMotion, controller: ControllerData) -> str:
     """Return the file of a program.
 
     Args:
         format: Name in FORMATS.
         timed: Samples of the motion.
-        beside: The job's controller data.
+        controller: The job's controller data.
 
     Raises:
-        InputError: For an unknown format, for controller data that the format needs and `beside` lacks, for a motion
+        InputError: For an unknown format, for controller data that the format needs and `controller` lacks, for a
+        motion
             without configurations, and for times that do not increase.
     """
     write = format_of(format).write
     if len(timed.x) == 0:
-        raise InputError("a program needs postures; this motion has none")
+        raise InputError("a program needs configurations; this motion has none")
     if (late := np.flatnonzero(~(np.diff(timed.time_s) > 0))).size:
-        raise InputError(f"posture {late[0] + 1} comes no later than the one before; times must increase")
-    return write(timed, beside)
+        raise InputError(f"configuration {late[0] + 1} comes no later than the one before; times must increase")
+    return write(timed, controller)

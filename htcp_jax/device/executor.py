@@ -1,0 +1,253 @@
+"""Execution of a method's lane functions on one scene and device, and the cache of their executables."""
+
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Any
+
+import jax
+import numpy as np
+
+from htcp_jax.backend import Backend, compiled_for, default_device
+from htcp_jax.clearance import Scene
+from htcp_jax.device import compile_cache
+from htcp_jax.device.devices import cores
+from htcp_jax.device.lane_function import TRACKED, LaneFunction
+from htcp_jax.device.tables import concatenate, gather, pad
+from htcp_jax.model import Task
+from htcp_jax.settings import Settings
+
+# XLA hoists loop invariants before it merges common subexpressions, which then no longer match: the arm's
+# links are computed up to seven times over. On a CPU that costs more than it saves; on a GPU it saves launches.
+# There, autotuning is off: the fastest of several variants changes from one compilation to the next, and rounds
+# differently.
+COMPILER = {
+    "cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"},
+    "gpu": {"xla_gpu_autotune_level": 0},
+}
+
+
+NOBODY = nullcontext()  # in place of a stopwatch for the time spent waiting
+
+
+class ExecutableCache:
+    """Cache of executables, one per lane function, values of the settings that it reads, device, and argument shapes.
+
+    It holds at most `most` executables; beyond that the least recently used one is dropped.
+    """
+
+    def __init__(self, most: int = 256):
+        self._most = most
+        self._compiled: dict[tuple, jax.stages.Compiled] = {}  # those last asked for at the end
+        self._compiling: dict[tuple, threading.Lock] = {}  # one per executable: others can be compiled meanwhile
+        self._tracing, self._sorting = threading.Lock(), threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._compiled)
+
+    def clear(self) -> None:
+        """Drop all executables and free their memory."""
+        self._compiled.clear()
+
+    def get(
+        self,
+        lane_function: LaneFunction,
+        settings: Settings,
+        device: jax.Device,
+        arguments: tuple,
+        waiting: AbstractContextManager = NOBODY,
+    ) -> jax.stages.Compiled:
+        """Return the executable for arguments of these shapes, compiling it if there is none.
+
+        Python traces one function at a time; compilation runs in parallel.
+
+        Args:
+            lane_function: The function and how it is compiled.
+            settings: Settings of the planner.
+            device: The device to compile for.
+            arguments: Scene, number of lanes, and tables.
+            waiting: Context in which the executable is compiled.
+        """
+        leaves, structure = jax.tree.flatten(arguments)
+        shapes = tuple((x.shape, x.dtype) for x in leaves)
+        key = (lane_function, lane_function.values(settings), device, structure, shapes)
+        if (found := self._kept(key)) is None:
+            with waiting, self._compiling.setdefault(key, threading.Lock()):
+                if (found := self._kept(key)) is None:
+                    with self._tracing, compiled_for(Backend.of(device.platform)):
+                        lowered = lane_function.jitted(settings, device).lower(*arguments)
+                    with compile_cache.alone(lane_function.name):
+                        found = lowered.compile(COMPILER.get(device.platform))
+                    self._keep(key, found)
+        return found
+
+    def _kept(self, key: tuple) -> jax.stages.Compiled | None:
+        with self._sorting:
+            if (found := self._compiled.pop(key, None)) is not None:
+                self._compiled[key] = found
+            return found
+
+    def _keep(self, key: tuple, compiled: jax.stages.Compiled) -> None:
+        with self._sorting:
+            self._compiled[key] = compiled
+            for oldest in list(self._compiled)[: -self._most]:
+                del self._compiled[oldest]
+                self._compiling.pop(oldest, None)
+
+    def of(self, *lane_functions: LaneFunction) -> list[tuple[LaneFunction, jax.stages.Compiled]]:
+        """Return the executables of some lane functions."""
+        return [
+            (lane_function, self._compiled[key])
+            for lane_function in lane_functions
+            for key in self._compiled
+            if key[0] == lane_function
+        ]
+
+
+EXECUTABLES = ExecutableCache()  # owned by this process, for all its plans
+
+
+FEW = 4  # so few lanes are not shared among threads
+
+
+class Stopwatch:
+    """Clock that runs while any thread is inside its context."""
+
+    def __init__(self):
+        self.seconds = 0.0
+        self._inside, self._began, self._lock = 0, 0.0, threading.Lock()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._began = time.perf_counter()
+            self._inside += 1
+
+    def __exit__(self, *_) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self.seconds += time.perf_counter() - self._began
+
+
+class Executor:
+    """Run lane functions on one scene and one device.
+
+    They are compiled on first use, once for any number of scenarios; `compile_s` is the time spent waiting for that.
+
+    Args:
+        scene: The scene.
+        settings: Settings of the planner.
+        device: The device; None: the default one.
+        executables: The cache of executables.
+        threads: Number of threads that share a call's lanes on a CPU; each lane is computed by itself, so results do
+            not depend on it.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Settings,
+        device: jax.Device | None = None,
+        executables: ExecutableCache = EXECUTABLES,
+        threads: int = 1,
+    ):
+        self.device = device or default_device()
+        self._scene, self._settings = jax.device_put(scene, self.device), settings
+        self._executables, self._own = executables, {}
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None
+        self._threads = threads if self._pool else 1
+        self._waiting = Stopwatch()
+
+    @property
+    def compile_s(self) -> float:
+        """Wall time spent waiting for executables [s]."""
+        return self._waiting.seconds
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes that an engine keeps in flight."""
+        return TRACKED.on(self.device).capacity
+
+    @property
+    def pays_by_lane(self) -> bool:
+        """True if a call with half the lanes takes half the time, as on a CPU."""
+        return self.device.platform == "cpu"
+
+    @property
+    def task(self) -> Task:
+        """Task that the arm has to fulfil at every target."""
+        return self._scene.task
+
+    @property
+    def freedom(self) -> int:
+        """Dimension of the task's null space."""
+        return self.task.freedom(self._scene.robot)
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper joint limits [rad or m]."""
+        return np.asarray(self._scene.robot.lower), np.asarray(self._scene.robot.upper)
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Number of values in the task, and number of clearance rows that each lane carries."""
+        return self.task.values, 1 if self._settings.clearance_rows == "smallest" else len(self._scene.rows.body)
+
+    def __call__(self, lane_function: LaneFunction, *tables) -> Any:
+        """Run a lane function over tables of n >= 1 lanes; return numpy tables of n lanes."""
+        lanes = len(jax.tree.leaves(tables)[0])
+        most = min(lane_function.sizes.on(self.device).capacity, max(FEW, -(-lanes // self._threads)))
+        if lanes <= most:
+            return self._run(lane_function, tables)
+        shares = [gather(tables, slice(start, start + most)) for start in range(0, lanes, most)]
+        mapped = self._pool.map if self._pool else map
+        return concatenate(list(mapped(lambda share: self._run(lane_function, share), shares)))
+
+    @contextmanager
+    def preparing(self, calls: Sequence[tuple]) -> Iterator[None]:
+        """Compile the given calls on all cores, in this order, while the caller continues.
+
+        The caller waits only for executables that it uses in the meantime.
+
+        Args:
+            calls: (lane function, tables) as they will be made, with any values and any number of lanes.
+        """
+        with ThreadPoolExecutor(cores()) as pool:
+            begun = [pool.submit(self._ready, lane_function, tables) for lane_function, *tables in calls]
+            try:
+                yield
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+            for each in begun:
+                with NOBODY if each.done() else self._waiting:
+                    each.result()
+
+    def _ready(self, lane_function: LaneFunction, tables) -> None:
+        self._executables.get(lane_function, self._settings, self.device, self._arguments(lane_function, tables))
+
+    def _run(self, lane_function: LaneFunction, tables):
+        lanes = len(jax.tree.leaves(tables)[0])
+        arguments = self._arguments(lane_function, tables)
+        result = self._executable(lane_function, arguments)(*arguments)
+        # Unlike waiting for an array, this does not hold the interpreter's lock, which other engines need.
+        jax.block_until_ready(result)
+        if self.device.platform != "cpu":
+            result = jax.device_get(result)  # all copies at once
+        return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
+
+    def _arguments(self, lane_function: LaneFunction, tables) -> tuple:
+        """Return the scene, the number of lanes to compute, and the padded tables."""
+        table, lanes = lane_function.sizes.on(self.device), len(jax.tree.leaves(tables)[0])
+        filled = -(-lanes // table.width) * table.width
+        padded = jax.tree.map(lambda t: pad(np.asarray(t), table.length(lanes), filled), tables)
+        return self._scene, np.int32(lanes), *padded
+
+    def _executable(self, lane_function: LaneFunction, arguments: tuple) -> jax.stages.Compiled:
+        key = lane_function, len(jax.tree.leaves(arguments)[-1])  # the tables' length, as some have a short table, too
+        if key not in self._own:
+            self._own[key] = self._executables.get(lane_function, self._settings, self.device, arguments, self._waiting)
+        return self._own[key]

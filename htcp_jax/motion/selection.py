@@ -1,0 +1,109 @@
+"""Selection of a beam: of the configurations that reach a target, the best of close ones, and those far apart.
+
+The functions work on many searches at once: rows with the same number belong to one search, and searches do not
+influence each other.
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from htcp_jax.motion.configuration_tree import Nodes
+
+
+def best_first(nodes: Nodes, search: Int[np.ndarray, "n"] | int = 0) -> Int[np.ndarray, "n"]:
+    """Return all row indices, search by search: fewest dwells first, then least cost; ties in the order given."""
+    return np.lexsort((nodes.cost, nodes.dwells, np.broadcast_to(search, nodes.cost.shape)))
+
+
+def dispersed(
+    x: Float[np.ndarray, "n N"],
+    search: Int[np.ndarray, "n"],
+    most: int,
+    apart: float,
+    known: tuple[Float[np.ndarray, "m N"], Int[np.ndarray, "m"]] | None = None,
+) -> Int[np.ndarray, "k"]:
+    """Return the indices of up to `most` configurations per search, all at least `apart` from each other.
+
+    Of close ones the first is kept, and none that is close to a known one. If more than `most` remain, those far from
+    each other are (farthest-point selection).
+
+    Args:
+        x: Configurations [rad], search by search, best first.
+        search: Number of each row's search, 0 or more.
+        most: Largest number of configurations per search.
+        apart: Least distance [rad].
+        known: Configurations that are kept already, and their searches.
+
+    Returns:
+        The indices in the order of the rows.
+    """
+    count, every, number = 0, x, search
+    if known is not None:
+        count, every, number = len(known[1]), np.concatenate([known[0], x]), np.concatenate([known[1], search])
+    order = np.argsort(number, kind="stable")  # per search the known ones first
+    kept = np.empty(len(every), bool)
+    kept[order] = _kept_apart(every[order], number[order], order < count, apart)
+    places = order[kept[order] & (order >= count)] - count
+    first = np.flatnonzero(np.diff(search[places], prepend=-1))
+    many = [rows for rows in np.split(places, first[1:]) if len(rows) > most]
+    for rows in many:
+        far = rows[farthest_first(x[rows], 0, most, apart)]
+        places = places[~np.isin(places, rows) | np.isin(places, far)]
+    return places
+
+
+def _kept_apart(
+    x: Float[np.ndarray, "n N"], search: Int[np.ndarray, "n"], known: np.ndarray, apart: float
+) -> np.ndarray:
+    """Return True for the rows, sorted by search, to keep: the known ones, and those near no row kept before them.
+
+    The k-th rows of all searches are compared at once; searches with many rows come first.
+    """
+    first = np.flatnonzero(np.diff(search, prepend=-1))
+    count = np.diff(np.append(first, len(x)))
+    by_count = np.argsort(-count, kind="stable")
+    first, count = first[by_count], count[by_count]
+    row = first[:, None] + np.arange(count.max(initial=0))  # rows of each search's k-th configuration
+    row = np.minimum(row, len(x) - 1)
+    table, kept = x[row], known[row]
+    for k in range(row.shape[1]):
+        own = slice(np.searchsorted(-count, -k, side="left"))  # searches with more than k rows
+        away = np.linalg.norm(table[own, :k] - table[own, k : k + 1], axis=2)
+        kept[own, k] |= ~((away < apart) & kept[own, :k]).any(axis=1)
+    found = np.zeros(len(x), bool)
+    there = np.arange(row.shape[1]) < count[:, None]
+    found[row[there]] = kept[there]
+    return found
+
+
+def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: float) -> list[int]:
+    """Return up to `most` rows of x, starting from `first`, always the one farthest from those chosen.
+
+    Args:
+        x: Configurations [rad].
+        first: The first row.
+        most: Largest number of rows.
+        apart: Least distance [rad].
+    """
+    kept, distance = [first], np.linalg.norm(x - x[first], axis=1)
+    while len(kept) < most and distance.max() >= apart:
+        kept.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(x - x[kept[-1]], axis=1))
+    return kept
+
+
+def first_apart(x: Float[np.ndarray, "n N"], most: int, apart: float, norm: float = 2) -> Int[np.ndarray, "k"]:
+    """Return up to `most` rows of x, in their order: each that is at least `apart` from the rows kept before it.
+
+    Args:
+        x: Configurations [rad].
+        most: Largest number of rows.
+        apart: Least distance [rad].
+        norm: Order of the norm, as in `numpy.linalg.norm`.
+    """
+    kept: list[int] = []
+    left = np.ones(len(x), bool)
+    while left.any() and len(kept) < most:
+        kept.append(int(np.argmax(left)))
+        left &= np.linalg.norm(x - x[kept[-1]], norm, axis=1) >= apart
+    return np.array(kept, int)

@@ -1,0 +1,227 @@
+"""Device functions of the engine: pure functions of one lane.
+
+Each takes the settings and the scene, which all lanes share, and the inputs of its own lane; `device.executor` runs it
+over tables of lanes.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance import Scene, in_workpiece
+from htcp_jax.clearance.obstacles import linearisation
+from htcp_jax.clearance.proof import bisection, motion_proof
+from htcp_jax.device import Loop, by_chunks, lane_function
+from htcp_jax.model import inverse_kinematics, kinematics
+from htcp_jax.model import task as tasks
+from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.settings import Settings
+from htcp_jax.solvers import active_set, step_qp
+from htcp_jax.types import Anywhere, Float, Int, Joints
+
+STEPS_PER_CHUNK = 5  # step QPs, or null-space steps, per call
+
+
+class State(NamedTuple):
+    """A configuration at its target, with its measurements, or many of them, one per row; None if not measured."""
+
+    x: Float[Anywhere, "*n N"]  # configuration [rad or m]
+    linear: linearisation.Linearisation | None = None  # task and clearance to first order
+    clearance: Float[Anywhere, "*n"] | None = None  # D, the smallest [m]
+    residual: Float[Anywhere, "*n"] | None = None  # of the task [m]
+    tcp: Float[Anywhere, "*n 3"] | None = None  # world [m]
+
+
+def prepare(
+    settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear: linearisation.Linearisation
+) -> step_qp.StepQP:
+    """Return the step QP of one lane, equation (9).
+
+    Args:
+        settings: Settings of the planner.
+        scene: The scene.
+        lane: Scenario and target.
+        x_ref (Joints): The current configuration [rad or m].
+        x_previous (Joints): The configuration at the previous target [rad or m].
+        linear: Task and clearance at x_ref to first order.
+    """
+    robot, task = scene.robot, scene.task.linear(*linear.task, lane.target)
+    return step_qp.assemble(
+        settings,
+        x_ref,
+        x_previous,
+        task.error,
+        task.jacobian,
+        linear.clearance.distance,
+        linear.clearance.gradient,
+        lane.margin_m + settings.aim_above_m,
+        robot.lower,
+        robot.upper,
+        task.slack,
+        task.gradient,
+    )
+
+
+def advance(
+    settings: Settings, scene: Scene, lane: LaneInputs, x_ref: Joints, y: Joints, smallest: bool = False
+) -> State:
+    """Return the lane after a step y: linearised by equations (6) to (8), and measured against its target.
+
+    Args:
+        settings: Settings of the planner.
+        scene: The scene.
+        lane: Scenario and target.
+        x_ref: The configuration before the step [rad or m].
+        y: The step [rad or m]; x_ref + y is clipped to the limits exactly.
+        smallest: See `linearise`.
+    """
+    x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
+    linear = linearisation.linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
+    residual = scene.task.residual(linear.task.value, lane.target)
+    return State(x, linear, jnp.min(linear.clearance.distance), residual, kinematics.tcp_position(scene.robot, x))
+
+
+def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> State:
+    """Return `advance` for step QPs that use the smallest clearance only."""
+    return advance(settings, scene, lane, x_ref, y, smallest=True)
+
+
+def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
+    """Return the lane at x, linearised for its step QP."""
+    return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
+
+
+def nothing_known(look: Callable, *arguments) -> Any:
+    """Return zeros in the structure and shapes that `look` would return for these arguments."""
+    return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, *arguments))
+
+
+class TrackingState(NamedTuple):
+    """A lane after a chunk of step QPs: its state, the number of step QPs at this target, and the last one's status."""
+
+    now: State
+    iteration: jax.Array
+    verdict: jax.Array
+
+
+def track(
+    settings: Settings,
+    scene: Scene,
+    lane: LaneInputs,
+    x_ref: Joints,
+    x_previous: Joints,
+    linear: linearisation.Linearisation,
+    iteration: Int[jax.Array, ""],
+) -> Loop:
+    """Solve step QPs (9) on the device, one after the other: Algorithm 1, line 7.
+
+    They end when the target is reached, the lane is stuck, or the chunk of steps is over.
+
+    Args:
+        settings: Settings of the planner.
+        scene: The scene.
+        lane: Scenario and target.
+        x_ref: The current configuration [rad or m].
+        x_previous: The configuration at the previous target [rad or m].
+        linear: Task and clearance at x_ref to first order.
+        iteration: Number of step QPs solved for this target before.
+
+    Returns:
+        A loop whose state is `TrackingState`.
+    """
+    most = jnp.minimum(iteration + STEPS_PER_CHUNK, settings.max_step_qps)
+
+    def going(tracked: TrackingState):
+        here = scene.task.counts(tracked.now.clearance, tracked.now.residual, lane.margin_m)
+        reached = here & (tracked.iteration > 0)
+        return ~reached & (tracked.verdict == step_qp.QPStatus.SOLVED) & (tracked.iteration < most)
+
+    def step(scene: Scene, tracked: TrackingState) -> TrackingState:
+        step_qp = prepare(settings, scene, lane, tracked.now.x, x_previous, tracked.now.linear)
+        found = active_set.solve_step(step_qp, settings.qp_tolerance)
+        now = advance(settings, scene, lane, tracked.now.x, found.y, settings.clearance_rows == "smallest")
+        return TrackingState(now, tracked.iteration + 1, found.status)
+
+    # At a new target, and in a candidate's first chunk, nothing is reached before the first step QP.
+    nowhere = jnp.zeros(3)  # the TCP is not recorded before
+    known = State(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf), nowhere)
+    return Loop(TrackingState(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32)), going, step)
+
+
+def is_path_clear(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
+    """Return True if the straight joint path from a to b is clear."""
+    return motion_proof.path_clear(scene, settings, lane, a, b)
+
+
+def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """Move x onto its target, to a tenth of the tolerance that inverse kinematics has elsewhere."""
+    return inverse_kinematics.reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
+
+
+def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """Return the tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
+    return in_workpiece(lane, kinematics.tip_segment(scene.robot, x))
+
+
+class ProofResolution(NamedTuple):
+    """Resolution of a proof, see `clearance.proof.motion_proof.prove`."""
+
+    kept: Float[jax.Array, ""]
+    resolution_m: Float[jax.Array, ""]  # [m]
+    deepest: Int[jax.Array, ""]
+
+
+def prove_path(
+    settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: motion_proof.Tube, closely: ProofResolution
+) -> Loop:
+    """Prove or refute that the straight joint path from a to b is a motion.
+
+    The conditions on it are data, so that one executable serves all callers.
+
+    Args:
+        settings: Settings of the planner.
+        scene: The scene.
+        lane: Scenario and target.
+        a (Joints): Start of the path [rad or m].
+        b (Joints): End of the path [rad or m].
+        tube: Allowed region of the TCP.
+        closely: Resolution of the proof.
+
+    Returns:
+        A loop whose result is a `Proof`, see `of_proven`.
+    """
+    look = motion_proof.query_on(scene, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
+    start = jax.tree.map(jnp.asarray, bisection.begun())
+    return Loop(start, lambda far: far.going, lambda _, far: look(far), lambda far: bisection.of_proven(far.proof))
+
+
+def task_rows(
+    settings: Settings, scene: Scene, lane: LaneInputs, linear: linearisation.Linearisation
+) -> tasks.TaskLinear:
+    """Return the task's rows at the lane's target, from the linearisation."""
+    return scene.task.linear(*linear.task, lane.target)
+
+
+# Lane functions by name, each with the settings that it reads
+
+MEASURED = ("clearance_rows",)  # by `measured`
+_STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
+
+PREPARE = lane_function.LaneFunction("prepare", prepare, lane_function.STEP, _STEP_QP)
+ADVANCE = lane_function.LaneFunction("advance", advance, lane_function.STEP)
+ADVANCE_SMALLEST = lane_function.LaneFunction("advance", advance_smallest, lane_function.STEP)
+TRACK_CHUNK = lane_function.LaneFunction(
+    "track", track, lane_function.TRACKED, (*_STEP_QP, "max_step_qps", "qp_tolerance")
+)
+PATH_CLEAR = lane_function.LaneFunction("check_path", is_path_clear, lane_function.STEP, ("path_test", "path_steps"))
+SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP)
+TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP)
+TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP)
+PROVE = lane_function.LaneFunction("prove", prove_path, lane_function.TRACKED, refill=by_chunks)
+
+
+def advance_of(settings: Settings) -> lane_function.LaneFunction:
+    """Return the lane function with which an engine measures its lanes."""
+    return ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE

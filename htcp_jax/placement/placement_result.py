@@ -1,0 +1,238 @@
+"""Results of a search, and its folder.
+
+place.json            the search
+ranked.json           the mountings in their order, see `Mounting`
+mountings.parquet     every mounting that was planned: parameters, share of the targets, objectives, reason of failure
+ranked/               a run: the motions of the ranked mountings, scenario by scenario
+best-1.yaml           a job of each ranked mounting, of several seams best-1-1.yaml and on, from which `htcp plan` gives
+                      its motion
+"""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import yaml
+
+from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.io import files
+from htcp_jax.jobs import PlanConfig, examples, load_config
+from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
+from htcp_jax.placement.place_file import Search
+from htcp_jax.process_exit import stop_message
+from htcp_jax.runs import lock, open_run, plan_folder
+from htcp_jax.runs import open as plan_sets
+
+if TYPE_CHECKING:
+    from htcp_jax.placement.scores import MountingScores
+
+NOTHING = "no plan was finished, and no file was written"
+
+
+class PlacementResult(NamedTuple):
+    """A finished search."""
+
+    folder: Path
+    search: Search
+    scores: Sequence["MountingScores"]
+    mountings: Sequence[Mounting]  # ranked
+    motions: Path | None  # the run
+    is_final: bool = True  # False until perturbed mountings are planned and tolerances determined
+
+    @property
+    def scenarios(self) -> int:
+        """Number of scenarios planned by the search."""
+        return sum(len(each.plans.status) for each in self.scores)
+
+    @property
+    def complete(self) -> int:
+        """Number of mountings in which a quick plan is a motion to the end of every seam."""
+        return sum(int(each.complete.sum()) for each in self.scores)
+
+    def seams(self) -> dict[str, tuple[int, float]]:
+        """Return the number of mountings that complete each seam, and its completed share in the best mounting."""
+        names = self.search.seams or (self.search.job.workpiece.path,)
+        done = np.concatenate([each.done for each in self.scores])
+        best = done[np.lexsort((done.mean(axis=1), (done == 1).sum(axis=1)))[-1]]
+        alike = len({Path(name).stem for name in names}) < len(names)
+        return {
+            name if alike else Path(name).stem: (int((done[:, k] == 1).sum()), float(best[k]))
+            for k, name in enumerate(names)
+        }
+
+    def record(self) -> dict[str, Any]:
+        """The result as a mapping for JSON."""
+        return {
+            "name": self.search.name,
+            "finished": self.is_final,
+            "margin_m": self.search.job.margin_m,  # of the quick plans, and of the tolerances
+            "scenarios": self.scenarios,
+            "mountings": sum(len(each.values) for each in self.scores),
+            "complete": self.complete,
+            "seams": {name: {"complete": n, "in_the_best": share} for name, (n, share) in self.seams().items()},
+            "objective": list(self.search.file.objective),
+            "ranked": [self._row(one) | {"jobs": names} for one, names in zip(self.mountings, self.jobs, strict=True)],
+        }
+
+    @property
+    def jobs(self) -> list[list[str]]:
+        """Names of the ranked mountings' job files in the folder, one list per mounting, with one name per seam."""
+        k = len(self.search.seams)
+        return [
+            [f"best-{rank}-{seam}.yaml" for seam in range(1, k + 1)] if k > 1 else [f"best-{rank}.yaml"]
+            for rank in range(1, len(self.mountings) + 1)
+        ]
+
+    def _row(self, one: Mounting) -> dict[str, Any]:
+        axes, objectives, perturbation = (
+            self.search.ranges.axes,
+            self.search.file.objective,
+            self.search.file.perturbation,
+        )
+        known = {} if one.tolerance is None else {
+            "tolerance": {
+                "mm": one.tolerance.together * perturbation.mm,
+                "deg": one.tolerance.together * perturbation.deg,
+                "alone": {axis.name: v for axis, v in zip(axes, one.tolerance.alone.tolist(), strict=True)},
+            }
+        }  # fmt: skip
+        return {
+            "parameters": {axis.name: value for axis, value in zip(axes, one.values.tolist(), strict=True)},
+            "margin_m": one.margin_m,
+            "objective": {name: v for name, v in zip(objectives, one.objective.tolist(), strict=True)},
+            "worst_objective": {name: v for name, v in zip(objectives, one.worst.tolist(), strict=True)},
+            "success_rate": one.success_rate,
+            "pareto_front": one.pareto_front,
+            **known,
+        }
+
+
+@contextlib.contextmanager
+def searching(folder: Path, search: Search) -> Iterator[None]:
+    """Lock the search's folder, and restore it at the end if no plan was finished.
+
+    Raises:
+        InputError: If the folder holds another search, is in use or cannot be written.
+        Interrupted: In place of KeyboardInterrupt.
+    """
+    with plan_folder.made_folder(folder) as is_new, lock.locked(folder):
+        for place, stages, _ in os.walk(folder):
+            for stage in stages:
+                files.resolved_inside(Path(place, stage), folder)  # no stage writes through a link
+        _begin_search(folder, search)
+        try:
+            with stop_message(lambda: _stop_search(folder, is_new)):
+                yield
+        except (Interrupted, KeyboardInterrupt) as stop:
+            code = stop.code - 128 if isinstance(stop, Interrupted) else signal.SIGINT
+            raise Interrupted(_stop_search(folder, is_new), code) from None
+        finally:
+            _stop_search(folder, is_new)
+
+
+def _stop_search(folder: Path, is_new: bool) -> str:
+    """Remove a search without finished plans, and return the message on how to resume."""
+    if _holds_any(folder):
+        return f"stopped; what is finished is in {folder}; the same command goes on from there"
+    (folder / plan_sets.SEARCH).unlink(missing_ok=True)
+    if is_new:
+        shutil.rmtree(folder, ignore_errors=True)
+    return f"stopped; {NOTHING}"
+
+
+def _holds_any(folder: Path) -> bool:
+    return any(folder.glob("rounds/*/*/*.parquet"))
+
+
+def _begin_search(folder: Path, search: Search) -> None:
+    """Write down the search. Raises InputError if the folder holds another search."""
+    requested = {
+        **search.file.model_dump(mode="json"),
+        "config": search.config,
+        "overrides": list(search.overrides),
+        "seams": list(search.seams),
+    }
+    file = folder / plan_sets.SEARCH
+    if not file.exists():
+        plan_folder.write_json(file, requested)
+        return
+    try:
+        there = dict(files.read_json(file, folder))
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"{file} is damaged: {files.cause(error, file)}") from None
+    requested = json.loads(json.dumps(requested))
+    differing = [key for key in {**there, **requested} if there.get(key) != requested.get(key) and key != "config"]
+    if differing:
+        key = differing[0]
+        words = f"{key} is {there.get(key)} there, {requested.get(key)} here"
+        raise InputError(f"{folder} holds another search: {words}; choose another --out")
+
+
+def write_result(
+    folder: Path,
+    search: Search,
+    scores: Sequence["MountingScores"],
+    mountings: Sequence[Mounting],
+    motions: Path | None,
+    is_final: bool,
+) -> PlacementResult:
+    """Write the tables and the job files.
+
+    Args:
+        folder: The search's folder.
+        search: The search.
+        scores: The results of every round.
+        mountings: The mountings, ranked.
+        motions: The run of the ranked mountings' motions; None if there are none.
+        is_final: True if the ranking is final.
+    """
+    found = PlacementResult(folder, search, scores, mountings, motions, is_final)
+    if motions is not None:
+        _write_jobs(found, [point.config for point in open_run(motions).points()])
+    files.write_atomically(folder, MOUNTINGS, files.parquet_bytes(_mounting_table(search, scores)))
+    plan_folder.write_json(folder / RANKED, found.record())
+    return found
+
+
+def _write_jobs(found: PlacementResult, configs: Sequence[PlanConfig]) -> None:
+    """Write a job file for every ranked mounting and seam: the search's job and its changes."""
+    search, names = found.search, [name for own in found.jobs for name in own]
+    for old in found.folder.glob("best-*.yaml"):
+        old.unlink()
+    base = {} if search.config is None else {"config": str(examples.example_or_path(search.config).resolve())}
+    plain = load_config(base.get("config")).model_dump(mode="json")
+    for name, config in zip(names, configs, strict=True):
+        own = _changed_keys(config.model_dump(mode="json"), plain) | {"method": search.file.confirm}
+        text = f"# A mounting that htcp place ranked for {search.name}; htcp plan {name} gives its motion.\n"
+        plan_folder.write_text(found.folder / name, text + yaml.safe_dump(base | own, sort_keys=False))
+
+
+def _changed_keys(config: dict[str, Any], plain: dict[str, Any]) -> dict[str, Any]:
+    """Keys of a configuration whose values differ from the plain one, section by section."""
+    found = {}
+    for key, value in config.items():
+        if isinstance(value, dict) and isinstance(plain.get(key), dict):
+            value = _changed_keys(value, plain[key]) or plain[key]
+        if value != plain.get(key):
+            found[key] = value
+    return found
+
+
+def _mounting_table(search: Search, scores: Sequence["MountingScores"]) -> pa.Table:
+    values = np.concatenate([each.values for each in scores])
+    columns: dict[str, Any] = {"round": np.repeat(np.arange(len(scores)), [len(each.values) for each in scores])}
+    columns |= {axis.name: values[:, k] for k, axis in enumerate(search.ranges.axes)}
+    columns["done"] = np.concatenate([each.done.mean(axis=1) for each in scores])
+    columns["complete"] = np.concatenate([each.complete for each in scores])
+    objective = np.concatenate([each.objective for each in scores])
+    for k, name in enumerate(search.file.objective):
+        columns[name.replace(" ", "_")] = pa.array(objective[:, k], mask=~np.isfinite(objective[:, k]))
+    columns["lost"] = [words or None for each in scores for words in each.lost()]
+    return pa.table(columns)

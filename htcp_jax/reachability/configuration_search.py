@@ -1,0 +1,226 @@
+"""Search for any clear configuration at a target, complete at a stated resolution of the null space.
+
+With its tip on the target, an arm with six joints has as many degrees of freedom left as its tool has orientations. All
+of these are covered by cells of a stated radius (`tool_cells`), except those in which the tool certainly collides. Each
+cell's centre is the goal of Newton's method from several seeds, the nearest of many configurations with known poses, so
+that all branches of the inverse kinematics (elbow up or down and so on) are found. The results are brought onto the
+target, and the clearest that are far apart are pushed clear. An arm with more joints has further redundancy, which only
+the seeds cover.
+
+If a task does not fix the tip's position there are no cells: configurations spread over the joint limits are brought
+onto the target, and the search is not complete.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
+
+from htcp_jax.clearance import Scene, clearance
+from htcp_jax.device import lane_function, tables
+from htcp_jax.model import Robot, Task, inverse_kinematics, kinematics, rotations
+from htcp_jax.model import robot as robots
+from htcp_jax.motion import CollisionChecker, lane_inputs, selection, step_functions
+from htcp_jax.numerics import product
+from htcp_jax.planning.tracking import stages
+from htcp_jax.reachability.tool_cells import MANY, Cells, tool_cells
+from htcp_jax.settings import Settings
+
+CELLS = 20_000  # maximum per target; with more, the resolution is coarser and is reported
+SEEDS, KNOWN = 12, 2**15  # seeds of Newton's method per cell, and known configurations to choose from
+SPREAD = 2**13  # known configurations tried if there are no cells
+STEPS, DAMPING = 12, 1e-5  # of Newton's method [m2/rad2]
+PUSHED = 64  # configurations pushed clear at a target
+APART_RAD = 0.2  # closer configurations count as one
+HOPS, HOPPED = 2, 8  # rounds of random moves, and how many of the clearest are moved and pushed again
+HOP = 0.15  # standard deviation of the moves in the first round [rad or m]
+LENGTH_M = 0.3  # weight of tool rotation: 1 rad counts as this distance of its tip
+TURN_M = LENGTH_M / np.sqrt(2)  # for rotation matrices, whose distance is sqrt(2) times the angle
+# by tool extension: configurations, and a tree of their poses
+KnownConfigurations = dict[float, tuple[np.ndarray, cKDTree]]
+
+
+OnTarget = tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m N"]]  # indices of targets, and configurations on them
+
+
+class SearchResult(NamedTuple):
+    """Result of a search at n targets."""
+
+    at: step_functions.State  # (n, PUSHED, ...): pushed configurations, clearest first; a clearance of -inf for none
+    resolution_rad: Float[np.ndarray, "n"]  # radius of the cells; 0 where the tool collides in every orientation
+
+
+def aim(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, quaternion) -> step_functions.State:
+    """Move x near the target, with the last link in a given orientation if it can be reached, then onto the target.
+
+    Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7).
+
+    Args:
+        settings: Not used.
+        scene: Arm, obstacles and task.
+        lane: The lane's inputs.
+        x: Configuration to start from (N,) [rad or m].
+        quaternion: Orientation of the last link (4,), w first.
+
+    Returns:
+        The configuration and its residual; the clearance is not measured.
+    """
+    robot, task = scene.robot, scene.task
+    place, turned = task.tcp_place(lane.target), rotations.quaternion_matrix(quaternion)
+
+    def step(_, x):
+        turn = rotations.sine_error(kinematics.link_poses(robot, x)[-1, :3, :3], turned)
+        error = jnp.concatenate([place - kinematics.tcp_position(robot, x), LENGTH_M * turn])
+        jac = jnp.concatenate([kinematics.jacobian(robot, x), LENGTH_M * _angular_velocity(robot, x)])
+        return inverse_kinematics.damped_step(robot, x, error, jac, DAMPING)
+
+    x = jax.lax.fori_loop(0, STEPS, step, x)
+    x, residual = inverse_kinematics.reanchor(robot, x, lane.target, task.fine_m, task=task)
+    return step_functions.State(x, clearance=jnp.zeros(()), residual=residual)
+
+
+def measure(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x):
+    """Return the clearance D at x (N,) [rad or m]."""
+    return clearance(scene.robot, scene.obstacles, lane, x)
+
+
+AIM = lane_function.LaneFunction("aim", aim, MANY)
+MEASURE = lane_function.LaneFunction("measure", measure, MANY)
+
+
+def known_configurations(robot: Robot, extensions_m: np.ndarray) -> KnownConfigurations:
+    """Return configurations spread evenly within the joint limits (Halton), with a tree of their poses per tool.
+
+    Args:
+        robot: The arm, its tool not extended.
+        extensions_m: Tool extensions of the scenarios (S,).
+    """
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    x = lower + (upper - lower) * qmc.Halton(len(lower), scramble=False).random(KNOWN)
+    pose = jax.jit(jax.vmap(_scaled_pose, in_axes=(None, 0)))
+    tools = {float(own_m): robots.lengthen_tool(robot, float(own_m)) for own_m in np.unique(extensions_m)}
+    return {own_m: (x, cKDTree(np.asarray(pose(own, x)))) for own_m, own in tools.items()}
+
+
+def _scaled_pose(robot: Robot, x):
+    """Return the TCP's position and the last link's rotation matrix, both scaled to metres."""
+    return jnp.concatenate(
+        [kinematics.tcp_position(robot, x), TURN_M * kinematics.link_poses(robot, x)[-1, :3, :3].ravel()]
+    )
+
+
+def search(
+    checker: CollisionChecker, known: KnownConfigurations, inputs: lane_inputs.LaneInputs, resolution_rad: float
+) -> SearchResult:
+    """Return clear configurations at n targets, each searched independently.
+
+    Args:
+        checker: Collision checker of the scene.
+        known: From `known_configurations`.
+        inputs: The lanes' inputs, one row per target.
+        resolution_rad: Radius of the cells of tool orientations.
+    """
+    lanes, joints = len(inputs.row), len(checker.executor.limits[0])
+    x, best = np.zeros((lanes, PUSHED, joints)), np.full((lanes, PUSHED), -np.inf)
+    if checker.task.holds_tcp:
+        cells = tool_cells(checker.executor, inputs, resolution_rad, CELLS)
+        lane, radius_rad, on = cells.lane, cells.radius_rad, _aimed(checker, known, inputs, cells)
+    else:
+        lane, radius_rad, on = np.arange(lanes), np.full(lanes, np.pi), _settled(checker, known, inputs)
+    _push(checker, inputs, x, best, *_clearest_apart(checker, inputs, *on))
+    for round_ in range(HOPS):
+        lost = np.flatnonzero((best[:, 0] < inputs.margin_m) & (best[:, 0] > -np.inf)).tolist()
+        moves = [_random_moves(inputs, k, round_, joints) for k in lost]
+        aside = [np.repeat(x[k, :HOPPED], PUSHED // HOPPED, axis=0) + own for k, own in zip(lost, moves, strict=True)]
+        _push(checker, inputs, x, best, np.repeat(lost, PUSHED), np.concatenate([np.empty((0, joints)), *aside]))
+    coarsest = np.zeros(lanes)
+    np.maximum.at(coarsest, lane, radius_rad)
+    residual = np.where(best > -np.inf, 0.0, np.inf)  # excludes empty rows
+    return SearchResult(step_functions.State(x, clearance=best, residual=residual), coarsest)
+
+
+def _push(
+    checker: CollisionChecker,
+    inputs: lane_inputs.LaneInputs,
+    x: np.ndarray,
+    best: np.ndarray,
+    lane: np.ndarray,
+    start: np.ndarray,
+):
+    """Push configurations clear, and merge the clearest of each target into `x` and `best`."""
+    if not len(lane):
+        return
+    pushed = checker.executor(stages.PUSH, tables.gather(inputs, lane), start)
+    on = np.where(checker.task.reached(pushed.residual), pushed.clearance, -np.inf)
+    for k in np.unique(lane):
+        own = lane == k
+        D, both = np.concatenate([best[k], on[own]]), np.concatenate([x[k], pushed.x[own]])
+        order = np.argsort(-D, kind="stable")[:PUSHED]
+        x[k], best[k] = both[order], D[order]
+
+
+def _random_moves(inputs: lane_inputs.LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
+    """Return random moves of one target, independent of the other targets."""
+    own = np.random.default_rng([inputs.seed[k], inputs.number[k], inputs.row[k], round_])
+    return HOP * 0.6**round_ * own.normal(size=(PUSHED, joints))
+
+
+def _aimed(
+    checker: CollisionChecker, known: KnownConfigurations, inputs: lane_inputs.LaneInputs, cells: Cells
+) -> OnTarget:
+    """Return configurations on the target in all cells."""
+    which, seeds = _seeds(checker.task, known, inputs, cells)
+    lane = cells.lane[which]
+    if not len(lane):
+        return lane, seeds
+    at = checker.executor(AIM, tables.gather(inputs, lane), seeds, cells.quaternion[which])
+    on = checker.task.reached(at.residual)
+    return lane[on], at.x[on]
+
+
+def _settled(checker: CollisionChecker, known: KnownConfigurations, inputs: lane_inputs.LaneInputs) -> OnTarget:
+    """Return configurations on the targets, from seeds spread over the joint limits."""
+    lane = np.repeat(np.arange(len(inputs.row)), SPREAD)
+    seeds = np.concatenate([known[own_m][0][:SPREAD] for own_m in inputs.tool_extension_m.tolist()])
+    x = checker.project(tables.gather(inputs, lane), seeds)
+    on = checker.task.reached(checker.states(tables.gather(inputs, lane), x).residual)
+    return lane[on], x[on]
+
+
+def _clearest_apart(
+    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, lane: np.ndarray, x: np.ndarray
+) -> OnTarget:
+    """Return the clearest configurations that are far apart."""
+    kept: list[np.ndarray] = [np.empty(0, int)]
+    for k in np.unique(lane):
+        own = np.flatnonzero(lane == k)
+        own = own[np.unique(np.round(x[own] / (0.5 * APART_RAD)).astype(int), axis=0, return_index=True)[1]]
+        D = checker.executor(MEASURE, tables.gather(inputs, lane[own]), x[own])
+        own = own[np.argsort(-D, kind="stable")]
+        kept.append(own[selection.first_apart(x[own], PUSHED, APART_RAD)])
+    return tables.gather((lane, x), np.concatenate(kept))
+
+
+def _seeds(task: Task, known: KnownConfigurations, inputs: lane_inputs.LaneInputs, cells: Cells):
+    """Return the known configurations whose poses are nearest to each cell: the cell's index, and the configuration."""
+    which, seeds = [], []
+    extension, place = inputs.tool_extension_m[cells.lane], task.tcp_place(inputs.target)
+    R = Rotation.from_quat(cells.quaternion, scalar_first=True).as_matrix().reshape(-1, 9)
+    for own_m, (x, tree) in known.items():
+        own = np.flatnonzero(extension == own_m)
+        near = tree.query(np.hstack([place[cells.lane[own]], TURN_M * R[own]]), SEEDS)[1]
+        which.append(np.repeat(own, SEEDS))
+        seeds.append(x[near.ravel()])
+    return np.concatenate(which), np.concatenate(seeds)
+
+
+def _angular_velocity(robot: Robot, x):
+    """Return the last link's angular velocity per unit velocity of each joint, 3 x N."""
+    poses = kinematics.link_poses(robot, x)
+    axes = product(poses[:, :3, :3], robot.axis[:, :, None])[..., 0]
+    return jnp.where(jnp.array(robot.slides)[:, None], 0.0, axes).T

@@ -1,0 +1,230 @@
+"""Split of a motion into sections from stop to stop, each a blended curve that is covered by the polyline's proof.
+
+The arm stops where the tool begins or ends to follow the path, before and after a dwell, and at a corner that cannot be
+blended, because the slack is too small or the tool would almost reverse.
+"""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.model import Robot
+from htcp_jax.motion import Motion, Plans
+from htcp_jax.motion import motion as motions
+from htcp_jax.status import Kind
+from htcp_jax.trajectory.curve import FARTHEST, Blend, Curve
+from htcp_jax.trajectory.displacement import ArmLevers, Displacement, arm_at, bend_bound, displacement_bound, tcp_at
+from htcp_jax.trajectory.limits import MotionLimits
+from htcp_jax.trajectory.row_slack import RowSlacks
+
+SHARE = 0.5  # of the proven clearance, and of the remaining tolerance, that blending may use
+HALVINGS = 12  # of a corner's blend length before the arm stops there
+ONE_MOMENT_S = 1e-3  # duration at full speed up to which legs may be merged
+SHARPEST = 0.5  # cosine of half the angle by which the tool's path may turn without a stop
+PIECES = 8  # per leg, for the bound on the TCP's distance from its line
+SHARE_OF_LIMITS = 0.3  # of accelerations and jerks that a corner of the path should take at the feed
+
+
+class MotionSlack(NamedTuple):
+    """Slack next to the n - 1 legs of a motion."""
+
+    clearance: Float[np.ndarray, "m"]  # proven on the straight joint path [m]
+    tube: Float[np.ndarray, "m"]  # allowed distance of the TCP from the line between the legs' ends [m]; inf: any
+    rows: RowSlacks | None = None  # of a task that constrains more than the TCP's position
+
+    def only(self, which: Int[np.ndarray, "k"]) -> "MotionSlack":
+        """Select some of the legs."""
+        return MotionSlack(self.clearance[which], self.tube[which], self.rows and self.rows.only(which))
+
+
+def motion_slack(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> MotionSlack:
+    """Return the slack of a plan's proof next to the legs of its motion.
+
+    Args:
+        plans: The plans.
+        scenario: Row of the plan.
+        motion: Its motion.
+        tube_m: `Settings.tube_m`.
+    """
+    there = int((motion.kind != Kind.RETRACT).sum())
+    target, kind = motion.target[1:there], motion.kind[1:there]
+    polyline = target + (kind == Kind.DWELL)
+    clearance = plans.segment_clearance[scenario, polyline]
+    off = plans.residual[scenario]
+    off = np.fmax(off[polyline], off[np.maximum(polyline - 1, 0)])
+    tube = np.where(np.isin(kind, (Kind.PROCESS, Kind.DWELL)), tube_m - off, np.inf)
+    back = len(motion.x) - there
+    return MotionSlack(np.append(clearance, clearance[::-1][:back]), np.append(tube, np.full(back, np.inf)))
+
+
+def blends(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionLimits, feed_m_s: float) -> list[Blend]:
+    """Split a motion into sections, in order; legs without motion are removed.
+
+    Args:
+        robot: With the job's tool.
+        motion: The motion.
+        left: Slack next to its legs.
+        limits: Limits of the joints.
+        feed_m_s: Feed of the TCP on the path.
+    """
+    polyline = _merge_short_legs(_moving_legs(robot, motion, left), limits)
+    if not len(polyline.row):
+        return []
+    step = np.where(polyline.on_process, polyline.length, _duration(polyline.x, limits))
+    whole = Curve(np.append(0.0, np.cumsum(step)), polyline.x, np.zeros(len(polyline.x)))
+    wanted = _desired_lengths(whole, polyline.on_process, limits, feed_m_s)
+    blend_length = _blend_lengths(robot, polyline, whole, wanted)
+    along = np.diff(polyline.arm.tcp, axis=0) / np.maximum(polyline.length, 1e-300)[:, None]
+    turned = np.einsum("ij,ij->i", along[:-1], along[1:]) < 2 * SHARPEST**2 - 1
+    stops = (
+        (np.diff(polyline.group + 10 * polyline.on_process) != 0)
+        | (polyline.on_process[1:] & turned)
+        | (blend_length[1:-1] <= 0)
+    )
+    ends = [0, *(np.flatnonzero(stops) + 1).tolist(), len(polyline.x) - 1]
+    return [_blend_of(whole, blend_length, a, b, polyline) for a, b in pairwise(ends)]
+
+
+class _Polyline(NamedTuple):
+    """The polyline of a motion, possibly reduced: k configurations, and k - 1 legs between them."""
+
+    x: Float[np.ndarray, "k N"]
+    row: Int[np.ndarray, "m"]
+    group: Int[np.ndarray, "m"]
+    left: MotionSlack
+    arm: ArmLevers
+
+    @property
+    def length(self) -> Float[np.ndarray, "m"]:
+        """Distance between the TCPs at both ends of each leg [m]."""
+        return np.linalg.norm(np.diff(self.arm.tcp, axis=0), axis=1)
+
+    @property
+    def on_process(self) -> Bool[np.ndarray, "m"]:
+        """True for legs on which the tool follows the path."""
+        return (self.group == Kind.PROCESS) & (self.length >= motions.ONE_POINT_M)
+
+
+def _moving_legs(robot: Robot, motion: Motion, left: MotionSlack) -> _Polyline:
+    """Return the legs on which joints move. Transfer and approach are one group."""
+    kept = np.flatnonzero(np.append(True, np.any(np.diff(motion.x, axis=0) != 0, axis=1)))
+    row = kept[1:]
+    group = np.maximum(motion.kind[row], Kind.APPROACH).astype(int)
+    features = left.rows.features if left.rows else ()
+    return _Polyline(motion.x[kept], row, group, left.only(row - 1), arm_at(robot, motion.x[kept], features))
+
+
+def _merge_short_legs(polyline: _Polyline, limits: MotionLimits) -> _Polyline:
+    """Merge very short legs with the leg before.
+
+    The first configuration of a short leg is replaced by the next one, if the displacement is within the slack.
+    """
+    short = (_duration(polyline.x, limits) < ONE_MOMENT_S) | ((polyline.group == Kind.PROCESS) & ~polyline.on_process)
+    goes = np.flatnonzero(short[1:] & (polyline.group[1:] == polyline.group[:-1])) + 1
+    if not len(goes):
+        return polyline
+    to = np.arange(len(polyline.x))
+    for k in goes[::-1]:
+        to[k] = to[k + 1]
+    before, displacement = goes - 1, polyline.x[to[goes]] - polyline.x[goes]
+    arm = polyline.arm.only(goes)
+    moved = arm.moved(displacement_bound(arm, np.abs(polyline.x[goes] - polyline.x[before]), displacement))
+    off = np.linalg.norm(polyline.arm.tcp[to[goes]] - polyline.arm.tcp[goes], axis=1)
+    left, fits = _less(polyline.left, before, moved._replace(tcp=moved.tcp + off))
+    gone = np.zeros(len(polyline.x), bool)
+    for k, fit in zip(goes[::-1], fits[::-1], strict=True):
+        gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all up to its replacement
+    kept = np.flatnonzero(~gone)
+    last, first = kept[1:] - 1, kept[:-1]  # of merged legs; on the path the first leg's line is used
+    row = np.where(polyline.group[first] == Kind.PROCESS, polyline.row[first], polyline.row[last])
+    return _Polyline(polyline.x[kept], row, polyline.group[last], left.only(first), polyline.arm.only(kept))
+
+
+def _less(left: MotionSlack, legs: Int[np.ndarray, "k"], by: Displacement) -> tuple[MotionSlack, Bool[np.ndarray, "k"]]:
+    """Return the slack after a displacement of some legs, and True for those with enough of it."""
+    whole = left.only(legs)
+    rest = MotionSlack(whole.clearance - by.bodies, whole.tube - by.tcp)
+    fits = (rest.clearance >= SHARE * whole.clearance) & (rest.tube >= SHARE * whole.tube)
+    clearance, tube, rows = left.clearance.copy(), left.tube.copy(), left.rows
+    clearance[legs], tube[legs] = rest.clearance, rest.tube
+    if rows:
+        own = whole.rows.left - whole.rows.taken(by.features)
+        fits &= (own >= SHARE * whole.rows.left).all(axis=1)
+        rows = rows._replace(left=rows.left.copy())
+        rows.left[legs] = own
+    return MotionSlack(clearance, tube, rows), fits
+
+
+def _duration(x: np.ndarray, limits: MotionLimits) -> Float[np.ndarray, "m"]:
+    """Return the durations of straight joint paths at full speed [s]."""
+    return np.max(np.abs(np.diff(x, axis=0)) / limits.velocity, axis=1)
+
+
+def _blend_of(whole: Curve, blend_length: np.ndarray, a: int, b: int, polyline: _Polyline) -> Blend:
+    inner = blend_length[a : b + 1].copy()
+    inner[[0, -1]] = 0.0
+    return Blend(
+        Curve(whole.u[a : b + 1] - whole.u[a], whole.x[a : b + 1], inner),
+        polyline.row[a:b],
+        bool(polyline.on_process[a]),
+    )
+
+
+def _desired_lengths(
+    curve: Curve, on_process: np.ndarray, limits: MotionLimits, feed_m_s: float
+) -> Float[np.ndarray, "k"]:
+    """Return the desired blend lengths of corners: as the feed requires, at most half of the adjacent legs."""
+    step, turns = np.diff(curve.u), np.abs(curve.turns)
+    available = 0.5 * np.append(np.minimum(step[:-1], step[1:]), 0.0)
+    available = np.append(0.0, available)
+    bend = 15 / 16 * turns * feed_m_s**2 / (SHARE_OF_LIMITS * limits.acceleration)
+    jerk = np.sqrt(1.45 * turns * feed_m_s**3 / (SHARE_OF_LIMITS * limits.jerk))
+    needed = np.maximum(np.maximum(bend, jerk).max(axis=1), 0.05 * available)
+    is_process = np.append(on_process, False) & np.append(False, on_process)
+    return np.where(is_process, np.minimum(available, needed), available)
+
+
+def _blend_lengths(robot: Robot, polyline: _Polyline, curve: Curve, wanted: np.ndarray) -> Float[np.ndarray, "k"]:
+    """Return the largest blend lengths, wanted / 2^i, within the slack of the adjacent legs; 0 if none is."""
+    arm, left = polyline.arm, polyline.left
+    tries = np.append(wanted * 0.5 ** np.arange(HALVINGS)[:, None], np.zeros((1, len(wanted))), axis=0)
+    slopes = np.abs(curve.slopes)
+    beside = np.maximum(np.append(slopes[:1], slopes, axis=0), np.append(slopes, slopes[-1:], axis=0))
+    around, displacement = tries[..., None] * beside, FARTHEST * tries[..., None] * curve.turns
+    moved = arm.moved(displacement_bound(arm, around, displacement))
+    tube = left.tube - _chord_deviation(robot, arm, curve, np.isfinite(left.tube))
+    fits = (moved.bodies <= SHARE * _least_of_legs(left.clearance)) & (moved.tcp <= SHARE * _least_of_legs(tube))
+    if left.rows:
+        rows = left.rows.beside()
+        fits &= (rows.taken(moved.features) <= SHARE * rows.left).all(axis=-1)
+    fits[-1] = True
+    return tries[np.argmax(fits, axis=0), np.arange(len(wanted))]
+
+
+def _least_of_legs(legs: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
+    """Return for each via point the minimum of the legs before and after it."""
+    return np.minimum(np.append(legs[:1], legs), np.append(legs, legs[-1:]))
+
+
+def _chord_deviation(robot: Robot, arm: ArmLevers, curve: Curve, which: np.ndarray) -> Float[np.ndarray, "m"]:
+    """Return an upper bound on the chord deviation of legs in `which` [m]; 0 for other legs.
+
+    It is the TCP's distance, on the straight joint path, from the line between the leg's ends.
+    """
+    found, legs = np.zeros(len(which)), np.flatnonzero(which)
+    if not len(legs):
+        return found
+    share = np.arange(1, PIECES) / PIECES
+    step = curve.x[legs + 1] - curve.x[legs]
+    between = curve.x[legs, None] + share[:, None] * step[:, None]
+    tcp = tcp_at(robot, between.reshape(-1, step.shape[1]))[0].reshape(len(legs), PIECES - 1, 3)
+    a, b = arm.tcp[legs, None], arm.tcp[legs + 1, None]
+    along = (b - a) / np.maximum(np.linalg.norm(b - a, axis=-1, keepdims=True), 1e-300)
+    away = tcp - a
+    away = np.linalg.norm(away - (away * along).sum(-1, keepdims=True) * along, axis=-1).max(axis=1)
+    here = arm.only(legs)
+    bend = here.moved(bend_bound(here, np.abs(step), step)).tcp
+    found[legs] = away + bend / (8 * PIECES**2)
+    return found

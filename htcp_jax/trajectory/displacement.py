@@ -1,0 +1,150 @@
+"""Displacement bounds of the arm's points when its joints are displaced from the proven joint path.
+
+Joints near x, each within w_j of it, are moved by n_j. With the levers r_j of a point at x, and M_j as in
+`motion_bound` for joints within w + n, the column of joint j is no longer than l_j = r_j + M_{j+1}, and its derivative
+by joint i no larger than l_max(i, j), 0 for two slides. So the point moves by no more than either of
+
+    sum_j l_j n_j    and    |J(x) n| + sum_ij l_max(i, j) (w_i + n_i / 2) n_j.
+
+The second bound accounts for joints that compensate each other's motion, as for a tool that stays on its path. Both
+also hold for a direction that is fixed to a link: hinges move its end like a point, r_j = |z_j x direction|, slides do
+not.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from htcp_jax.clearance.proof import motion_bound
+from htcp_jax.device import tables as device_tables
+from htcp_jax.model import Robot, kinematics, task, task_rows
+from htcp_jax.numerics import safe_norm
+
+ROWS = 256  # configurations are padded to this times a power of two, so that few sizes are compiled
+
+
+class ArmLevers(NamedTuple):
+    """An arm at k configurations, by P = 2 K + 1 + F points.
+
+    These are both ends of its K bodies, the TCP and F features of a task, which may be directions.
+    """
+
+    levers: Float[np.ndarray, "k P N"]  # to each joint's axis; 0 for joints that do not move the point [m]
+    jacobian: Float[np.ndarray, "k P 3 N"]
+    tcp: Float[np.ndarray, "k 3"]  # world [m]
+    hinge: Bool[np.ndarray, "N"]
+    features: int = 0  # F
+
+    def only(self, which: np.ndarray | slice) -> "ArmLevers":
+        """Select some of the configurations."""
+        return self._replace(levers=self.levers[which], jacobian=self.jacobian[which], tcp=self.tcp[which])
+
+    def moved(self, bounds: Float[np.ndarray, "*S P"]) -> "Displacement":
+        """Reduce bounds of the points to those of bodies, TCP and features."""
+        tcp = self.levers.shape[-2] - 1 - self.features
+        return Displacement(bounds[..., :tcp].max(axis=-1), bounds[..., tcp], bounds[..., tcp + 1 :])
+
+
+class Displacement(NamedTuple):
+    """Upper bounds on displacements."""
+
+    bodies: Float[np.ndarray, "*S"]  # any point of any body [m]
+    tcp: Float[np.ndarray, "*S"]  # [m]
+    features: Float[np.ndarray, "*S F"]  # points [m]; directions, as a chord
+
+
+def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[task_rows.Feature, ...] = ()) -> ArmLevers:
+    """Evaluate the arm at configurations.
+
+    Args:
+        robot: The arm.
+        x: Configurations [rad or m].
+        features: Features of a task.
+    """
+    levers, slopes, tcp = in_padded_sizes(_point_slopes, robot, x)
+    if features:
+        more = in_padded_sizes(partial(_features, features), robot, x)[0]
+        levers = np.concatenate([levers, np.linalg.norm(more, axis=2)], axis=1)
+        slopes = np.concatenate([slopes, more], axis=1)
+    return ArmLevers(levers, slopes, tcp, ~np.array(robot.slides), len(features))
+
+
+def tcp_at(robot: Robot, x: Float[np.ndarray, "k N"]) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 N"]]:
+    """Return the TCP at configurations [rad or m], world [m], and its Jacobian."""
+    return in_padded_sizes(_tcp_and_jacobian, robot, x)
+
+
+def displacement_bound(
+    arm: ArmLevers, within: Float[np.ndarray, "*S k N"], displacement: Float[np.ndarray, "*S k N"]
+) -> Float[np.ndarray, "*S k P"]:
+    """Return an upper bound on each point's displacement [m].
+
+    Args:
+        arm: The arm at k configurations.
+        within: Distances of the joints from these configurations [rad or m].
+        displacement: Displacements of the joints [rad or m].
+    """
+    size = np.abs(displacement)
+    lever = _levers(arm, within + size)
+    along = np.linalg.norm(np.einsum("kpcn,...kn->...kpc", arm.jacobian, displacement), axis=-1)
+    return np.minimum((lever * size[..., None, :]).sum(-1), along + _second(arm, lever, within + 0.5 * size, size))
+
+
+def bend_bound(
+    arm: ArmLevers, within: Float[np.ndarray, "k N"], rates: Float[np.ndarray, "k N"]
+) -> Float[np.ndarray, "k P"]:
+    """Return an upper bound on each point's second derivative on straight joint paths.
+
+    Args:
+        arm: The arm at k configurations.
+        within: Distances of the joints from these configurations [rad or m].
+        rates: Derivatives of the joints on the paths [rad or m].
+    """
+    return _second(arm, _levers(arm, within), np.abs(rates), np.abs(rates))
+
+
+def _levers(arm: ArmLevers, within: np.ndarray) -> np.ndarray:
+    """Return l_j for joints within `within`."""
+    return np.stack(np.broadcast_arrays(*motion_bound.lever_bounds(arm.levers, within, arm.hinge)[0]), axis=-1)
+
+
+def _second(arm: ArmLevers, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return sum_ij l_max(i, j) a_i b_j, without pairs of slides."""
+    turned_a, turned_b = a * arm.hinge, b * arm.hinge
+    before_a, before_b = np.cumsum(turned_a, axis=-1) - turned_a, np.cumsum(turned_b, axis=-1) - turned_b
+    pairs = a * before_b + b * before_a + turned_a * turned_b
+    return (lever * pairs[..., None, :]).sum(-1)
+
+
+def in_padded_sizes(function: Callable, robot: Robot, *tables: Float[np.ndarray, "k ..."]) -> tuple[np.ndarray, ...]:
+    """Apply a function to the rows of tables, padded so that only a few sizes are compiled."""
+    rows = len(tables[0])
+    most = ROWS * 2 ** max(0, int(np.ceil(np.log2(rows / ROWS))))
+    return tuple(
+        np.asarray(part)[:rows] for part in function(robot, *(device_tables.pad(table, most, most) for table in tables))
+    )
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _point_slopes(robot: Robot, x):
+    points, links = motion_bound.arm_points(robot, x)
+    slopes = kinematics.point_jacobians(robot, x, points, links)
+    return safe_norm(slopes.swapaxes(1, 2)), slopes, points[-1]
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _tcp_and_jacobian(robot: Robot, x):
+    return kinematics.tcp_position(robot, x), kinematics.jacobian(robot, x)
+
+
+@partial(jax.jit, static_argnums=0)
+@partial(jax.vmap, in_axes=(None, None, 0))
+def _features(features: tuple[task_rows.Feature, ...], robot: Robot, x):
+    return (jnp.stack([jax.jacfwd(partial(task.feature_at, robot, feature=feature))(x) for feature in features]),)

@@ -1,0 +1,96 @@
+"""Slack of a task's rows next to the legs of a motion, and the part of it that a displacement of the arm uses.
+
+`row_proof` bounds, on an interval of a straight joint path, how far a row's features may be off the path before the row
+may be violated between its two targets: a point by a length, an axis or a frame by the chord of an angle. This is the
+row's slack, one number per row and leg in the row's own unit, the minimum over the leg's PIECES. A curve next to the
+leg satisfies every row if it uses no more than the slack:
+
+    a point            uses its displacement
+    an axis            the displacement of its end, at length 1
+    a frame            the norm of its three axes' displacements
+    an axis that points at a place q away, q >= r
+                       the displacement of its end, and m / (r - m) if its origin moves by m, for
+                       |q/|q| - q'/|q'|| <= |q - q'| / sqrt(|q| |q'|)
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.clearance.proof import row_proof
+from htcp_jax.model import Robot, Task, task_rows
+from htcp_jax.trajectory.displacement import in_padded_sizes
+
+PIECES = 32  # per leg
+
+
+class RowSlacks(NamedTuple):
+    """Slack of R rows, next to m legs or at m via points."""
+
+    rows: tuple[task_rows.Row, ...]
+    left: Float[np.ndarray, "m R"]  # points [m]; axes and frames, as a chord
+    apart: Float[np.ndarray, "m R"]  # lower bound on the distance of the place that a row points at [m]; inf: none
+
+    @property
+    def features(self) -> tuple[task_rows.Feature, ...]:
+        """Features of the rows, one row after another."""
+        return tuple(feature for row in self.rows for feature in row.features)
+
+    def only(self, which: Int[np.ndarray, "k"]) -> "RowSlacks":
+        """Select some of the legs."""
+        return self._replace(left=self.left[which], apart=self.apart[which])
+
+    def next_to_legs(self) -> "RowSlacks":
+        """Return the slack at the via points: the minimum of the legs before and after each."""
+        least = (np.minimum(np.append(v[:1], v, axis=0), np.append(v, v[-1:], axis=0)) for v in (self.left, self.apart))
+        return RowSlacks(self.rows, *least)
+
+    def taken(self, moved: Float[np.ndarray, "*S m F"]) -> Float[np.ndarray, "*S m R"]:
+        """Return an upper bound on the slack used by a displacement that moves the features by `moved`."""
+        found, first = [], 0
+        for k, row in enumerate(self.rows):
+            own = moved[..., first : first + len(row.features)]
+            first += len(row.features)
+            if row.looks:
+                axis, eye = own[..., 0], own[..., 1]
+                distance = self.apart[:, k] - eye
+                found.append(axis + np.divide(eye, distance, out=np.full_like(eye, np.inf), where=distance > 0))
+            else:
+                found.append(np.linalg.norm(own, axis=-1))
+        return np.stack(found, axis=-1)
+
+
+def slack_of_rows(
+    task: Task, robot: Robot, x: Float[np.ndarray, "n N"], goals: Float[np.ndarray, "m 2 G"], on: Bool[np.ndarray, "m"]
+) -> RowSlacks | None:
+    """Return the slack of a task next to the m = n - 1 legs between configurations.
+
+    Args:
+        task: The task.
+        robot: With the job's tool.
+        x: The configurations [rad or m].
+        goals: Goals at both ends of each leg [m, rad].
+        on: True for legs with constraints; the slack of others is unlimited.
+
+    Returns:
+        The slack; None for a task that only constrains the TCP's position, which has a tube.
+    """
+    if not (rows := row_proof.checked(task.parts)):
+        return None
+    left, apart = in_padded_sizes(partial(_slacks, task), robot, x[:-1], x[1:], goals)
+    return RowSlacks(rows, np.where(on[:, None], np.maximum(left, 0.0), np.inf), np.where(on[:, None], apart, np.inf))
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, None, 0, 0, 0))
+def _slacks(task: Task, robot: Robot, a, b, goals):
+    requested, half = row_proof.between(task, goals), jnp.asarray(0.5 / PIECES)
+    places = (jnp.arange(PIECES, dtype=float) + 0.5) / PIECES
+    found = jax.vmap(lambda place: row_proof.rows_left(robot, task.parts, requested, a + place * (b - a), b - a, half))(
+        places
+    )
+    return jnp.min(found.left, axis=0), jnp.min(found.apart, axis=0)

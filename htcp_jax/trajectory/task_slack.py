@@ -1,0 +1,33 @@
+"""Slack of a job's task next to the legs of a motion, if it constrains more than the TCP's position."""
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.jobs import PlanConfig, build
+from htcp_jax.model import Robot
+from htcp_jax.motion import Motion
+from htcp_jax.status import Kind
+from htcp_jax.trajectory.blends import MotionSlack
+from htcp_jax.trajectory.row_slack import slack_of_rows
+
+
+def with_rows(
+    left: MotionSlack, job: PlanConfig, robot: Robot, motion: Motion, aims: Float[np.ndarray, "T G"]
+) -> MotionSlack:
+    """Add the slack of the job's task next to each leg, unlimited off the path.
+
+    If the task does not constrain the TCP's position, the TCP has no tube.
+
+    robot: with the job's tool; aims: goals of the task at each target, see `Scenario`. Raises InputError for a task
+    with a row that has no bound between two configurations.
+    """
+    task = build.task_of_job(job, robot)
+    if task.sampled:
+        names = ", ".join(row.name for row, part in zip(job.task, task.parts, strict=True) if part.sampled)
+        raise InputError(f"no program: the task row {names} states no rate, so it cannot be proven next to the motion")
+    target, kind = motion.target[1:], motion.kind[1:]
+    before = np.where(kind == Kind.DWELL, target, np.maximum(target - 1, 0))
+    on = np.isin(kind, (Kind.PROCESS, Kind.DWELL))
+    rows = slack_of_rows(task, robot, motion.x, np.stack([aims[before], aims[target]], axis=1), on)
+    return left._replace(tube=left.tube if task.holds_tcp else np.full_like(left.tube, np.inf), rows=rows)

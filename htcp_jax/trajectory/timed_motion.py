@@ -1,0 +1,18 @@
+"""Time-parameterised motion as samples."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, Int8
+
+
+class TimedMotion(NamedTuple):
+    """Samples of a motion: configurations with their times."""
+
+    time_s: Float[np.ndarray, "n"]  # increasing
+    x: Float[np.ndarray, "n N"]  # [rad or m]
+    velocity: Float[np.ndarray, "n N"]  # [rad/s or m/s]
+    acceleration: Float[np.ndarray, "n N"]  # [rad/s2 or m/s2]
+    kind: Int8[np.ndarray, "n"]  # `status.Kind` of the segment from the row before
+    target: Int[np.ndarray, "n"]  # target to which the row leads
+    joint_names: tuple[str, ...]
