@@ -63,11 +63,11 @@ _MESSAGES = {
     Status.TRACKED: "tracked by step QPs",
     Status.TRACKED_AFTER_RECOVERY: "tracked after a recovery",
     Status.QP_INFEASIBLE: "the step QP is infeasible: no step satisfies the clearance, progress and limit constraints",
-    Status.ITERATION_LIMIT: "the step QPs reached their iteration limit before the target, or before the required clearance",
+    Status.ITERATION_LIMIT: "the step QPs reached their iteration limit before the target or the required clearance",
     Status.RECOVERY_EXHAUSTED: "no collision-free configuration was found that reaches the target",
     Status.PATH_BLOCKED: (
-        "every collision-free configuration that was found can only be reached by a segment that collides or leaves the "
-        "path"
+        "every collision-free configuration that was found can only be reached by a segment that collides or leaves "
+        "the path"
     ),
     Status.QP_FAILED: "the QP solver failed and returned no solution",
     Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",
