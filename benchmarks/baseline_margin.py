@@ -16,7 +16,7 @@ import numpy as np
 from htcp_jax.device import compile_cache
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
-from htcp_jax.report.chart_style import new_figure
+from htcp_jax.report.charts.style import new_figure
 from htcp_jax.runs.summary import summarise
 
 MARGINS_M = (0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 5e-4, 1e-3, 2e-3, 5e-3)

@@ -27,9 +27,9 @@ from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision, self_collision
 from htcp_jax.device import compile_cache
 from htcp_jax.io.cell import load_cell
-from htcp_jax.io.robot_file import load_robot
-from htcp_jax.io.robot_import import import_robot
-from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.io.robots.loading import load_robot
+from htcp_jax.io.robots.mjcf import arm_xml
+from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.model import Robot
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import GP50

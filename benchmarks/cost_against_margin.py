@@ -17,7 +17,7 @@ import numpy as np
 
 import htcp_jax
 from htcp_jax.device import compile_cache
-from htcp_jax.report.chart_style import new_figure
+from htcp_jax.report.charts.style import new_figure
 from htcp_jax.solvers.path_qp import path_cost
 
 MARGINS_MM = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0)

@@ -25,7 +25,7 @@ from htcp_jax.jobs.grid import Sweep
 from htcp_jax.placement.place_file import Search, load_search
 from htcp_jax.placement.scores import evaluate_raised
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, Evolution, SearchResults, even
-from htcp_jax.report.chart_style import new_figure
+from htcp_jax.report.charts.style import new_figure
 from htcp_jax.runs import Run
 from htcp_jax.runs.sweep import sweep
 

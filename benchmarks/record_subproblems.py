@@ -15,8 +15,8 @@ import jax
 import numpy as np
 
 from htcp_jax.device import compile_cache
-from htcp_jax.io.robot_file import gp50
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.parts.workpiece_source import load_workpiece
+from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import jacobian
 from htcp_jax.model.scenario import make_scenario, stack

@@ -5,8 +5,8 @@ from .clearance.obstacles.obstacle_kind import ObstacleKind, ObstacleShape
 from .clearance.obstacles.obstacles import clearances
 from .clearance.obstacles.of_workpiece import make_obstacle
 from .errors import InputError
-from .io.robot_file import gp50, load_robot
-from .io.workpiece_file import GeneratedDuct, NoCloud, PointCloud, TriangleMesh, load_workpiece
+from .io.parts.workpiece_source import GeneratedDuct, NoCloud, PointCloud, TriangleMesh, load_workpiece
+from .io.robots.loading import gp50, load_robot
 from .model.arm_features import axis_of, point_of
 from .model.inverse_kinematics import reanchor
 from .model.kinematics import capsule_segments, jacobian, tcp_pose, tcp_position

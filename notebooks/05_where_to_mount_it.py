@@ -24,7 +24,7 @@ from pathlib import Path
 import pandas
 
 import htcp_jax
-from htcp_jax.report.place_charts import place_map
+from htcp_jax.report.charts.placement import place_map
 from htcp_jax.report.place_pictures import best_pictures
 from htcp_jax.report.place_tables import read_search
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from htcp_jax.io.capsule_fit import Capsule
+from htcp_jax.io.robots.capsule_fit import Capsule
 
 FINEST = 10  # halvings of a triangle's sides
 

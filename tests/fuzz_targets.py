@@ -28,10 +28,10 @@ from sweep_process import make_sweep
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import load_geometry
-from htcp_jax.io.point_cloud import load_cloud
-from htcp_jax.io.robot_file import gp50
-from htcp_jax.io.robot_model import RobotFields, read_robot_file
-from htcp_jax.io.workpiece_file import read_path
+from htcp_jax.io.parts.point_cloud import load_cloud
+from htcp_jax.io.parts.workpiece_source import read_path
+from htcp_jax.io.robots.loading import gp50
+from htcp_jax.io.robots.model_file import RobotFields, read_robot_file
 from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.jobs.build import scenario_of
 from htcp_jax.jobs.grid import load_sweep

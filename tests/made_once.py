@@ -10,8 +10,8 @@ import pytest
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.io.robot_file import gp50, load_robot
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.parts.workpiece_source import load_workpiece
+from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model.scenario import make_scenario
 

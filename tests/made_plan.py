@@ -7,7 +7,7 @@ from hand_made import plans_with
 from made_once import START, robot
 
 from htcp_jax import api
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.model.duct import duct_cloud, weld
 from htcp_jax.model.scenario import make_scenario

@@ -11,7 +11,7 @@ from htcp_jax.caching import cached_for_last
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.device.executor import ExecutableCache
 from htcp_jax.device.lane_function import STEP, LaneFunction
-from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
 from htcp_jax.settings import Settings
 
 

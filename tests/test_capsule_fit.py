@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as of_numpy
 
-from htcp_jax.io.capsule_fit import GRID_M, Capsule, Cut, clip, cover_with_capsules, fit_capsule, hull_volume
+from htcp_jax.io.robots.capsule_fit import GRID_M, Capsule, Cut, clip, cover_with_capsules, fit_capsule, hull_volume
 
 SHIFTED = trimesh.transformations.translation_matrix((0.25, 0, 0.25))
 SOLIDS = {  # of convex parts

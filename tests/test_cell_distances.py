@@ -19,8 +19,8 @@ from htcp_jax.clearance.obstacles.of_cell import make_fixtures, solid_of
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.io.cell import load_cell
-from htcp_jax.io.robot_import import import_robot
-from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.io.robots.mjcf import arm_xml
+from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import GP50
 

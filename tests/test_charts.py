@@ -9,9 +9,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from htcp_jax.report import charts
-from htcp_jax.report.chart_style import LINES, line_of, spread_labels
+from htcp_jax.report.charts.along_path import REASONS
+from htcp_jax.report.charts.style import LINES, line_of, spread_labels
 from htcp_jax.report.document import png
-from htcp_jax.report.path_charts import REASONS
 from htcp_jax.status import Status
 
 GOOD, LIMIT, LATER, NONE = Status.TRACKED, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED, -1

@@ -10,8 +10,8 @@ import trimesh
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import load_geometry
-from htcp_jax.io.point_cloud import CLOUDS, load_cloud
-from htcp_jax.io.scan import PARTS, SCANS
+from htcp_jax.io.parts.point_cloud import CLOUDS, load_cloud
+from htcp_jax.io.parts.scan import PARTS, SCANS
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3))
 BOX = trimesh.creation.box(extents=(1.0, 2.0, 3.0))

@@ -18,7 +18,7 @@ from htcp_jax.clearance.proof.motion_proof import Tube
 from htcp_jax.device import Executor
 from htcp_jax.device.devices import choose
 from htcp_jax.device.tables import gather
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.model import Task
 from htcp_jax.model.kinematics import tcp_position, tip_segment
 from htcp_jax.model.scenario import make_scenario, stack

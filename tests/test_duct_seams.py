@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.duct_seams import BEADS, SEAMS, seam
-from htcp_jax.io.robot_file import gp50
-from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.io.parts.duct_seams import BEADS, SEAMS, seam
+from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
+from htcp_jax.io.robots.loading import gp50
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import workpiece_of
 from htcp_jax.jobs.config import WorkpieceConfig

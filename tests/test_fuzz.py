@@ -16,8 +16,8 @@ from fuzz import fuzz
 from fuzz_targets import ARM, SMALL, TARGETS, URDF
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.point_cloud import load_cloud
-from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.parts.point_cloud import load_cloud
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.validation.records import read_results
 

@@ -10,7 +10,7 @@ from hand_made import plans_with
 from htcp_jax import api
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
 from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.jobs.build import robot_of, scene
 from htcp_jax.status import Status

@@ -12,7 +12,7 @@ from sphere_references import place
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.proof.motion_bound import motion_bound, travel_bound
 from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M, path_clear, proven_clear
-from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.settings import Settings
 

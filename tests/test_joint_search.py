@@ -16,8 +16,8 @@ from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.device import Executor
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_file import load_robot
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.parts.workpiece_source import load_workpiece
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.motion import CollisionChecker

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mujoco import mjx
 
-from htcp_jax.io.robot_file import gp50, load_robot
+from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model.robot import GP50
 

@@ -14,7 +14,7 @@ from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.proof.bisection import PathVerdict, Proof
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.proof.motion_proof import Tube, prove
-from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.model.robot import GP50
 from htcp_jax.status import SegmentStatus

@@ -10,7 +10,7 @@ import pytest
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.report.place_charts import MARKS, place_map, place_pareto_front
+from htcp_jax.report.charts.placement import MARKS, place_map, place_pareto_front
 from htcp_jax.report.place_tables import parameter, read_search
 from htcp_jax.runs import open_plans
 

@@ -7,8 +7,8 @@ from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.io.robot_file import gp50
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.parts.workpiece_source import load_workpiece
+from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.kinematics import ArmShape, capsule_segments, capsules_and_tcp, tip_segment
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.status import Status

@@ -17,7 +17,7 @@ from test_joint_path import rail
 
 from htcp_jax import api
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.jobs.config import ProgramConfig
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.model.kinematics import capsules_and_tcp

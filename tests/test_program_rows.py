@@ -10,7 +10,7 @@ import pytest
 from test_joint_path import rail
 from test_row_proof import PATHS, SETTINGS, arm, configurations, held, rows
 
-from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.kinematics import link_poses
 from htcp_jax.model.task_rows import Feature
 from htcp_jax.trajectory.displacement import arm_at, displacement_bound

@@ -7,8 +7,8 @@ from published import MODELS, path_of
 from small_cell import small_job
 
 import htcp_jax
-from htcp_jax.io.robot_import import import_robot
-from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.io.robots.mjcf import arm_xml
+from htcp_jax.io.robots.vendor_import import import_robot
 
 
 @pytest.mark.slow

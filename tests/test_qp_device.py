@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from test_qp import WEIGHTS, batch, infeasible, random_batch
 
-from htcp_jax.io.robot_file import gp50
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.parts.workpiece_source import load_workpiece
+from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.tracking import step_qps

@@ -14,8 +14,8 @@ from htcp_jax.clearance.proof.arm_exclusion import arm_cell, has_wrist, tool_cel
 from htcp_jax.clearance.proof.exclusion import tool_collides
 from htcp_jax.cli import main
 from htcp_jax.device import Executor
-from htcp_jax.io.robot_file import gp50
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.parts.workpiece_source import load_workpiece
+from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import link_poses, point_positions, tcp_position
 from htcp_jax.model.scenario import make_scenario, stack

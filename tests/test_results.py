@@ -8,7 +8,7 @@ import pytest
 from hand_made import plans_with
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_file import gp50
+from htcp_jax.io.robots.loading import gp50
 from htcp_jax.runs.plan_folder import (
     summary_record,
     write_json,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_file import gp50, load_robot
+from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.validation.mujoco_arm import MujocoArm

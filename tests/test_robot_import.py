@@ -13,7 +13,7 @@ from enclosed import are_held
 import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_import import BodyCover, import_robot
+from htcp_jax.io.robots.vendor_import import BodyCover, import_robot
 from htcp_jax.model.kinematics import tcp_pose
 
 # A slide, three hinges, a gripper of two fingers; shapes of every kind that URDF has.

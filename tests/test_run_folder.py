@@ -13,7 +13,7 @@ import pytest
 from hand_made import plans_with
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_file import gp50
+from htcp_jax.io.robots.loading import gp50
 from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.jobs.grid_axes import ScenarioPoint
 from htcp_jax.motion.plans import ARRAYS, NO_TARGET

@@ -10,8 +10,8 @@ import pytest
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import scan
-from htcp_jax.io.point_cloud import load_cloud, read_points
-from htcp_jax.io.scan import PARTS, SCANS, read_part
+from htcp_jax.io.parts.point_cloud import load_cloud, read_points
+from htcp_jax.io.parts.scan import PARTS, SCANS, read_part
 
 laspy, pye57 = pytest.importorskip("laspy"), pytest.importorskip("pye57")
 pypcd4, _ = pytest.importorskip("pypcd4"), pytest.importorskip("cascadio")

@@ -18,9 +18,9 @@ from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import row_travel_bound
 from htcp_jax.clearance.proof.motion_bound import travel_bound
 from htcp_jax.clearance.proof.motion_proof import prove
-from htcp_jax.io.robot_file import load_robot
-from htcp_jax.io.robot_import import import_robot
-from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.io.robots.loading import load_robot
+from htcp_jax.io.robots.mjcf import arm_xml
+from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.model import Robot
 from htcp_jax.model.kinematics import capsule_segments, link_poses
 from htcp_jax.model.robot import GP50

@@ -15,8 +15,8 @@ from htcp_jax.clearance.obstacles.self_exclusions import distances, samples
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io import LinkMeshes
-from htcp_jax.io.robot_file import load_robot
-from htcp_jax.io.robot_import import import_robot
+from htcp_jax.io.robots.loading import load_robot
+from htcp_jax.io.robots.vendor_import import import_robot
 
 ARM = """<mujoco model="shelf"><compiler angle="radian"/><worldbody>
   <body name="a"><joint axis="0 0 1" range="-2.5 2.5"/>

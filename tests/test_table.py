@@ -8,8 +8,8 @@ import pytest
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.point_cloud import load_cloud, read_points
-from htcp_jax.io.workpiece_file import read_path
+from htcp_jax.io.parts.point_cloud import load_cloud, read_points
+from htcp_jax.io.parts.workpiece_source import read_path
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-1.0, 1.0, (40, 3))

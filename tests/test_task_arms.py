@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from small_cell import small_job
 
 import htcp_jax
-from htcp_jax.io.robot_import import import_robot
-from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.io.robots.mjcf import arm_xml
+from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
 from htcp_jax.model.kinematics import link_poses, tcp_pose

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep

@@ -15,11 +15,11 @@ from htcp_jax.runs import open_plans
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.plan_program import program_of
 from htcp_jax.viewer import Studio
+from htcp_jax.viewer.browser.timeline import ByTarget, ByTime
 from htcp_jax.viewer.movie import RATE
 from htcp_jax.viewer.plot_strip import PlotStrip
 from htcp_jax.viewer.replay import open_replays
 from htcp_jax.viewer.timed_play import Curves, arms_of, frame_times, played
-from htcp_jax.viewer.timeline import ByTarget, ByTime
 
 FEED, SIZE = "200mm/s", (320, 220)
 DARK, STEP_S = 90, 1e-5  # of a line's pixels; of a finite difference

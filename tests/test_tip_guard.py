@@ -9,7 +9,7 @@ import stranger_jobs
 import trimesh
 
 from htcp_jax.clearance.obstacles.tip_guard import TipGuard, WallTriangles, make_tip_guard
-from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of, workpiece_of
 from htcp_jax.model import Workpiece

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model import Robot, Tool
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.robot import GP50, lengthen_tool

@@ -15,9 +15,9 @@ from stranger_jobs import box_job
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.duct_seams import SEAMS
-from htcp_jax.io.robot_file import gp50, load_robot
-from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
+from htcp_jax.io.parts.duct_seams import SEAMS
+from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
+from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import part_of, robot_of, workpiece_of
 from htcp_jax.model import Robot

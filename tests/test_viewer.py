@@ -44,8 +44,8 @@ import websockets.sync.client
 import websockets.sync.server
 
 from htcp_jax.viewer import Viewer, access
-from htcp_jax.viewer.browser_display import grazing
-from htcp_jax.viewer.browser_scene import lit, side_by_side, turned_to
+from htcp_jax.viewer.browser.display import grazing
+from htcp_jax.viewer.browser.scene import lit, side_by_side, turned_to
 
 
 @pytest.fixture(scope="module")
@@ -543,7 +543,7 @@ def test_ctrl_c_before_the_page_is_up_ends_with_the_code_of_one_after_it(folder,
     def interrupt(_):
         raise KeyboardInterrupt
 
-    ends = {"htcp_jax.cli.view.open_plans": INTERRUPTED, "htcp_jax.viewer.browser.Viewer.wait": "closed"}
+    ends = {"htcp_jax.cli.view.open_plans": INTERRUPTED, "htcp_jax.viewer.browser.page.Viewer.wait": "closed"}
     for place, line in ends.items():
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupt)

@@ -12,8 +12,15 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.point_cloud import load_cloud
-from htcp_jax.io.workpiece_file import GeneratedDuct, PointCloud, TriangleMesh, load_workpiece, read_path, read_source
+from htcp_jax.io.parts.point_cloud import load_cloud
+from htcp_jax.io.parts.workpiece_source import (
+    GeneratedDuct,
+    PointCloud,
+    TriangleMesh,
+    load_workpiece,
+    read_path,
+    read_source,
+)
 from htcp_jax.model import Workpiece, duct
 from htcp_jax.model.duct import NEUTRAL_TRANSLATION, PIVOT
 

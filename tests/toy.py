@@ -8,7 +8,7 @@ import numpy as np
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.motion import Plans

@@ -13,7 +13,8 @@ from jaxtyping import Bool
 from htcp_jax.clearance.obstacles import self_collision, self_exclusions
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.io import LinkMeshes, capsule_fit, robot_file, robot_import, robot_xml
+from htcp_jax.io import robots
+from htcp_jax.io.robots import capsule_fit, mjcf
 from htcp_jax.model import Robot
 from htcp_jax.report import Column, Table
 from htcp_jax.runs import plan_folder
@@ -69,17 +70,17 @@ def robot(
         if file.exists() and not replace:
             raise InputError(f"{file} is there already; --replace writes over it, with what was corrected by hand")
     with progress_bar("bodies") as progress:
-        arm = robot_import.import_robot(model, tcp, most=most, visual=visual, srdf=srdf, progress=progress)
+        arm = robots.import_robot(model, tcp, most=most, visual=visual, srdf=srdf, progress=progress)
     source = os.path.relpath(model, out.parent)
     from htcp_jax.viewer import draw_arm  # here, because bad input is refused before matplotlib is loaded
 
     with plan_folder.written_whole(out.parent) as folder:
-        plan_folder.write_text(folder / out.name, robot_xml.arm_xml(arm, source))
+        plan_folder.write_text(folder / out.name, mjcf.arm_xml(arm, source))
         with progress_bar("pairs of capsules") as progress:
-            listed = _excluded_pairs(arm, robot_file.load_robot(folder / out.name), progress)
-        text = robot_xml.arm_xml(arm, source, listed)
+            listed = _excluded_pairs(arm, robots.load_robot(folder / out.name), progress)
+        text = mjcf.arm_xml(arm, source, listed)
         plan_folder.write_text(folder / out.name, text)
-        made = robot_file.load_robot(folder / out.name)
+        made = robots.load_robot(folder / out.name)
         own = self_collision.self_collision(made)
         title = f"{made.name}: {len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
         draw_arm(arm, text, title).savefig(folder / picture.name)
@@ -96,11 +97,9 @@ def robot(
     return 0
 
 
-def _excluded_pairs(
-    arm: robot_import.ImportedArm, made: Robot, progress: Callable[[int, int], None]
-) -> list[robot_xml.Listed]:
+def _excluded_pairs(arm: robots.ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[mjcf.Listed]:
     """Pairs of capsules that need no check by the arm's meshes, except those that the model excludes."""
-    meshes, names = LinkMeshes.of(arm), made.capsule_names
+    meshes, names = robots.LinkMeshes.of(arm), made.capsule_names
     x, tried = self_exclusions.samples(made), itertools.count(1)
     at = meshes.poses(x)
 
@@ -112,23 +111,23 @@ def _excluded_pairs(
     return [(names[a], names[b], rule, share) for a, b, rule, share in self_exclusions.find_exclusions(made, touch)]
 
 
-def _robot_table(arm: robot_import.ImportedArm) -> Table:
+def _robot_table(arm: robots.ImportedArm) -> Table:
     rows = []
     for b, cover in arm.covers.items():
         counts = len(cover.own), len(cover.fitted)
         rows.append(
             (
-                robot_import.body_name(arm.model, b),
+                robots.body_name(arm.model, b),
                 *counts,
                 cover.ratio,
                 1e3 * cover.outside_m,
-                robot_xml.in_words(cover),
+                mjcf.in_words(cover),
             )
         )
     return Table("robot", COLUMNS, tuple(rows))
 
 
-def _robot_facts(arm: robot_import.ImportedArm) -> dict[str, str | tuple[str, ...]]:
+def _robot_facts(arm: robots.ImportedArm) -> dict[str, str | tuple[str, ...]]:
     return {
         "TCP": arm.tip.name,
         "joints": arm.joint_names,

@@ -12,7 +12,7 @@ import numpy as np
 
 from htcp_jax.device import compile_cache
 from htcp_jax.errors import InputError
-from htcp_jax.io import robot_file, workpiece_file
+from htcp_jax.io import parts, robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.planning import batch
 from htcp_jax.runs import provenance
@@ -56,7 +56,7 @@ def examine() -> dict[str, Any]:
 def self_test() -> SelfTest:
     """Plan a short path by the baseline and compare the result with the known one."""
     began = time.perf_counter()
-    robot, part = robot_file.gp50(), workpiece_file.load_workpiece()
+    robot, part = robots.gp50(), parts.load_workpiece()
     count = 11 + POINTS  # the start, the approach, the path's first points
     scenario = scenarios.make_scenario(robot, part, START)
     scenario = dataclasses.replace(scenario, targets=scenario.targets[:count], count=np.asarray(count, np.int32))

@@ -1,35 +1,10 @@
-from . import (
-    capsule_fit,
-    cell,
-    duct_seams,
-    files,
-    robot_file,
-    robot_import,
-    robot_model,
-    robot_xml,
-    safe_xml,
-    strict_model,
-    strict_yaml,
-    units,
-    workpiece_file,
-)
-from .link_meshes import LinkMeshes
-from .point_cloud import load_geometry
+from . import cell, files, parts, robots, strict_model, strict_yaml
 
 __all__ = [
-    "LinkMeshes",
-    "capsule_fit",
     "cell",
-    "duct_seams",
     "files",
-    "load_geometry",
-    "robot_file",
-    "robot_import",
-    "robot_model",
-    "robot_xml",
-    "safe_xml",
+    "parts",
+    "robots",
     "strict_model",
     "strict_yaml",
-    "units",
-    "workpiece_file",
 ]

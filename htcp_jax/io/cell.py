@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_model import compile_spec, no_log, upwards
-from htcp_jax.io.robot_shapes import Geom, Shapes
-from htcp_jax.io.safe_xml import model_files, read_spec
+from htcp_jax.io.robots.model_file import compile_spec, no_log, upwards
+from htcp_jax.io.robots.safe_xml import model_files, read_spec
+from htcp_jax.io.robots.shapes import Geom, Shapes
 from htcp_jax.model import Fixture, fixture, tool
 from htcp_jax.types import Triple
 

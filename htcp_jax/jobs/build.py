@@ -12,7 +12,8 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import obstacle_kind, of_cell, self_collision
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import cell as cells
-from htcp_jax.io import duct_seams, load_geometry, robot_file, units, workpiece_file
+from htcp_jax.io import parts
+from htcp_jax.io.robots import load_robot
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.given_kinds import shapes_in_world
 from htcp_jax.kinds import numbers_of, template_of
@@ -40,7 +41,7 @@ def robot_of(arm: RobotConfig) -> Robot:
     Raises:
         InputError: As `load_robot` does, and for a tool that is longer than the arm.
     """
-    robot = robot_file.load_robot(
+    robot = load_robot(
         arm.file,
         tcp_site="tcp" if arm.tcp is None else arm.tcp,
         limits=arm.limits,
@@ -48,7 +49,7 @@ def robot_of(arm: RobotConfig) -> Robot:
         base_rpy_rad=arm.base_rpy_rad,
         tool=arm.tool,
     )
-    units.check_tool(robot, arm.tool_extension_m)
+    parts.check_tool(robot, arm.tool_extension_m)
     return robot
 
 
@@ -60,7 +61,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     """
     direction = workpieces.InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
     stated = {"inlet": part.inlet_m, "inlet_direction": direction}
-    workpiece = workpiece_file.load_workpiece(
+    workpiece = parts.load_workpiece(
         source_of(part),
         path_file(part),
         interior=part.interior,
@@ -83,18 +84,16 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     return workpiece
 
 
-def source_of(part: WorkpieceConfig) -> workpiece_file.WorkpieceSource:
+def source_of(part: WorkpieceConfig) -> parts.WorkpieceSource:
     """Return the source of the workpiece's walls; a file is read."""
     if part.is_duct:
-        return (
-            workpiece_file.GeneratedDuct(seam=part.path) if path_file(part) is None else workpiece_file.GeneratedDuct()
-        )
-    return workpiece_file.read_source(part.cloud, part.mesh_spacing_m) if part.has_cloud else workpiece_file.NoCloud()
+        return parts.GeneratedDuct(seam=part.path) if path_file(part) is None else parts.GeneratedDuct()
+    return parts.read_source(part.cloud, part.mesh_spacing_m) if part.has_cloud else parts.NoCloud()
 
 
 def path_file(part: WorkpieceConfig) -> str | None:
     """Return the path's file; None if a seam of the generated duct is named."""
-    is_seam = part.path in duct_seams.SEAMS or (part.is_duct and not Path(part.path).suffix)
+    is_seam = part.path in parts.SEAMS or (part.is_duct and not Path(part.path).suffix)
     return None if is_seam else part.path
 
 
@@ -166,7 +165,7 @@ def drawn_of(cell: CellConfig) -> surface.WorldGeometry:
     triangles = [surface.NOTHING.triangles, *(each.surface for each in shapes)]
     surfaces = [surface.NOTHING.clouds]
     for each in cell.clouds:
-        points, mesh = load_geometry(each.cloud)
+        points, mesh = parts.load_geometry(each.cloud)
         T = tool.pose(each.base_m, each.base_rpy_rad)
         if len(mesh):
             triangles.append(mesh @ T[:3, :3].T + T[:3, 3])
@@ -182,7 +181,7 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
     clouds = tuple(
         of_cell.placed_cloud(
             robot,
-            *load_geometry(each.cloud),
+            *parts.load_geometry(each.cloud),
             tool.pose(each.base_m, each.base_rpy_rad),
             source=each.cloud,
             name=Path(each.cloud).stem,

@@ -97,7 +97,7 @@ class WorkpieceConfig(strict_model.FileSection):
     """The cloud, the tool path in its frame, its pose, and the approach to the path."""
 
     cloud: str = DUCT  # the generated duct, a file of points or a mesh, or none
-    path: str = "weld"  # a seam of the generated duct, see `duct_seams`, or a CSV file of x,y,z [m]
+    path: str = "weld"  # a seam of the generated duct, see `io.parts`, or a CSV file of x,y,z [m]
     inlet_m: PointM | None = None  # centre of the inlet; None: the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # boundary of the interior deeper than interior_depth_m
     interior_depth_m: float = Field(duct.INTERIOR_DEPTH_M, ge=0, le=LARGEST)

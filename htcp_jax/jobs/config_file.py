@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import duct_seams, strict_yaml
+from htcp_jax.io import parts, strict_yaml
 
 BASE = "config"  # the key for the base file
 BUILT_IN_ARM, DUCT, NO_CLOUD = "gp50", "duct", "none"  # words of a job, which `config` resolves
@@ -20,7 +20,7 @@ BUILT_IN_ARM, DUCT, NO_CLOUD = "gp50", "duct", "none"  # words of a job, which `
 FILES = {
     ("robot", "model"): (BUILT_IN_ARM,),
     ("workpiece", "cloud"): (DUCT, NO_CLOUD),
-    ("workpiece", "path"): duct_seams.SEAMS,
+    ("workpiece", "path"): parts.SEAMS,
     ("cell", "model"): (None,),
 }
 

@@ -1,7 +1,7 @@
 """The robot: a serial arm with capsules around its links.
 
 A link moves with a joint: its frame lies on that joint's axis, and bodies fixed to it, including tools, belong to it. A
-Robot consists of plain arrays, read once from a model file (`robot_file`); kinematics.py needs nothing else.
+Robot consists of plain arrays, read once from a model file (`io.robots`); kinematics.py needs nothing else.
 """
 
 import dataclasses

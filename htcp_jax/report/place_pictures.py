@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from htcp_jax.io import files
 from htcp_jax.placement import mounting
 from htcp_jax.report.cell import OpenedScene
-from htcp_jax.report.chart_style import INK
+from htcp_jax.report.charts.placement import place_map, place_pareto_front
+from htcp_jax.report.charts.style import INK
 from htcp_jax.report.document import png
-from htcp_jax.report.place_charts import place_map, place_pareto_front
 from htcp_jax.report.place_tables import SearchTable, read_search
 from htcp_jax.runs import Run, open_run
 from htcp_jax.runs import open as plan_sets

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pyarrow as pa
 
+from htcp_jax.report.charts.over_grid import Measure, over_line, over_map
+from htcp_jax.report.charts.success import Axis
 from htcp_jax.report.document import Block, Column, Heading, Picture, Table, unknown
 from htcp_jax.report.groups import Part
-from htcp_jax.report.success_charts import Axis
-from htcp_jax.report.timing_charts import Measure, over_line, over_map
 from htcp_jax.runs import timing_file
 
 COLUMNS = (

@@ -3,7 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from htcp_jax.io import cell, safe_xml
+from htcp_jax.io import cell
+from htcp_jax.io.robots import safe_xml
 from htcp_jax.jobs import config_file
 from htcp_jax.runs.identity import file_hash
 

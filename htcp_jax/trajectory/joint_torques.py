@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.io import robot_model, safe_xml
+from htcp_jax.io.robots import model_file, safe_xml
 from htcp_jax.jobs import config
 from htcp_jax.model import tool
 from htcp_jax.trajectory.timed_motion import TimedMotion
@@ -44,11 +44,11 @@ def model_of(arm: config.RobotConfig) -> mujoco.MjModel | None:
         InputError: For an unreadable file.
     """
     path = arm.file
-    with robot_model.no_log():
+    with model_file.no_log():
         spec = safe_xml.read_spec(path)
     for shape in [*spec.geoms, *spec.meshes]:
         spec.delete(shape)
-    model = robot_model.compile_spec(spec, path)
+    model = model_file.compile_spec(spec, path)
     massive = {int(model.body_weldid[body.id]) for body in spec.bodies if body.explicitinertial and body.mass > 0}
     if not set(model.body_weldid[model.jnt_bodyid].tolist()) <= massive:
         return None

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import LinkMeshes, safe_xml
+from htcp_jax.io.robots import LinkMeshes, safe_xml
 from htcp_jax.model import Tool
 from htcp_jax.model import tool as tools
 from htcp_jax.types import Triple
@@ -46,8 +46,8 @@ class MujocoArm:
     Args:
         path: The model file.
         tool_extension_m: Length added to the tool.
-        limits: The profile of joint limits, as in `robot_file.load_robot`.
-        tcp: The name of the TCP's site or body, `tcp_site` in `robot_file.load_robot`.
+        limits: The profile of joint limits, as in `robots.load_robot`.
+        tcp: The name of the TCP's site or body, `tcp_site` in `robots.load_robot`.
         base_m: Position of the model's frame in the world.
         base_rpy_rad: Rotation of the model's frame, about world x, then y, then z.
         tool: The tool on the frame `tcp`, which is then the flange.

@@ -16,7 +16,8 @@ import trimesh
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import load_geometry, safe_xml
+from htcp_jax.io.parts import load_geometry
+from htcp_jax.io.robots import safe_xml
 from htcp_jax.jobs import config, given_kinds
 from htcp_jax.model import fixture
 from htcp_jax.validation.mujoco_arm import FAR_M, ArmPoses, MujocoArm

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.io import LinkMeshes
+from htcp_jax.io.robots import LinkMeshes
 from htcp_jax.model import robot
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 

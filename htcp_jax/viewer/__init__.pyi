@@ -1,6 +1,6 @@
 from . import movie, offscreen, plot_strip, replay, timed_play
 from .arm_picture import draw_arm
-from .browser import Viewer
+from .browser.page import Viewer
 from .normal_glyphs import glyphs
 from .picture import draw_cell, draw_plan
 from .render import Studio

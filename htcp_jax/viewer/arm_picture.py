@@ -12,7 +12,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
-from htcp_jax.io import robot_import
+from htcp_jax.io import robots
 from htcp_jax.viewer.colours import DWELL, INK, PAPER, TOOL, WALL
 from htcp_jax.viewer.picture import stadium
 
@@ -21,7 +21,7 @@ SIDES = {"seen along y": [0, 2], "seen against x": [1, 2]}  # axes to the right 
 AXES, AXIS_M = ("#c0392b", "#27ae60", "#2c5fd1"), 0.1  # x, y, z of the TCP's frame
 
 
-def draw_arm(arm: robot_import.ImportedArm, text: str, title: str) -> Figure:
+def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
     """Draw an imported arm, in the configuration nearest to zero.
 
     Args:
@@ -47,10 +47,10 @@ def draw_arm(arm: robot_import.ImportedArm, text: str, title: str) -> Figure:
 
 
 def _draw_side(
-    axes: Axes, arm: robot_import.ImportedArm, model: mujoco.MjModel, data: mujoco.MjData, flat: list[int]
+    axes: Axes, arm: robots.ImportedArm, model: mujoco.MjModel, data: mujoco.MjData, flat: list[int]
 ) -> None:
     for b, cover in arm.covers.items():
-        at = model.body(robot_import.body_name(arm.model, b)).id if b else 0
+        at = model.body(robots.body_name(arm.model, b)).id if b else 0
         R, t = data.xmat[at].reshape(3, 3), data.xpos[at]
         triangles = (np.concatenate([cover.held, cover.drawn]) @ R.T + t)[..., flat]
         axes.add_collection(PolyCollection(triangles, facecolors=DRAWN, linewidths=0, rasterized=True, zorder=2))

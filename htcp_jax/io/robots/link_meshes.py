@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.capsule_fit import Capsule, Cut, Triangles, clip
-from htcp_jax.io.robot_import import ImportedArm, held_triangles
-from htcp_jax.io.robot_model import compile_spec, link_frames, no_log
-from htcp_jax.io.safe_xml import read_spec
+from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Triangles, clip
+from htcp_jax.io.robots.model_file import compile_spec, link_frames, no_log
+from htcp_jax.io.robots.safe_xml import read_spec
+from htcp_jax.io.robots.vendor_import import ImportedArm, held_triangles
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 

@@ -4,7 +4,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.safe_xml import parse
+from htcp_jax.io.robots.safe_xml import parse
 
 
 def disabled_pairs(path: Path, robot: str, bodies: Collection[str]) -> list[tuple[str, str]]:

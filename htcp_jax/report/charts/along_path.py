@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from htcp_jax.motion import plans
-from htcp_jax.report.chart_style import (
+from htcp_jax.report.charts.style import (
     INK,
     PAPER,
     QUIET,

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.capsule_fit import MOST, Capsule, MeshPiece, Triangles, cover_with_capsules, hull_volume
-from htcp_jax.io.robot_model import check_joints, compile_spec, joint_name, joint_numbers, no_log, upwards
-from htcp_jax.io.robot_shapes import Geom, Shape, Shapes
-from htcp_jax.io.robot_tcp import Tip, find_tip
-from htcp_jax.io.safe_xml import read_spec
-from htcp_jax.io.srdf import disabled_pairs
+from htcp_jax.io.robots.capsule_fit import MOST, Capsule, MeshPiece, Triangles, cover_with_capsules, hull_volume
+from htcp_jax.io.robots.model_file import check_joints, compile_spec, joint_name, joint_numbers, no_log, upwards
+from htcp_jax.io.robots.safe_xml import read_spec
+from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
+from htcp_jax.io.robots.srdf import disabled_pairs
+from htcp_jax.io.robots.tcp import Tip, find_tip
 
 PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s that an arm keeps
 NOT_OF_AN_ARM = "plane", "hfield", "sdf"

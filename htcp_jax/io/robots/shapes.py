@@ -14,9 +14,9 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.capsule_fit import Capsule, Triangles
-from htcp_jax.io.point_cloud import load_geometry
-from htcp_jax.io.robot_model import frame
+from htcp_jax.io.parts.point_cloud import load_geometry
+from htcp_jax.io.robots.capsule_fit import Capsule, Triangles
+from htcp_jax.io.robots.model_file import frame
 
 ENDINGS = ".stl", ".obj", ".ply"
 SIDES = 48  # of the prism about a cylinder

@@ -9,18 +9,6 @@ distinguishable for colour-blind readers and never carry a meaning alone: method
 line has its name; reasons differ in marker; the cells of a map show their number. Drawing needs no screen.
 """
 
-from htcp_jax.report.path_charts import clearance_along, joint_motion, joint_motion_by_joint, stops, survival
-from htcp_jax.report.success_charts import Axis, success, success_line, success_map, success_slices
+import lazy_loader
 
-__all__ = [
-    "Axis",
-    "clearance_along",
-    "joint_motion",
-    "joint_motion_by_joint",
-    "stops",
-    "success",
-    "success_line",
-    "success_map",
-    "success_slices",
-    "survival",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

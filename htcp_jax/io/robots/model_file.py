@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.safe_xml import read_spec, unreadable_model
+from htcp_jax.io.robots.safe_xml import read_spec, unreadable_model
 from htcp_jax.model import Tool, robot
 from htcp_jax.model import arrays as coordinates
 from htcp_jax.model import tool as tools

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.table import read_named
+from htcp_jax.io.parts.table import read_named
 from htcp_jax.model import PathFrames
 
 NORMALS, TANGENTS, QUATERNIONS = ("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz")

@@ -7,10 +7,10 @@ from xml.etree.ElementTree import Element, SubElement
 import mujoco
 import numpy as np
 
-from htcp_jax.io.capsule_fit import Capsule
-from htcp_jax.io.link_meshes import CUTS, MADE_FROM, VISUAL, cuts_text
-from htcp_jax.io.robot_import import BodyCover, ImportedArm, body_name
-from htcp_jax.io.robot_model import EXCLUDED, LIST, excluded_bodies
+from htcp_jax.io.robots.capsule_fit import Capsule
+from htcp_jax.io.robots.link_meshes import CUTS, MADE_FROM, VISUAL, cuts_text
+from htcp_jax.io.robots.model_file import EXCLUDED, LIST, excluded_bodies
+from htcp_jax.io.robots.vendor_import import BodyCover, ImportedArm, body_name
 
 Listed = tuple[str, str, str, float]  # names of two capsules, the rule, and the share of configurations
 

@@ -10,7 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from htcp_jax.report.chart_style import (
+from htcp_jax.report.charts.style import (
     INK,
     PAPER,
     QUIET,

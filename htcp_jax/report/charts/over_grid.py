@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from htcp_jax.report.chart_style import (
+from htcp_jax.report.charts.style import (
     INK,
     PAPER,
     QUIET,
@@ -22,7 +22,7 @@ from htcp_jax.report.chart_style import (
     outer_labels,
     plain_axes,
 )
-from htcp_jax.report.success_charts import MOST_NUMBERS, TRACKED, Axis, frame_map
+from htcp_jax.report.charts.success import MOST_NUMBERS, TRACKED, Axis, frame_map
 
 DARK = 0.62  # share of the scale above which numbers are light
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import jax
 
-from htcp_jax.io.link_meshes import MeshesInFile
-from htcp_jax.io.robot_model import read_robot_file
+from htcp_jax.io.robots.link_meshes import MeshesInFile
+from htcp_jax.io.robots.model_file import read_robot_file
 from htcp_jax.model import Robot, Tool, robot
 from htcp_jax.model import tool as tools
 from htcp_jax.types import Triple

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.duct_seams import SEAMS, seam
 from htcp_jax.io.files import known_ending
-from htcp_jax.io.path_file import read_frames
-from htcp_jax.io.point_cloud import TEXT, load_geometry
-from htcp_jax.io.table import read_table
-from htcp_jax.io.units import check_extent, check_path_unit
+from htcp_jax.io.parts.duct_seams import SEAMS, seam
+from htcp_jax.io.parts.path_file import read_frames
+from htcp_jax.io.parts.point_cloud import TEXT, load_geometry
+from htcp_jax.io.parts.table import read_table
+from htcp_jax.io.parts.units import check_extent, check_path_unit
 from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
 from htcp_jax.types import Anywhere
 

@@ -13,14 +13,14 @@ import viser
 from htcp_jax.errors import InputError
 from htcp_jax.markup import escaped
 from htcp_jax.trajectory import PlanProgram
-from htcp_jax.viewer.access import serve, silent
 from htcp_jax.viewer.arm_pose import together
-from htcp_jax.viewer.browser_display import DisplayOptions
-from htcp_jax.viewer.browser_plots import Plots
-from htcp_jax.viewer.browser_scene import BrowserScene
-from htcp_jax.viewer.browser_words import describe, name_of, target_facts
+from htcp_jax.viewer.browser.access import serve, silent
+from htcp_jax.viewer.browser.display import DisplayOptions
+from htcp_jax.viewer.browser.plots import Plots
+from htcp_jax.viewer.browser.scene import BrowserScene
+from htcp_jax.viewer.browser.texts import describe, name_of, target_facts
+from htcp_jax.viewer.browser.timeline import ByTarget, ByTime, Timeline
 from htcp_jax.viewer.replay import Replay, Replays
-from htcp_jax.viewer.timeline import ByTarget, ByTime, Timeline
 
 WAITING_S = 0.1  # polling interval of the play button
 

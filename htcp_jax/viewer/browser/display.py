@@ -7,7 +7,7 @@ import viser
 from jaxtyping import Float
 
 from htcp_jax.model import kinematics
-from htcp_jax.viewer.browser_scene import BrowserScene
+from htcp_jax.viewer.browser.scene import BrowserScene
 from htcp_jax.viewer.camera import kept, open_side, sight
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.viewpoints import View

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.columns import ColumnIndices, TablePoints
 from htcp_jax.io.files import open_named
+from htcp_jax.io.parts.columns import ColumnIndices, TablePoints
 from htcp_jax.unfinished import temporary_folder
 
 

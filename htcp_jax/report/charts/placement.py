@@ -17,7 +17,7 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from htcp_jax.report.chart_style import INK, PAPER, QUIET, new_figure, plain_axes
+from htcp_jax.report.charts.style import INK, PAPER, QUIET, new_figure, plain_axes
 from htcp_jax.report.place_tables import SearchTable, ShownParameter
 
 SPARE = LinearSegmentedColormap.from_list("objective", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.columns import ColumnIndices, TablePoints, columns_of, header_names, without_units
 from htcp_jax.io.files import read_array, read_bytes
+from htcp_jax.io.parts.columns import ColumnIndices, TablePoints, columns_of, header_names, without_units
 
 DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 

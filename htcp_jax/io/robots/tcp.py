@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robot_model import frame, upwards
+from htcp_jax.io.robots.model_file import frame, upwards
 
 SURE = "tcp", "tool0"  # names of the TCP or the flange that take precedence
 MOST_NAMED = 12  # candidates

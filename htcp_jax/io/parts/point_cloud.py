@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.columns import TablePoints
 from htcp_jax.io.files import known_ending, one_line, quiet, read_bytes
-from htcp_jax.io.scan import PARTS, SCANS, read_part, read_scan
-from htcp_jax.io.table import read_npy, read_table
+from htcp_jax.io.parts.columns import TablePoints
+from htcp_jax.io.parts.scan import PARTS, SCANS, read_part, read_scan
+from htcp_jax.io.parts.table import read_npy, read_table
 from htcp_jax.model import arrays, mesh_points
 
 TEXT = (".xyz", ".csv", ".txt")

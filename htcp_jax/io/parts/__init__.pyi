@@ -1,0 +1,25 @@
+from .duct_seams import SEAMS
+from .point_cloud import load_geometry
+from .units import check_tool
+from .workpiece_source import (
+    GeneratedDuct,
+    NoCloud,
+    PointCloud,
+    TriangleMesh,
+    WorkpieceSource,
+    load_workpiece,
+    read_source,
+)
+
+__all__ = [
+    "SEAMS",
+    "GeneratedDuct",
+    "NoCloud",
+    "PointCloud",
+    "TriangleMesh",
+    "WorkpieceSource",
+    "check_tool",
+    "load_geometry",
+    "load_workpiece",
+    "read_source",
+]

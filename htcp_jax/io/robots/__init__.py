@@ -1,0 +1,13 @@
+"""Robots: reading of arms, and import of vendors' models as arms of capsules.
+
+`load_robot` reads an arm from a model file, MJCF or URDF; `gp50` is the built-in one. `model_file` compiles such a file
+with MuJoCo and extracts the chain to the TCP. `safe_xml` refuses harmful files before MuJoCo reads them.
+
+`import_robot` turns a vendor's model into an `ImportedArm`: `capsule_fit` encloses the mesh of each link in capsules.
+`mjcf` writes such an arm as a file for `load_robot`. `LinkMeshes` are the vendor's meshes within the capsules, for
+contacts and distances between them.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,17 @@
+from . import capsule_fit, mjcf, model_file, safe_xml
+from .link_meshes import LinkMeshes
+from .loading import gp50, load_robot
+from .vendor_import import ImportedArm, body_name, import_robot
+
+__all__ = [
+    "ImportedArm",
+    "LinkMeshes",
+    "body_name",
+    "capsule_fit",
+    "gp50",
+    "import_robot",
+    "load_robot",
+    "mjcf",
+    "model_file",
+    "safe_xml",
+]

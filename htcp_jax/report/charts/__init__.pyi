@@ -1,0 +1,15 @@
+from .along_path import clearance_along, joint_motion, joint_motion_by_joint, stops, survival
+from .success import Axis, success, success_line, success_map, success_slices
+
+__all__ = [
+    "Axis",
+    "clearance_along",
+    "joint_motion",
+    "joint_motion_by_joint",
+    "stops",
+    "success",
+    "success_line",
+    "success_map",
+    "success_slices",
+    "survival",
+]
