@@ -34,7 +34,7 @@ OWN = "nspace-sqp", "hybrid", "beam"
 NAMES = (*OWN, *PEERS)
 
 
-class Judged(NamedTuple):
+class PlannerResults(NamedTuple):
     """Results of a planner."""
 
     plans: Plans
@@ -68,12 +68,12 @@ def rows(batch: Batch, names: list[str], limit_s: float):
         share, tracked = f"{100 * good / targets:.1f}", int(ends.tracked.sum())
         note = (
             f"{by_pose}; "
-            f"{', '.join(f'{refuted.count(way)} {way}' for segment_status in sorted(set(refuted))) or 'none'}"
+            f"{', '.join(f'{refuted.count(name)} {name}' for name in sorted(set(refuted))) or 'none'}"
         )
         yield ROW.format(name, good, share, tracked, f"{judged.cpu_s:.1f}", f"{judged.compile_s:.1f}", note)
 
 
-def _judged(batch: Batch, name: str, limit_s: float) -> Judged:
+def _judged(batch: Batch, name: str, limit_s: float) -> PlannerResults:
     if name in PEERS and name not in registry.names():
         module, kind, _ = PEERS[name]
         made = getattr(importlib.import_module(module), kind)

@@ -127,7 +127,7 @@ def row(folder: str, found: list[Found]) -> str:
     most = max(one.largest for one in found)
     made, written = medians(found)
     looked = [one for one in found if one.refuted is not None]
-    refuted = f"{sum(one.refuted for one in looked)} of {sum(one.arm_poses for one in looked):,}"
+    refuted = f"{sum(one.refuted for one in looked)} of {sum(one.configurations for one in looked):,}"
     return f"| {folder} | {len(found)} | {held} | {most:.3f} | {made:.0f} | {written:.0f} | {refuted} |"
 
 

@@ -1,4 +1,4 @@
-"""Beam of the beam search search: the best, mutually distant configurations per target, and exact path costs."""
+"""Beam of the beam search: the best, mutually distant configurations per target, and exact path costs."""
 
 from itertools import pairwise
 

@@ -192,7 +192,7 @@ def _shown_value(objective_name: str, value: float) -> float:
 
 def _tolerated(found: PlacementResult, one) -> str:
     if one.tolerance is None:
-        return f"{100 * one.held:.0f} % of the perturbed mountings are complete" if one.held < 1 else ""
+        return f"{100 * one.success_rate:.0f} % of the perturbed mountings are complete" if one.success_rate < 1 else ""
     perturbation = found.search.file.perturbation
     if not one.tolerance.together:
         return f"less than {tolerance.LEVELS[0] * perturbation.mm:g} mm and {tolerance.LEVELS[0] * perturbation.deg:g}°"

@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
-from htcp_jax.jobs import feed as on_process
+from htcp_jax.jobs import feed as feed_rates
 from htcp_jax.report import validation
 from htcp_jax.runs import labels as run_labels
 from htcp_jax.runs import manifest, open_run, plan_folder
@@ -50,7 +50,7 @@ def validate(
       htcp validate out/workpiece                 every method of a sweep
       htcp validate out/workpiece --between 0 --json  only the targets, for another program
     """
-    feed_mm_s = feed_mm_s if feed is None else 1e3 * on_process.feed_of(feed)
+    feed_mm_s = feed_mm_s if feed is None else 1e3 * feed_rates.feed_of(feed)
     run = plan_sets.run_folder(run)
     began = time.perf_counter()
     with progress_bar("plans", time_left=True) as progress:

@@ -91,7 +91,7 @@ def reachable_prefixes(
         progress: Called with (target, targets) after each target.
 
     Raises:
-        Stopped: On Ctrl-C.
+        SearchStopped: On Ctrl-C.
     """
     settings = settings or Settings()
     scenarios = jax.tree.map(np.asarray, scenarios)

@@ -67,7 +67,7 @@ class Cells(NamedTuple):
 
 
 def tool(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quaternion, rho) -> arm_exclusion.CellBounds:
-    """Return the `Cell` of the tool's orientations within `rho` of a quaternion.
+    """Return the `CellBounds` of the tool's orientations within `rho` of a quaternion.
 
     An orientation that violates a row of the task counts as colliding.
 
@@ -85,7 +85,7 @@ def tool(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quatern
 
 
 def cell_bounds(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, cube, half) -> arm_exclusion.CellBounds:
-    """Return the `Cell` of a box of the joints before the wrist.
+    """Return the `CellBounds` of a box of the joints before the wrist.
 
     The box is a cube in coordinates in which -1 to 1 is each joint's range; the range of a hinge is one revolution at
     most.

@@ -49,7 +49,7 @@ class PlanProgram(NamedTuple):
         Args:
             format: Name in `writers.FORMATS`.
             name: Name of the program.
-            step_s: Time between samples; None: see `writers.Format`.
+            step_s: Time between samples; None: see `writers.ProgramFormat`.
 
         Raises:
             InputError: As `program_text` does, for a step that the format does not support, and for tables of another
@@ -140,7 +140,7 @@ def program_of(
         method: None: the first one.
         scenario: Number of the plan.
         retract: Append the motion back.
-        overrides: Changes to the job's section `time_motion`, as on the command line.
+        overrides: Changes to the job's section `program`, as on the command line.
 
     Raises:
         InputError: For a plan that does not exist or is not completely executable, for overrides of other sections, and
@@ -241,7 +241,7 @@ def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
 
 
 def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
-    """Return the job with overrides in section `time_motion`.
+    """Return the job with overrides in section `program`.
 
     Raises:
         InputError: For keys outside it, and for invalid values.

@@ -118,7 +118,7 @@ class AtTargets(NamedTuple):
     distance: Float[np.ndarray, "n M"]  # of the samples to their nearest points
     ends: Float[np.ndarray, "n E 3"]  # ends of all capsules, world
     outside: Float[np.ndarray, "n E"]  # NaN where the hull is not checked
-    surroundings: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.Beside.distances` [m]
+    surroundings: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.MujocoCell.distances` [m]
     to_wall: Float[np.ndarray, "n"]  # distance to the cloud's points or the mesh's triangles [m]
 
     def less_cover(self, cover_m: float) -> Float[np.ndarray, "n"]:

@@ -314,7 +314,7 @@ def from_line(
 
 
 def _speed(arm: MujocoArm, moved: np.ndarray, length: np.ndarray, tolerance_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute `speed` and `in_place` of Checked, for joint changes (m, N) along lines of these lengths.
+    """Compute `speed` and `in_place` of `TrackCheck`, for joint changes (m, N) along lines of these lengths.
 
     Targets closer than the tolerance coincide; at the feed rate there is no time for a change of configuration there.
     """

@@ -139,7 +139,7 @@ def placed_cloud(
         name: Name of the obstacle.
 
     Raises:
-        InputError: As `mesh_points.cover` does.
+        InputError: As `mesh_points.cover_mesh` does.
     """
     found = _covered(robot, triangles, source) if len(triangles) else mesh_points.PointCover(points, 0.0)
     return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name)

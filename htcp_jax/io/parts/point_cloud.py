@@ -59,11 +59,11 @@ def load_geometry(path: str | Path) -> Geometry:
 def load_cloud(
     path: str | Path, *, spacing: float | None = None, thinnest_m: float = np.inf
 ) -> Float[np.ndarray, "P 3"]:
-    """Read the points [m] of a cloud file, or return points that cover a mesh, see `mesh_points.cover`.
+    """Read the points [m] of a cloud file, or return points that cover a mesh, see `mesh_points.cover_mesh`.
 
     Args:
         path: The file.
-        spacing: Widest gap between the points on a mesh [m]; None: see `mesh_points.cover`.
+        spacing: Widest gap between the points on a mesh [m]; None: see `mesh_points.cover_mesh`.
         thinnest_m: Radius of the arm's thinnest body.
 
     Raises:

@@ -1,6 +1,6 @@
 """Reading of a robot's model file, on the host: MuJoCo compiles it, and the chain to the TCP is extracted.
 
-Every error in a file is an InputError, one line that starts with its path. `robot_file` makes the Robot.
+Every error in a file is an InputError, one line that starts with its path. `loading` makes the Robot.
 """
 
 import itertools
@@ -57,14 +57,14 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     """Read the serial chain from the world to the TCP.
 
     Args:
-        path: See `robot_file.load_robot`, as for `tcp_site`, `limits` and `tool`.
+        path: See `loading.load_robot`, as for `tcp_site`, `limits` and `tool`.
         tcp_site: Site or body of the TCP.
         limits: Profile of the joint limits.
         T_world_base: Pose of the model's own frame in the world (4, 4) [m].
         tool: Mounted on the TCP's frame; None: none.
 
     Raises:
-        InputError: See `robot_file.load_robot`.
+        InputError: See `loading.load_robot`.
     """
     model, geom_types, pairs = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
@@ -339,7 +339,7 @@ def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.nda
 
 
 def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and upper joint limits of a profile, see robot_file.load_robot."""
+    """Return the lower and upper joint limits of a profile, see loading.load_robot."""
     ranges = np.where(model.jnt_limited[:, None], model.jnt_range, [-math.inf, math.inf])
     hinges = model.jnt_type[:, None] == _HINGE
     profiles = {"model": ranges, "simulation": np.where(hinges, [-math.pi, math.pi], ranges)}

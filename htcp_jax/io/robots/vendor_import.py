@@ -93,7 +93,7 @@ def import_robot(
 
     Args:
         path: The file.
-        tcp: See `robot_tcp.find_tip`.
+        tcp: See `tcp.find_tip`.
         most: Maximum number of fitted capsules per body.
         visual: Enclose the visual geometry; else the collision geometry, or the visual geometry if the model has no
             other.

@@ -41,7 +41,7 @@ class Viewer:
         programs: Function for the robot program of a scenario and method, which is played in time.
 
     Raises:
-        InputError: For an unknown scenario or method, for an address that is not available, and as `executor` for the
+        InputError: For an unknown scenario or method, for an address that is not available, and as `programs` for the
             first scenario.
     """
 
