@@ -201,7 +201,7 @@ def _rounds(search: Search, folder: Path, plan: Planner, report: _ProgressReport
             _refuse_collision(search, found, folder)
         own = SearchResults(u, found.done.mean(axis=1), found.complete, found.objective)
         if evolution is not None:
-            evolution.report(own)
+            evolution.tell(own)
         known = own if known is None else SearchResults(*map(np.concatenate, zip(known, own, strict=True)))
         number += 1
         clock.finished(number)
