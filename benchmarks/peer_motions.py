@@ -66,10 +66,7 @@ def rows(batch: Batch, names: list[str], limit_s: float):
         )
         by_pose = " ".join(str(count) for count in ends.executable.tolist())
         share, tracked = f"{100 * good / targets:.1f}", int(ends.tracked.sum())
-        note = (
-            f"{by_pose}; "
-            f"{', '.join(f'{refuted.count(name)} {name}' for name in sorted(set(refuted))) or 'none'}"
-        )
+        note = f"{by_pose}; {', '.join(f'{refuted.count(name)} {name}' for name in sorted(set(refuted))) or 'none'}"
         yield ROW.format(name, good, share, tracked, f"{judged.cpu_s:.1f}", f"{judged.compile_s:.1f}", note)
 
 

@@ -174,7 +174,7 @@ def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-30
     Args:
         a: The matrix.
         b: The right-hand side.
-        floor: Smallest pivot. A smaller one is replaced by it, so that a singular matrix gives a large, finite solution
+        floor: Smallest pivot. Smaller ones are replaced by it, so that a singular matrix gives a large, finite solution
             and not NaN.
     """
     return jnp.stack(solve_spd_scalars(a, b, floor))

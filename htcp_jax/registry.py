@@ -126,7 +126,7 @@ class Registry:
         return found
 
     def _left_out(self, point: EntryPoint, there: str) -> None:
-        line = f"{self._called(point)} is left out: there is {there} of that name"
+        line = f"{self._called(point)} is excluded: there is {there} of that name"
         warnings.warn(line, UserWarning, stacklevel=5)
 
     def _load(self, point: EntryPoint) -> Any:
@@ -138,7 +138,7 @@ class Registry:
         if fault := self._why_not(value):
             raise InputError(f"{self._called(point)} is no {self._noun}: {fault}")
         if value.name != point.name:
-            raise InputError(f"{self._called(point)} calls itself {value.name!r}")
+            raise InputError(f"{self._called(point)} has the name {value.name!r}")
         return value
 
     def _replaces(self, value: Any) -> bool:
@@ -151,7 +151,7 @@ class Registry:
         if fault := self._fault(value):
             return fault
         if not NAME.fullmatch(value.name):
-            return f"the name {value.name!r} has more in it than small letters, digits and hyphens"
+            return f"the name {value.name!r} may have only small letters, digits and hyphens"
         return ""
 
     def _called(self, point: EntryPoint) -> str:

@@ -150,8 +150,8 @@ def test_a_cell_that_cannot_be_taken_in_is_named_in_one_line(geoms, message, tmp
     [
         (["cell.model=none.xml"], "none.xml: cannot read the model: No such file"),
         (["cell.modle=cell.xml"], "unknown key cell.modle; did you mean cell.model?"),
-        (["cell.moved=bench"], "cell.moved is given, and no cell.model that could be moved"),
-        (["cell.shift_m=[1, 0, 0]"], "cell.shift_m is given, and no cell.model"),
+        (["cell.moved=bench"], "cell.moved is given, but no cell.model"),
+        (["cell.shift_m=[1, 0, 0]"], "cell.shift_m is given, but no cell.model"),
         (["cell.shift_m=[.nan, 0, 0]"], "cell.shift_m.0 is nan"),
         (["cell.clouds=[{cloud: none.xyz}]"], "none.xyz: no such file"),
         (["cell.clouds=[{file: a.xyz}]"], "unknown key cell.clouds.0.file; valid: cloud, base_m, base_rpy_rad"),

@@ -84,7 +84,7 @@ def test_a_wrong_value_is_named_in_one_line(override, line):
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        (b"margin_m: 1\nmargin_m: 2\n", "line 2: key 'margin_m' stands twice"),
+        (b"margin_m: 1\nmargin_m: 2\n", "line 2: key 'margin_m' is repeated"),
         (b"- 1\n", "expected a mapping of keys to values, found [1]"),
         (b"a: [\n", "line 2: "),
         (b"a: !!python/object/apply:os.getcwd []\n", "line 1: tag tag:yaml.org,2002:python/object/apply:os"),

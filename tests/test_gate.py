@@ -254,7 +254,7 @@ def test_bounds_that_are_worse_than_before_fail(run, baseline, capsys):
 
     edit(baseline, better)
     failures = outcome(run, baseline, capsys)["failures"]
-    assert any(failure.startswith("baseline: the smallest clearance is") for failure in failures)
+    assert any(failure.startswith("baseline: the minimum clearance is") for failure in failures)
     assert any(failure.startswith("baseline: the largest TCP error is") for failure in failures)
     edit(baseline, lambda raw: raw["allow"]["here"].update(clearance_mm=10.0, tcp_error_mm=10.0))
     assert outcome(run, baseline, capsys)["passed"]

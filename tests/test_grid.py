@@ -127,7 +127,7 @@ def test_a_limit_takes_the_first_scenarios():
         ("grid: [start_rad.7: [1]]", "unknown parameter start_rad.7; did you mean start_rad"),
         ("grid: [settings.zzz: [1]]", "valid: any key of the configuration but method, program and ray"),
         ("grid: [{margin_m: [0, 1], start_rad.1: [0]}]", "margin_m has 2 values, start_rad.joint1 has 1 values"),
-        ("grid: [{start_rad.3: [0]}, {start_rad.joint3: [0]}]", "start_rad.joint3 stands in it twice"),
+        ("grid: [{start_rad.3: [0]}, {start_rad.joint3: [0]}]", "start_rad.joint3 is repeated"),
         ("grid: [margin_m: [true]]", "margin_m takes finite numbers, not True"),
         ("grid: [margin_m: [.nan]]", "margin_m takes finite numbers, not nan"),
         ("grid: [start_rad: [0]]", "start_rad takes lists of numbers, not 0"),

@@ -201,5 +201,5 @@ def test_a_cloud_of_an_axis_stands_at_its_own_origin_and_the_duct_where_it_does(
 
 def test_what_varies_the_robot_stands_in_every_group(place):
     (place / "groups.yaml").write_text("groups: {a: [{robot.model: [short/arm.xml]}], b: [{margin_m: [0]}]}")
-    with pytest.raises(InputError, match=r"groups\.b: robot\.model varies in another group; it has to stand in every"):
+    with pytest.raises(InputError, match=r"groups\.b: robot\.model varies in another group; it must vary in every"):
         load_sweep(place / "groups.yaml", {"start_rad": [0, 0.4, 1.2, 0.3]})

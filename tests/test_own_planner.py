@@ -120,7 +120,7 @@ def test_what_cannot_be_imported_is_one_line_and_breaks_nothing_else(tmp_path):
     assert code == 0 and "hybrid" in out
     line = "the method 'broken' (entry point broken_planner:PLANNER of package broken-package) cannot be imported"
     assert line in " ".join(err.split())
-    assert "'baseline' (entry point broken_planner:OTHER of package broken-package) is left out" in " ".join(
+    assert "'baseline' (entry point broken_planner:OTHER of package broken-package) is excluded" in " ".join(
         err.split()
     )
     code, _, err = place.run("plan", "job.yaml", "--method", "broken")

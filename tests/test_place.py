@@ -267,9 +267,7 @@ def test_ctrl_c_ends_it_with_130_and_one_line_how_to_go_on(found, here):
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate()
     assert (process.returncode, output) == (130, "")
-    assert errors.strip().splitlines()[-1] == (
-        "htcp: stopped; what is finished is in out; the same command goes on from there"
-    )
+    assert errors.strip().splitlines()[-1] == ("htcp: stopped; finished plans are in out; the same command resumes")
     place("place.yaml", "out")
     assert results(here / "out") == results(found.folder)
 
@@ -281,7 +279,7 @@ def test_a_search_by_time_that_was_stopped_repeats_its_rounds_and_goes_on(here):
             raise KeyboardInterrupt
 
     changes = {"within": {"seconds": 20}, "best": 1, "objective": "clearance"}
-    with pytest.raises(Interrupted, match="what is finished is in out"):
+    with pytest.raises(Interrupted, match="finished plans are in out"):
         place("place.yaml", "out", changes=changes, progress=stop)
     rounds = sorted((here / "out" / "rounds").glob("[0-9]*"))
     found = place("place.yaml", "out", changes=changes)

@@ -38,13 +38,13 @@ def place(text: str, *words: str) -> int:
         ("place: {workpiece.rotation_y: [0, 1]}", (), "unknown parameter workpiece.rotation_y; did you mean"),
         ("place: {method: [0, 1]}", (), "method cannot vary in a search"),
         ("place: {task.1.cone_deg: [10, 40]}", (), "task.1.cone_deg: the task has 0 rows"),
-        ("place: {cell.shift_m.z: [0, 1]}", (), "cell.shift_m is given, and no cell.model"),
+        ("place: {cell.shift_m.z: [0, 1]}", (), "cell.shift_m is given, but no cell.model"),
         (PLACE, ("--scenarios", "4", "--seconds", "5"), "--scenarios and --seconds exclude each other"),
         (PLACE, ("--scenarios", "0"), "within.scenarios is 0"),
         (PLACE, ("--on", "moon"), "on is 'moon'; valid: here, ray"),
         (PLACE + "feed: '20'", (), "feed '20' is no speed above 0 with a unit"),
         (PLACE + "seams: [path.csv, nowhere.csv]", (), "seams: there is no file nowhere.csv"),
-        (PLACE + "seams: [path.csv, ./path.csv]", (), "seams: one stands there twice"),
+        (PLACE + "seams: [path.csv, ./path.csv]", (), "seams: one is repeated"),
         (PLACE + "seams: [path.csv, empty.csv]", (), "empty.csv: the tool path is empty"),
         (PLACE + "seams: [helix]", (), "a cloud needs a tool path of its own"),
         (PLACE + "objective: speed", (), "unknown objective 'speed'; valid: clearance, cycle time, joint motion"),
@@ -66,7 +66,7 @@ def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, 
     (here / "job.yaml").write_text("\n".join(lines))
     assert place("place: {workpiece.shift_m.x: [-0.02, 0.02]}") == 2
     output = capsys.readouterr()
-    assert "in all of 4 mountings nothing can begin: " in output.err and " mm inside the workpiece" in output.err
+    assert "no motion can begin in any of 4 mountings: " in output.err and " mm inside the workpiece" in output.err
     assert output.err.count("\n") == 1 and not (here / "out").exists()
 
 

@@ -250,7 +250,7 @@ def test_rectan_positions_are_the_tcp_by_mujoco_in_the_workpiece(plans, here):
 
 
 WRONG = [
-    (["--set", "margin_m=0"], "--set margin_m: the plan is on record; keys of program.* alone can be changed"),
+    (["--set", "margin_m=0"], "--set margin_m: the plan is saved; only keys of program.* can be changed"),
     (["--set", "program.velocty=1"], "unknown key program.velocty; did you mean program.velocity?"),
     (["--set", "program.velocity=[1, 2]"], "program.velocity has 2 values, the robot gp50 has 6 joints"),
     (["--set", "program.velocity=[1, 1, 1, 1, 1, 0]"], "program.velocity.5 is 0"),

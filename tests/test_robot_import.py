@@ -254,7 +254,7 @@ def test_an_arm_of_our_own_comes_out_as_it_is(tmp_path):
 
 ONE_LINE = {
     "unknown TCP": (["--tcp", "nose"], "no site or body 'nose' for the TCP; there are base, mast, boom, jib, hand"),
-    "TCP not clear": ([], "it is not clear where the TCP is: hand, left, right, grasp; say --tcp NAME"),
+    "TCP not clear": ([], "it is not clear where the TCP is: hand, left, right, grasp; name it by --tcp NAME"),
     "two joints": (["--tcp", "boom"], "2 joints from the world to the TCP; at least 3 are needed"),
     "not an XML file": (["--tcp", "grasp", "--out", "arm.urdf"], "an arm is an MJCF file and ends in .xml"),
 }
@@ -309,7 +309,7 @@ def test_an_arm_that_is_there_is_not_written_over(crane, folder, capsys):
     words = ["robot", str(folder / "crane.urdf"), "--tcp", "grasp", "--out", str(crane), "--most", "1"]
     before = crane.read_bytes()
     crane.write_bytes(before + b"<!-- corrected -->")
-    assert main(words) == 2 and "--replace writes over it" in capsys.readouterr().err
+    assert main(words) == 2 and "--replace overwrites it" in capsys.readouterr().err
     assert crane.read_bytes().endswith(b"<!-- corrected -->")
     assert main([*words, "--replace"]) == 0 and crane.read_bytes() == before
 

@@ -196,8 +196,8 @@ WRONG = [
     (["--feed", "0mm/s"], "feed '0mm/s' is no speed above 0"),
     (["--feed", FEEDS, "--speed", "0"], "--speed is 0; from 0.1 to 100 are possible"),
     (["--feed", FEEDS, "--movie", "none"], "--feed gives a movie its time; --movie none makes none"),
-    (["--feed", FEEDS, "--set", "margin_m=0"], "keys of program.* alone can be changed"),
-    (["--movie", "gif", "--out", "weld.mp4"], "--out weld.mp4 is the name of one mp4, --movie gif asks for something"),
+    (["--feed", FEEDS, "--set", "margin_m=0"], "only keys of program.* can be changed"),
+    (["--movie", "gif", "--out", "weld.mp4"], "--out weld.mp4 is the name of one mp4, --movie gif names another"),
 ]
 
 

@@ -155,7 +155,7 @@ def test_times_of_results_that_are_not_the_runs_any_more_do_not_count(timed_copy
 def test_a_damaged_file_is_named_and_made_again(timed, timed_copy):
     file = timing_file(timed_copy, METHOD)
     file.write_bytes(content(timed)[:-40])
-    with pytest.raises(InputError, match=r"baseline\.parquet is damaged: .*htcp program --all makes it again"):
+    with pytest.raises(InputError, match=r"baseline\.parquet is damaged: .*htcp program --all creates it again"):
         open_run(timed_copy).scenarios()
     time_run(open_run(timed_copy), "20mm/s")
     assert content(timed_copy) == content(timed)
@@ -241,7 +241,7 @@ WRONG = [
     (["--all", "--feed", "20mm/s", "--out", "x.csv"], "--out is for one program; --all times every scenario"),
     (["--all", "--feed", "20mm/s", "--one-way"], "--one-way is for one program"),
     (["--all", "--feed", "20mm/s", "--method", "hybrid"], "has no plans by 'hybrid'; there are baseline"),
-    (["--all", "--feed", "20mm/s", "--set", "margin_m=0"], "keys of program.* alone can be changed"),
+    (["--all", "--feed", "20mm/s", "--set", "margin_m=0"], "only keys of program.* can be changed"),
     (["--all", "--set", "program.feed=5"], "program.feed: feed '5' is no speed above 0 with a unit"),
     (
         ["--all", "--feed", "20mm/s", "--set", "program.velocity=[1, 2]"],

@@ -142,7 +142,10 @@ def test_a_weaker_validation_never_replaces_a_stronger_one_of_the_same_results(r
     assert main(["validate", str(run), "--between", "0", "--feed-mm-s", "50", "--json"]) == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out)["between"] == 0 and (run / VALIDATION).read_bytes() == before
-    assert "validation.json is kept: of the same results, it looks closer" in shown.err and shown.err.count("\n") == 1
+    assert (
+        "validation.json is kept: it validates the same results with more samples" in shown.err
+        and shown.err.count("\n") == 1
+    )
     assert main(["validate", str(run), "--between", "2", "--feed", "3m/min"]) == 0
     assert json.loads((run / VALIDATION).read_text())["feed_mm_s"] == 50  # as strong: the later one stays
     spoil(run, 0, 5, iterations=1)
@@ -225,7 +228,7 @@ def test_a_recorded_clearance_that_is_1_mm_off_is_refuted(run):
     spoil(run, 1, 7, clearance_m=float(recorded + 1e-3))
     found = validate_results(run, between=0)
     (refuted,) = found.refuted
-    assert (refuted.scenario, refuted.target) == (1, 7) and f"{1e3 * recorded + 1:.3f} mm on record" in refuted.reason
+    assert (refuted.scenario, refuted.target) == (1, 7) and f"{1e3 * recorded + 1:.3f} mm was saved" in refuted.reason
     assert found.methods["baseline"].clearance_off_max_mm == pytest.approx(1.0)
 
 
@@ -235,7 +238,7 @@ def test_a_joint_beyond_its_limits_and_a_configuration_that_is_not_there_are_ref
     spoil(run, 2, 4, joint1_rad=None)
     reasons = {(one.scenario, one.target): one.reason for one in validate_results(run).refuted}
     assert set(reasons) == {(0, 3), (2, 4)}
-    assert "joint6 is outside its limits" in reasons[0, 3] and reasons[2, 4] == "no configuration on record"
+    assert "joint6 is outside its limits" in reasons[0, 3] and reasons[2, 4] == "no saved configuration"
 
 
 def test_a_longer_tool_is_the_planner_s():

@@ -43,7 +43,8 @@ import viser
 import websockets.sync.client
 import websockets.sync.server
 
-from htcp_jax.viewer import Viewer, access
+from htcp_jax.viewer import Viewer
+from htcp_jax.viewer.browser import access
 from htcp_jax.viewer.browser.display import grazing
 from htcp_jax.viewer.browser.scene import lit, side_by_side, turned_to
 
@@ -202,7 +203,9 @@ def test_play_passes_the_configurations_between_targets(page, viewer):
     page.get_by_role("option", name="beam").click()
     until(lambda: viewer.shown == (1, "beam"))
     reported = " ".join(getattr(node, "text", "") for node in viewer.stage._marks)
-    assert "dwell at 4" in reported and "tightest, on the segment to target 5: at least 0.2 mm proven" in reported
+    assert (
+        "dwell at 4" in reported and "minimum clearance, on the segment to target 5: at least 0.2 mm proven" in reported
+    )
     page.get_by_role("button", name="Play").click()
     until(lambda: viewer.target == 6)
     replay = viewer._replays.replay(1, "beam")
@@ -282,7 +285,7 @@ def test_the_facts_of_a_target_tell_of_the_segment_there(replays):
     viewer.go_to(4)
     assert "The arm changes its configuration here." in viewer._facts.content
     viewer.go_to(5)
-    assert "proven: 0.2 mm clear at least. It is the tightest of the proof." in viewer._facts.content
+    assert "proven: 0.2 mm clear at least. It is the minimum of the motion." in viewer._facts.content
     viewer.go_to(7)
     assert SegmentStatus.NOT_CHECKED.message in viewer._facts.content
     viewer.stop()
@@ -296,7 +299,7 @@ def test_the_cut_the_points_and_the_closer_look_change_the_picture(page):
     until(lambda: sliders.nth(1).get_attribute("aria-valuenow") == "0")
     until(lambda: (np.abs(seen(page) - before).max(axis=2) > 20).mean() > 0.01)
     whole = seen(page)
-    page.get_by_role("button", name="Look at the smallest distance").click()
+    page.get_by_role("button", name="Look at the minimum distance").click()
     until(lambda: (np.abs(seen(page) - whole).max(axis=2) > 20).mean() > 0.1)
 
 

@@ -68,7 +68,7 @@ def robot(
     picture = out.with_suffix(".png")
     for file in (out, picture):
         if file.exists() and not replace:
-            raise InputError(f"{file} is there already; --replace writes over it, with what was corrected by hand")
+            raise InputError(f"{file} exists; --replace overwrites it, manual changes included")
     with progress_bar("bodies") as progress:
         arm = robots.import_robot(model, tcp, most=most, visual=visual, srdf=srdf, progress=progress)
     source = os.path.relpath(model, out.parent)
@@ -133,5 +133,5 @@ def _robot_facts(arm: robots.ImportedArm) -> dict[str, str | tuple[str, ...]]:
         "joints": arm.joint_names,
         "frozen": arm.frozen,
         "without a shape": arm.shapeless,
-        "left out": arm.left_out,
+        "excluded": arm.left_out,
     }

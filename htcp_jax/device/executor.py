@@ -40,7 +40,7 @@ class ExecutableCache:
 
     def __init__(self, most: int = 256):
         self._most = most
-        self._compiled: dict[tuple, jax.stages.Compiled] = {}  # those last asked for at the end
+        self._compiled: dict[tuple, jax.stages.Compiled] = {}  # the last requested ones at the end
         self._compiling: dict[tuple, threading.Lock] = {}  # one per executable: others can be compiled meanwhile
         self._tracing, self._sorting = threading.Lock(), threading.Lock()
 

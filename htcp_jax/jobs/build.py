@@ -150,7 +150,7 @@ def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
     if cell.model is None:
         for key in ("moved", "shift_m", "rpy_rad"):
             if getattr(cell, key) != getattr(CellConfig(), key):
-                raise InputError(f"cell.{key} is given, and no cell.model that could be moved")
+                raise InputError(f"cell.{key} is given, but no cell.model")
         return ()
     return cells.load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
 

@@ -46,7 +46,7 @@ def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
 
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
-# What stands in a job as {kind: NAME, ...} is of another package; a row without a kind is a `TaskRow`.
+# Entries {kind: NAME, ...} of a job are of other packages; a row without a kind is a `TaskRow`.
 Row = Annotated[
     TaskRow, WrapValidator(given_kind_of(task_row_kind.TASK_ROWS, task_row_kind.TaskRowKind)), WrapSerializer(record_of)
 ]

@@ -193,7 +193,7 @@ def load_sweep(
         where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
         groups.append(read_grid(where, path.parent, name, axes, robot.joint_names))
         for key in first.keys() - groups[-1].keys:
-            raise InputError(f"{where}: {key} varies in another group; it has to stand in every one")
+            raise InputError(f"{where}: {key} varies in another group; it must vary in every one")
     if (size := sum(group.size for group in groups)) > MOST:
         raise InputError(f"{path}: the grid has {size:,} scenarios; at most {MOST:,} make a sweep")
     return Sweep(path.stem, base, robot, tuple(groups), frozenset(stated.intersection((*DEPENDENT, "start_rad"))))

@@ -119,7 +119,7 @@ def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], 
     seen = set()
     for column in itertools.chain.from_iterable(read):
         if column.parameter in seen:
-            raise InputError(f"{where}: {column.parameter.name} stands in it twice")
+            raise InputError(f"{where}: {column.parameter.name} is repeated")
         seen.add(column.parameter)
     return Group(name, read)
 
@@ -249,7 +249,7 @@ def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, AxisParamet
     lengths = {column.parameter.name: len(column.values) for column in axis}
     if len(set(lengths.values())) > 1:
         counts = ", ".join(f"{name} has {length} values" for name, length in lengths.items())
-        raise InputError(f"{where}: what stands in one axis goes together, value by value, but {counts}")
+        raise InputError(f"{where}: the values of one axis vary jointly, but {counts}")
     return axis
 
 

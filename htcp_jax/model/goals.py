@@ -49,7 +49,7 @@ def task_of(rows: Sequence[TaskRowKind], robot: Robot, tolerance_m: float = 1e-3
     task.freedom(robot)
     for k in range(2, len(parts) + 1):
         if _jacobian_rank(robot, rows[:k], Task(tuple(parts[:k]))) < sum(part.equalities for part in parts[:k]):
-            raise InputError(f"task.{k} ({rows[k - 1]}) asks for what the rows before it fix already, or the opposite")
+            raise InputError(f"task.{k} ({rows[k - 1]}) repeats or contradicts the rows before it")
     return task
 
 
@@ -153,5 +153,5 @@ def _check_axes(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.ndar
             has, wants = np.rad2deg(between), np.rad2deg(requested[far[0]])
             raise InputError(
                 f"task.{i + 1} ({rows[i]}) and task.{k + 1} ({rows[k]}) contradict each other at point {far[0] + 1} of "
-                f"the path: {has:.4g} degrees are between the axes, {wants:.4g} between what they are turned to"
+                f"the path: {has:.4g} degrees between the axes, {wants:.4g} between their directions"
             )

@@ -178,7 +178,7 @@ def _row_of_task(row: TaskRow, robot: Robot) -> Row:
     link, offset, *_ = point_of(robot, row.point, row.offset_m)
     if row.on in ("plane", "line"):
         return PointAlong(link, offset, 1 if row.on == "plane" else 2, row.within_m is not None)
-    of_world = (row.frame == "world" or row.axes == "xyz") and row.within_m is None  # all three say the same anywhere
+    of_world = (row.frame == "world" or row.axes == "xyz") and row.within_m is None  # then all three are equivalent
     if of_world and not (link is None and any(offset)):
         return TaskPoint(link, offset, tuple("xyz".index(axis) for axis in row.axes))
     return PointAlong(link, offset, len(row.axes), row.within_m is not None)

@@ -57,11 +57,11 @@ class TaskRowKind(ExtensionKind):
         raise NotImplementedError
 
     def error(self, value: Float[Array, "v"]) -> Float[Array, "m"]:
-        """Return what its equations are off at the features' world coordinates, one after another, in jax.numpy."""
+        """Return the errors of its equations at the features' world coordinates, concatenated, in jax.numpy."""
         return jnp.zeros(0)
 
     def slack(self, value: Float[Array, "v"]) -> Float[Array, "b"]:
-        """Return what is left until its inequalities are violated, likewise; negative: they are."""
+        """Return the slacks of its inequalities, likewise; negative: violated."""
         return jnp.zeros(0)
 
     def aim(self, value: Float[Array, "v"]) -> Float[Array, "b"]:

@@ -76,7 +76,7 @@ class Row:
         return sum(len(feature.rows) for feature in self.features)
 
     def error(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
-        """Return what the equations are off."""
+        """Return the errors of the equations."""
         return jnp.zeros(0)
 
     def slack(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:

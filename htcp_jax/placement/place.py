@@ -221,7 +221,7 @@ def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> No
         depth, body, other = start_clearance(cell.robot, cell.workpiece, scenario, scenario.x_home, cell.obstacles)
         why = f"{body} is {-1e3 * depth:.3g} mm inside {other} in the first of them" if depth <= 0 else why
     shutil.rmtree(folder)
-    raise InputError(f"{search.name}: in all of {len(found.values):,} mountings nothing can begin: {why}")
+    raise InputError(f"{search.name}: no motion can begin in any of {len(found.values):,} mountings: {why}")
 
 
 def _confirmed(search: Search, scores: Sequence[MountingScores], folder: Path, plan: Planner) -> MountingScores:

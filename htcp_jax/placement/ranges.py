@@ -122,11 +122,11 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
         else:
             old = _of(base, key)
             if old is None or isinstance(old, str) or element >= len(old):
-                raise InputError(f"{where}: {name}: the job gives {key} no such element")
+                raise InputError(f"{where}: {name}: {key} of the job has no such element")
             fixed.setdefault(key, tuple(old))
             axes.append(_read_range(where, key, element, value))
     if len({axis.name for axis in axes}) < len(axes):
-        raise InputError(f"{where}: a parameter stands in it twice")
+        raise InputError(f"{where}: a parameter is repeated")
     if not axes:
         raise InputError(f"{where} has no range, only numbers")
     return Ranges(tuple(axes), fixed)

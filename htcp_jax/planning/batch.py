@@ -72,7 +72,7 @@ def plan(
         threads: Engines per process; None: one, or one per core if there are no other processes.
         check_paths: Afterwards check the straight joint path (`Plans.path_clear`) of every accepted step that the
             method did not check itself, verify the motion of every segment, and smooth the motions if `settings.smooth`
-            or the method says so.
+            or the method requires it.
         task: The constraints at every target; None: the TCP's position within `tolerance_m`.
         obstacles: In addition to the workpiece, see `obstacle.Obstacle`.
         check_starts: Refuse a start in collision, which otherwise is a status.

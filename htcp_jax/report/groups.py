@@ -52,11 +52,11 @@ class Part:
     timed_with: dict[str, str]  # by method that is timed: description of its feed and limits
     reachability: np.ndarray | None  # (S,) reachable targets in a row, a lower bound
     not_excluded: np.ndarray | None  # (S,) not proven unreachable, an upper bound
-    step_s: dict[str, float]  # run time by attempted targets, over the whole run
+    step_s: dict[str, float]  # run time by attempted targets, over the complete run
     joints: tuple[str, ...]
     run: Run
     run_labels: dict[int, str]  # varied parameters of each scenario of the run, by its number
-    validation: dict[str, Any] | None  # of the whole run, as in validation.json
+    validation: dict[str, Any] | None  # of the complete run, as in validation.json
     scene: SceneOfRun
 
     @property

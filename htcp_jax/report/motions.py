@@ -40,7 +40,7 @@ def meaning(part: Part) -> str:
     """Explanation of the columns."""
     count = int(common_scenarios(part).sum())
     scenarios = f"the {count:,}" if count else "those, of which there are none,"
-    return MEANING.format(common=f"{scenarios} in which that is so with every method")
+    return MEANING.format(common=f"{scenarios} in which every method's motion does")
 
 
 def common_scenarios(part: Part) -> np.ndarray:

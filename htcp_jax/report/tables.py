@@ -51,7 +51,7 @@ REACHABILITY = (
     Column("not_excluded", "not excluded", "targets", ",d"),
     Column("of_reachable_percent", "of reachable", "%", ".2f"),
     Column("short", "fall short", "scenarios", ",d"),
-    Column("beyond", "get further", "scenarios", ",d"),
+    Column("beyond", "exceed it", "scenarios", ",d"),
 )
 STEPS = (
     Column("method", "method"),

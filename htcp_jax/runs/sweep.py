@@ -143,7 +143,7 @@ def device_of(on: str, device: str | None) -> str | None:
         raise InputError(f"on is {on!r}; valid: here, ray, ray:<address of a cluster>")
     if device not in (None, "cpu"):
         raise InputError(
-            f"device is {device!r}; with Ray it can be cpu alone, and ray.num_gpus says what its workers get"
+            f"device is {device!r}; with Ray it can only be cpu; ray.num_gpus sets the GPUs of its workers"
         )
     return "cpu"
 
@@ -280,7 +280,7 @@ def _how_to_go_on(run: Run) -> str:
     there, all_ = len(manifest.shards), len(manifest.methods) * len(spans(manifest))
     if not there:
         return "stopped before anything was finished; nothing was written"
-    return f"stopped; {there} of {all_} shards are finished in {run.folder}; the same command goes on from there"
+    return f"stopped; {there} of {all_} shards are finished in {run.folder}; the same command resumes"
 
 
 class _Scratch:

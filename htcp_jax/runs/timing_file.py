@@ -122,7 +122,7 @@ def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Tim
         return Timing(float(made["feed_m_s"]), dict(made["limits"]), rows.filter(pa.array(there, pa.bool_())))
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
         what = " ".join(str(error).split())
-        raise InputError(f"{file} is damaged: {what}; without it, htcp program --all makes it again") from None
+        raise InputError(f"{file} is damaged: {what}; without it, htcp program --all creates it again") from None
 
 
 def timing_bytes(timing: Timing, shards: Iterable[ResultShard], method: str) -> bytes:

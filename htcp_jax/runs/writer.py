@@ -45,7 +45,7 @@ def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     expected = {shard_name(method, span) for method in methods for span in spans(run.manifest)}
     shards = _valid_shards(run, requested.methods)
     for stranger in _unlisted(folder, expected):
-        warnings.warn(f"{stranger} is not of this run; it is left alone", stacklevel=3)
+        warnings.warn(f"{stranger} is not of this run; it stays unchanged", stacklevel=3)
     return _write_manifest(_with_shards(run, shards))
 
 

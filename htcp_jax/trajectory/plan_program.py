@@ -250,6 +250,6 @@ def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
     for override in overrides:
         key, value = config_file.parse_override(override)
         if not key.startswith(SECTION):
-            raise InputError(f"--set {key}: the plan is on record; keys of {SECTION}* alone can be changed")
+            raise InputError(f"--set {key}: the plan is saved; only keys of {SECTION}* can be changed")
         config_file.put_key(raw, key, value)
     return job.model_copy(update={"program": strict_model.validate_model(raw, PlanConfig, "--set").program})

@@ -85,7 +85,7 @@ def time_run(
     timer = _Timer(plan_sets.plans_of_run(run), requested)
     chosen = _chosen_methods(timer.found, methods)
     check_limits(timer.jobs)
-    stopped = f"stopped; what is timed is kept in {run.folder}; the same command goes on"
+    stopped = f"stopped; finished times are kept in {run.folder}; the same command resumes"
     with stop_message(lambda: stopped), lock.locked(run.folder), lock.signals() as came:
         find = _finder(timer, chosen, workers)
         for method in chosen:
@@ -229,7 +229,7 @@ def _time_method(timer: _Timer, method: str, find: Callable, progress: Callable 
 
 
 def _stop_text(timer: _Timer, method: str, done: int, of: int) -> str:
-    return f"stopped; {done} of {of} scenarios of {method} are timed in {timer.found.folder}; the same command goes on"
+    return f"stopped; {done} of {of} scenarios of {method} are timed in {timer.found.folder}; the same command resumes"
 
 
 def _write(run: Run, method: str, timing: timing_file.Timing) -> None:

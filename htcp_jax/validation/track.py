@@ -144,7 +144,7 @@ def scene_of(
     targets = targets_of(track.config, path_follower(track.config.task, arm, start[None])[0], inlet, path)
     if len(targets) != len(track.target):
         raise InputError(
-            f"{results.folder}: scenario {track.scenario} has {len(track.target)} targets on record, "
+            f"{results.folder}: scenario {track.scenario} has {len(track.target)} saved targets, "
             f"{len(targets)} by its configuration"
         )
     on_path = len(targets) - len(path)
@@ -157,7 +157,7 @@ def scene_of(
 def _refuted(
     arm: MujocoArm, track: Track, t: np.ndarray, tolerance_m: float, record_m: float, found: dict[str, np.ndarray]
 ) -> list[Refutation]:
-    reasons = {int(k): ["no configuration on record"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
+    reasons = {int(k): ["no saved configuration"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
     for k, target in enumerate(t.tolist()):
         own = {name: float(values[k]) for name, values in found.items()}
         reasons[target] = _failure_reasons(
@@ -228,10 +228,10 @@ def _failure_reasons(
     if found["through"]:
         reasons.append("the tool's tip goes through the wall")
     if found["clearance_off"] > record_m:
-        reasons.append(f"its clearance is {1e3 * found['clearance']:.3f} mm, {1e3 * recorded:.3f} mm on record")
+        reasons.append(f"its clearance is {1e3 * found['clearance']:.3f} mm, {1e3 * recorded:.3f} mm was saved")
     for name in ("tcp", "target"):
         if found[f"{name}_off"] > RECORD_M:
-            reasons.append(f"the {name} on record is {1e3 * found[f'{name}_off']:.3f} mm off")
+            reasons.append(f"the saved {name} is {1e3 * found[f'{name}_off']:.3f} mm off")
     return reasons
 
 

@@ -112,7 +112,7 @@ def write_validation(folder: Path, found: Validation) -> None:
     recorded = validation_record(found)
     if _is_stronger(folder / plan_folder.VALIDATION, recorded):
         warnings.warn(
-            f"{folder / plan_folder.VALIDATION} is kept: of the same results, it looks closer between the targets than "
+            f"{folder / plan_folder.VALIDATION} is kept: it validates the same results with more samples than "
             f"--between {found.between} does",
             stacklevel=2,
         )
@@ -155,7 +155,7 @@ def _arm_with_tool(arms: dict[config.RobotConfig, MujocoArm], results: Results, 
     """The arm with the track's tool. Raises InputError if its number of joints differs from the saved one."""
     arm = _compiled(arms, track.config.robot)
     if len(arm.joints) != track.x.shape[1]:
-        raise InputError(f"{results.folder}: {track.x.shape[1]} joints on record, {len(arm.joints)} in the model")
+        raise InputError(f"{results.folder}: {track.x.shape[1]} joints are saved, the model has {len(arm.joints)}")
     return arm
 
 

@@ -245,7 +245,7 @@ def _draw_motion(axes: Axes, motion: motion_summary.MotionSummary) -> None:
     for k, target in enumerate(motion.dwells):
         axes.axvline(target, label="dwell" if k == 0 else None, color=DWELL, linewidth=1.4, zorder=1)
     if motion.tightest is not None:
-        _draw_line(axes, motion.tightest, f"tightest: {motion.proven}", color=NEAREST, linestyle=":")
+        _draw_line(axes, motion.tightest, f"minimum clearance: {motion.proven}", color=NEAREST, linestyle=":")
     if (end := motion.end).executable < end.tracked:
         _draw_line(
             axes, end.executable, f"target {end.executable}: {end.segment_status.message}", color=INK, linestyle="--"

@@ -26,7 +26,7 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
     from pypcd4 import MetaData, PointCloud
 
     lines = []
-    with file.open("rb") as stream:  # the header, as pypcd4 reads it, which would allocate any promised size
+    with file.open("rb") as stream:  # the header, as pypcd4 reads it, which would allocate any declared size
         for line in stream:
             if (words := line.decode().strip()) and not words.startswith("#"):
                 lines.append(words)
@@ -39,7 +39,7 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
     cloud = PointCloud.from_path(file)
     data = cloud.pc_data
     if len(data) != cloud.metadata.points:
-        raise ValueError(f"{cloud.metadata.points} points were promised, there are {len(data)}")
+        raise ValueError(f"{cloud.metadata.points} points are declared, there are {len(data)}")
     normals = ["normal_x", "normal_y", "normal_z"]
     arrays = {"points": np.stack([data[name].astype(np.float64) for name in "xyz"], axis=-1)}
     if all(name in data.dtype.names for name in normals):
@@ -54,10 +54,10 @@ def las(file: Path) -> dict[str, np.ndarray]:
     with file.open("rb") as stream:
         head = stream.read(104)
     if int.from_bytes(head[100:104], "little") * 54 > file.stat().st_size:  # laspy would try to read them all
-        raise ValueError("more variable length records than the file has room for")
+        raise ValueError("more variable length records than fit into the file")
     cloud = laspy.read(file)
     if len(cloud.points) != cloud.header.point_count:
-        raise ValueError(f"{cloud.header.point_count} points were promised, there are {len(cloud.points)}")
+        raise ValueError(f"{cloud.header.point_count} points are declared, there are {len(cloud.points)}")
     return {"points": np.array(cloud.xyz, dtype=np.float64)}
 
 

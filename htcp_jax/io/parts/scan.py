@@ -43,7 +43,7 @@ MEMORY = 4 * 2**30  # and 40 times the file's size
 def read_scan(path: Path, ending: str) -> TablePoints:
     """Read the points [m] of a scan, and its normals if it has any.
 
-    NaN points, which PCD files contain where the scanner saw nothing, are excluded with a Note.
+    NaN points, which PCD files contain where the scanner measured nothing, are excluded with a Note.
 
     Raises:
         InputError: For an invalid file.
@@ -51,7 +51,7 @@ def read_scan(path: Path, ending: str) -> TablePoints:
     arrays = parsed(path, SCANS[ending])
     points, normals = arrays["points"], arrays.get("normals")
     if ending == ".pcd" and (empty := np.isnan(points).any(axis=1)).any():
-        warnings.warn(f"{path}: {empty.sum()} of {len(points)} points are NaN and left out", Note, stacklevel=3)
+        warnings.warn(f"{path}: {empty.sum()} of {len(points)} points are NaN and excluded", Note, stacklevel=3)
         points, normals = points[~empty], None if normals is None else normals[~empty]
     return ColumnIndices(3, (0, 1, 2), None, named=True).points(points, normals, str(path))
 

@@ -1,8 +1,8 @@
 """Plausibility checks that a workpiece, its path and the robot are all in metres, by their sizes and distances.
 
 A reachable part is not much larger than the arm, and not much smaller than the arm's thinnest body, and a path is near
-its part. Sizes off by more than a factor of 5 are refused, smaller deviations cause a warning; both name the unit that
-would make the sizes plausible.
+its part. Sizes that differ by more than a factor of 5 are refused, smaller deviations cause a warning; both
+name the unit that would make the sizes plausible.
 """
 
 import warnings

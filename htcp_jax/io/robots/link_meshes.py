@@ -115,7 +115,7 @@ class LinkMeshes:
             one: Name of a capsule.
             other: Name of another one.
             at: Poses of the bodies.
-            rows: Rows of `at` to look at; by default the first.
+            rows: Rows of `at` to check; by default the first.
             enough_m: The search ends at a deeper contact.
         """
         deepest = 0.0
@@ -138,7 +138,7 @@ class LinkMeshes:
             other: Name of another one.
             x: Configurations [rad or m].
             at: Poses of the bodies at x.
-            rows: Rows of x to look at.
+            rows: Rows of x to check.
         """
         if self.deepest_m(one, other, at, rows, robots.TOUCHING_M) > robots.TOUCHING_M:
             return True

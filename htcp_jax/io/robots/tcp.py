@@ -51,7 +51,7 @@ def find_tip(model: mujoco.MjModel, path: Path, name: str | None, bodies: Sequen
         sure = [Tip(model.body(outermost[0]).name, outermost[0], np.eye(4))]
     if not sure:
         candidates = ", ".join(_tcp_candidates(model, bodies, outermost))
-        raise InputError(f"{path}: it is not clear where the TCP is: {candidates}; say --tcp NAME")
+        raise InputError(f"{path}: it is not clear where the TCP is: {candidates}; name it by --tcp NAME")
     return sure[0]
 
 

@@ -52,7 +52,7 @@ class BeamSearchMethod(Method):
     name: str
     title: str
     description: str
-    smooth = True  # unless the settings say otherwise
+    smooth = True  # unless the settings disable it
 
     def first_calls(self, problem: Problem) -> list[tuple]:
         """Return the first calls of lane functions, see `Executor.preparing`."""

@@ -54,7 +54,7 @@ def place_map(found: SearchTable, colliding_bodies: Mapping[str, int] | None = N
     shown = found.parameters[:MOST_PARAMETERS]
     d, m = len(shown), max(1, min(len(shown), MOST_PARAMETERS) - 1)
     wide, half = (2, 1) if m == 1 else (m, m // 2)
-    figure = new_figure(5.2 if m == 1 else 8.8, f"Where to mount it: {found.name}", _note(found))
+    figure = new_figure(5.2 if m == 1 else 8.8, f"Placement search: {found.name}", _note(found))
     grid = figure.add_gridspec(m, wide)
     ticks = 3 if m > 3 else 5
     for row in range(m):
@@ -150,7 +150,7 @@ def _draw_lists(
     if len(found.seams) > 1:
         lists["each seam alone"] = [Ending(name, count, "s", SPARE(0.6)) for name, count in found.seams.items()]
     if colliding_bodies:
-        reported = f"colliding, in {sum(colliding_bodies.values())} of the lost"
+        reported = f"colliding body, in {sum(colliding_bodies.values())} failed mountings"
         lists[reported] = [Ending(body, count, "s", LOST) for body, count in colliding_bodies.items()]
     inner = place.subgridspec(len(lists) + 1, 1, height_ratios=(*(len(each) + 0.6 for each in lists.values()), 0.35))
     for number, (head, endings) in enumerate(lists.items()):
@@ -188,8 +188,8 @@ def _draw_bars(axes: Axes, head: str, endings: Sequence[Ending]) -> None:
 def _result_counts(found: SearchTable) -> list[Ending]:
     """Counts of complete and of nearly complete mountings, and of the failed by reason."""
     nearly = _nearly(found)
-    ends = [Ending("everything works", int(found.complete.sum()), "o", SPARE(0.6))]
-    ends.append(Ending(f"nearly: {100 * NEAR:.0f} % of the targets", int(nearly.sum()), HOLLOW, NEARLY))
+    ends = [Ending("complete", int(found.complete.sum()), "o", SPARE(0.6))]
+    ends.append(Ending(f"nearly complete: {100 * NEAR:.0f} % of the targets", int(nearly.sum()), HOLLOW, NEARLY))
     counts = Counter(words for words, near in zip(found.lost, nearly.tolist(), strict=True) if words and not near)
     return ends + [Ending(words, counts[words], mark, LOST) for words, mark in _marks(found).items() if counts[words]]
 

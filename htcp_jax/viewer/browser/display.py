@@ -29,7 +29,7 @@ class DisplayOptions:
     def __init__(self, server: viser.ViserServer, stage: BrowserScene, lock: threading.RLock):
         self._server, self._stage, self._lock = server, stage, lock
         gui = server.gui
-        closer = gui.add_button("Look at the smallest distance", icon=viser.Icon.ZOOM_IN)
+        closer = gui.add_button("Look at the minimum distance", icon=viser.Icon.ZOOM_IN)
         closer.on_click(self._look_closer)
         back = gui.add_button("Show everything", icon=viser.Icon.ZOOM_OUT)
         back.on_click(self._look_back)
@@ -41,7 +41,7 @@ class DisplayOptions:
             element.on_update(lambda _: self._cut())
         with gui.add_folder("Arm"):
             self._opacity = gui.add_slider("Opacity [%]", 5, 100, 5, 100)
-            self._pair = gui.add_checkbox("Smallest distance", True)
+            self._pair = gui.add_checkbox("Minimum distance", True)
             self._marks = gui.add_checkbox("Dwells, minimum clearance", True)
         self._opacity.on_update(lambda _: self._stage.fade(self._opacity.value / 100))
         self._marks.on_update(lambda _: self._stage.show_marks(self._marks.value))

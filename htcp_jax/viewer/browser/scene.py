@@ -68,13 +68,13 @@ class BrowserScene:
             self._add_floor()
             self._add_fixtures()
             points = np.zeros((2, 3), np.float32)
-            self._pair = self._add_balls("/smallest distance/points", points, WITNESS_M, NEAREST)
+            self._pair = self._add_balls("/minimum distance/points", points, WITNESS_M, NEAREST)
             self._line = self._scene.add_line_segments(
-                "/smallest distance/line", points[None], rgb(NEAREST), thickness=4, thickness_units="screen"
+                "/minimum distance/line", points[None], rgb(NEAREST), thickness=4, thickness_units="screen"
             )
             look = {"point_size": AROUND_SIZE_M, "point_shape": "circle", "precision": "float32"}
-            self._around = self._scene.add_point_cloud("/smallest distance/around", points, rgb(OUTSIDE), **look)
-            self._label = self._scene.add_label("/smallest distance/label", "", anchor="bottom-left")
+            self._around = self._scene.add_point_cloud("/minimum distance/around", points, rgb(OUTSIDE), **look)
+            self._label = self._scene.add_label("/minimum distance/label", "", anchor="bottom-left")
             here = trimesh.creation.icosphere(subdivisions=3, radius=HERE_M)
             self._here = self._scene.add_mesh_simple(
                 "/targets/here", here.vertices, here.faces, color=lit(HERE), opacity=0.55, cast_shadow=False
@@ -209,7 +209,7 @@ class BrowserScene:
             look = {"position": place, "anchor": "bottom-left"}
             marks.append(self._scene.add_label(f"/motion/dwells from {group[0]}", words, **look))
         if (narrow := replay.narrow) is not None:
-            words = f"tightest, on the segment to target {narrow.target}: {replay.summary.proven} proven, "
+            words = f"minimum clearance, on the segment to target {narrow.target}: {replay.summary.proven} proven, "
             words += f"{1e3 * narrow.seen_m:.3g} mm seen"
             label_at = narrow.cloud + np.array([0.0, 0.0, LEADER_M])
             ball = {"radius": TIGHTEST_M, "color": lit(NEAREST), "cast_shadow": False}
