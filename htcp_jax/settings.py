@@ -64,7 +64,7 @@ class Settings:
     after_recovery: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
 
     # Between consecutive configurations
-    path_check: Literal["none", "escapes", "all"] = "all"  # segments that must be clear
+    path_check: Literal["none", "recoveries", "all"] = "all"  # segments that must be clear
     path_test: Literal["bisection", "samples"] = "bisection"  # a proof, or samples at the ends of `path_steps` steps
     path_steps: Steps = 20
     path_tolerance_m: Tolerance | None = None  # allowed TCP distance from the line between targets; None: the tolerance
