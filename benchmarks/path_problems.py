@@ -29,7 +29,7 @@ CHECKED = {
 TOLERANCE = (1e-4, np.deg2rad(0.1))  # of CppFlow [m, rad]
 IKLINK, IKLINK_TOLERANCE = "iklink__panda", (1e-3, 0.01)
 MOST_BOXES, FAR_M = 4, -50.0  # boxes are padded by distant ones, so that one compilation serves all problems of an arm
-WAY_M = 0.02  # tolerance of the TCP's path between two waypoints, for which there are no rules
+SEGMENT_M = 0.02  # tolerance of the TCP's path between two waypoints, for which there are no rules
 
 
 class PathProblem(NamedTuple):
@@ -221,7 +221,7 @@ def made(problem: PathProblem, folder: Path) -> dict[str, Any]:
         "settings": {
             "tolerance_m": problem.tolerance[0],
             "tolerance_rad": problem.tolerance[1],
-            "path_tolerance_m": WAY_M,
+            "path_tolerance_m": SEGMENT_M,
         },
     }
     if problem.name != IKLINK:

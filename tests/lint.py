@@ -113,7 +113,7 @@ MATHEMATICS = "equations", "mathematics"  # pages
 SHOWN = re.compile(r"^::: htcp_jax\.(\S+)\n((?: +.*\n?)*)", re.MULTILINE)
 MEMBERS = re.compile(r"members: \[([^\]]*)\]")
 UNIT_IN_NAME = re.compile(r"_(m|mm|rad|deg|s|ms|m2|mm_s|share|rate)$")
-UNIT_TOLD = re.compile(r"\[[^\]]*\b(m|mm|rad|deg|s|ms|m2|1|%)\b[^\]]*\]|\b(unit|percent|radians|metres|seconds)\b")
+UNIT_IN_TEXT = re.compile(r"\[[^\]]*\b(m|mm|rad|deg|s|ms|m2|1|%)\b[^\]]*\]|\b(unit|percent|radians|metres|seconds)\b")
 WITH_UNIT = {"Joints", "Pose", "Vector3"}  # of types: [rad or m]; a frame in [m]; a point in [m]
 COUNTED = re.compile(r"^(num_.*|.*weights?|tracked|executable|population)$")
 SOURCE = re.compile(r"equation|Eq\.|section|Algorithm|paper|constraints\)|Rodrigues|Ericson", re.IGNORECASE)
@@ -380,7 +380,7 @@ def _value_lacks(name: str, annotation: ast.expr | None, text: str) -> Iterator[
     if ARRAYS.search(bare) and not name.endswith(RANDOM_KEY) and not re.search(rf"\b{name}\b[^.;]*\(\w[^)]*,", text):
         yield f"{name} has no shape"
     has_unit = UNIT_IN_NAME.search(name) or COUNTED.match(name) or any(alias in kind for alias in WITH_UNIT)
-    if NUMBERS.search(kind) and not has_unit and not UNIT_TOLD.search(text):
+    if NUMBERS.search(kind) and not has_unit and not UNIT_IN_TEXT.search(text):
         yield f"{name} has no unit"
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from htcp_jax.backend import Backend, compiled_for
 from htcp_jax.clearance.distance import half_spaces as module
-from htcp_jax.clearance.distance.half_spaces import ROOM, crossed_facets, depths, half_spaces
+from htcp_jax.clearance.distance.half_spaces import ROUNDING_M, crossed_facets, depths, half_spaces
 from htcp_jax.clearance.distance.half_spaces_gpu import highest
 from htcp_jax.model.convex_hull import convex_hull
 from htcp_jax.pallas import HAS_KERNEL
@@ -100,7 +100,7 @@ def test_32_bit_heights_are_within_their_room_up_to_20_metres():
     points = RNG.uniform(-1, 1, (200, 3)) * 20 / np.sqrt(3)
     exact = points @ normal.T - offset
     narrow = np.float32(points) @ np.float32(normal).T - np.float32(offset)
-    assert np.abs(narrow - exact).max() < ROOM
+    assert np.abs(narrow - exact).max() < ROUNDING_M
 
 
 def test_a_cube_is_crossed_where_its_faces_are():

@@ -122,7 +122,7 @@ def test_the_way_passes_the_configurations_between_targets_and_knows_where_the_a
     assert [pose.target for pose in poses] == sorted(pose.target for pose in poses)
 
 
-def test_a_picture_marks_the_dwells_and_the_tightest_place(replay, dwelling, screenless):
+def test_a_picture_marks_the_dwells_and_the_minimum_clearance(replay, dwelling, screenless):
     with Studio(dwelling, *SIZE, close=True, fine=False) as studio:
         marked = studio.still(0)
     with Studio(replay, *SIZE, close=True, fine=False) as studio:
@@ -136,7 +136,12 @@ def test_the_command_tells_of_the_motion(made, screenless, tmp_path, capsys):
     replace(made[0], plans=with_a_dwell(made[0].plans)).save(tmp_path / "plan")
     assert main(["render", str(tmp_path / "plan"), *words]) == 0
     motion = json.loads(capsys.readouterr().out)["motion"]
-    assert (motion["executable"], motion["dwells"], motion["tightest"], motion["clearance_m"]) == (7, [4], 5, 2e-4)
+    assert (motion["executable"], motion["dwells"], motion["clearance_target"], motion["clearance_m"]) == (
+        7,
+        [4],
+        5,
+        2e-4,
+    )
 
 
 def test_the_open_side_s_half_is_cut_off(replay):

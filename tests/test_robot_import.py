@@ -199,7 +199,7 @@ def test_a_capsule_that_mujoco_fits_to_a_mesh_is_read_as_it_fits_it(folder):
 def test_what_is_no_part_of_the_arm_is_left_out(folder):
     arm = import_robot(folder / "mixed.xml", most=1)  # the only site except the mouse's
     assert arm.tip.name == "flange" and arm.joint_names == ("j1", "j2", "j3") and not arm.frozen
-    assert arm.left_out == ("floor of world", "table of world") and arm.shapeless == ("c",)
+    assert arm.excluded == ("floor of world", "table of world") and arm.shapeless == ("c",)
     assert "target" not in [arm.model.body(b).name for b in arm.bodies] and len(arm.covers) == 3
     drawn = import_robot(folder / "mixed.xml", most=1, visual=True)
     assert drawn.shapeless == () and drawn.covers[drawn.model.body("c").id].kinds == ("ellipsoid",)

@@ -68,7 +68,7 @@ def test_before_the_path_rows_are_eased_so_that_the_start_is_on_its_target():
                  [ON_PATH, {"axis": "tcp.x", "looks_at_m": [0, 0, 3]}]):  # fmt: skip
         task, scenario = made(*rows)
         robot, x = made_once.robot(), jnp.asarray(made_once.START)
-        assert task.off(robot, x, jnp.asarray(scenario.goals[0])) < 1e-9
+        assert task.residual_at(robot, x, jnp.asarray(scenario.goals[0])) < 1e-9
         np.testing.assert_allclose(scenario.goals[10], scenario.goals[11], atol=1e-9)  # of the first point
         assert scenario.goals.shape == (105, task.numbers)
 

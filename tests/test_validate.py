@@ -103,7 +103,7 @@ def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monke
     """Both distances to a mesh, and an announcement of long checks (regression: only one distance)."""
     job, run = box_job(tmp_path), tmp_path / "run"
     sweep({"grid": [{"workpiece.shift_m": [[0, 0, 0.1], [0, 0, 0.12]]}]}, ["baseline"], run, config=job)
-    monkeypatch.setattr("htcp_jax.cli.validate.WORTH_SAYING_S", 0)
+    monkeypatch.setattr("htcp_jax.cli.validate.ANNOUNCED_S", 0)
     assert main(["validate", str(run), "--between", "0"]) == 0
     output = capsys.readouterr()
     assert "less cover" in output.out and re.match(r"about [\d,]+ s for 2 plans", output.err)
@@ -193,7 +193,7 @@ def test_the_tip_passes_through_the_discs_that_the_planner_places_in_its_own_way
     where.translate = arm_poses.tcp[0] - where.rotate @ part.cloud[0]  # the wall lies at the TCP
     ends = (where.local(end) for end in (where.arm.tip_start(arm_poses), arm_poses.tcp))
     expected = make_tip_guard(part).passes(*ends)
-    assert where.tip_goes_through(arm_poses, 0.01).tolist() == expected.tolist() and 100 < expected.sum() < 900
+    assert where.tip_crosses(arm_poses, 0.01).tolist() == expected.tolist() and 100 < expected.sum() < 900
 
 
 @pytest.mark.parametrize("seam", SEAMS)

@@ -25,7 +25,7 @@ from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning.registry import names
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import read_plan
-from htcp_jax.validation.mesh_clearance import axis_distances, goes_through
+from htcp_jax.validation.mesh_clearance import axis_distances, crosses
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, wall_of
 from htcp_jax.validation.records import data_of
@@ -68,7 +68,7 @@ def on_segment(robot: Robot, part: Workpiece, where: Scenario, a: np.ndarray, b:
     segment_status = tip[:, 1] - tip[:, 0]
     end = tip[:, 1] - 0.01 * segment_status / np.linalg.norm(segment_status, axis=1, keepdims=True)
     pairs = np.repeat(np.arange(len(tip)), len(part.triangles))
-    through = goes_through(tip[pairs, 0], end[pairs], np.tile(part.triangles, (len(tip), 1, 1)))
+    through = crosses(tip[pairs, 0], end[pairs], np.tile(part.triangles, (len(tip), 1, 1)))
     return float((distance - radius).min()), bool(through.any())
 
 
@@ -137,7 +137,7 @@ def test_validation_measures_the_triangles(car, tmp_path):
         truth = sampled_distances(robot, part, where, row).min()
         if not (found.outside[k] > 0).any():
             assert truth - 2e-3 < found.clearance[k] <= truth + 1e-9 or found.clearance[k] < truth < 0
-    tip = beside.tip_goes_through(found.arm_poses, 0.0)
+    tip = beside.tip_crosses(found.arm_poses, 0.0)
     first = arm.tip_start(found.arm_poses)
     assert np.allclose(np.linalg.norm(first - found.arm_poses.tcp, axis=1), 0.038) and tip.shape == (10,)
 

@@ -121,7 +121,7 @@ def _robot_table(arm: robots.ImportedArm) -> Table:
                 *counts,
                 cover.ratio,
                 1e3 * cover.outside_m,
-                mjcf.in_words(cover),
+                mjcf.shapes_label(cover),
             )
         )
     return Table("robot", COLUMNS, tuple(rows))
@@ -133,5 +133,5 @@ def _robot_facts(arm: robots.ImportedArm) -> dict[str, str | tuple[str, ...]]:
         "joints": arm.joint_names,
         "frozen": arm.frozen,
         "without a shape": arm.shapeless,
-        "excluded": arm.left_out,
+        "excluded": arm.excluded,
     }

@@ -18,7 +18,7 @@ from htcp_jax.validation import Validation, validation_record, write_validation
 from htcp_jax.validation import validate_results as check
 
 VALIDATED, REFUTED = 0, 1
-WORTH_SAYING_S = 60  # longer checks are announced
+ANNOUNCED_S = 60  # longer checks are announced
 LISTED = 10  # refuted configurations on the terminal
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
@@ -56,7 +56,7 @@ def validate(
     with progress_bar("plans", time_left=True) as progress:
 
         def show(done: int, count: int) -> None:
-            if done == 1 and (seconds := (time.perf_counter() - began) * count) > WORTH_SAYING_S:
+            if done == 1 and (seconds := (time.perf_counter() - began) * count) > ANNOUNCED_S:
                 print(
                     f"about {seconds:,.0f} s for {count:,} plans, estimated from the first", file=sys.stderr, flush=True
                 )

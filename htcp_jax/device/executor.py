@@ -29,7 +29,7 @@ COMPILER = {
 }
 
 
-NOBODY = nullcontext()  # in place of a stopwatch for the time spent waiting
+NO_STOPWATCH = nullcontext()  # in place of a stopwatch for the time spent waiting
 
 
 class ExecutableCache:
@@ -57,7 +57,7 @@ class ExecutableCache:
         settings: Settings,
         device: jax.Device,
         arguments: tuple,
-        waiting: AbstractContextManager = NOBODY,
+        waiting: AbstractContextManager = NO_STOPWATCH,
     ) -> jax.stages.Compiled:
         """Return the executable for arguments of these shapes, compiling it if there is none.
 
@@ -223,7 +223,7 @@ class Executor:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
             for each in begun:
-                with NOBODY if each.done() else self._waiting:
+                with NO_STOPWATCH if each.done() else self._waiting:
                     each.result()
 
     def _ready(self, lane_function: LaneFunction, tables) -> None:

@@ -29,7 +29,7 @@ from htcp_jax.errors import Lost
 from htcp_jax.process_exit import signals_blocked
 from htcp_jax.unfinished import temporary_folder
 
-LOOK_S = 0.1  # interval at which progress is polled
+POLL_S = 0.1  # interval at which progress is polled
 IDLE_S = 300  # idle time after which workers end
 START_PAYS = 10_000  # targets that outweigh starting workers, which takes as long as some thousands of them
 EACH_PAYS = 8  # minimum number of scenarios per worker
@@ -120,7 +120,7 @@ def _watched(requested: Sequence[Future], look: Callable[[], Any]) -> None:
     """Wait for all futures, calling `look` at intervals; raise the first exception among them."""
     left = set(requested)
     while left:
-        done, left = wait(left, LOOK_S, FIRST_EXCEPTION)
+        done, left = wait(left, POLL_S, FIRST_EXCEPTION)
         for each in done:
             each.result()
         look()

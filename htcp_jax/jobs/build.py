@@ -207,7 +207,7 @@ def part_of(job: PlanConfig) -> WorkpieceConfig:
     return job.workpiece.model_copy(update=_POSE | _APPROACH)
 
 
-def beside_of(cell: CellConfig) -> tuple:
+def obstacles_key(cell: CellConfig) -> tuple:
     """Return the values that determine the planner's obstacles in addition to the workpiece.
 
     The numbers of obstacles of other packages are excluded: they belong to the scenario.

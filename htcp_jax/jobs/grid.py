@@ -27,7 +27,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
 from htcp_jax.jobs.build import (
     arm_of,
-    beside_of,
+    obstacles_key,
     obstacles_of,
     part_of,
     robot_of,
@@ -139,7 +139,7 @@ class Sweep:
                 arms[arm] = _like(self.robot, robot_of(arm), f"{self.name}: scenario {point.number}")
             if (arm, part) not in parts:
                 parts[arm, part] = workpiece_of(part, arms[arm])
-            task, beside = _task(point, arms[arm]), beside_of(point.config.cell)
+            task, beside = _task(point, arms[arm]), obstacles_key(point.config.cell)
             if (arm, beside) not in obstacles:
                 obstacles[arm, beside] = obstacles_of(point.config.cell, arms[arm])
             own = len(cells), PlannerInputs(arms[arm], parts[arm, part], settings, task, obstacles[arm, beside])

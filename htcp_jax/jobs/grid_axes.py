@@ -206,7 +206,7 @@ def group_record(group: Group, stated: Collection[str]) -> dict[str, Any]:
         {column.parameter.name: {"offsets" if column.relative else "values": values(column)} for column in axis}
         for axis in group.axes
     ]
-    known = {"stated": sorted(stated)} if hangs(group) else {}
+    known = {"stated": sorted(stated)} if has_own_defaults(group) else {}
     return {"name": group.name, "axes": axes, **known}
 
 
@@ -226,7 +226,7 @@ def absolute(name: str | None, words: Collection[str | None]) -> str | None:
     return name if name in words else str(Path(name).resolve())
 
 
-def hangs(group: Group) -> bool:
+def has_own_defaults(group: Group) -> bool:
     """Return True if the defaults depend on the scenario, see `defaults.own_defaults`."""
     return bool(group.keys & {*SOURCES, "workpiece.neutral_translation_m"})
 

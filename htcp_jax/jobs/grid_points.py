@@ -8,7 +8,7 @@ from pathlib import Path
 from htcp_jax.io import strict_model
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.defaults import fill_in, value_at
-from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, ScenarioPoint, hangs, put_parameter, varied_keys
+from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, ScenarioPoint, has_own_defaults, put_parameter, varied_keys
 
 
 def points_of(
@@ -35,7 +35,7 @@ def points_of(
         short[key] = short_names([*files, value_at(base, key)], words)
     number = itertools.count()
     for group in groups:
-        hanging, known = hangs(group), {*stated, *group.keys}
+        hanging, known = has_own_defaults(group), {*stated, *group.keys}
         for row in group.rows():
             raw = {key: dict(value) if isinstance(value, dict) else value for key, value in base.items()}
             for column, value in row:

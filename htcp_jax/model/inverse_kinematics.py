@@ -59,7 +59,7 @@ def reanchor(
     # The first iteration evaluates x itself, so that the kinematics is compiled once.
     blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
     (x, error, _), _ = jax.lax.while_loop(going, step, ((x, *blank[1:]), jnp.full((), -1, jnp.int32)))
-    return x, task.off(robot, x, target) if task.bands else safe_norm(error)
+    return x, task.residual_at(robot, x, target) if task.bands else safe_norm(error)
 
 
 def damped_step(robot: Robot, x: Joints, error: Float[Array, "M"], jac: Float[Array, "M N"], damping: float) -> Joints:

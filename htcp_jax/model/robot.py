@@ -102,7 +102,7 @@ class Robot:
         return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
 
 
-def capsule_in_words(robot: Robot, name: str) -> str:
+def capsule_label(robot: Robot, name: str) -> str:
     """Return a capsule's name for a message; a capsule that is only numbered comes with its link's name, if known."""
     if not name.startswith("capsule"):
         return f"capsule {name}"

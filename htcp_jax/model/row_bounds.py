@@ -131,7 +131,7 @@ class ViewTarget(NamedTuple):
         return RowSlack(left, safe_norm(here) > self.radius, nearest)
 
 
-class Rated(NamedTuple):
+class RateBound(NamedTuple):
     """Features of which error and slack change by at most `rate` per displacement; None: sampled."""
 
     slack: Callable[[Float[Array, "v"]], Scalar]  # the larger of the slacks by the goals at both targets and half way
@@ -149,7 +149,7 @@ class Rated(NamedTuple):
         return RowSlack(slack / self.rate - safe_norm(jnp.stack(moves)) - ROUNDING_M, slack < 0, jnp.inf)
 
 
-Region = Slabs | Chords | ViewTarget | Rated
+Region = Slabs | Chords | ViewTarget | RateBound
 
 
 def towards(a: Vector3, b: Vector3, limit: Float[Array, "2"], tolerance_rad: float) -> Chords:

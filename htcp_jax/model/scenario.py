@@ -204,7 +204,7 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
 
 
-def off_their_lines(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> Scenario:
+def with_free_approach(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> Scenario:
     """Return stacked scenarios whose approaches leave their lines: the chosen targets become the path's first point.
 
     Args:

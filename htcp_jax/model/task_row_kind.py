@@ -15,7 +15,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.kinds import ExtensionKind, Slot, Template, fault_of, numbers_of, template_of
 from htcp_jax.model.robot import Robot
-from htcp_jax.model.row_bounds import Rated
+from htcp_jax.model.row_bounds import RateBound
 from htcp_jax.model.task_rows import AIM_M, AIM_RAD, SLACK, Feature, Row
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.numerics import safe_norm
@@ -181,7 +181,7 @@ class GivenRow(Row):
         """Return how far inside the inequalities a step aims."""
         return self._own(goal).aim(value)
 
-    def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Rated:
+    def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> RateBound:
         """Return what is allowed by the goals at both targets, or by the numbers half way."""
         tolerance = tolerance_rad if self.angular else tolerance_m
 
@@ -192,7 +192,7 @@ class GivenRow(Row):
         def slack(value: Float[Array, "v"]) -> Scalar:
             return jnp.max(jnp.stack([by(goal, value) for goal in (goals[0], 0.5 * (goals[0] + goals[1]), goals[1])]))
 
-        return Rated(slack, tuple(feature.is_direction for feature in self.features), self.kind.rate)
+        return RateBound(slack, tuple(feature.is_direction for feature in self.features), self.kind.rate)
 
     def eased(self, start, first, share, places):
         """Return goals whose errors and slacks are those of the start, faded out."""

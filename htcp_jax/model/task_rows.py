@@ -317,7 +317,7 @@ class AxisTowards(Row):
 
 
 @dataclass(frozen=True)
-class Turned(Row):
+class FrameOrientation(Row):
     """A frame of the arm turned to a rotation: exactly, or within an angle.
 
     A goal is the rotation matrix, row by row, and with a tolerance the angle [rad].

@@ -59,7 +59,7 @@ class CollisionChecker:
 
     def valid(self, inputs: LaneInputs, at: State, among: Rows | bool = True) -> Rows:
         """Return True for states of `among` that satisfy the task and the margin, with the bare tip out of walls."""
-        return self.tip_free(inputs, at.x, self.task.counts(at.clearance, at.residual, inputs.margin_m) & among)
+        return self.tip_free(inputs, at.x, self.task.is_satisfied(at.clearance, at.residual, inputs.margin_m) & among)
 
     def tip_free(self, inputs: LaneInputs, q: Configurations, among: Rows) -> Rows:
         """Return True for configurations of `among` whose bare tip passes through no wall."""

@@ -116,7 +116,7 @@ class Problem:
         """
         before = np.arange(plans.target.shape[1]) < self.scenarios.on_path[:, None]
         left = np.logical_or.accumulate((plans.target != self.scenarios.targets).any(axis=2), axis=1) & before
-        return self.with_scenarios(scenario_functions.off_their_lines(self.scenarios, left)) if left.any() else self
+        return self.with_scenarios(scenario_functions.with_free_approach(self.scenarios, left)) if left.any() else self
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

@@ -93,7 +93,7 @@ def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
     return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
 
 
-def nothing_known(look: Callable, *arguments) -> Any:
+def empty_result(look: Callable, *arguments) -> Any:
     """Return zeros in the structure and shapes that `look` would return for these arguments."""
     return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, *arguments))
 
@@ -134,7 +134,7 @@ def track(
     most = jnp.minimum(iteration + STEPS_PER_CHUNK, settings.max_step_qps)
 
     def going(tracked: TrackingState):
-        here = scene.task.counts(tracked.now.clearance, tracked.now.residual, lane.margin_m)
+        here = scene.task.is_satisfied(tracked.now.clearance, tracked.now.residual, lane.margin_m)
         reached = here & (tracked.iteration > 0)
         return ~reached & (tracked.verdict == step_qp.QPStatus.SOLVED) & (tracked.iteration < most)
 

@@ -222,7 +222,7 @@ def start_clearance(
     surface = touch.point[row] - scene.robot.capsule_radius[body] * touch.normal[row]
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
     note = robots.mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
-    return float(touch.distance[row]), robots.capsule_in_words(robot, robot.capsule_names[body]), other + note
+    return float(touch.distance[row]), robots.capsule_label(robot, robot.capsule_names[body]), other + note
 
 
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:

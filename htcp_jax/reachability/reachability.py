@@ -100,7 +100,7 @@ def reachable_prefixes(
     checker = CollisionChecker(Executor(scene, settings), settings, tip_guard.make_tip_guard(workpiece))
     known = known_configurations(robot, scenarios.tool_extension_m)
     threads = devices.default_threads([checker.executor.device], settings.qp)
-    parts = [nothing_found(tables.gather(scenarios, slice(number, None, threads))) for number in range(threads)]
+    parts = [initial_reachability(tables.gather(scenarios, slice(number, None, threads))) for number in range(threads)]
     stop = threading.Event()
 
     def work(number: int) -> None:
@@ -128,7 +128,7 @@ def reachable_prefixes(
     return tables.interleaved(parts)
 
 
-def nothing_found(scenarios: Scenario) -> Reachability:
+def initial_reachability(scenarios: Scenario) -> Reachability:
     """Return the initial result for S stacked scenarios, with its own arrays."""
     count, rows = scenarios.targets.shape[:2]
     return Reachability(
@@ -171,7 +171,7 @@ def _prefixes(
                     found.prefix[s] += 1
             looked = looked[[not len(own) for own in clear]]
             leave = _off_lines(scenarios, looked, row)
-            scenarios = scenario.off_their_lines(scenarios, leave) if leave.any() else scenarios
+            scenarios = scenario.with_free_approach(scenarios, leave) if leave.any() else scenarios
             looked = looked[leave[looked, row]]
         alive = alive[found.prefix[alive] > row]
         progress(row + 1, rows)

@@ -66,10 +66,10 @@ def _triangle_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.
     ends = [_size(trimesh.triangles.closest_point(triangles, end) - end) for end in (p, q)]
     corners = np.moveaxis(triangles, 1, 0)
     edges = [_segment_distance(p, q, corners[k], corners[k - 1]) for k in range(3)]
-    return np.where(goes_through(p, q, triangles), 0.0, np.minimum.reduce([*ends, *edges]))
+    return np.where(crosses(p, q, triangles), 0.0, np.minimum.reduce([*ends, *edges]))
 
 
-def goes_through(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray, "m"]:
+def crosses(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray, "m"]:
     """True if a segment passes through its triangle.
 
     Its ends are then on both sides of the plane, and it turns about all three edges in the same sense.

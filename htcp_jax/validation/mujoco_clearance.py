@@ -29,13 +29,13 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from htcp_jax.jobs import config
 from htcp_jax.validation.cloud_discs import CloudDiscs
-from htcp_jax.validation.mesh_clearance import axis_distances, goes_through, in_grains, read_triangles
+from htcp_jax.validation.mesh_clearance import axis_distances, crosses, in_grains, read_triangles
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.scene_rules import WorkpieceData
 
 COARSE = 0.5  # half length of the first pieces, in radii
 FINE_M = 0.01  # half length at which a ball holds few points
-ROOM_M = 1e-9  # for rounding, in every bound
+ROUNDING_M = 1e-9  # for rounding, in every bound
 SOLVER_M = 1e-5  # for mj_geomDistance, which iterates
 FACETS_AT_ONCE = 2_000_000  # heights in memory
 
@@ -109,7 +109,7 @@ def wall_of(part: config.WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
     return wall
 
 
-class AtTargets(NamedTuple):
+class TargetClearances(NamedTuple):
     """Results at n configurations, which `CheckedScene.between` reuses."""
 
     arm_poses: ArmPoses
@@ -158,10 +158,10 @@ class CheckedScene:
         if wall.direction is not None and (arm.base @ self.along > self.interior_from).any():
             self.interior_from = np.inf
 
-    def at(self, x: Float[np.ndarray, "n N"]) -> AtTargets:
+    def at(self, x: Float[np.ndarray, "n N"]) -> TargetClearances:
         """Compute the clearance of every configuration."""
         arm_poses = self.arm.arm_poses(x)
-        pieces = _whole_axes(self.arm, len(x))
+        pieces = _initial_pieces(self.arm, len(x))
         samples = _centres(arm_poses, pieces)
         distance = self.wall.tree.query(self.local(samples), workers=-1)[0]
         upper = _lowered(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
@@ -173,10 +173,10 @@ class CheckedScene:
         each = len(x), len(pieces.row) // len(x)
         clearance = _worse(np.minimum(to_wall, surroundings.min(axis=1, initial=np.inf)), outside)
         samples, distance = samples.reshape(*each, 3), distance.reshape(each)
-        return AtTargets(arm_poses, clearance, samples, distance, ends, outside, surroundings, to_wall)
+        return TargetClearances(arm_poses, clearance, samples, distance, ends, outside, surroundings, to_wall)
 
     def between(
-        self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: AtTargets, below: float
+        self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: TargetClearances, below: float
     ) -> tuple[ArmPoses, Float[np.ndarray, "n"]]:
         """Compute the clearance at configurations between known ones, where it is small.
 
@@ -193,7 +193,7 @@ class CheckedScene:
             The TCP and the capsules, and the clearance where it is at most `below`, inf elsewhere [m].
         """
         arm_poses = self.arm.arm_poses(x)
-        pieces = _whole_axes(self.arm, len(x))
+        pieces = _initial_pieces(self.arm, len(x))
         samples = _centres(arm_poses, pieces).reshape(len(x), -1, 3)
         near = [known.distance[b] - np.linalg.norm(samples - known.samples[b], axis=2) for b in (a, a + 1)]
         distance = np.maximum(0.0, np.maximum(*near)).reshape(-1)
@@ -213,7 +213,7 @@ class CheckedScene:
         clearance = _worse(clearance, outside)
         return arm_poses, np.where(clearance <= below, clearance, np.inf)
 
-    def tip_goes_through(self, arm_poses: ArmPoses, contact_m: float) -> Bool[np.ndarray, "n"]:
+    def tip_crosses(self, arm_poses: ArmPoses, contact_m: float) -> Bool[np.ndarray, "n"]:
         """True if the bare tip passes through a triangle of the mesh or a disc of the cloud.
 
         The bare tip is the segment from the last body to the TCP, without its last `contact_m`.
@@ -227,14 +227,14 @@ class CheckedScene:
         last = tcp + (first - tcp) * np.minimum(1.0, contact_m / np.maximum(length, contact_m + 1e-12))[:, None]
         length = np.linalg.norm(last - first, axis=1)
         row, share = _samples(np.maximum(1, np.ceil(length / (2 * grain))).astype(int))
-        reach = grain + ROOM_M + np.minimum(length[row] / 2, grain)  # from a sample's middle
+        reach = grain + ROUNDING_M + np.minimum(length[row] / 2, grain)  # from a sample's middle
         found = self.wall.tree.query_ball_point(
             first[row] + share[:, None] * (last - first)[row], reach, return_sorted=False
         )
         row = np.repeat(row, [len(near) for near in found])
         near = np.concatenate([np.empty(0, int), *(np.array(near, int) for near in found)])
         ends = first[row], last[row]
-        through = self.wall.discs.crossed(*ends, near) if mesh is None else goes_through(*ends, mesh[near])
+        through = self.wall.discs.crossed(*ends, near) if mesh is None else crosses(*ends, mesh[near])
         return np.bincount(row[through], minlength=len(first)) > 0
 
     def _measured(self, x: np.ndarray, arm_poses: ArmPoses, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
@@ -263,7 +263,7 @@ class CheckedScene:
         while len(pieces.row):
             reach = self._reach(pieces, upper)
             centres = self.local(_centres(arm_poses, pieces))
-            distance = self.wall.tree.query(centres, distance_upper_bound=reach.max() + ROOM_M)[0]
+            distance = self.wall.tree.query(centres, distance_upper_bound=reach.max() + ROUNDING_M)[0]
             upper = _lowered(upper, pieces, distance - radius[pieces.capsule])
             kept = self._may_hold(pieces, distance, upper)
             pieces, centres = pieces.only(kept), centres[kept]
@@ -281,12 +281,12 @@ class CheckedScene:
     def _reach(self, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
         """Largest distance from a piece's centre to the nearest point, if the clearance is at most `upper` [m]."""
         reach = np.maximum(0.0, upper[pieces.row] + self.arm.radius[pieces.capsule])
-        return np.hypot(reach, pieces.half) + self.wall.grain + ROOM_M
+        return np.hypot(reach, pieces.half) + self.wall.grain + ROUNDING_M
 
     def _may_hold(self, pieces: AxisPieces, distance: np.ndarray, upper: np.ndarray) -> np.ndarray:
         nearest = np.maximum(0.0, distance - self.wall.grain)
         least = np.sqrt(np.maximum(0.0, nearest**2 - pieces.half**2)) - self.arm.radius[pieces.capsule]
-        return least <= upper[pieces.row] + ROOM_M
+        return least <= upper[pieces.row] + ROUNDING_M
 
     def _outside(self, ends: np.ndarray, requested: np.ndarray) -> np.ndarray:
         found = np.full(requested.shape, np.nan)
@@ -298,7 +298,7 @@ class CheckedScene:
         return (points - self.translate) @ self.rotate
 
 
-def _whole_axes(arm: MujocoArm, n: int) -> AxisPieces:
+def _initial_pieces(arm: MujocoArm, n: int) -> AxisPieces:
     """Divide every capsule's axis into pieces of COARSE radii, and its ends, for each of n configurations.
 
     The number of pieces is computed from the model's lengths, as lengths at a configuration have rounding errors.

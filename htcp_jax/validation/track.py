@@ -9,7 +9,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.runs import parameters
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell
-from htcp_jax.validation.mujoco_clearance import AtTargets, CheckedScene, Wall
+from htcp_jax.validation.mujoco_clearance import CheckedScene, TargetClearances, Wall
 from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refutation
 from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
 from htcp_jax.validation.task_check import PartPose as RowPlace
@@ -87,7 +87,7 @@ def check(
     tolerance, contact = settings.tolerance_m, track.config.workpiece.tip_contact_m
     through = np.zeros(len(t), bool)
     if mesh and contact is not None and len(t):
-        through = scene.tip_goes_through(ArmPoses(*(values[1:] for values in at.arm_poses)), contact)
+        through = scene.tip_crosses(ArmPoses(*(values[1:] for values in at.arm_poses)), contact)
     paths = _paths(track, rows, targets, t)
     moved, line = np.abs(paths.b - paths.a), paths.line_b - paths.line_a
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
@@ -265,7 +265,9 @@ def _refuted_segments(track: Track, paths: JointPaths, found: dict[str, Any]) ->
     return [Refutation(track.method, track.scenario, target, reasons[target]) for target in sorted(reasons)]
 
 
-def _check_paths(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, on_path: int) -> dict[str, Any]:
+def _check_paths(
+    scene: CheckedScene, at: TargetClearances, paths: JointPaths, between: int, on_path: int
+) -> dict[str, Any]:
     """Check the joint paths: collisions, minimum clearance where it is less than at all targets, and path deviation.
 
     The deviation is the TCP's distance from its line; it is 0 up to the path's first point, `on_path`, as the approach

@@ -162,7 +162,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
     _add_cloud(spec, replay, surfaces.CORNERS if fine else FEW_CORNERS)
     _add_fixtures(spec, replay)
     low = min(0.0, replay.cloud[:, 2].min(), (np.minimum(replay.p, replay.q)[..., 2] - radius[:-1]).min())
-    _add_room(spec, replay, low, fine)
+    _add_surroundings(spec, replay, low, fine)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.global_.fovy = FOVY_DEG
     return spec.compile()
@@ -175,7 +175,7 @@ def _add_marks(spec: mujoco.MjSpec, replay: Replay) -> None:
         spec.worldbody.add_geom(name=f"dwell {target}", **cube, material="bead", rgba=_rgba(DWELL), **UNTOUCHED)
     if replay.narrow is not None:
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.narrow.cloud}
-        spec.worldbody.add_geom(name="tightest", **ball, material="bead", rgba=_rgba(NEAREST), **UNTOUCHED)
+        spec.worldbody.add_geom(name="minimum clearance", **ball, material="bead", rgba=_rgba(NEAREST), **UNTOUCHED)
 
 
 def _colliding_geoms(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[float], np.ndarray]]:
@@ -213,7 +213,7 @@ def _add_fixtures(spec: mujoco.MjSpec, replay: Replay) -> None:
         spec.worldbody.add_geom(type=_Geom.mjGEOM_MESH, meshname="fixtures", **look, **UNTOUCHED)
 
 
-def _add_room(spec: mujoco.MjSpec, replay: Replay, low: float, fine: bool) -> None:
+def _add_surroundings(spec: mujoco.MjSpec, replay: Replay, low: float, fine: bool) -> None:
     """Add floor, sky and light."""
     kind, drawn, mark = mujoco.mjtTexture, mujoco.mjtBuiltin, mujoco.mjtMark
     tiles = {"builtin": drawn.mjBUILTIN_FLAT, "mark": mark.mjMARK_EDGE, "rgb1": FLOOR, "rgb2": FLOOR, "markrgb": EDGE}

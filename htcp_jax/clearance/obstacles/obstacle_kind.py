@@ -102,20 +102,20 @@ class GivenObstacle(Obstacle):
         normal = jax.vmap(jax.grad(lambda point: own.distance(point).reshape(())))(point)
         length = safe_norm(normal)[:, None]
         normal = jnp.where(length > 1e-9, normal / jnp.maximum(length, 1e-9), jnp.array([0.0, 0.0, 1.0]))
-        heeds = self._heeds(own, robot, where)
-        far = jnp.where(heeds, 0.0, jnp.inf)
+        is_checked = self._checked_bodies(own, robot, where)
+        far = jnp.where(is_checked, 0.0, jnp.inf)
         return Contacts(distance - radius + far, point, normal, radius, distance <= 0), least - radius + far
 
-    def _heeds(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
+    def _checked_bodies(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
         """True for bodies that are checked."""
         links = np.array(robot.capsule_link)
         first = np.flatnonzero(links == 0)
-        heeds = jnp.asarray(links >= 0)
+        is_checked = jnp.asarray(links >= 0)
         if not len(first):
-            return heeds
+            return is_checked
         drawn = bodies_at(robot, where, jnp.zeros(len(robot.slides)))
         at_zero = jax.vmap(lambda p, q: _nearest(own, p, q)[1])(drawn.p[first], drawn.q[first])
-        return heeds.at[first].set(at_zero > robot.capsule_radius[first])
+        return is_checked.at[first].set(at_zero > robot.capsule_radius[first])
 
 
 def _nearest(own: ObstacleKind, p: Vector3, q: Vector3) -> tuple[Vector3, Scalar, Scalar]:

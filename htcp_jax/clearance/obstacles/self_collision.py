@@ -60,7 +60,7 @@ class SelfCollision(Obstacle):
 
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """Return the name of the capsule nearest to the body of a row, for messages."""
-        return robots.capsule_in_words(
+        return robots.capsule_label(
             robot, robot.capsule_names[self.pairs[int(_nearest_capsule(self, robot, p, q)[row])][1]]
         )
 

@@ -60,7 +60,7 @@ def rows_left(
         half: Largest |s|.
     """
     given = [(part, own) for part, own in zip(parts, requested, strict=True) if own is not None]
-    found = [own.left(_Moving(robot, part.features, x, rates, half)) for part, own in given]
+    found = [own.left(_FeatureSweep(robot, part.features, x, rates, half)) for part, own in given]
     return row_bounds.RowSlack(*(jnp.stack(each) for each in zip(*found, strict=True)))
 
 
@@ -78,7 +78,7 @@ def rows_hold(
 
 
 @dataclass(frozen=True)
-class _Moving(row_bounds.FeatureMotion):
+class _FeatureSweep(row_bounds.FeatureMotion):
     """Features on the joint path x + s rates with |s| <= half."""
 
     robot: Robot

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-SAG_MM = 0.05  # largest distance of the triangles from a curved STEP face
+CHORD_DEVIATION_MM = 0.05  # largest distance of the triangles from a curved STEP face
 TURN_RAD = 0.2
 MOST_COLUMNS = 1000  # of a PCD cloud
 # Limit of the points' size: [bytes], and times the file's size; LZF reaches 88.
@@ -77,7 +77,7 @@ def step(file: Path) -> dict[str, np.ndarray]:
     import cascadio
     import trimesh
 
-    glb = cascadio.load(file.read_bytes(), tol_linear=SAG_MM, tol_angular=TURN_RAD, use_parallel=False)
+    glb = cascadio.load(file.read_bytes(), tol_linear=CHORD_DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False)
     if not glb:
         raise ValueError("no shapes in it")
     scene = trimesh.load_scene(io.BytesIO(glb), file_type="glb", process=False)

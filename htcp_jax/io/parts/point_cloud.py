@@ -128,11 +128,11 @@ def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[
     geometry = np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3, 3)), *triangles])
     if ending == ".ply":
         raw = [part.metadata.get("_ply_raw", {}).get("face", {}).get("data") for part in meshes]
-        _check_ply_is_whole(path, data, *map(len, geometry), raw)
+        _check_ply_is_complete(path, data, *map(len, geometry), raw)
     return geometry
 
 
-def _check_ply_is_whole(path: Path, data: bytes, vertices: int, triangles: int, raw: list) -> None:
+def _check_ply_is_complete(path: Path, data: bytes, vertices: int, triangles: int, raw: list) -> None:
     """Check that a PLY file is complete; trimesh accepts truncated ones. `raw` are the faces as trimesh has read them.
 
     Raises:

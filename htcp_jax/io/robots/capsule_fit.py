@@ -23,7 +23,7 @@ MOST = 3  # capsules per body
 MORE = 20  # points added to the working set in each round
 FINE = 28  # points per side of the grid on which volumes are compared
 TINY = 1e-9  # of a mesh's size: smaller lengths count as 0
-LOOKS = np.stack(np.meshgrid(*3 * [[-1.0, 0, 1]]), axis=-1).reshape(-1, 3)  # directions of the first points
+FIRST_DIRECTIONS = np.stack(np.meshgrid(*3 * [[-1.0, 0, 1]]), axis=-1).reshape(-1, 3)  # directions of the first points
 
 
 class Effort(NamedTuple):
@@ -223,7 +223,7 @@ def _initial_segment(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:
 
 def _minimum_capsule(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
     """Minimise the capsule about points of size 1, starting from z."""
-    work = np.unique(np.argmax(x @ LOOKS.T, axis=0))
+    work = np.unique(np.argmax(x @ FIRST_DIRECTIONS.T, axis=0))
     for _ in range(effort.rounds):
         z = _minimise_volume(x[work], z, effort)
         distance = _from_segment(x, z[:3], z[3:6])[0]

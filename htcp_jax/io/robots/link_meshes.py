@@ -25,7 +25,7 @@ MADE_FROM, CUTS = "made from", "cuts of "  # names of an arm's <text>s: the vend
 VISUAL = " --visual"  # suffix of the first if the capsules enclose visual geometry
 PROBE_M = 1e-9  # radius of the sphere that represents a point
 MOST_CONTACTS = 1000  # between two pieces; the deepest is used
-LOOKED_AT, NEAREST, STEPS = 200, 6, 60  # samples; nearest samples that start a search; steps of a search
+SAMPLES, NEAREST, STEPS = 200, 6, 60  # samples; nearest samples that start a search; steps of a search
 FIRST_STEP, LESS = 0.05, 0.94  # first step, as a share of a joint's range; ratio of successive steps
 FIRST = np.array([0])
 _LIST = fcl.CollisionRequest(num_max_contacts=MOST_CONTACTS, enable_contact=True)
@@ -142,7 +142,7 @@ class LinkMeshes:
         """
         if self.deepest_m(one, other, at, rows, robots.TOUCHING_M) > robots.TOUCHING_M:
             return True
-        some = rows[:: max(1, len(rows) // LOOKED_AT)]
+        some = rows[:: max(1, len(rows) // SAMPLES)]
         order = np.argsort([self._distance_m(one, other, at, k) for k in some], kind="stable")
         rng, lower, upper = np.random.default_rng(0), x.min(axis=0), x.max(axis=0)
         for k in some[order[:NEAREST]]:

@@ -127,7 +127,7 @@ def _add_capsules(body: Element, cover: BodyCover | None) -> None:
     for name, capsule in cover.own.items():
         _add_capsule_element(body, name, capsule)
     if cover.fitted:
-        body.append(_comment(f" about {in_words(cover)}, {cover.ratio:.2f} times its hull "))
+        body.append(_comment(f" about {shapes_label(cover)}, {cover.ratio:.2f} times its hull "))
     for name, capsule in cover.fitted.items():
         _add_capsule_element(body, name, capsule)
 
@@ -140,7 +140,7 @@ def _add_capsule_element(body: Element, name: str, capsule: Capsule) -> None:
         SubElement(body, "geom", name=name, type="capsule", fromto=_numbers_text([*capsule.p, *capsule.q]), size=size)
 
 
-def in_words(cover: BodyCover) -> str:
+def shapes_label(cover: BodyCover) -> str:
     """Describe the shapes in the fitted capsules: "mesh", "2 meshes, box"; "" if nothing was fitted."""
     count = {kind: cover.kinds.count(kind) for kind in dict.fromkeys(cover.kinds)}
     return ", ".join(kind if n == 1 else f"{n} {MANY[kind]}" for kind, n in count.items())

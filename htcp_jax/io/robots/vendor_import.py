@@ -69,7 +69,7 @@ class ImportedArm(NamedTuple):
     covers: dict[int, BodyCover]  # by body
     massive: tuple[int, ...]  # bodies with an inertia in the file
     numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, for `joints`
-    left_out: tuple[str, ...]  # excluded shapes, which no capsule represents
+    excluded: tuple[str, ...]  # excluded shapes, which no capsule represents
     visual: bool  # True if the capsules enclose visual geometry
     shapeless: tuple[str, ...]  # bodies with visual but no collision geometry
     disabled: tuple[tuple[str, str], ...]  # bodies that an SRDF excludes from self-collision checks
@@ -112,7 +112,7 @@ def import_robot(
     joints = tuple(j for j in range(model.njnt) if model.jnt_bodyid[j] in on_chain)
     geoms = [geom for geom in shapes.geoms if _body_of(model, geom) in bodies]
     chosen = _chosen_geoms(geoms, model, visual)
-    own = [geom for geom in chosen if not _is_left_out(geom, model)]
+    own = [geom for geom in chosen if not _is_excluded(geom, model)]
     if not own:
         raise InputError(
             f"{path}: no shapes that capsules could hold; geoms of the model: {_geom_kinds(geoms) or 'none'}"
@@ -125,7 +125,7 @@ def import_robot(
     for done, b in enumerate(shaped):
         progress(done, len(shaped))
         covers[b] = _cover(found[b], body_name(model, b), names, most)
-    left_out = [geom for geom in chosen if geom not in own]
+    excluded = [geom for geom in chosen if geom not in own]
     return ImportedArm(
         model,
         tip,
@@ -136,7 +136,7 @@ def import_robot(
         covers,
         tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
         {name: joint_numbers(model, path, name, np.inf)[list(joints)] for name in PER_JOINT if _has(model, name)},
-        tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body_of(model, g))}" for g in left_out),
+        tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body_of(model, g))}" for g in excluded),
         visual,
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
         tuple(disabled),
@@ -150,7 +150,7 @@ def held_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
         InputError: For a file or a mesh that cannot be read.
     """
     _, shapes, model = _read_model(path, visual)
-    chosen = [geom for geom in _chosen_geoms(shapes.geoms, model, visual) if not _is_left_out(geom, model)]
+    chosen = [geom for geom in _chosen_geoms(shapes.geoms, model, visual) if not _is_excluded(geom, model)]
     found: dict[str, list[Shape]] = {}
     for geom in chosen:
         found.setdefault(body_name(model, _body_of(model, geom)), []).append(shapes.shape(geom, model))
@@ -211,7 +211,7 @@ def _shapeless(geoms: list[Geom], chosen: list[Geom], model: mujoco.MjModel) -> 
     return sorted({_body_of(model, geom) for geom in geoms} - with_shape)
 
 
-def _is_left_out(geom: Geom, model: mujoco.MjModel) -> bool:
+def _is_excluded(geom: Geom, model: mujoco.MjModel) -> bool:
     """Return True for a floor, a height field, an SDF, and a shape fixed to the world that is no capsule or sphere."""
     return geom.kind in NOT_OF_AN_ARM or (_body_of(model, geom) == 0 and geom.kind not in ROUND)
 

@@ -160,7 +160,7 @@ class BeamSearch:
             proven[good] = edges.verdict == SegmentStatus.VALID
         new = self._tree.grow(*tables.gather((pending.node, extended.at, target, extended.step_qps), proven))
         arrived = Members(pending.search[proven], new)
-        self._say_why(searches.has(pending), searches.has(arrived), searches.has(tables.gather(pending, good)))
+        self._set_failures(searches.has(pending), searches.has(arrived), searches.has(tables.gather(pending, good)))
         searches.take_extended(arrived)
 
     def _spread(self) -> None:
@@ -189,7 +189,7 @@ class BeamSearch:
             node[on] = self._tree.grow(node[on], at, target[on], by_self_motion=True, dwells=dwells[on] * (k == 0))
         searches.take_self_motions(origins, Members(origins.search[good], node[good]))
 
-    def _say_why(self, extended: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
+    def _set_failures(self, extended: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
         """Set the status of the extended searches in case no more configurations arrive at the next target.
 
         If some did, the start is clear, as the motion from there is proven.

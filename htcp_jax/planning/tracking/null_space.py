@@ -172,10 +172,12 @@ def anchor(
         target: The task's goal [m].
     """
     robot, obstacles, task = scene
-    off = task.off(robot, x, target)
+    off = task.residual_at(robot, x, target)
     anchored, _ = inverse_kinematics.reanchor(robot, x, target, task.fine_m, task=task)
     x = jnp.where(task.reached(off), x, anchored)
-    return step_functions.State(x, clearance=clearance(robot, obstacles, where, x), residual=task.off(robot, x, target))
+    return step_functions.State(
+        x, clearance=clearance(robot, obstacles, where, x), residual=task.residual_at(robot, x, target)
+    )
 
 
 Minimise = Callable[[sphere.Sphere, contact_model.ContactModel, jax.Array, Settings], sphere.Best]

@@ -76,7 +76,7 @@ def nspace_samples(
             v = v / jnp.maximum(safe_norm(v), 1e-12)
             x = jnp.clip(x + length * v, robot.lower, robot.upper)
             anchored, _ = inverse_kinematics.reanchor(robot, x, stuck.target, task.fine_m, iterations=3, task=task)
-            return jnp.where(task.reached(task.off(robot, x, stuck.target)), x, anchored), v
+            return jnp.where(task.reached(task.residual_at(robot, x, stuck.target)), x, anchored), v
 
         x, _ = jax.lax.fori_loop(0, settings.sample_steps, step, (origin, direction))
         return x
@@ -108,7 +108,7 @@ def best_nspace_samples(
     """
     x, near, _ = nspace_samples(scene, settings, where, stuck, step_rad)
     here = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
-    done = near & scene.task.counts(here.clearance, here.residual, where.margin_m)
+    done = near & scene.task.is_satisfied(here.clearance, here.residual, where.margin_m)
     rank = jnp.where(near & ~done, here.clearance, -jnp.inf)
     worth = rank >= jax.lax.top_k(rank, keep)[0][-1]
     return Candidates(here.x, done | (near & worth & ~jnp.any(done)), done)

@@ -112,14 +112,14 @@ def take_null_space_steps(
     stuck = stuck_at(lane, x_previous, index)
 
     def going(there: NullSpaceState):
-        here = scene.task.counts(there.now.clearance, there.now.residual, lane.margin_m)
+        here = scene.task.is_satisfied(there.now.clearance, there.now.residual, lane.margin_m)
         return ~(here & (there.null_space_steps > null_space_steps)) & (there.null_space_steps < most)
 
     def step(here: Scene, there: NullSpaceState) -> NullSpaceState:
         new = null_space_step(minimise, scene, settings, lane, stuck, there.now.x, there.null_space_steps)
         return NullSpaceState(motion_kernels.measured(settings, here, lane, new.x), there.null_space_steps + 1)
 
-    now = motion_kernels.nothing_known(partial(motion_kernels.measured, settings, scene, lane), x_ref)._replace(x=x_ref)
+    now = motion_kernels.empty_result(partial(motion_kernels.measured, settings, scene, lane), x_ref)._replace(x=x_ref)
     return Loop(NullSpaceState(now, null_space_steps), going, step)
 
 

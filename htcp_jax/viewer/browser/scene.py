@@ -32,7 +32,7 @@ from htcp_jax.viewer.colours import (
 )
 from htcp_jax.viewer.replay import Replay
 
-BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, TIGHTEST_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
+BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, MINIMUM_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
 BESIDE = 4  # difference of targets whose labels would overlap
 LEADER_M = 0.12  # length of the line from the clearance's minimum up to its label
 DWELL_M = 0.018  # side of the cube at a dwell
@@ -212,12 +212,12 @@ class BrowserScene:
             words = f"minimum clearance, on the segment to target {narrow.target}: {replay.summary.proven} proven, "
             words += f"{1e3 * narrow.seen_m:.3g} mm seen"
             label_at = narrow.cloud + np.array([0.0, 0.0, LEADER_M])
-            ball = {"radius": TIGHTEST_M, "color": lit(NEAREST), "cast_shadow": False}
+            ball = {"radius": MINIMUM_M, "color": lit(NEAREST), "cast_shadow": False}
             marks += [
-                self._scene.add_icosphere("/motion/tightest", position=narrow.cloud, **ball),
-                self._scene.add_label("/motion/tightest in words", words, position=label_at, anchor="bottom-left"),
+                self._scene.add_icosphere("/motion/minimum", position=narrow.cloud, **ball),
+                self._scene.add_label("/motion/minimum label", words, position=label_at, anchor="bottom-left"),
                 self._scene.add_line_segments(
-                    "/motion/tightest leader",
+                    "/motion/minimum leader",
                     np.stack([narrow.cloud, label_at])[None],
                     rgb(NEAREST),
                     thickness=1,
