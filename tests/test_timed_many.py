@@ -18,7 +18,7 @@ SCENARIOS, MOST_BYTES = 1000, 4 * 2**30
 TIME_ALL = """
 import sys
 from pathlib import Path
-from htcp_jax.trajectory.whole_run import time_run
+from htcp_jax.trajectory.run_timing import time_run
 from htcp_jax.runs.run_folder import open_run
 time_run(open_run(sys.argv[1]), "50mm/s")
 print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line))

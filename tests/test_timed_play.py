@@ -127,7 +127,7 @@ def test_the_film_is_the_scene_over_the_strip_and_sees_all_of_the_arm(made, fold
     edges = np.concatenate([scene[0], scene[:, 0], scene[:, -1]]).astype(int)
     grey = np.abs(edges - edges.mean(axis=1, keepdims=True)).max(axis=1) < 12
     assert grey.all()  # sky and floor, no part of the arm
-    assert len(film) == len(play.time_s) and film.held == 0
+    assert len(film) == len(play.time_s) and film.last_repeats == 0
     assert first.shape == last.shape and first.shape[0] > SIZE[1] and first.shape[1] == SIZE[0]
     with pytest.raises(IndexError):
         film[len(film)]

@@ -17,7 +17,7 @@ from htcp_jax.report import make_report
 from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.runs.timing_file import COLUMNS, timing_file
-from htcp_jax.trajectory import time_run, whole_run
+from htcp_jax.trajectory import run_timing, time_run
 from htcp_jax.trajectory.figures import program_figures
 from htcp_jax.trajectory.plan_program import program_of
 
@@ -109,13 +109,13 @@ def test_a_sweep_with_a_feed_leaves_the_same_file_as_timing_it_afterwards(timed,
 
 @pytest.mark.slow
 def test_neither_the_number_of_processes_nor_what_is_timed_together_has_any_influence(timed, run, monkeypatch):
-    monkeypatch.setattr(whole_run, "BLOCK", 2)
+    monkeypatch.setattr(run_timing, "BLOCK", 2)
     time_run(open_run(run), "20mm/s", workers=2)
     assert pq.read_table(timing_file(run, METHOD)).equals(pq.read_table(timing_file(timed, METHOD)))
 
 
 def test_what_a_signal_leaves_is_whole_and_the_same_call_does_the_rest(timed, run, monkeypatch):
-    monkeypatch.setattr(whole_run, "BLOCK", 1)
+    monkeypatch.setattr(run_timing, "BLOCK", 1)
     done = []
 
     def interrupt(method, finished, of):

@@ -67,7 +67,7 @@ def place(
         raise InputError("--scenarios and --seconds exclude each other; omit one")
     if scenarios is not None or seconds is not None:
         changes["within"] = {"scenarios": scenarios} if seconds is None else {"seconds": seconds}
-    with _bar(said=as_json) as progress:
+    with _bar(announced=as_json) as progress:
         found = search_places(
             file,
             Path("out", file.stem) if out is None else out,
@@ -87,17 +87,17 @@ def place(
 
 
 @contextmanager
-def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
+def _bar(announced: bool) -> Iterator[Callable[[PlaceProgress], None]]:
     """Show one bar per stage on a terminal: scenarios, complete mountings.
 
-    Before the first one, the largest number of plans is printed, unless `said` is True.
+    Before the first one, the largest number of plans is printed, unless `announced` is True.
     """
     columns = TextColumn("{task.description:<10}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn()
     with progress_bars(*columns) as bars:
         tasks: dict[str, Any] = {}
 
         def show(now: PlaceProgress) -> None:
-            if not (said or tasks):
+            if not (announced or tasks):
                 print(_stage_maxima(now.most), flush=True)
             if now.stage not in tasks:
                 for task in bars.tasks:

@@ -80,9 +80,9 @@ class Spread(NamedTuple):
 def spread(
     processes: int, call: Callable, shared: bytes, parts: Sequence, report: Callable[[np.ndarray], None] | None
 ) -> Spread:
-    """Return call(tell, *shared, part) for every part.
+    """Return call(set_counts, *shared, part) for every part.
 
-    tell(a, b) sets two counts of a part's progress.
+    set_counts(a, b) sets the two counts of a part's progress.
 
     Args:
         processes: Number of workers.

@@ -139,11 +139,11 @@ class Sweep:
                 arms[arm] = _like(self.robot, robot_of(arm), f"{self.name}: scenario {point.number}")
             if (arm, part) not in parts:
                 parts[arm, part] = workpiece_of(part, arms[arm])
-            task, beside = _task(point, arms[arm]), obstacles_key(point.config.cell)
-            if (arm, beside) not in obstacles:
-                obstacles[arm, beside] = obstacles_of(point.config.cell, arms[arm])
-            own = len(cells), PlannerInputs(arms[arm], parts[arm, part], settings, task, obstacles[arm, beside])
-            whose.append(cells.setdefault((arm, shape_of(part), settings, task, beside), own)[0])
+            task, surroundings = _task(point, arms[arm]), obstacles_key(point.config.cell)
+            if (arm, surroundings) not in obstacles:
+                obstacles[arm, surroundings] = obstacles_of(point.config.cell, arms[arm])
+            own = len(cells), PlannerInputs(arms[arm], parts[arm, part], settings, task, obstacles[arm, surroundings])
+            whose.append(cells.setdefault((arm, shape_of(part), settings, task, surroundings), own)[0])
             begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
             number = 0 if self.alone else point.number
             scenarios.append(_scenario(point, arms[arm], parts[arm, part], follows.get(begins), number))

@@ -103,7 +103,7 @@ def sweep(
 
             def stopped() -> str:
                 discard()
-                return _how_to_go_on(run)
+                return _resume_message(run)
 
             def report_progress(method: str, shard: ShardProgress | None = None) -> None:
                 if came:
@@ -123,11 +123,11 @@ def sweep(
                             finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
                         report_progress(method)
             except SignalCame:
-                raise Interrupted(_how_to_go_on(run), came[0]) from None
+                raise Interrupted(_resume_message(run), came[0]) from None
             except Lost as lost:
                 if came:  # the signal went to the workers, too
-                    raise Interrupted(_how_to_go_on(run), came[0]) from None
-                raise Lost(f"{lost}; {_how_to_go_on(run)}") from None
+                    raise Interrupted(_resume_message(run), came[0]) from None
+                raise Lost(f"{lost}; {_resume_message(run)}") from None
             return run
 
 
@@ -275,7 +275,7 @@ def _progress(manifest: Manifest, method: str, shard: ShardProgress | None) -> S
     return SweepProgress(method, done, manifest.count, tracked, manifest.targets)
 
 
-def _how_to_go_on(run: Run) -> str:
+def _resume_message(run: Run) -> str:
     manifest = run.manifest
     there, all_ = len(manifest.shards), len(manifest.methods) * len(spans(manifest))
     if not there:

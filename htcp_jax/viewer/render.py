@@ -91,7 +91,7 @@ class Studio:
         poses = poses_along(self._replay)
         return self.film([*poses, poses[-1]], HELD)
 
-    def film(self, poses: Sequence[ArmPose], held: int = 0) -> Film:
+    def film(self, poses: Sequence[ArmPose], last_repeats: int = 0) -> Film:
         """Film with one frame per configuration.
 
         Targets are coloured when they are reached, all of them in the last frame, and the cube at a dwell is lit while
@@ -99,11 +99,11 @@ class Studio:
 
         Args:
             poses: The configurations.
-            held: The number of repetitions of the last frame.
+            last_repeats: The number of repetitions of the last frame.
         """
         met, view = np.maximum.accumulate([pose.target + 1 for pose in poses]), self._view(poses)
         met = [*met.tolist()[:-1], len(self._beads)]
-        return Film(len(poses), lambda k: self._frame(poses[k], view, met[k]), held)
+        return Film(len(poses), lambda k: self._frame(poses[k], view, met[k]), last_repeats)
 
     def _frame(self, pose: ArmPose, view: mujoco.MjvCamera, met: int) -> UInt8[np.ndarray, "H W 3"]:
         ends = pose.arm.axes()

@@ -49,7 +49,7 @@ class Tube(NamedTuple):
     end: Vector3
     radius: Scalar  # [m]
     goals: Float[Array, "2 G"] | None = None  # of the task, at the previous target and at this one; None: the paper's
-    held: Bool[Array, ""] | None = None  # True: these are required on the segment
+    required: Bool[Array, ""] | None = None  # True: these are required on the segment
 
 
 def prove(
@@ -105,8 +105,8 @@ def query_on(
             stays, broken = _in_tube(scene, tube, forwards, x, b - a, half)
         if requested is not None:
             inside, out = rows_hold(scene.robot, scene.task.parts, requested, x, b - a, half)
-            stays &= jnp.all(inside) | ~tube.held
-            out = jnp.any(out) & tube.held
+            stays &= jnp.all(inside) | ~tube.required
+            out = jnp.any(out) & tube.required
             broken = jnp.where((broken == PathVerdict.VALID) & out, int(PathVerdict.OFF_PATH), broken)
         keeps, going_on = depth < KEPT_DEPTH, stays & (broken == PathVerdict.VALID)
         there = on_interval(scene.robot, scene.obstacles, where, x, b - a, half, -resolution_m, kept, keeps, going_on)

@@ -93,8 +93,8 @@ def parsed(path: Path, kind: ScanFormat) -> dict[str, np.ndarray]:
 
 
 def _reason(code: int, folder: Path) -> str:
-    said = folder / "error.txt"
-    if said.exists():
-        words = "".join(letter if letter.isprintable() else " " for letter in said.read_text()[:120]).split()
+    error_file = folder / "error.txt"
+    if error_file.exists():
+        words = "".join(letter if letter.isprintable() else " " for letter in error_file.read_text()[:120]).split()
         return " ".join(words)
     return f"its parser ended with {signal.Signals(-code).name if code < 0 else code}"

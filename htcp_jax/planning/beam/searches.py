@@ -111,7 +111,7 @@ class Searches:
         thin = extended & (count > 0) & (count < self._settings.min_beam_width) & ~last & self._has_self_motions
         self.pending, self.arrived = Members.none(), arrived.of(thin)
         self._lose(extended & (count == 0) & ((now.target < 0) | (not self._has_self_motions) | self._rounds_spent))
-        self._go_on(arrived.of(~thin))
+        self._select_beams(arrived.of(~thin))
 
     def origins(self) -> tuple[Members, Int[np.ndarray, "n"]]:
         """Return the configurations from which to move in the null space, and the self-motions' numbers.
@@ -131,7 +131,7 @@ class Searches:
         moved, wide = self.has(origins), self.has(self.arrived)
         self.columns.draws[moved] += 1
         arrived, self.arrived = self.arrived.and_(found.of(wide)), Members.none()
-        self._go_on(arrived)
+        self._select_beams(arrived)
         stuck = moved & ~wide
         self.columns.rounds[stuck] += 1
         new = self._dispersed(found.of(stuck), known=self.beam.of(stuck))
@@ -175,7 +175,7 @@ class Searches:
     def _lose(self, which: Bool[np.ndarray, "searches"]) -> None:
         self.columns.status[which] = self.columns.failure[which]
 
-    def _go_on(self, arrived: Members) -> None:
+    def _select_beams(self, arrived: Members) -> None:
         """Make the best of the configurations at the next target the new beams."""
         which = self.has(arrived)
         new = self._dispersed(arrived, most=self._settings.beam_width)
