@@ -85,4 +85,4 @@ def _planned(batch: Batch, name: str, limit_s: float) -> PlannerResults:
     compile_s = run(replace(few, count=np.minimum(few.count, 3)) if name in PEERS else batch.scenarios).compile_s
     began = time.process_time()
     plans = run(batch.scenarios)
-    return Judged(plans, time.process_time() - began, compile_s + plans.compile_s)
+    return PlannerResults(plans, time.process_time() - began, compile_s + plans.compile_s)

@@ -28,7 +28,7 @@ from htcp_jax.viewer.colours import (
     rgb,
     target_styles,
 )
-from htcp_jax.viewer.movie import HELD, Film
+from htcp_jax.viewer.movie import LAST_REPEATS, Film
 from htcp_jax.viewer.offscreen import Camera
 from htcp_jax.viewer.playback import at, poses_along
 from htcp_jax.viewer.replay import Replay
@@ -89,7 +89,7 @@ class Studio:
     def movie(self) -> Film:
         """Film of the motion up to the last tracked target, through all its configurations."""
         poses = poses_along(self._replay)
-        return self.film([*poses, poses[-1]], HELD)
+        return self.film([*poses, poses[-1]], LAST_REPEATS)
 
     def film(self, poses: Sequence[ArmPose], last_repeats: int = 0) -> Film:
         """Film with one frame per configuration.
