@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, help="as many share the scenarios; by default as many as pay")
     parser.add_argument("--config", type=Path, default=ROOT / "configs/paper.yaml")
     parser.add_argument("--profile", action="store_true", help="seconds and lanes by lane function")
-    parser.add_argument("--no-paths", action="store_true", help="leave the joint-path checks out")
+    parser.add_argument("--no-paths", action="store_true", help="skip the joint-path checks")
     parser.add_argument("--once", action="store_true", help="time the first run, less its compilation")
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     parser.add_argument("--json", type=Path, metavar="FILE", help="the seconds and counts once more, for a machine")

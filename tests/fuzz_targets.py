@@ -415,7 +415,7 @@ def _reads_what_was_written(folder: Path, tables: dict) -> bool:
     found = refusal(read)
     if found is not None:
         for name, rows in tables.items():
-            assert found[name] <= rows, f"{name}: rows that nobody wrote"
+            assert found[name] <= rows, f"{name}: rows that were never written"
     return found is not None
 
 

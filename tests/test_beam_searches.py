@@ -41,7 +41,7 @@ def extended(searches, counts) -> None:
 def test_a_search_that_has_ended_is_extended_and_moved_no_more():
     """Ended searches: neither extended nor spread.
 
-    One reaches its last target, one goes on, and one gets nothing from the start.
+    One reaches its last target, one continues, and one gets nothing from the start.
     """
     searches = begun([2, 4, 4])
     extended(searches, [3, 3, 0])

@@ -1,4 +1,4 @@
-"""Caches: who owns what they hold, and how much that is at most."""
+"""Caches: a result lives as long as its object, and each cache holds a limited number of them."""
 
 import gc
 import weakref

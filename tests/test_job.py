@@ -107,7 +107,7 @@ def test_jobs_build_on_each_other_with_files_of_their_own_folders(tmp_path):
     (tmp_path / "middle.yaml").write_text("config: cell/base.yaml\nmargin_m: 0.25\nworkpiece: {path: b.csv}\n")
     (tmp_path / "job.yaml").write_text("config: middle.yaml\nrobot: {base_m: [1, 0, 0]}\nsettings:\nmargin_m: 0.5\n")
     job = load_config(tmp_path / "job.yaml", ["workpiece.path=c.csv"])
-    assert (job.robot.base_m, job.margin_m) == ((1, 0, 0), 0.5), "lists are replaced as a whole"
+    assert (job.robot.base_m, job.margin_m) == ((1, 0, 0), 0.5), "lists are replaced as a unit"
     assert job.robot.model == str(ARM) and job.workpiece.cloud == str(tmp_path / "cell" / "box.stl")
     assert job.workpiece.path == "c.csv" and job.robot.limits == "model"
     assert load_config(tmp_path / "job.yaml").workpiece.path == str(tmp_path / "b.csv")

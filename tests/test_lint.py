@@ -169,10 +169,10 @@ def test_a_file_opened_by_other_means_than_the_one_reader_is_found(package, call
         ("def f(n: np.ndarray) -> None:\n    '''Of n.'''", "n has no shape"),
         ("def f(n: np.ndarray) -> None:\n    '''Of n (S,).'''", ""),
         ("def f() -> Float[Array, 'N']:\n    '''A number.'''", "return has no unit"),
-        ("def f():\n    '''Says no.'''\n    raise InputError", "raises InputError and does not say so"),
+        ("def f():\n    '''Says no.'''\n    raise InputError", "raises InputError without mentioning it"),
         (
             "def f():\n    '''Says no.'''\n    _g()\ndef _g():\n    raise InputError",
-            "raises InputError and does not say so",
+            "raises InputError without mentioning it",
         ),
         ("def f():\n    '''Says no. Raises InputError.'''\n    raise InputError", ""),
         ("class f:\n    '''Of one field.'''\n    x: float", "x has no unit"),
@@ -187,7 +187,7 @@ def test_a_public_name_that_lacks_something_is_found(package, source, lacks):
 def test_a_name_that_a_page_shows_exists(package):
     (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
     (package / "docs/page.md").write_text("::: htcp_jax.made.g\n")
-    assert faults(package) == ["made.g: is not where a page or a stub says"]
+    assert faults(package) == ["made.g: is not where a page or a stub refers to"]
 
 
 @pytest.mark.parametrize("text", ["The tool.", "The tool, equation (7)."])

@@ -1,7 +1,4 @@
-"""Obstacle types from outside the package, and the arm's own bodies.
-
-They are measured, linearised, proven and planned with as the workpiece is.
-"""
+"""Obstacles of other packages, and the arm's own bodies: measured, proven and planned with like the workpiece."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""QP of a whole path, equation (3): minima by their multipliers, closed forms, and what every answer satisfies."""
+"""QP of a complete path, equation (3): minima by their multipliers, closed forms, constraints of every answer."""
 
 from itertools import pairwise
 

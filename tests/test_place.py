@@ -1,8 +1,7 @@
-"""Placement searches of a small part by real planners.
+"""Placement searches by real planners: each ranked mounting holds when planned alone, perturbed, and by MuJoCo.
 
-Each ranked result holds when it is planned alone, when it is perturbed and when MuJoCo measures it; neither threads nor
-kills have any influence on it. The part is a plate behind a path of two points, moved towards the arm until nothing
-fits.
+Neither threads nor kills have any influence on the results. The part is a plate behind a path of two points, moved
+towards the arm until nothing fits.
 """
 
 import json

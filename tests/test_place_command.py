@@ -1,7 +1,4 @@
-"""`htcp place` on the command line.
-
-Bad input is one line, exit code 2 and nothing written; no placement is exit code 3.
-"""
+"""`htcp place`: bad input gives one line, exit code 2 and no file; no complete mounting gives exit code 3."""
 
 import json
 import re

@@ -20,7 +20,7 @@ from htcp_jax.status import Kind
 from htcp_jax.viewer import Studio, offscreen
 from htcp_jax.viewer.camera import fitted, kept, open_side
 from htcp_jax.viewer.colours import DWELL, FAILED, NEAREST, TargetStyle, rgb, target_styles
-from htcp_jax.viewer.movie import HELD, RATE, Film, write_movie
+from htcp_jax.viewer.movie import LAST_REPEATS, RATE, Film, write_movie
 from htcp_jax.viewer.playback import STRIDE_M, poses_along
 from htcp_jax.viewer.replay import replays_of
 
@@ -177,7 +177,7 @@ def test_a_gif_holds_all_frames_and_runs_for_ever(frames, tmp_path):
     with Image.open(tmp_path / "a.gif") as gif:
         assert (gif.n_frames, gif.size, gif.info["loop"]) == (len(frames), SIZE, 0)
         gif.seek(gif.n_frames - 1)
-        assert gif.info["duration"] == 1000 * HELD / RATE
+        assert gif.info["duration"] == 1000 * LAST_REPEATS / RATE
         shown = np.asarray(gif.convert("RGB")).astype(int)
     assert np.abs(shown - frames[-1]).mean() < 6
 
@@ -202,7 +202,7 @@ def test_an_mp4_can_be_read_again(frames, tmp_path):
     decode = [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / "a.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     pixels = np.frombuffer(subprocess.run(decode, capture_output=True, check=True).stdout, np.uint8)
     film = pixels.reshape(-1, SIZE[1], SIZE[0], 3).astype(int)
-    assert len(film) == len(frames) + HELD
+    assert len(film) == len(frames) + LAST_REPEATS
     assert np.abs(film[0] - frames[0]).mean() < 6 and np.abs(film[-1] - frames[-1]).mean() < 6
 
 

@@ -135,7 +135,7 @@ def test_a_report_does_not_call_other_results_validated_than_those_that_were(run
 
 
 def test_a_weaker_validation_never_replaces_a_stronger_one_of_the_same_results(run, capsys):
-    """Validation on record: a weaker one never replaces a stronger one of the same results (regression)."""
+    """Saved validation: a weaker one never replaces a stronger one of the same results (regression)."""
     main(["validate", str(run), "--between", "2"])
     before = (run / VALIDATION).read_bytes()
     capsys.readouterr()
