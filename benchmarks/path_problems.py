@@ -156,8 +156,8 @@ def read_chain(urdf: Path, base: str, tip: str, links: tuple[str, ...], moving: 
             link = into[link].parent
         chain += [joint for joint in segment_status if joint not in chain]
     requested = [joint.name for joint in chain if joint.moves] if moving is None else moving
-    on_way = [joint._replace(moves=joint.name in requested) for joint in chain]
-    return Arm(tuple(on_way), base, tip, {}, frozenset())
+    on_chain = [joint._replace(moves=joint.name in requested) for joint in chain]
+    return Arm(tuple(on_chain), base, tip, {}, frozenset())
 
 
 def _joint(element: Element) -> Joint | None:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from enclosed import are_held
+from enclosed import are_enclosed
 
 import htcp_jax
 from htcp_jax.cli import main
@@ -144,7 +144,7 @@ def test_capsules_hold_meshes_boxes_and_cylinders_of_a_urdf(folder):
     assert {name: cover.kinds for name, cover in found.items()} == {
         "base": ("box",), "mast": ("cylinder",), "boom": ("mesh",), "jib": (), "hand": ("mesh",)
     }  # fmt: skip
-    assert all(are_held(cover.held, list(cover.fitted.values())) for cover in found.values() if cover.fitted)
+    assert all(are_enclosed(cover.enclosed, list(cover.fitted.values())) for cover in found.values() if cover.fitted)
     assert found["jib"].own["jib"].radius == 0.04 and not found["jib"].fitted
     rim = 0.05 * np.stack([np.cos(angle := np.linspace(0, 7, 500)), np.sin(angle), np.full(500, 5.0)], axis=1)
     turn = mujoco_turn("0.1 0.2 0.3")
@@ -174,7 +174,9 @@ def test_meshes_lie_where_mujoco_has_them(folder, tmp_path):
     vertices = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
     theirs = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
     body = model.body("a").id
-    ours = arm.covers[arm.model.body("a").id].held.reshape(-1, 3) @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+    ours = (
+        arm.covers[arm.model.body("a").id].enclosed.reshape(-1, 3) @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+    )
     apart = np.linalg.norm(ours[:, None] - theirs[None], axis=2)
     assert apart.min(axis=0).max() < 1e-6 and apart.min(axis=1).max() < 1e-6  # MuJoCo keeps 32-bit floats
 

@@ -50,11 +50,11 @@ def points_of(
 
 def short_names(files: Iterable[str | None], words: Collection[str | None]) -> dict[str | None, str | None]:
     """Return the shortest ends of paths, of equal length, that distinguish the files; `words` are kept."""
-    whole = {file: Path(file).resolve() for file in files if file not in words}
+    resolved = {file: Path(file).resolve() for file in files if file not in words}
     count = 1
-    while len({path.parts[-count:] for path in whole.values()}) < len(set(whole.values())):
+    while len({path.parts[-count:] for path in resolved.values()}) < len(set(resolved.values())):
         count += 1
-    return {word: word for word in words} | {file: "/".join(path.parts[-count:]) for file, path in whole.items()}
+    return {word: word for word in words} | {file: "/".join(path.parts[-count:]) for file, path in resolved.items()}
 
 
 def _words_of(config: PlanConfig, varied: Sequence[str], short: Mapping[str, Mapping[str, str]]) -> dict[str, str]:

@@ -55,8 +55,8 @@ class Problem:
     def checkers(self) -> tuple[CollisionChecker, ...]:
         """Collision checkers of this scene, one for each device."""
         scene, guard = Scene(self.robot, self.obstacles, self.task), tip_guard.make_tip_guard(self.workpiece)
-        spare = max(1, self.threads // max(1, len(self.to_plan)))  # threads without a scenario of their own
-        each = (Executor(scene, self.settings, device, threads=spare) for device in self.devices)
+        extra = max(1, self.threads // max(1, len(self.to_plan)))  # threads without a scenario of their own
+        each = (Executor(scene, self.settings, device, threads=extra) for device in self.devices)
         return tuple(CollisionChecker(executor, self.settings, guard) for executor in each)
 
     @cached_property

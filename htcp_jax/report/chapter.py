@@ -201,11 +201,11 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     def line(name):
         given = over(name), axes[name], part.targets
         known = part.reachability
-        beside = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
+        options = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
         if len(names) == 1:
-            return Picture(f"{prefix}map", charts.success_line(*given, executable=executable_of(name), **beside), alt)
-        beside["title"] = f"Success over {axes[name].label}, means over the other axes"
-        figure = charts.success_line(*given, executable=executable_of(name), **beside)
+            return Picture(f"{prefix}map", charts.success_line(*given, executable=executable_of(name), **options), alt)
+        options["title"] = f"Success over {axes[name].label}, means over the other axes"
+        figure = charts.success_line(*given, executable=executable_of(name), **options)
         return Picture(f"{prefix}along-{name.replace('.', '-')}", figure, alt)
 
     if not names:

@@ -97,8 +97,8 @@ def check(
     refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
     refuted += _refuted_segments(track, paths, between_rows)
     on = t[t >= on_path]
-    rows_held = _check_task_rows(results, arm, track, scene, on, on_path)
-    refuted += _refuted_rows(track, rows_held, on)
+    rows_hold = _check_task_rows(results, arm, track, scene, on, on_path)
+    refuted += _refuted_rows(track, rows_hold, on)
     refuted += _refuted_between(results, arm, track, scene, paths, between, on_path)
     return TrackCheck(
         method=track.method,
@@ -114,7 +114,7 @@ def check(
         speed=speed,
         in_place=in_place,
         on_path=on,
-        rows=rows_held,
+        rows=rows_hold,
     )
 
 

@@ -202,7 +202,7 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
     """Combine one method's tracks."""
     targets = [(one.scenario, target) for one in checked for target in one.target.tolist()]
     paths = [(one.scenario, target) for one in checked for target in one.leads_to.tolist()]
-    walked = checked[0].touches is not None
+    checked_between = checked[0].touches is not None
 
     def all_of(name: str) -> np.ndarray:
         return np.concatenate([getattr(one, name) for one in checked])
@@ -210,7 +210,7 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
     clearance = all_of("clearance")
     clearance_min, clearance_at = _worst(np.argmin, clearance, targets)
     between_min = between_at = deviation_max = deviation_at = None
-    if walked:
+    if checked_between:
         along = np.concatenate([clearance, all_of("clearance_between")])
         between_min, between_at = _worst(np.argmin, along, [*targets, *paths])
         deviation_max, deviation_at = _worst(np.argmax, all_of("deviation"), paths)
@@ -231,7 +231,7 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
         tcp_off_max_mm=_worst(np.argmax, all_of("tcp_off"), targets)[0],
         target_off_max_mm=_worst(np.argmax, all_of("target_off"), targets)[0],
         paths=len(paths),
-        paths_touching=int(all_of("touches").sum()) if walked else None,
+        paths_touching=int(all_of("touches").sum()) if checked_between else None,
         paths_blocked_on_record=sum(one.blocked for one in checked),
         clearance_between_min_mm=between_min,
         clearance_between_min_at=between_at,

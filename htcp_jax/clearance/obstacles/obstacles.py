@@ -44,8 +44,8 @@ def contacts(
     `Obstacle.closest`.
     """
     bodies = bodies_at(robot, where, x)
-    ask = lambda each: each.closest if smallest else each.contacts  # noqa: E731
-    groups = [[ask(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
+    query = lambda each: each.closest if smallest else each.contacts  # noqa: E731
+    groups = [[query(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
     return _one_after_another([_nearest_contacts(own) for own in groups])
 
 

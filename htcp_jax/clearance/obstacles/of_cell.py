@@ -173,10 +173,10 @@ def convex_piece(points: HostFloat[np.ndarray, "V 3"]) -> Polyhedron:
     corners, normal = points[hull.simplices], hull.equations[:, :3]
     backwards = np.einsum("fi,fi->f", np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), normal) < 0
     corners[backwards] = corners[backwards, ::-1]
-    edges, beside = [], []
+    edges, adjacent = [], []
     for face, neighbours in enumerate(hull.neighbors):
         for side, other in enumerate(neighbours):  # the neighbour is opposite of the corner
             if face < other:
                 edges.append(points[np.delete(hull.simplices[face], side)])
-                beside.append((face, other))
-    return Polyhedron(corners, normal, np.array(edges), np.array(beside))
+                adjacent.append((face, other))
+    return Polyhedron(corners, normal, np.array(edges), np.array(adjacent))

@@ -18,7 +18,7 @@ from htcp_jax.model import Robot, Task, row_bounds, task_rows
 from htcp_jax.model import task as tasks
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
-HELD_ELSEWHERE = task_rows.TaskPoint()  # the TCP at a place, which its tube constrains
+IN_TUBE = task_rows.TaskPoint()  # the TCP at a place, which its tube constrains
 
 
 def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region | None, ...]:
@@ -30,7 +30,7 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region |
     """
     return tuple(
         None
-        if part == HELD_ELSEWHERE
+        if part == IN_TUBE
         else part.between(goals[:, start : start + part.numbers], task.tolerance_m, task.tolerance_rad)
         for start, part in zip(task.starts, task.parts, strict=True)
     )
@@ -38,7 +38,7 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region |
 
 def checked(parts: tuple[task_rows.Row, ...]) -> tuple[task_rows.Row, ...]:
     """Return the parts of a task that `row_slack` covers."""
-    return tuple(part for part in parts if part != HELD_ELSEWHERE)
+    return tuple(part for part in parts if part != IN_TUBE)
 
 
 def rows_left(

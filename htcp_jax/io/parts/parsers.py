@@ -18,7 +18,7 @@ CHORD_DEVIATION_MM = 0.05  # largest distance of the triangles from a curved STE
 TURN_RAD = 0.2
 MOST_COLUMNS = 1000  # of a PCD cloud
 # Limit of the points' size: [bytes], and times the file's size; LZF reaches 88.
-LEAST_ROOM, GROWTH = 2**26, 100
+LEAST_LIMIT, GROWTH = 2**26, 100
 
 
 def pcd(file: Path) -> dict[str, np.ndarray]:
@@ -34,7 +34,7 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
                 break
     about, size = MetaData.parse_header(lines), file.stat().st_size
     columns, row = sum(about.count), sum(map(math.prod, zip(about.size, about.count, strict=True)))
-    if columns > MOST_COLUMNS or about.points * row > max(LEAST_ROOM, GROWTH * size):
+    if columns > MOST_COLUMNS or about.points * row > max(LEAST_LIMIT, GROWTH * size):
         raise ValueError(f"{columns:,} columns and {about.points:,} points do not fit into {size:,} bytes")
     cloud = PointCloud.from_path(file)
     data = cloud.pc_data

@@ -17,7 +17,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Triangles, clip
 from htcp_jax.io.robots.model_file import compile_spec, link_frames, no_log
 from htcp_jax.io.robots.safe_xml import read_spec
-from htcp_jax.io.robots.vendor_import import ImportedArm, held_triangles
+from htcp_jax.io.robots.vendor_import import ImportedArm, enclosed_triangles
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 
@@ -84,7 +84,7 @@ class LinkMeshes:
             spec.delete(each)
         model, held = compile_spec(spec, arm), {}
         try:
-            triangles = held_triangles(arm.parent / source, bool(visual))
+            triangles = enclosed_triangles(arm.parent / source, bool(visual))
         except InputError:  # its meshes are gone
             return None
         for geom in range(model.ngeom):

@@ -29,9 +29,9 @@ class BodyCover(NamedTuple):
     """Capsules of one body, and the shapes that they represent."""
 
     own: dict[str, Capsule]  # the model's own, by name
-    pieces: dict[str, MeshPiece]  # of `held`, with the fitted capsules
+    pieces: dict[str, MeshPiece]  # of `enclosed`, with the fitted capsules
     drawn: Triangles  # of the meshes to which MuJoCo fitted the model's own capsules [m]
-    held: Triangles  # of all other shapes [m]; the fitted capsules enclose them
+    enclosed: Triangles  # of all other shapes [m]; the fitted capsules enclose them
     kinds: tuple[str, ...]  # types of these shapes: box, mesh, ...
 
     @property
@@ -41,12 +41,12 @@ class BodyCover(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Sum of the fitted capsules' volumes (overlaps count twice), relative to the convex hull's of `held`.
+        """Sum of the fitted capsules' volumes (overlaps count twice), relative to the convex hull's of `enclosed`.
 
         nan if nothing was fitted.
         """
         volume = sum(capsule.volume for capsule in self.fitted.values())
-        return volume / hull_volume(self.held.reshape(-1, 3)) if self.fitted else np.nan
+        return volume / hull_volume(self.enclosed.reshape(-1, 3)) if self.fitted else np.nan
 
     @property
     def outside_m(self) -> float:
@@ -143,7 +143,7 @@ def import_robot(
     )
 
 
-def held_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
+def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
     """Return the triangles to which `import_robot` fits capsules, by the name of the body, in its frame [m].
 
     Raises:

@@ -33,7 +33,7 @@ from htcp_jax.viewer.colours import (
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, MINIMUM_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
-BESIDE = 4  # difference of targets whose labels would overlap
+LABEL_GAP = 4  # difference of targets whose labels would overlap
 LEADER_M = 0.12  # length of the line from the clearance's minimum up to its label
 DWELL_M = 0.018  # side of the cube at a dwell
 LIT = 0.72  # factor on a colour that compensates viser's lights
@@ -241,7 +241,7 @@ def side_by_side(targets: Sequence[int]) -> list[list[int]]:
     """Group targets, given in order, whose labels would overlap."""
     groups: list[list[int]] = []
     for target in targets:
-        if groups and target - groups[-1][-1] <= BESIDE:
+        if groups and target - groups[-1][-1] <= LABEL_GAP:
             groups[-1].append(target)
         else:
             groups.append([target])
