@@ -24,9 +24,7 @@ from htcp_jax.clearance import Obstacles, Scene
 from htcp_jax.clearance.obstacles import of_workpiece, tip_guard
 from htcp_jax.device import Executor, devices, tables
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario
-from htcp_jax.motion import CollisionChecker, lane_inputs
-from htcp_jax.motion import selection as fronts
-from htcp_jax.motion import step_functions as motion_kernels
+from htcp_jax.motion import CollisionChecker, lane_inputs, selection, step_functions
 from htcp_jax.planning.tracking import stages
 from htcp_jax.reachability.configuration_search import (
     APART_RAD,
@@ -239,7 +237,7 @@ def _carried(checker: CollisionChecker, inputs: lane_inputs.LaneInputs, beam: li
 
 
 def _search_targets(
-    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, here: motion_kernels.State
+    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, here: step_functions.State
 ) -> list[np.ndarray]:
     """Return, for each target, the configurations found by a search that are clear, far apart, clearest first."""
     lanes = len(here.x)
@@ -249,7 +247,7 @@ def _search_targets(
 
 
 def _clear(
-    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, lane: np.ndarray, lanes: int, here: motion_kernels.State
+    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, lane: np.ndarray, lanes: int, here: step_functions.State
 ) -> list[np.ndarray]:
     good = checker.valid(inputs, here)
     return [_dispersed(here.x[own], here.clearance[own]) for own in (good & (lane == k) for k in range(lanes))]
@@ -259,4 +257,4 @@ def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
     """Return up to CARRIED configurations: the clearest, then always the one farthest from those chosen."""
     if not len(x):
         return x
-    return x[fronts.farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]
+    return x[selection.farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]

@@ -19,14 +19,13 @@ from scipy.spatial import cKDTree
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof import arm_exclusion
-from htcp_jax.device import Executor, tables
-from htcp_jax.device import lane_function as lane_kernels
+from htcp_jax.device import Executor, lane_function, tables
 from htcp_jax.model import Robot, rotations
 from htcp_jax.motion import lane_inputs
 from htcp_jax.settings import Settings
 
-MANY = lane_kernels.DeviceSizes(
-    cpu=lane_kernels.BatchSize(1024, 1), gpu=lane_kernels.BatchSize(4096, 4096)
+MANY = lane_function.DeviceSizes(
+    cpu=lane_function.BatchSize(1024, 1), gpu=lane_function.BatchSize(4096, 4096)
 )  # for calls with thousands of lanes
 FACES = 4
 FINEST = 2.0**-24  # smallest half side of a cube
@@ -106,7 +105,7 @@ def cell_bounds(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
     return arm_exclusion.arm_cell(scene, lane, lane.margin_m, place, x, turns)
 
 
-TOOL, ARM = lane_kernels.LaneFunction("tool", tool, MANY), lane_kernels.LaneFunction("arm", cell_bounds, MANY)
+TOOL, ARM = lane_function.LaneFunction("tool", tool, MANY), lane_function.LaneFunction("arm", cell_bounds, MANY)
 
 
 def tool_cells(

@@ -14,7 +14,7 @@ from htcp_jax.motion import Plans, motion
 from htcp_jax.report import paper
 from htcp_jax.report.validation import read_validation
 from htcp_jax.runs import Run, reachability_file
-from htcp_jax.runs import labels as label_words
+from htcp_jax.runs import labels as scenario_labels
 
 
 @runtime_checkable
@@ -67,14 +67,14 @@ class Part:
     @cached_property
     def axes(self) -> dict[str, np.ndarray]:
         """Parameters that vary, each with its values in order, without those that another one determines."""
-        return {name: np.unique(values) for name, values in label_words.varying(self.parameters).items()}
+        return {name: np.unique(values) for name, values in scenario_labels.varying(self.parameters).items()}
 
     @cached_property
     def labels(self) -> dict[int, str]:
         """Varied parameters of each scenario, by its number."""
-        own = label_words.varying(self.parameters)
+        own = scenario_labels.varying(self.parameters)
         texts = [
-            ", ".join(label_words.part(name, values[s]) for name, values in own.items())
+            ", ".join(scenario_labels.part(name, values[s]) for name, values in own.items())
             for s in range(len(self.numbers))
         ]
         return dict(zip(self.numbers.tolist(), texts, strict=True))
@@ -120,7 +120,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
     plans = {method: run.plans(method) for method in methods}
     longest = max(each.status.shape[1] for each in plans.values())
     plans = {method: each.widened(longest) for method, each in plans.items()}
-    parameters = {name: label_words.column_of(table[name]) for name in label_words.parameter_names(table)}
+    parameters = {name: scenario_labels.column_of(table[name]) for name in scenario_labels.parameter_names(table)}
     motions = {method: _figures_of_method(run, method) for method in methods}
     timing = {method: run.timing(method) for method in methods}
     numbers, reachability = table["scenario"].to_numpy(), reachability_file.read_reachability(run)
@@ -130,7 +130,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
         "step_s": {method: each.step_s for method, each in plans.items()},
         "joints": run.manifest.joints,
         "run": run,
-        "run_labels": label_words.labels_of(whole),
+        "run_labels": scenario_labels.labels_of(whole),
         "timed_with": {method: each.words for method, each in timing.items() if each is not None},
         "validation": read_validation(run),
         "scene": scene_of(run, plans),
