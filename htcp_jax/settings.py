@@ -104,7 +104,7 @@ class Settings:
     search_shortcuts: Rounds = 8  # rounds of shortcuts
 
     # Hybrid
-    restart_rounds: Rounds = 9  # sampling rounds for a configuration at a lost target that leads back to the first
+    restart_rounds: Rounds = 9  # sampling rounds for a configuration at a failed target that leads back to the first
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # every scenario's random key is folded from it
 
