@@ -83,7 +83,7 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
     assert one["checked"] == sum(open_run(run).scenarios("baseline")["tracked"].to_pylist()) > 60
     assert 0 < one["clearance_min_mm"] and one["tcp_error_max_mm"] <= 1
     assert max(one[f"{name}_off_max_mm"] for name in ("clearance", "tcp", "target")) < 1e-9
-    assert one["paths_touching"] == one["paths_blocked_on_record"]
+    assert one["paths_touching"] == one["paths_blocked"]
     assert one["clearance_between_min_mm"] <= one["clearance_min_mm"]
     scenario, target = one["clearance_min_at"]
     recorded = open_run(run).plans("baseline").clearance

@@ -73,8 +73,8 @@ STOPS = (
     Column("first_target", "first", "target", "d"),
     Column("median_target", "median", "target", ".0f"),
     Column("last_target", "last", "target", "d"),
-    Column("colliding_body", "colliding body (how often)"),
-    Column("targets", "at targets (how many)"),
+    Column("colliding_body", "colliding body (scenarios)"),
+    Column("targets", "at targets (scenarios)"),
 )
 MOTION_ENDS = (
     Column("method", "method"),

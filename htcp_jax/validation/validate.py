@@ -232,7 +232,7 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
         target_off_max_mm=_worst(np.argmax, all_of("target_off"), targets)[0],
         paths=len(paths),
         paths_touching=int(all_of("touches").sum()) if checked_between else None,
-        paths_blocked_on_record=sum(one.blocked for one in checked),
+        paths_blocked=sum(one.blocked for one in checked),
         clearance_between_min_mm=between_min,
         clearance_between_min_at=between_at,
         line_deviation_max_mm=deviation_max,
