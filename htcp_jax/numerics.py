@@ -15,7 +15,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.types import Array, Float, Joints, Scalar
 
 
-def of_shape(value: object, shape: tuple[int, ...], name: str) -> Float[Array, "..."]:
+def checked_shape(value: object, shape: tuple[int, ...], name: str) -> Float[Array, "..."]:
     """Return `value` as an array of floats, after a check of its shape.
 
     The check runs while a function is traced, so it costs nothing when the function runs.

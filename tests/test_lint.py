@@ -62,7 +62,8 @@ def test_validation_that_imports_the_planners_mathematics_is_found(package, line
     (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
     (package / "htcp_jax/validation").mkdir()
     (package / "htcp_jax/validation/a.py").write_text(
-        "from htcp_jax.motion import Plans\nfrom htcp_jax.jobs.build import arm_of\nfrom htcp_jax.validation.b import c"
+        "from htcp_jax.motion import Plans\nfrom htcp_jax.jobs.build import robot_key\n"
+        "from htcp_jax.validation.b import c"
     )
     assert not faults(package)
     (package / "htcp_jax/validation/a.py").write_text(line)

@@ -19,7 +19,7 @@ from htcp_jax.io.parts.duct_seams import SEAMS
 from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.jobs import load_config
-from htcp_jax.jobs.build import part_of, robot_of, workpiece_of
+from htcp_jax.jobs.build import robot_of, workpiece_key, workpiece_of
 from htcp_jax.model import Robot
 from htcp_jax.model.duct import POINTS
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
@@ -108,7 +108,7 @@ def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monke
     output = capsys.readouterr()
     assert "less cover" in output.out and re.match(r"about [\d,]+ s for 2 plans", output.err)
     one = json.loads((run / VALIDATION).read_text())["methods"]["baseline"]
-    cover = 1e3 * workpiece_of(part_of(load_config(job)), robot_of(load_config(job).robot)).covering_radius_m
+    cover = 1e3 * workpiece_of(workpiece_key(load_config(job)), robot_of(load_config(job).robot)).covering_radius_m
     recorded = 1e3 * np.nanmin(open_run(run).plans("baseline").clearance)
     np.testing.assert_allclose(one["clearance_less_cover_min_mm"], one["clearance_min_mm"] - cover)
     assert one["clearance_less_cover_min_mm"] <= recorded + 1e-6 < one["clearance_min_mm"]

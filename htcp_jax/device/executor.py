@@ -78,7 +78,7 @@ class ExecutableCache:
                 if (found := self._kept(key)) is None:
                     with self._tracing, compiled_for(Backend.of(device.platform)):
                         lowered = lane_function.jitted(settings, device).lower(*arguments)
-                    with compile_cache.alone(lane_function.name):
+                    with compile_cache.compilation_lock(lane_function.name):
                         found = lowered.compile(COMPILER.get(device.platform))
                     self._keep(key, found)
         return found

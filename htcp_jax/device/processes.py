@@ -36,7 +36,7 @@ EACH_PAYS = 8  # minimum number of scenarios per worker
 MOST_TOGETHER = 64  # scenarios per part: fewer make calls with fewer lanes, more make the last part take longer
 
 
-def that_pay(cores: int, scenarios: int, targets: int) -> int:
+def profitable_count(cores: int, scenarios: int, targets: int) -> int:
     """Return the number of processes for a number of scenarios on a number of cores.
 
     It depends on this call alone, not on earlier ones.

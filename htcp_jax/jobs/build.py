@@ -197,12 +197,12 @@ _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "s
 _APPROACH = {"approach_to_inlet": 0, "approach_to_path": 0}
 
 
-def arm_of(job: PlanConfig) -> RobotConfig:
+def robot_key(job: PlanConfig) -> RobotConfig:
     """Return the keys that determine the robot; equal for scenarios that share it."""
     return job.robot.model_copy(update={"tool_extension_m": 0.0})
 
 
-def part_of(job: PlanConfig) -> WorkpieceConfig:
+def workpiece_key(job: PlanConfig) -> WorkpieceConfig:
     """Return the keys that determine the workpiece."""
     return job.workpiece.model_copy(update=_POSE | _APPROACH)
 
@@ -215,7 +215,7 @@ def obstacles_key(cell: CellConfig) -> tuple:
     return cell.model_copy(update={"obstacles": ()}), tuple(map(template_of, cell.obstacles))
 
 
-def shape_of(part: WorkpieceConfig) -> WorkpieceConfig:
+def walls_key(part: WorkpieceConfig) -> WorkpieceConfig:
     """Return the keys that determine the workpiece for the planner: without path and pose, which the scenario has."""
     origin = (0.0, 0.0, 0.0)
     return part.model_copy(update={"path": "", "pivot_m": origin, "neutral_translation_m": origin})

@@ -26,14 +26,14 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
 from htcp_jax.jobs.build import (
-    arm_of,
     obstacles_key,
     obstacles_of,
-    part_of,
+    robot_key,
     robot_of,
     scenario_of,
-    shape_of,
     task_of_job,
+    walls_key,
+    workpiece_key,
     workpiece_of,
 )
 from htcp_jax.jobs.config import DEPENDENT, PlanConfig, RobotConfig, WorkpieceConfig
@@ -127,14 +127,14 @@ class Sweep:
                 robots with different joints.
         """
         points = self.points(limit)
-        arms = {arm_of(self.config): self.robot}
+        arms = {robot_key(self.config): self.robot}
         parts: dict[tuple[RobotConfig, WorkpieceConfig], Workpiece] = {}
         obstacles: dict[tuple[RobotConfig, tuple], Obstacles] = {}
         follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # position at a start, see `make_scenario`
         cells: dict[tuple, tuple[int, PlannerInputs]] = {}
         scenarios, whose = [], []
         for point in points:
-            arm, part, settings = arm_of(point.config), part_of(point.config), point.config.settings
+            arm, part, settings = robot_key(point.config), workpiece_key(point.config), point.config.settings
             if arm not in arms:
                 arms[arm] = _like(self.robot, robot_of(arm), f"{self.name}: scenario {point.number}")
             if (arm, part) not in parts:
@@ -143,7 +143,7 @@ class Sweep:
             if (arm, surroundings) not in obstacles:
                 obstacles[arm, surroundings] = obstacles_of(point.config.cell, arms[arm])
             own = len(cells), PlannerInputs(arms[arm], parts[arm, part], settings, task, obstacles[arm, surroundings])
-            whose.append(cells.setdefault((arm, shape_of(part), settings, task, surroundings), own)[0])
+            whose.append(cells.setdefault((arm, walls_key(part), settings, task, surroundings), own)[0])
             begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
             number = 0 if self.alone else point.number
             scenarios.append(_scenario(point, arms[arm], parts[arm, part], follows.get(begins), number))

@@ -135,7 +135,7 @@ def parameters(joints: Sequence[str]) -> dict[str, AxisParameter]:
     return known
 
 
-def of_kind(name: str) -> AxisParameter | None:
+def kind_parameter(name: str) -> AxisParameter | None:
     """Return the parameter of an obstacle or a row of another package; None if the name is of no such form.
 
     Whether the kind has that key is checked by `put_parameter`.
@@ -216,7 +216,7 @@ def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
 
     def column(name: str, values: Mapping[str, list]) -> AxisColumn:
         ((kind, items),) = values.items()
-        return AxisColumn(known.get(name) or of_kind(name), kind == "offsets", tuple(map(_hashable, items)))
+        return AxisColumn(known.get(name) or kind_parameter(name), kind == "offsets", tuple(map(_hashable, items)))
 
     return Group(record["name"], tuple(tuple(column(*item) for item in axis.items()) for axis in record["axes"]))
 
@@ -233,7 +233,7 @@ def has_own_defaults(group: Group) -> bool:
 
 def varied_keys(names: Collection[str]) -> tuple[str, ...]:
     """Return the varied keys without a column of their own, given the names of all axes' parameters."""
-    given = {name: of_kind(name) for name in names if name not in KEYS}
+    given = {name: kind_parameter(name) for name in names if name not in KEYS}
     names = [given[name].key if given.get(name) else name for name in names]
     own = tuple(dict.fromkeys(name for name in names if OF_A_KIND.fullmatch(name) and name not in KEYS))
     keys = dict.fromkeys(name if name in KEYS else name.rpartition(".")[0] for name in names)
@@ -254,7 +254,7 @@ def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, AxisParamet
 
 
 def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str, AxisParameter]) -> AxisColumn:
-    if (parameter := known.get(key) or of_kind(key)) is None:
+    if (parameter := known.get(key) or kind_parameter(key)) is None:
         raise InputError(f"{where}: {_unknown(key, known)}")
     relative = isinstance(value, dict) and list(value) == ["offsets"]
     if isinstance(value, dict) and list(value) in (["offsets"], ["values"]):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from htcp_jax.model.kinematics import checked_configuration
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.task import TCP_POSITION, Task
-from htcp_jax.numerics import of_shape, product, safe_norm, solve_spd
+from htcp_jax.numerics import checked_shape, product, safe_norm, solve_spd
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
 DAMPING = 1e-6  # damping of a step [m2/rad2]
@@ -42,7 +42,7 @@ def reanchor(
     Raises:
         InputError: For more than one configuration or target.
     """
-    x, target = checked_configuration(robot, x), of_shape(target, (task.numbers,), "target")
+    x, target = checked_configuration(robot, x), checked_shape(target, (task.numbers,), "target")
     off, slopes = partial(_residual_to_remove, robot, task, target), partial(_slopes, robot, task, target)
 
     def look(x):

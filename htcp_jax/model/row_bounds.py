@@ -152,14 +152,16 @@ class RateBound(NamedTuple):
 Region = Slabs | Chords | ViewTarget | RateBound
 
 
-def towards(a: Vector3, b: Vector3, limit: Float[Array, "2"], tolerance_rad: float) -> Chords:
+def allowed_axes(a: Vector3, b: Vector3, limit: Float[Array, "2"], tolerance_rad: float) -> Chords:
     """Return the allowed axes between two directions with half angles [rad]."""
     both = a + b
     middle = jnp.where(safe_norm(both) > 1e-6, both / jnp.maximum(safe_norm(both), 1e-6), a)
     return Chords(jnp.stack([a, b, middle]), chord(_half_angles(limit, angle(a, b)) + tolerance_rad))
 
 
-def turned(a: Float[Array, "3 3"], b: Float[Array, "3 3"], limit: Float[Array, "2"], tolerance_rad: float) -> Chords:
+def allowed_frames(
+    a: Float[Array, "3 3"], b: Float[Array, "3 3"], limit: Float[Array, "2"], tolerance_rad: float
+) -> Chords:
     """Return the allowed frames between two rotations with angles [rad]."""
     vector = rotation_vector(product(b, a.T))
     size = safe_norm(vector)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.rotations import angle, axis_error, least_turn, rotation_vector
-from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, chord, towards, turned
+from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, chord
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Float, Triple, Vector3
 
@@ -292,7 +292,7 @@ class AxisTowards(Row):
         limit = goals[:, 3] if self.cone else jnp.zeros(2)
         if self.looks_from_m is not None:
             return ViewTarget(goals[1, :3], chord(limit[1] + tolerance_rad))
-        return towards(*goals[:, :3], limit, tolerance_rad)
+        return allowed_axes(*goals[:, :3], limit, tolerance_rad)
 
     def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
         """Return a random direction."""
@@ -365,7 +365,7 @@ class FrameOrientation(Row):
     def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Region:
         """Return the frames within the angles and the tolerance [rad]."""
         limit = goals[:, 9] if self.cone else jnp.zeros(2)
-        return turned(*goals[:, :9].reshape(2, 3, 3), limit, tolerance_rad)
+        return allowed_frames(*goals[:, :9].reshape(2, 3, 3), limit, tolerance_rad)
 
     def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
         """Return a random rotation."""

@@ -107,7 +107,7 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
     axes: list[Range] = []
     fixed: dict[str, tuple[float | None, ...]] = {}
     for name, value in raw.items():
-        if (own := grid_axes.of_kind(str(name))) is not None:
+        if (own := grid_axes.kind_parameter(str(name))) is not None:
             known.setdefault(str(name), own)
         _refuse_key(where, str(name), known, base)
         key, element = known[name].key, known[name].element

@@ -76,7 +76,8 @@ def plan(
         task: The constraints at every target; None: the TCP's position within `tolerance_m`.
         obstacles: In addition to the workpiece, see `obstacle.Obstacle`.
         check_starts: Refuse a start in collision, which otherwise is a status.
-        processes: Number of processes that share the scenarios on a CPU; None: as many as pay (`processes.that_pay`).
+        processes: Number of processes that share the scenarios on a CPU; None: see
+            `processes.profitable_count`.
             Work that other processes cannot import, for example a method or an obstacle defined in a notebook, is
             planned in this one.
 
@@ -110,7 +111,7 @@ def plan(
     cores = compute_devices.default_threads(devices, settings.qp)
     if processes is None:
         targets = targets_in_all or int(scenarios.count.sum())
-        processes = 1 if threads else worker_processes.that_pay(cores, len(scenarios.number), targets)
+        processes = 1 if threads else worker_processes.profitable_count(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
     if processes > 1 and devices[0].platform == "cpu" and elsewhere:

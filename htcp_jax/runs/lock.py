@@ -66,7 +66,7 @@ def _take(handle: int, folder: Path) -> None:
         os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
 
 
-class SignalCame(Exception):
+class SignalReceived(Exception):
     """Raised after a signal where the work can stop."""
 
 

@@ -33,7 +33,7 @@ from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.input_files import anchor_files, file_hashes
 from htcp_jax.runs.local import Shard, plan_here
-from htcp_jax.runs.lock import SignalCame, locked, signals
+from htcp_jax.runs.lock import SignalReceived, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans
 from htcp_jax.runs.plan_folder import made_folder
 from htcp_jax.runs.provenance import planned_by
@@ -107,7 +107,7 @@ def sweep(
 
             def report_progress(method: str, shard: ShardProgress | None = None) -> None:
                 if came:
-                    raise SignalCame
+                    raise SignalReceived
                 if progress is not None:
                     progress(_progress(run.manifest, method, shard))
 
@@ -122,7 +122,7 @@ def sweep(
                         if finished is not None:
                             finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
                         report_progress(method)
-            except SignalCame:
+            except SignalReceived:
                 raise Interrupted(_resume_message(run), came[0]) from None
             except Lost as lost:
                 if came:  # the signal went to the workers, too

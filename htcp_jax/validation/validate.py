@@ -190,8 +190,8 @@ def _cell_of_track(
 def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
     """The track's workpiece; each is loaded once, also for several paths along it."""
     key = (
-        build.shape_of(build.part_of(track.config)),
-        build.arm_of(track.config),
+        build.walls_key(build.workpiece_key(track.config)),
+        build.robot_key(track.config),
     )  # the points on a mesh are as close as the arm needs
     if key not in walls:
         walls[key] = wall_of(track.config.workpiece, results.workpiece(track.config))

@@ -41,7 +41,7 @@ class Curves(NamedTuple):
     @classmethod
     def of(cls, made: PlanProgram, instants: int = INSTANTS) -> "Curves":
         """Compute the curves of a robot program."""
-        play = played(made, np.linspace(0, made.program.duration_s, instants))
+        play = sample_program(made, np.linspace(0, made.program.duration_s, instants))
         tcp = {
             kind: np.where(play.kind == kind, 1e3 * play.tcp_m_s, np.nan) for kind in Kind if (play.kind == kind).any()
         }
@@ -54,7 +54,7 @@ class Curves(NamedTuple):
         return HEADROOM * self.feed_mm_s
 
 
-def played(made: PlanProgram, time_s: Float[np.ndarray, "n"]) -> PlaybackStates:
+def sample_program(made: PlanProgram, time_s: Float[np.ndarray, "n"]) -> PlaybackStates:
     """Sample a robot program at times that increase from 0; after its end the arm is at rest."""
     timed = made.program.at(time_s)
     _, jacobian = tcp_at(made.robot, timed.x)

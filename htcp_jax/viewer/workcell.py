@@ -142,7 +142,7 @@ def cells_of(found: PlanSet) -> RecordedCells:
 
 def _shared(job: PlanConfig) -> tuple:
     """Properties that scenarios in one workcell share."""
-    return build.arm_of(job), build.part_of(job), job.approach, job.settings, job.cell
+    return build.robot_key(job), build.workpiece_key(job), job.approach, job.settings, job.cell
 
 
 def _placement(robot: Robot, workpiece: Workpiece, given: parameters.Parameters) -> Placement:

@@ -25,7 +25,7 @@ from jax.typing import ArrayLike
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose
 from htcp_jax.clearance.obstacles.obstacles import all_clear
 from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, begun
+from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, initial_state
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.proof.row_proof import between, rows_hold
@@ -76,7 +76,7 @@ def prove(
             KEPT_DEPTH times. With 0, the proven clearance may be almost 0 where D is not.
     """
     look = query_on(scene, where, a, b, tube, resolution_m, deepest, kept)
-    return jax.lax.while_loop(lambda far: far.going, look, begun()).proof
+    return jax.lax.while_loop(lambda far: far.going, look, initial_state()).proof
 
 
 def query_on(

@@ -10,7 +10,7 @@ from htcp_jax.trajectory import PlanProgram
 from htcp_jax.viewer.arm_pose import ArmPose
 from htcp_jax.viewer.playback import at, poses_along
 from htcp_jax.viewer.replay import Replay
-from htcp_jax.viewer.timed_play import Curves, arms_of, played
+from htcp_jax.viewer.timed_play import Curves, arms_of
 
 MOST_BETWEEN = 4  # configurations that share the time of a target; more of them, as in a dwell, take longer
 TICK_S = 0.05  # between frames of a robot program
@@ -77,11 +77,11 @@ class ByTime:
     def __init__(self, made: PlanProgram):
         self._made, self.curves = made, Curves.of(made)
         self.last = self.end = np.ceil(made.program.duration_s / self.step) * self.step
-        self.passed = arms_of(made, played(made, np.linspace(0, self.last, SHOWN_PER_SECOND)))
+        self.passed = arms_of(made, sample_program(made, np.linspace(0, self.last, SHOWN_PER_SECOND)))
 
     def look(self, place: float) -> tuple[ArmPose, str]:
         """The arm at a time, and a description of its motion."""
-        play = played(self._made, np.array([float(place)]))
+        play = sample_program(self._made, np.array([float(place)]))
         return arms_of(self._made, play)[0], f"**{play.words(0)}**"
 
     def on_slider(self, place: float) -> float:
