@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.rotations import angle, axis_error, least_turn, rotation_vector
-from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, chord
+from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, allowed_axes, allowed_frames, chord
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Float, Triple, Vector3
 

@@ -77,9 +77,8 @@ def plan(
         obstacles: In addition to the workpiece, see `obstacle.Obstacle`.
         check_starts: Refuse a start in collision, which otherwise is a status.
         processes: Number of processes that share the scenarios on a CPU; None: see
-            `processes.profitable_count`.
-            Work that other processes cannot import, for example a method or an obstacle defined in a notebook, is
-            planned in this one.
+            `processes.profitable_count`. Work that other processes cannot import, for example a method or an obstacle
+            defined in a notebook, is planned in this one.
 
     Raises:
         InputError: For an unknown method, device or setting, weights of the wrong length, no scenarios, a task with
