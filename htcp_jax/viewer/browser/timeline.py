@@ -10,7 +10,7 @@ from htcp_jax.trajectory import PlanProgram
 from htcp_jax.viewer.arm_pose import ArmPose
 from htcp_jax.viewer.playback import at, poses_along
 from htcp_jax.viewer.replay import Replay
-from htcp_jax.viewer.timed_play import Curves, arms_of
+from htcp_jax.viewer.timed_play import Curves, arms_of, sample_program
 
 MOST_BETWEEN = 4  # configurations that share the time of a target; more of them, as in a dwell, take longer
 TICK_S = 0.05  # between frames of a robot program
