@@ -24,7 +24,8 @@ from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion import Plans, Problem, lane_inputs
 from htcp_jax.planning import registry
-from htcp_jax.planning.registry import Method, find
+from htcp_jax.planning.method import Method
+from htcp_jax.planning.registry import find
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.status import Status
 
@@ -177,7 +178,8 @@ def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progr
         done, tracked = reported.sum(axis=0).tolist()
         progress(Progress(done, len(scenarios.number), tracked, int(scenarios.count.sum())))
 
-    found, start_s = worker_processes.spread(processes, partial(_plan_part, how), shared, parts, progress and report)
+    call, ready = partial(_plan_part, how), partial(find, how["method"])
+    found, start_s = worker_processes.spread(processes, call, shared, parts, progress and report, ready)
     plans = Plans.concatenate(found).rows(np.argsort(np.concatenate(rows)))
     compile_s = start_s + plans.compile_s / min(processes, len(parts))
     return plans._replace(compile_s=compile_s, run_s=time.perf_counter() - began - compile_s)
