@@ -89,7 +89,6 @@ def plan(
     """
     chosen, settings = method if isinstance(method, Method) else find(method), settings_of(settings)
     method = chosen.name
-    elsewhere = method in registry.names() and not registry.METHODS.is_own(method) and find(method) is chosen
     joints = len(robot.joint_names)
     for name in ("q_weights", "path_weights"):
         weights = getattr(settings, name)
@@ -114,7 +113,7 @@ def plan(
         processes = 1 if threads else worker_processes.that_pay(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
-    if processes > 1 and devices[0].platform == "cpu" and elsewhere:
+    if processes > 1 and devices[0].platform == "cpu" and registry.METHODS.is_shared(chosen):
         how = {"method": method, "settings": settings, "threads": threads or 1, "task": task}
         how |= {"check_paths": check_paths, "check_starts": check_starts}
         shared = worker_processes.portable(robot, workpiece, tuple(obstacles))
