@@ -95,6 +95,10 @@ class Registry:
         """True if it is registered in this process only, so that other processes cannot find it."""
         return name in self._own
 
+    def is_shared(self, value: Any) -> bool:
+        """True if other processes find this very object by its name."""
+        return value.name in self.names() and not self.is_own(value.name) and self.find(value.name) is value
+
     def refuse_own(self, chosen: Iterable[str]) -> None:
         """Raise InputError for a name that other processes cannot find."""
         for name in chosen:

@@ -8,7 +8,6 @@ which may be a notebook or a script without a guard; and a worker that dies rais
 others. The standard library's pools do neither, and Ray needs a server.
 """
 
-import importlib
 import os
 import pickle
 import signal
@@ -78,7 +77,12 @@ class Spread(NamedTuple):
 
 
 def spread(
-    processes: int, call: Callable, shared: bytes, parts: Sequence, report: Callable[[np.ndarray], None] | None
+    processes: int,
+    call: Callable,
+    shared: bytes,
+    parts: Sequence,
+    report: Callable[[np.ndarray], None] | None,
+    ready: Callable[[], Any] = tuple,
 ) -> Spread:
     """Return call(set_counts, *shared, part) for every part.
 
@@ -91,6 +95,7 @@ def spread(
             call.
         parts: One argument of `call` each.
         report: Called repeatedly with the counts of all parts (P, 2); an exception in it ends the work.
+        ready: Called in each worker before the first part, for imports that take time.
 
     Raises:
         Exception: The one of the first part that fails.
@@ -102,9 +107,9 @@ def spread(
         board = np.memmap(folder / BOARD, np.int64, "w+", shape=(len(parts), 2))
         with signals_blocked():
             workers, began = _executor(processes), time.perf_counter()
-            ready = [workers.submit(_ready) for _ in range(processes)]
+            started = [workers.submit(ready) for _ in range(processes)]
         try:
-            _watched(ready, lambda: None)
+            _watched(started, lambda: None)
             start_s = time.perf_counter() - began
             requested = [workers.submit(_work, file, k, call, part) for k, part in enumerate(parts)]
             _watched(requested, lambda: report and report(np.array(board)))
@@ -158,10 +163,6 @@ def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)
-
-
-def _ready() -> None:
-    importlib.import_module("htcp_jax.planning.methods")  # takes a second, which the first part need not spend
 
 
 def _work(file: Path, number: int, call: Callable, part: Any) -> Any:

@@ -99,7 +99,7 @@ class CollisionChecker:
             resolution_m: D is proven to be more than minus that, see `prove`.
             deepest: Most halvings, see `prove`.
             tip: False if the tip is not checked; else it is at PLACES - 1 places between a and b, and the verdict of a
-                path on which it passes through a wall is COLLIDES.
+                path on which it passes through a wall is IN_COLLISION.
         """
         proof = self.executor(*prove_call(self.task, inputs, a, b, tube, kept, resolution_m, deepest))
         if self._guard is None or not tip:

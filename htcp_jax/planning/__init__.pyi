@@ -1,6 +1,6 @@
 from . import batch, methods, registry
 from .batch import Progress, start_clearance
-from .registry import Method
+from .method import Method
 
 __all__ = [
     "Method",

@@ -24,7 +24,8 @@ from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion import Plans, Problem, lane_inputs
 from htcp_jax.planning import registry
-from htcp_jax.planning.registry import Method, find
+from htcp_jax.planning.method import Method
+from htcp_jax.planning.registry import find
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.status import Status
 
@@ -88,7 +89,6 @@ def plan(
     """
     chosen, settings = method if isinstance(method, Method) else find(method), settings_of(settings)
     method = chosen.name
-    elsewhere = method in registry.names() and not registry.METHODS.is_own(method) and find(method) is chosen
     joints = len(robot.joint_names)
     for name in ("q_weights", "path_weights"):
         weights = getattr(settings, name)
@@ -113,7 +113,7 @@ def plan(
         processes = 1 if threads else worker_processes.profitable_count(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
-    if processes > 1 and devices[0].platform == "cpu" and elsewhere:
+    if processes > 1 and devices[0].platform == "cpu" and registry.METHODS.is_shared(chosen):
         how = {"method": method, "settings": settings, "threads": threads or 1, "task": task}
         how |= {"check_paths": check_paths, "check_starts": check_starts}
         shared = worker_processes.portable(robot, workpiece, tuple(obstacles))
@@ -177,7 +177,8 @@ def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progr
         done, tracked = reported.sum(axis=0).tolist()
         progress(Progress(done, len(scenarios.number), tracked, int(scenarios.count.sum())))
 
-    found, start_s = worker_processes.spread(processes, partial(_plan_part, how), shared, parts, progress and report)
+    call, ready = partial(_plan_part, how), partial(find, how["method"])
+    found, start_s = worker_processes.spread(processes, call, shared, parts, progress and report, ready)
     plans = Plans.concatenate(found).rows(np.argsort(np.concatenate(rows)))
     compile_s = start_s + plans.compile_s / min(processes, len(parts))
     return plans._replace(compile_s=compile_s, run_s=time.perf_counter() - began - compile_s)

@@ -38,7 +38,7 @@ from htcp_jax.motion import (
 from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
-from htcp_jax.planning.registry import Method
+from htcp_jax.planning.method import Method
 from htcp_jax.status import SegmentStatus, Status
 
 MOST_TRANSFERS = 3  # searches from other configurations, each from new ones

@@ -7,7 +7,7 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.motion import CollisionChecker, Plans, Problem
-from htcp_jax.planning.registry import Method
+from htcp_jax.planning.method import Method
 from htcp_jax.planning.tracking.candidates import PendingScenarios
 from htcp_jax.planning.tracking.engine import Engine
 from htcp_jax.planning.tracking.first_calls import first_calls
