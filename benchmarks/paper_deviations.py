@@ -123,7 +123,7 @@ def cmaes(runs: Runs) -> None:
 
     def minimise(sigma, is_random, penalty, is_mean, problem, seen, key, settings):
         population, dimension = settings.population, problem.curvature.shape[0]
-        strategy = cma_es.rates(population, dimension)
+        strategy = cma_es.strategy_parameters(population, dimension)
 
         def of(w):
             length = jnp.linalg.norm(w)

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
-from htcp_jax.cli.output import claim
+from htcp_jax.cli.output import claim_device
 from htcp_jax.device import Executor, compile_cache
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="the seconds and counts once more, for a machine")
     chosen = parser.parse_args()
     compile_cache.enable()
-    claim(chosen.device)  # before anything is computed
+    claim_device(chosen.device)  # before anything is computed
     spent = _watch() if chosen.profile else {}
     print(hardware.line())
     head = f"{'sweep':10} {'method':14} {'tracked':>20} {'%':>6} {'compile s':>9} {'run s':>8} {'us a step':>9}"

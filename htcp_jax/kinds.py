@@ -73,7 +73,7 @@ def with_arrays(value: ExtensionKind) -> Any:
     return template_of(value).with_numbers(numbers_of([value]))
 
 
-def fault_of(kind: Any, base: type[ExtensionKind], needed: Sequence[str]) -> str:
+def kind_fault(kind: Any, base: type[ExtensionKind], needed: Sequence[str]) -> str:
     """Return the reason why an object is no kind with a base class; "" if it is one.
 
     needed: methods of which it defines one or more.

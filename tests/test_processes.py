@@ -213,14 +213,14 @@ def test_who_comes_second_compiles_after_the_first(tmp_path):
     entered = threading.Event()
 
     def second():
-        with compile_cache.alone("null space 0"):
+        with compile_cache.compilation_lock("null space 0"):
             entered.set()
 
     try:
-        with compile_cache.alone("null space 0"):
+        with compile_cache.compilation_lock("null space 0"):
             waiting = threading.Thread(target=second)
             waiting.start()
-            with compile_cache.alone("advance"):
+            with compile_cache.compilation_lock("advance"):
                 assert not entered.wait(0.2)
         waiting.join()
         assert entered.is_set()

@@ -18,7 +18,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.status import Kind
 from htcp_jax.viewer import Studio, offscreen
-from htcp_jax.viewer.camera import fitted, kept, open_side
+from htcp_jax.viewer.camera import kept_points, nearest_camera, open_side
 from htcp_jax.viewer.colours import DWELL, FAILED, NEAREST, TargetStyle, rgb, target_styles
 from htcp_jax.viewer.movie import LAST_REPEATS, RATE, Film, write_movie
 from htcp_jax.viewer.playback import STRIDE_M, poses_along
@@ -145,10 +145,10 @@ def test_the_command_tells_of_the_motion(made, screenless, tmp_path, capsys):
 
 
 def test_the_open_side_s_half_is_cut_off(replay):
-    left = kept(replay)
+    left = kept_points(replay)
     near_side = open_side(replay).near
     assert (replay.cloud[~left] @ near_side).min() >= (replay.cloud[left] @ near_side).max()
-    assert 0.2 < left.mean() < 0.8 and kept(replay, 0.0).all() and kept(replay, 1.0).sum() == 1
+    assert 0.2 < left.mean() < 0.8 and kept_points(replay, 0.0).all() and kept_points(replay, 1.0).sum() == 1
 
 
 SPHERES = st.lists(st.tuples(*[st.floats(-2, 2)] * 3, st.floats(0.01, 0.5)), min_size=1, max_size=6)
@@ -158,7 +158,7 @@ SPHERES = st.lists(st.tuples(*[st.floats(-2, 2)] * 3, st.floats(0.01, 0.5)), min
 def test_every_sphere_is_seen_whole_and_one_touches_the_edge(spheres, azimuth, aspect):
     fovy = np.radians(40.0)
     spheres = np.array(spheres)
-    eye, look_at = fitted(spheres[:, :3], spheres[:, 3], azimuth, fovy, aspect)
+    eye, look_at = nearest_camera(spheres[:, :3], spheres[:, 3], azimuth, fovy, aspect)
     ahead = (look_at - eye) / np.linalg.norm(look_at - eye)
     right = np.cross(ahead, [0, 0, 1]) / np.linalg.norm(np.cross(ahead, [0, 0, 1]))
     seen = (spheres[:, :3] - eye) @ np.stack([right, np.cross(right, ahead), ahead], axis=1)

@@ -29,7 +29,7 @@ from htcp_jax.validation.mesh_clearance import axis_distances, crosses
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, wall_of
 from htcp_jax.validation.records import data_of
-from htcp_jax.validation.scene_rules import turned_and_moved
+from htcp_jax.validation.scene_rules import part_pose
 
 
 @pytest.fixture(scope="module")
@@ -206,7 +206,7 @@ def test_an_inlet_direction_turns_with_the_part(tmp_path):
     plane = part.interior_plane(part.T_world(0.3, 0.0))
     np.testing.assert_allclose(plane[:3], [-np.sin(0.3), 0, -np.cos(0.3)], atol=1e-12)
     pose = Parameters(np.zeros(6), 0.0, 0.3, 0.0, np.zeros(3), 0.0)
-    rotate, translate = turned_and_moved(job.workpiece, pose)
+    rotate, translate = part_pose(job.workpiece, pose)
     along = (part.triangles.reshape(-1, 3) @ rotate.T + translate) @ plane[:3]
     assert plane[3] == pytest.approx(along.min() + 0.2)
 

@@ -10,7 +10,7 @@ import typer
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from htcp_jax.cli.output import Device, Json, claim, print_facts, print_json, print_table, progress_bars, stdout
+from htcp_jax.cli.output import Device, Json, claim_device, print_facts, print_json, print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.placement import PlacementResult, PlaceProgress, mounting, tolerance
 from htcp_jax.placement import place as search_places
@@ -61,7 +61,7 @@ def place(
       htcp plan out/duct/best-1.yaml                         the best one as a plan of its own
       htcp view out/duct                                     the ranked ones in the browser
     """
-    claim(sweeps.device_of(on, device))  # before anything is read
+    claim_device(sweeps.device_of(on, device))  # before anything is read
     changes: dict[str, Any] = {} if seed is None else {"seed": seed}
     if scenarios is not None and seconds is not None:
         raise InputError("--scenarios and --seconds exclude each other; omit one")

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import ExtensionKind, Slot, Template, fault_of, numbers_of, template_of
+from htcp_jax.kinds import ExtensionKind, Slot, Template, kind_fault, numbers_of, template_of
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.row_bounds import RateBound
 from htcp_jax.model.task_rows import AIM_M, AIM_RAD, SLACK, Feature, Row
@@ -125,7 +125,7 @@ def path_values(names: tuple[str, ...], posed: PlacedPath) -> dict[str, Float[np
 
 
 def _row_fault(kind: Any) -> str:
-    return fault_of(kind, TaskRowKind, ["features"]) or fault_of(kind, TaskRowKind, ["error", "slack"])
+    return kind_fault(kind, TaskRowKind, ["features"]) or kind_fault(kind, TaskRowKind, ["error", "slack"])
 
 
 TASK_ROWS = Registry("htcp_jax.task_rows", "kind of task row", _row_fault)

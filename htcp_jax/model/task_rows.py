@@ -41,13 +41,13 @@ class Row:
     `value` are the coordinates of its features, one after another; `goal` are its numbers at the target. Errors and
     slacks are in metres, if `angular` in radians.
 
-    turns: its errors and slacks change by no more than a turn of its features, directions. looks: the first feature is
-    an axis that points at a place, the second one its origin. sampled: it has no bound between two configurations.
+    turns: its errors and slacks change by no more than a turn of its features, directions. is_view: the first feature
+    is an axis that points at a place, the second one its origin. sampled: it has no bound between two configurations.
     """
 
     angular: ClassVar[bool] = False
     turns: ClassVar[bool] = False
-    looks: ClassVar[bool] = False
+    is_view: ClassVar[bool] = False
     sampled: ClassVar[bool] = False
 
     @property
@@ -246,7 +246,7 @@ class AxisTowards(Row):
     turns: ClassVar[bool] = True
 
     @property
-    def looks(self) -> bool:
+    def is_view(self) -> bool:
         """True if it points at a place."""
         return self.looks_from_m is not None
 

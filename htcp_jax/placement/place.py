@@ -27,7 +27,7 @@ from htcp_jax.motion import Plans
 from htcp_jax.placement.clock import Clock
 from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
-from htcp_jax.placement.placement_result import PlacementResult, searching, write_result
+from htcp_jax.placement.placement_result import PlacementResult, locked_search, write_result
 from htcp_jax.placement.scores import (
     MARGIN,
     RAISED,
@@ -107,7 +107,7 @@ def place(
     """
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
-    with searching(folder, search):
+    with locked_search(folder, search):
         report, where = _ProgressReporter(search, progress), {"on": on, "device": device, "threads": threads}
 
         def plan(grid: grids.Sweep, method: str, into: Path) -> Run:

@@ -115,7 +115,7 @@ class PlacementResult(NamedTuple):
 
 
 @contextlib.contextmanager
-def searching(folder: Path, search: Search) -> Iterator[None]:
+def locked_search(folder: Path, search: Search) -> Iterator[None]:
     """Lock the search's folder, and restore it at the end if no plan was finished.
 
     Raises:

@@ -252,7 +252,7 @@ def open_run(folder: str | Path) -> Run:
         ) from None
 
 
-def fault(file: Path, record: FileRecord) -> str | None:
+def file_fault(file: Path, record: FileRecord) -> str | None:
     """Return the error in a table's file; None if it is as recorded."""
     try:
         with io_files.opened(file, file.parents[1]) as stream:
@@ -272,7 +272,7 @@ def _fault_of(stream: BinaryIO, record: FileRecord) -> str | None:
 
 
 def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table:
-    if problem := fault(file, record):
+    if problem := file_fault(file, record):
         raise InputError(f"{file} {problem}; the same sweep plans its scenarios again")
     with io_files.opened(file, file.parents[1]) as stream:
         rows = io_files.read_parquet(stream, file, record.rows, exact=True)

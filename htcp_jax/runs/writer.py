@@ -14,7 +14,7 @@ from htcp_jax.motion import Plans
 from htcp_jax.runs.identity import identity, identity_differences
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.provenance import planned_by
-from htcp_jax.runs.run_folder import Run, fault, open_run
+from htcp_jax.runs.run_folder import Run, file_fault, open_run
 
 
 def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
@@ -105,7 +105,7 @@ def _valid_shards(run: Run, requested: tuple[str, ...]) -> tuple[ShardRecord, ..
         if (shard.first, shard.last) not in known:
             for file, _ in files:
                 file.unlink(missing_ok=True)
-        elif faults := [f"{file} {problem}" for file, record in files if (problem := fault(file, record))]:
+        elif faults := [f"{file} {problem}" for file, record in files if (problem := file_fault(file, record))]:
             damaged[shard.method].append((shard, faults[0]))
         else:
             whole.append(shard)

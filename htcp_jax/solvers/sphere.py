@@ -364,7 +364,7 @@ def cmaes(
         sigma: Initial standard deviation (no unit), which the paper leaves open; 0.5 covers a hemisphere.
         start_key: Random key for the initial direction; None: see `first_direction`.
     """
-    strategy = cma_es.rates(population, sphere.curvature.shape[0])
+    strategy = cma_es.strategy_parameters(population, sphere.curvature.shape[0])
 
     def body(generation, state):
         distribution, best, best_merit = state

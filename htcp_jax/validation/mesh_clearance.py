@@ -35,7 +35,7 @@ def read_triangles(path: str | Path) -> Triangles:
         raise InputError(f"{path}: not a readable mesh ({type(error).__name__})") from None
 
 
-def in_grains(triangles: Triangles) -> Float[np.ndarray, "g 3 3"]:
+def cut_into_grains(triangles: Triangles) -> Float[np.ndarray, "g 3 3"]:
     """Bisect the triangles across their longest edges until no edge is much longer than a grain."""
     area = _size(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])).sum() / 2
     longest, done = 2 * np.sqrt(area / GRAINS), []

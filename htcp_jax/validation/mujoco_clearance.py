@@ -29,7 +29,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from htcp_jax.jobs import config
 from htcp_jax.validation.cloud_discs import CloudDiscs
-from htcp_jax.validation.mesh_clearance import axis_distances, crosses, in_grains, read_triangles
+from htcp_jax.validation.mesh_clearance import axis_distances, crosses, cut_into_grains, read_triangles
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.scene_rules import WorkpieceData
 
@@ -70,7 +70,7 @@ class Wall:
         direction: Float[np.ndarray, "3"] | None = None,
         triangles: Float[np.ndarray, "F 3 3"] | None = None,
     ):
-        self.triangles = None if triangles is None else in_grains(triangles)
+        self.triangles = None if triangles is None else cut_into_grains(triangles)
         self.middle = cloud if triangles is None else self.triangles.mean(axis=1)
         corners = cloud if triangles is None else self.triangles
         self.grain = 0.0 if triangles is None else float(np.linalg.norm(corners - self.middle[:, None], axis=2).max())

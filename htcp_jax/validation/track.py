@@ -11,7 +11,7 @@ from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell
 from htcp_jax.validation.mujoco_clearance import CheckedScene, TargetClearances, Wall
 from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refutation
-from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
+from htcp_jax.validation.scene_rules import Results, Track, part_pose, targets_of
 from htcp_jax.validation.task_check import PartPose as RowPlace
 from htcp_jax.validation.task_check import RowCheck, check_rows, follows_all, hold_between, holds_tcp, path_follower
 
@@ -137,7 +137,7 @@ def scene_of(
         InputError: If the configuration results in another number of targets than the saved one.
     """
     part, pose, workpiece = track.config.workpiece, parameters.of_job(track.config), results.workpiece(track.config)
-    rotate, translate = turned_and_moved(part, pose)
+    rotate, translate = part_pose(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     start = track.start if track.config.start is None else np.array(track.config.start)
     path = workpiece.path @ rotate.T + translate

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 
 from htcp_jax.model import surface as surfaces
 from htcp_jax.viewer.arm_pose import ArmPose, together
-from htcp_jax.viewer.camera import kept, open_side, sight
+from htcp_jax.viewer.camera import camera_pose, kept_points, open_side
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -30,7 +30,7 @@ from htcp_jax.viewer.colours import (
 )
 from htcp_jax.viewer.movie import LAST_REPEATS, Film
 from htcp_jax.viewer.offscreen import Camera
-from htcp_jax.viewer.playback import at, poses_along
+from htcp_jax.viewer.playback import pose_at, poses_along
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
@@ -83,7 +83,7 @@ class Studio:
 
     def still(self, target: int) -> UInt8[np.ndarray, "H W 3"]:
         """Render the arm at a target, with all targets in their colours."""
-        pose = at(self._replay, target)
+        pose = pose_at(self._replay, target)
         return self._frame(pose, self._view([pose]), len(self._beads))
 
     def movie(self) -> Film:
@@ -127,7 +127,7 @@ class Studio:
         size = self._model.vis.global_
         aspect = size.offwidth / size.offheight
         arms = self._replay.shape if self._close and len(poses) > 1 else together(poses)
-        eye, look_at = sight(self._replay, arms, np.radians(FOVY_DEG), aspect, self._close)
+        eye, look_at = camera_pose(self._replay, arms, np.radians(FOVY_DEG), aspect, self._close)
         ahead = look_at - eye
         camera = mujoco.MjvCamera()
         camera.lookat[:], camera.distance = look_at, np.linalg.norm(ahead)
@@ -193,7 +193,7 @@ def _colliding_geoms(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, l
 
 def _add_cloud(spec: mujoco.MjSpec, replay: Replay, corners: int) -> None:
     """Add the half of the cloud that the side view shows, as discs: lighter inside than outside."""
-    surface = replay.surface.only(kept(replay))
+    surface = replay.surface.only(kept_points(replay))
     for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
         mesh = surfaces.discs(surface, side, corners)
         arrays = {"uservert": mesh.vertices, "usernormal": mesh.normals, "userface": mesh.faces}

@@ -20,7 +20,7 @@ import numpy as np
 
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles, bodies_at
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import ExtensionKind, Template, fault_of, numbers_of, template_of
+from htcp_jax.kinds import ExtensionKind, Template, kind_fault, numbers_of, template_of
 from htcp_jax.model import Robot, Scenario, tool
 from htcp_jax.numerics import safe_norm
 from htcp_jax.pytree import register_pytree
@@ -65,7 +65,9 @@ class ObstacleKind(ExtensionKind):
         return ()
 
 
-OBSTACLES = Registry("htcp_jax.obstacles", "kind of obstacle", lambda kind: fault_of(kind, ObstacleKind, ["distance"]))
+OBSTACLES = Registry(
+    "htcp_jax.obstacles", "kind of obstacle", lambda kind: kind_fault(kind, ObstacleKind, ["distance"])
+)
 
 
 @register_pytree
@@ -89,7 +91,7 @@ class GivenObstacle(Obstacle):
         """Return lower bounds on the distances."""
         return self._measured(robot, where, bodies)[1]
 
-    def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+    def nearest_name(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
         """Return the kind's name, for messages."""
         return f"the obstacle {self.template.kind.name!r}"
 

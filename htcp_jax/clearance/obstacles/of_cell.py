@@ -90,7 +90,7 @@ class PlacedCloud(Obstacle):
         """The cloud's name, as a tuple."""
         return (self.name,)
 
-    def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+    def nearest_name(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
         """Return the cloud's name, for messages."""
         return f"the fixture {self.name!r}"
 

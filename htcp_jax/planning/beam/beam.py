@@ -103,7 +103,7 @@ class BeamSearch:
             self._extend()
             self._spread()
             tracked, target = searches.tracked - before, searches.columns.target
-            finished = [search for search in searches.take_ended() if not self._begin_elsewhere(search)]
+            finished = [search for search in searches.pop_ended() if not self._begin_elsewhere(search)]
             for last in finished:
                 search, *path = self._record.chosen(last)
                 via_points += self._record.write(search, *path)
@@ -161,7 +161,7 @@ class BeamSearch:
         new = self._tree.grow(*tables.gather((pending.node, extended.at, target, extended.step_qps), proven))
         arrived = Members(pending.search[proven], new)
         self._set_failures(searches.has(pending), searches.has(arrived), searches.has(tables.gather(pending, good)))
-        searches.take_extended(arrived)
+        searches.store_extended(arrived)
 
     def _spread(self) -> None:
         """Spread searches without configurations to extend, by self-motions, as far as every step is proven."""
@@ -187,7 +187,7 @@ class BeamSearch:
             on = np.flatnonzero(good & (steps > k))
             at = jax.tree.map(lambda leaf, on=on, k=k: leaf[on, k], moved.path)
             node[on] = self._tree.grow(node[on], at, target[on], by_self_motion=True, dwells=dwells[on] * (k == 0))
-        searches.take_self_motions(origins, Members(origins.search[good], node[good]))
+        searches.store_self_motions(origins, Members(origins.search[good], node[good]))
 
     def _set_failures(self, extended: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
         """Set the status of the extended searches in case no more configurations arrive at the next target.

@@ -30,7 +30,7 @@ class Members(NamedTuple):
         """Select the rows of some searches."""
         return tables.gather(self, which[self.search])
 
-    def and_(self, others: "Members") -> "Members":
+    def appended(self, others: "Members") -> "Members":
         """Append the rows of `others` to those of the same searches."""
         both = tables.concatenate([self, others])
         return tables.gather(both, np.argsort(both.search, kind="stable"))
@@ -104,7 +104,7 @@ class Searches:
         rows = self._ended[search]
         return rows[selection.best_first(self.tree.nodes(rows))].tolist()
 
-    def take_extended(self, arrived: Members) -> None:
+    def store_extended(self, arrived: Members) -> None:
         """Store the results of extending all `pending` rows."""
         now, count, extended = self.columns, self._count(arrived), self.has(self.pending)
         last = now.target == now.targets - 2
@@ -119,26 +119,26 @@ class Searches:
         One row per self-motion; numbers count from 0 in every search.
         """
         resting = self.going & ~self._done & ~self.has(self.pending)
-        among = self.arrived.and_(self.beam.of(resting & ~self.has(self.arrived)))
+        among = self.arrived.appended(self.beam.of(resting & ~self.has(self.arrived)))
         rows, count = np.flatnonzero(resting), self._count(among)
         motion_number = np.arange(self._settings.self_motions)
         first, nth = np.cumsum(count) - count, motion_number + len(motion_number) * self.columns.rounds[rows][:, None]
         node = among.node[first[rows][:, None] + nth % count[rows][:, None]]
         return Members(np.repeat(rows, len(motion_number)), node.ravel()), np.tile(motion_number, len(rows))
 
-    def take_self_motions(self, origins: Members, found: Members) -> None:
+    def store_self_motions(self, origins: Members, found: Members) -> None:
         """Store the results of one round of self-motions."""
         moved, wide = self.has(origins), self.has(self.arrived)
         self.columns.draws[moved] += 1
-        arrived, self.arrived = self.arrived.and_(found.of(wide)), Members.none()
+        arrived, self.arrived = self.arrived.appended(found.of(wide)), Members.none()
         self._select_beams(arrived)
         stuck = moved & ~wide
         self.columns.rounds[stuck] += 1
         new = self._dispersed(found.of(stuck), known=self.beam.of(stuck))
-        self.beam, self.pending = self.beam.and_(new), self.pending.and_(new)
+        self.beam, self.pending = self.beam.appended(new), self.pending.appended(new)
         self._lose(stuck & ~self.has(new) & self._rounds_spent)
 
-    def take_ended(self) -> list[int]:
+    def pop_ended(self) -> list[int]:
         """Stop and return the searches that have ended, by success or failure."""
         ended = self.going & self._done
         held = self.beam.of(ended)
@@ -179,7 +179,7 @@ class Searches:
         """Make the best of the configurations at the next target the new beams."""
         which = self.has(arrived)
         new = self._dispersed(arrived, most=self._settings.beam_width)
-        self.beam, self.pending = self.beam.of(~which).and_(new), self.pending.and_(new)
+        self.beam, self.pending = self.beam.of(~which).appended(new), self.pending.appended(new)
         self.columns.target[which] += 1
         self.columns.rounds[which] = 0
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from htcp_jax.model import kinematics
 from htcp_jax.viewer.browser.scene import BrowserScene
-from htcp_jax.viewer.camera import kept, open_side, sight
+from htcp_jax.viewer.camera import camera_pose, kept_points, open_side
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.viewpoints import View
 
@@ -57,7 +57,7 @@ class DisplayOptions:
         self._stage.show_smallest_distance(self._pair.value)
         self._stage.show_marks(self._marks.value)
         self._cut()
-        eye, look_at = sight(replay, arms, FOVY_RAD, ASPECT)
+        eye, look_at = camera_pose(replay, arms, FOVY_RAD, ASPECT)
         camera = self._server.initial_camera
         camera.position, camera.look_at, camera.fov = eye, look_at, FOVY_RAD
 
@@ -66,7 +66,7 @@ class DisplayOptions:
             replay, directions = self._replay, {"above": np.array([0.0, 0, 1]), "front": -ahead(self._replay)}
             near = directions.get(self._side.value, open_side(replay).near)
             share = 0.0 if self._side.value == "nothing" else self._share.value / 100
-            self._stage.cut(replay.surface.only(kept(replay, share, near)), near, self._size.value / 1e3)
+            self._stage.cut(replay.surface.only(kept_points(replay, share, near)), near, self._size.value / 1e3)
 
     def _look_closer(self, event: viser.GuiEvent) -> None:
         with self._lock:

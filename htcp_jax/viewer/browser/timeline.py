@@ -8,7 +8,7 @@ import numpy as np
 
 from htcp_jax.trajectory import PlanProgram
 from htcp_jax.viewer.arm_pose import ArmPose
-from htcp_jax.viewer.playback import at, poses_along
+from htcp_jax.viewer.playback import pose_at, poses_along
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.timed_play import Curves, arms_of, sample_program
 
@@ -34,7 +34,7 @@ class ByTarget:
     def __init__(self, replay: Replay, note: str = ""):
         self._note, row = note, poses_along(replay)
         self.end = row[-1].target
-        row += [at(replay, target) for target in range(row[-1].target + 1, len(replay.target))]
+        row += [pose_at(replay, target) for target in range(row[-1].target + 1, len(replay.target))]
         targets = np.array([pose.target for pose in row])
         first = np.searchsorted(targets, targets)
         self._count = np.searchsorted(targets, targets, side="right") - first
