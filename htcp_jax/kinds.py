@@ -79,11 +79,11 @@ def kind_fault(kind: Any, base: type[ExtensionKind], needed: Sequence[str]) -> s
     needed: methods of which it defines one or more.
     """
     if not (isinstance(kind, type) and issubclass(kind, base)):
-        return f"it is no class that derives from htcp_jax.{base.__name__}"
+        return f"it is not a class that derives from htcp_jax.{base.__name__}"
     if not (isinstance(getattr(kind, "name", None), str) and kind.name):
         return "it has no name"
     if "__dataclass_fields__" not in vars(kind) or not kind.__dataclass_params__.frozen:
-        return "it is no dataclass; write @dataclass(frozen=True) above the class"
+        return "it is not a dataclass; write @dataclass(frozen=True) above the class"
     if all(getattr(kind, name) is getattr(base, name) for name in needed):
         return f"it does not define {' or '.join(needed)}"
     return ""

@@ -76,7 +76,7 @@ class Registry:
         if name in self._own:
             return self._own[name]
         if name not in self._entry_points:
-            raise InputError(f"{name!r} is no {self._noun}; valid: {', '.join(self.names()) or 'none is installed'}")
+            raise InputError(f"{name!r} is not {self._a_noun}; valid: {', '.join(self.names()) or 'none is installed'}")
         if name not in self._loaded:
             self._loaded[name] = self._load(self._entry_points[name])
         return self._loaded[name]
@@ -140,7 +140,7 @@ class Registry:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"{self._called(point)} cannot be imported: {reason}") from error
         if fault := self._why_not(value):
-            raise InputError(f"{self._called(point)} is no {self._noun}: {fault}")
+            raise InputError(f"{self._called(point)} is not {self._a_noun}: {fault}")
         if value.name != point.name:
             raise InputError(f"{self._called(point)} has the name {value.name!r}")
         return value

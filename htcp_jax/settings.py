@@ -15,7 +15,7 @@ from htcp_jax.errors import InputError, described
 
 def _could_be_a_solver(name: str) -> str:
     if name not in ("clarabel", "device") and not name.startswith("qpsolvers:"):
-        raise InputError(f"{name!r} is no QP solver; valid: clarabel, device, qpsolvers:<name of a solver>")
+        raise InputError(f"{name!r} is not a QP solver; valid: clarabel, device, qpsolvers:<name of a solver>")
     return name
 
 

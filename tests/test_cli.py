@@ -68,7 +68,7 @@ def test_an_incomplete_plan_exits_3_saves_what_it_has_and_names_the_failure(here
     ("arguments", "line"),
     [
         (["plan", "nowhere.yaml"], "cannot read nowhere.yaml: No such file"),
-        (["plan", "--method", "rrt"], "'rrt' is no method; valid: baseline, cspace-sample"),
+        (["plan", "--method", "rrt"], "'rrt' is not a method; valid: baseline, cspace-sample"),
         (["plan", "--set", "margin=1"], "unknown key margin; did you mean margin_m?"),
         (["plan", "--set", "settings.tolerance_m=0"], "settings.tolerance_m is 0: at least 1e-15 is needed"),
         (["plan", "--set", "workpiece.path=none.csv"], "none.csv: no such file"),

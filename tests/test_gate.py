@@ -292,7 +292,7 @@ def test_a_run_of_another_configuration_is_bad_input(updated, run, baseline, cap
     [
         (lambda raw: raw["methods"]["baseline"]["scenarios"].pop(3), "tracked is 76, which is not the sum"),
         (lambda raw: raw["methods"]["baseline"].update(tracked=0), "tracked is 0, which is not the sum"),
-        (lambda raw: raw["methods"]["baseline"]["scenarios"].update({3: "19 FINE"}), "is no end of a scenario"),
+        (lambda raw: raw["methods"]["baseline"]["scenarios"].update({3: "19 FINE"}), "is not an end of a scenario"),
         (lambda raw: raw["methods"]["baseline"].pop("tcp_error_max_mm"), "tcp_error_max_mm"),
         (lambda raw: raw["planned"].update(margin_m=0.1), "config_hash is not that of"),
         (lambda raw: raw.update(methods={}), "methods"),

@@ -39,7 +39,7 @@ def place(text: str, *words: str) -> int:
         (PLACE, ("--scenarios", "4", "--seconds", "5"), "--scenarios and --seconds exclude each other"),
         (PLACE, ("--scenarios", "0"), "within.scenarios is 0"),
         (PLACE, ("--on", "moon"), "on is 'moon'; valid: here, ray"),
-        (PLACE + "feed: '20'", (), "feed '20' is no speed above 0 with a unit"),
+        (PLACE + "feed: '20'", (), "feed '20' is not a speed above 0 with a unit"),
         (PLACE + "seams: [path.csv, nowhere.csv]", (), "seams: there is no file nowhere.csv"),
         (PLACE + "seams: [path.csv, ./path.csv]", (), "seams: one is repeated"),
         (PLACE + "seams: [path.csv, empty.csv]", (), "empty.csv: the tool path is empty"),

@@ -76,7 +76,7 @@ def test_the_grid_of_mountings_holds_the_same_jobs_as_the_values_say():
         ({"method": ["a", "b"]}, "method cannot vary in a search; the workpiece's pose"),
         ({"settings.alpha_rad": [0, 1]}, "settings.alpha_rad cannot vary in a search"),
         ({"margin_m": [0, 1]}, "margin_m cannot vary in a search"),
-        ({"workpiece.cloud": [0, 1]}, "workpiece.cloud cannot vary in a search: it is no number"),
+        ({"workpiece.cloud": [0, 1]}, "workpiece.cloud cannot vary in a search: it is not a number"),
         ({"start_rad": [[0, 1]] * 6}, "start_rad cannot vary in a search"),
         ({"workpiece.rotation_y": [0, 1]}, "unknown parameter workpiece.rotation_y; did you mean workpiece.rotation_y"),
     ],

@@ -113,7 +113,7 @@ def test_a_row_is_addressed_by_its_number_on_the_command_line():
         ([{"point": "tcp", "on": "plane"}], "a point on a plane needs through_m"),
         ([{**ON_PATH, "axes": "zx"}], "axes is 'zx'; valid: some of x, y, z, in this order"),
         ([{**ON_PATH, "frame": "tool"}], "frame is 'tool'; valid: world, workpiece, path"),
-        ([{**ON_PATH, "cone_deg": 3}], "cone_deg is no key of a row of point; valid: offset_m, on"),
+        ([{**ON_PATH, "cone_deg": 3}], "cone_deg is not a key of a row of point; valid: offset_m, on"),
         ([{**ON_PATH, "within_m": 0}], "within_m is 0; it must be more than 0"),
         ([{**ON_PATH, "to": 0}], "unknown key task.1.to"),
         ([{**ON_PATH, "axis": "tcp.z"}], "a row is one of point, axis, orientation; this one is point and axis"),

@@ -236,13 +236,13 @@ def test_a_run_that_takes_longer_holds_its_feed_less_or_has_fewer_times_fails(ti
 
 
 WRONG = [
-    (["--all", "--feed", "20"], "feed '20' is no speed above 0 with a unit, as 20mm/s is"),
+    (["--all", "--feed", "20"], "feed '20' is not a speed above 0 with a unit, such as 20mm/s"),
     (["--all"], "no feed: --feed 20mm/s gives one, or program.feed of the job"),
     (["--all", "--feed", "20mm/s", "--out", "x.csv"], "--out is for one program; --all times every scenario"),
     (["--all", "--feed", "20mm/s", "--one-way"], "--one-way is for one program"),
     (["--all", "--feed", "20mm/s", "--method", "hybrid"], "has no plans by 'hybrid'; there are baseline"),
     (["--all", "--feed", "20mm/s", "--set", "margin_m=0"], "only keys of program.* can be changed"),
-    (["--all", "--set", "program.feed=5"], "program.feed: feed '5' is no speed above 0 with a unit"),
+    (["--all", "--set", "program.feed=5"], "program.feed: feed '5' is not a speed above 0 with a unit"),
     (
         ["--all", "--feed", "20mm/s", "--set", "program.velocity=[1, 2]"],
         "program.velocity has 2 values, the robot gp50",

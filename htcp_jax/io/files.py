@@ -143,7 +143,7 @@ def read_json(file: Path, folder: Path) -> Any:
 
 def _finite(text: str) -> float:
     if not math.isfinite(number := float(text)):
-        raise ValueError(f"{text[:40]} is no finite number")
+        raise ValueError(f"{text[:40]} is not a finite number")
     return number
 
 
@@ -254,7 +254,7 @@ def read_parquet(stream: BinaryIO, file: Path, most_rows: int | None = None, exa
     except InputError:
         raise
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        raise InputError(f"{file} is no Parquet file: {one_line(error)}") from None
+        raise InputError(f"{file} is not a Parquet file: {one_line(error)}") from None
 
 
 def _is_plain(kind: pa.DataType) -> bool:

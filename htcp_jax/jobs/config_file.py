@@ -88,7 +88,7 @@ def parse_override(override: str) -> tuple[str, Any]:
     """Split "key=value" from a command line into key and value.
 
     Raises:
-        InputError: Without a key or "=", and for a value that is no YAML.
+        InputError: Without a key or "=", and for a value that is not YAML.
     """
     dotted, equals, text = override.partition("=")
     if not equals or not dotted:

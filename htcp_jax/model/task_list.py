@@ -125,7 +125,7 @@ class TaskRow(TaskRowKind):
         for field in fields(self):
             stated = getattr(self, field.name) != field.default
             if stated and field.name != kind and field.name not in KINDS[kind]:
-                raise InputError(f"{field.name} is no key of a row of {kind}; valid: {', '.join(KINDS[kind])}")
+                raise InputError(f"{field.name} is not a key of a row of {kind}; valid: {', '.join(KINDS[kind])}")
 
     def _check_point(self) -> None:
         if self.on is None or (isinstance(self.on, str) and self.on not in NEEDED):

@@ -146,7 +146,9 @@ def _refuse_key(where: str, name: str, known: Mapping[str, Any], base: Mapping[s
     default = _default(known[name].key, base)
     is_vector = isinstance(default, tuple) and all(map(_is_finite_number, default))
     if not (isinstance(default, float) or is_vector) or (name == "start_rad" and known[name].element is None):
-        raise InputError(f"{where}: {name} cannot vary in a search: it is no number that could lie between two others")
+        raise InputError(
+            f"{where}: {name} cannot vary in a search: it is not a number that could lie between two others"
+        )
 
 
 def _read_range(where: str, key: str, element: int | None, value: Any) -> Range:

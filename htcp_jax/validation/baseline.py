@@ -51,7 +51,7 @@ class End(NamedTuple):
 def _read_end(text: Any) -> End:
     count, _, status = str(text).partition(" ")
     if not count.isdecimal() or status not in (COMPLETE, *Status.__members__):
-        raise ValueError(f"{text!r} is no end of a scenario, such as '105 {COMPLETE}' or '73 QP_INFEASIBLE'")
+        raise ValueError(f"{text!r} is not an end of a scenario, such as '105 {COMPLETE}' or '73 QP_INFEASIBLE'")
     return End(int(count), status)
 
 

@@ -135,7 +135,7 @@ def cells_of(found: PlanSet) -> RecordedCells:
         shape = cell.approach + len(cell.workpiece.path), len(cell.robot.joint_names)
         if found.plans(found.methods[0]).x.shape[1:] != shape:
             raise InputError(
-                f"{found.folder / plan_folder.TRAJECTORY} is no plan of the configuration next to it; damaged"
+                f"{found.folder / plan_folder.TRAJECTORY} is not a plan of the configuration next to it; damaged"
             )
     return cells
 

@@ -141,7 +141,9 @@ def _limit_number(joint: ElementTree.Element, name: str, path: Path) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"{path}: joint {joint.get('name')!r} has the {name} {text!r}, which is no number") from None
+        raise InputError(
+            f"{path}: joint {joint.get('name')!r} has the {name} {text!r}, which is not a number"
+        ) from None
 
 
 def unreadable_model(path: Path, error: Exception) -> InputError:

@@ -40,7 +40,7 @@ def format_of(name: str) -> ProgramFormat:
         InputError: For another name.
     """
     if name not in FORMATS:
-        raise InputError(f"{name!r} is no format of a program; valid: {', '.join(FORMATS)}")
+        raise InputError(f"{name!r} is not a format of a program; valid: {', '.join(FORMATS)}")
     return FORMATS[name]
 
 
