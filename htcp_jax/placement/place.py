@@ -108,11 +108,20 @@ def place(
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
     with searching(folder, search):
-        report, where = _ProgressReporter(search, progress), {"on": on, "device": device, "threads": threads}
+        report = _ProgressReporter(search, progress)
 
         def plan(grid: grids.Sweep, method: str, into: Path) -> Run:
             report.begin(STAGES[into.relative_to(folder).parts[0]])
-            run = sweeps.sweep(grid, [method], into, progress=report.sweep, targets_in_all=targets, **where)
+            run = sweeps.sweep(
+                grid,
+                [method],
+                into,
+                on=on,
+                device=device,
+                threads=threads,
+                progress=report.sweep,
+                targets_in_all=targets,
+            )
             report.planned(run)
             return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.objective else run
 
@@ -201,7 +210,7 @@ def _rounds(search: Search, folder: Path, plan: Planner, report: _ProgressReport
             _refuse_collision(search, found, folder)
         own = SearchResults(u, found.done.mean(axis=1), found.complete, found.objective)
         if evolution is not None:
-            evolution.report(own)
+            evolution.tell(own)
         known = own if known is None else SearchResults(*map(np.concatenate, zip(known, own, strict=True)))
         number += 1
         clock.finished(number)

@@ -197,7 +197,7 @@ def _blend_lengths(robot: Robot, polyline: _Polyline, curve: Curve, wanted: np.n
     tube = left.tube - _chord_deviation(robot, arm, curve, np.isfinite(left.tube))
     fits = (moved.bodies <= SHARE * _least_of_legs(left.clearance)) & (moved.tcp <= SHARE * _least_of_legs(tube))
     if left.rows:
-        rows = left.rows.beside()
+        rows = left.rows.next_to_legs()
         fits &= (rows.taken(moved.features) <= SHARE * rows.left).all(axis=-1)
     fits[-1] = True
     return tries[np.argmax(fits, axis=0), np.arange(len(wanted))]
