@@ -37,7 +37,7 @@ class CollisionChecker:
     compiled functions in the same scene.
 
     Args:
-        lane functions: Runs compiled functions in the scene.
+        executor: Runs compiled functions in the scene.
         settings: Settings of the planner.
         guard: The walls that the tool's bare tip must not pass through; None if it may touch anywhere.
     """

@@ -54,8 +54,7 @@ def program_text(format: str, timed: TimedMotion, controller: ControllerData) ->
 
     Raises:
         InputError: For an unknown format, for controller data that the format needs and `controller` lacks, for a
-        motion
-            without configurations, and for times that do not increase.
+            motion without configurations, and for times that do not increase.
     """
     write = format_of(format).write
     if len(timed.x) == 0:
