@@ -22,6 +22,7 @@ class ExtensionKind:
     """
 
     name: ClassVar[str]
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]  # of every kind, as each is a dataclass
 
     def __str__(self) -> str:
         return self.name
@@ -37,7 +38,7 @@ class Slot(NamedTuple):
 class Template:
     """A kind with its static fields, and a `Slot` in place of each field of numbers."""
 
-    kind: type[ExtensionKind]
+    kind: type[Any]  # derives from ExtensionKind
     fields: tuple[tuple[str, Any], ...]
 
     @property
@@ -82,7 +83,7 @@ def kind_fault(kind: Any, base: type[ExtensionKind], needed: Sequence[str]) -> s
         return f"it is not a class that derives from htcp_jax.{base.__name__}"
     if not (isinstance(getattr(kind, "name", None), str) and kind.name):
         return "it has no name"
-    if "__dataclass_fields__" not in vars(kind) or not kind.__dataclass_params__.frozen:
+    if "__dataclass_fields__" not in vars(kind) or not vars(kind)["__dataclass_params__"].frozen:
         return "it is not a dataclass; write @dataclass(frozen=True) above the class"
     if all(getattr(kind, name) is getattr(base, name) for name in needed):
         return f"it does not define {' or '.join(needed)}"

@@ -148,8 +148,9 @@ class Registry:
     def _replaces(self, value: Any) -> bool:
         """True for a class that replaces its former definition, as a notebook's cell does that runs again."""
         own = self._own.get(value.name)
-        alike = isinstance(own, type) and isinstance(value, type)
-        return alike and (own.__module__, own.__qualname__) == (value.__module__, value.__qualname__)
+        if not (isinstance(own, type) and isinstance(value, type)):
+            return False
+        return (own.__module__, own.__qualname__) == (value.__module__, value.__qualname__)
 
     def _why_not(self, value: Any) -> str:
         if fault := self._fault(value):

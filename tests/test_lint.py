@@ -1,5 +1,8 @@
-"""Style checks of `lint`: they find each kind of fault in hand-made packages and cover the public names here."""
+"""Checks of `make lint`: they find each kind of fault in hand-made packages and cover the public names here."""
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -203,3 +206,24 @@ def test_what_all_names_and_what_the_pages_show_is_public():
     assert set(htcp_jax.__all__) - {"charts", "clearance"} <= {name.rpartition(".")[2] for name in found}
     assert {"model.scenario.Scenario", "solvers.sphere.sqp", "runs.run_folder.open_run"} <= found.keys()
     assert found["solvers.sphere.sqp"].is_mathematics and not found["runs.run_folder.open_run"].is_mathematics
+
+
+CALLS = {  # a call of the public interface -> the checker's code of its fault
+    'htcp_jax.plan("job.yaml", {"margin_m": 0.001}, method="beam").complete': "",
+    'htcp_jax.sweep("sweeps/workpiece", "baseline,hybrid").frame()': "",
+    "htcp_jax.plan(method=3)": "arg-type",
+    'htcp_jax.plan(metod="beam")': "call-arg",
+    "htcp_jax.plan().completed": "attr-defined",
+    "htcp_jax.lengthen_tools": "attr-defined",
+    "htcp_jax.load_robot(0.1)": "arg-type",
+    "htcp_jax.plan(obstacles=[htcp_jax.PointCloud])": "list-item",
+}
+
+
+def test_a_wrong_call_of_the_public_interface_is_found_by_the_type_checker(tmp_path):
+    (tmp_path / "calls.py").write_text("\n".join(["import htcp_jax", *CALLS, ""]))
+    command = [sys.executable, "-m", "mypy", "--no-pretty", "--no-error-summary", tmp_path / "calls.py"]
+    result = subprocess.run(command, cwd=Path(__file__).parents[1], capture_output=True, text=True)
+    found = {int(line): code for line, code in re.findall(r"^\S+:(\d+): error: .*\[(\S+)\]$", result.stdout, re.M)}
+    expected = {line: code for line, code in enumerate(CALLS.values(), start=2) if code}
+    assert found == expected, result.stdout + result.stderr

@@ -80,7 +80,7 @@ class _Key(NamedTuple):
 
 
 @cache
-def _keys_of(model: type) -> dict[str, _Key]:
+def _keys_of(model: type[Any]) -> dict[str, _Key]:
     kinds = (
         {field.name: field.type for field in fields(model)}
         if is_dataclass(model)

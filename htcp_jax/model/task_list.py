@@ -194,7 +194,7 @@ def _goals(row: TaskRow, part: Row, posed: PlacedPath) -> Float[np.ndarray, "T g
         rows = np.concatenate([across, offsets[:, :, None]], axis=2).reshape(count, -1)
         return np.column_stack([rows, np.full(count, row.within_m)]) if part.band else rows
     found = _rotations(row, posed).reshape(count, 9) if isinstance(part, FrameOrientation) else _directions(row, posed)
-    return np.column_stack([found, np.full(count, np.deg2rad(row.limit_deg))]) if part.cone else found
+    return np.column_stack([found, np.full(count, np.deg2rad(row.limit_deg))]) if part.inequalities else found
 
 
 def _places(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T 3"]:

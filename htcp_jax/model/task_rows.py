@@ -41,14 +41,25 @@ class Row:
     `value` are the coordinates of its features, one after another; `goal` are its numbers at the target. Errors and
     slacks are in metres, if `angular` in radians.
 
-    turns: its errors and slacks change by no more than a turn of its features, directions. is_view: the first feature
-    is an axis that points at a place, the second one its origin. sampled: it has no bound between two configurations.
+    turns: its errors and slacks change by no more than a turn of its features, directions.
     """
 
-    angular: ClassVar[bool] = False
     turns: ClassVar[bool] = False
-    is_view: ClassVar[bool] = False
-    sampled: ClassVar[bool] = False
+
+    @property
+    def angular(self) -> bool:
+        """True if errors and slacks are angles."""
+        return False
+
+    @property
+    def is_view(self) -> bool:
+        """True if the first feature is an axis that points at a place, and the second one its origin."""
+        return False
+
+    @property
+    def sampled(self) -> bool:
+        """True if it has no bound between two configurations."""
+        return False
 
     @property
     def features(self) -> tuple[Feature, ...]:

@@ -20,6 +20,7 @@ from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.settings import Settings
+from htcp_jax.types import Anywhere
 
 FoundInThread = TypeVar("FoundInThread")
 
@@ -71,7 +72,7 @@ class Problem:
 
     def empty_plans(self) -> Plans:
         """Return plans in which nothing is attempted yet, to be filled in; refused scenarios have their status."""
-        plans = Plans.empty(self.scenarios.x_start, self.scenarios.targets, self.scenarios.count)
+        plans = Plans.empty(*map(np.asarray, (self.scenarios.x_start, self.scenarios.targets, self.scenarios.count)))
         refused = self.scenarios.refused != scenario_functions.NOT_REFUSED
         plans.status[refused, 0] = self.scenarios.refused[refused]
         return plans
@@ -119,7 +120,7 @@ class Problem:
         return self.with_scenarios(scenario_functions.with_free_approach(self.scenarios, left)) if left.any() else self
 
 
-def _read_only(array: np.ndarray) -> np.ndarray:
+def _read_only(array: Anywhere) -> np.ndarray:
     """Return a view of an array that cannot be written into."""
     view = np.asarray(array).view()
     view.flags.writeable = False

@@ -108,11 +108,20 @@ def place(
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
     with locked_search(folder, search):
-        report, where = _ProgressReporter(search, progress), {"on": on, "device": device, "threads": threads}
+        report = _ProgressReporter(search, progress)
 
         def plan(grid: grids.Sweep, method: str, into: Path) -> Run:
             report.begin(STAGES[into.relative_to(folder).parts[0]])
-            run = sweeps.sweep(grid, [method], into, progress=report.sweep, targets_in_all=targets, **where)
+            run = sweeps.sweep(
+                grid,
+                [method],
+                into,
+                on=on,
+                device=device,
+                threads=threads,
+                progress=report.sweep,
+                targets_in_all=targets,
+            )
             report.planned(run)
             return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.objective else run
 

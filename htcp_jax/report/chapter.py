@@ -130,8 +130,8 @@ def choice(part: Part) -> str:
     """
     ran = part.run.config
     if not fits_presets(part):
-        differ = tables.config_differences(ran, PlanConfig())
-        own = ", ".join(f"{key} {value}" for key, value in differ.items() if key.startswith("settings."))
+        changed = tables.config_differences(ran, PlanConfig())
+        own = ", ".join(f"{key} {value}" for key, value in changed.items() if key.startswith("settings."))
         return f"margin {1e3 * ran.margin_m:g} mm, {own or 'default settings'}"
     differ = {name: tables.config_differences(ran, preset) for name, preset in presets().items()}
     nearest = min(differ, key=lambda name: len(differ[name]))

@@ -13,9 +13,10 @@ not at all, whenever the process dies.
 import hashlib
 import os
 from collections.abc import Iterable
+from io import BufferedReader
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 from pydantic import ValidationError
@@ -263,7 +264,7 @@ def file_fault(file: Path, record: FileRecord) -> str | None:
         return f"cannot be read ({error.strerror})"
 
 
-def _fault_of(stream: BinaryIO, record: FileRecord) -> str | None:
+def _fault_of(stream: BufferedReader, record: FileRecord) -> str | None:
     if (size := os.fstat(stream.fileno()).st_size) != record.bytes:
         return f"has {size:,} bytes instead of {record.bytes:,}"
     if hashlib.file_digest(stream, "sha256").hexdigest() != record.sha256:

@@ -231,7 +231,7 @@ def _manifest(
     return Manifest(
         name=spec.name,
         config=config,
-        grid=grid,
+        grid=tuple(grid),
         dtype=dtype,
         files=files,
         config_hash=config_hash(identity(config, grid, dtype, files)),

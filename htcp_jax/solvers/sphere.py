@@ -9,7 +9,7 @@ it where the contacts at w have been seen. The minimisers depend on nothing else
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ from htcp_jax.solvers.interior_point import solve_dense
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 Direction = Float[Array, "D"]
-Observation = PyTree[Array]  # contacts: leaves have a leading axis of all rows, R, or of a multiple of R
+Observation: TypeAlias = PyTree[Array]  # contacts: leaves have a leading axis of all rows, R, or of a multiple of R
 
 
 class Sphere(NamedTuple):

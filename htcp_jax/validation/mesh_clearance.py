@@ -6,6 +6,7 @@ they intersect. Otherwise it is attained at an end of the axis or on an edge of 
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -29,7 +30,7 @@ def read_triangles(path: str | Path) -> Triangles:
     """
     try:
         data, ending = io.BytesIO(files.read_bytes(Path(path))), Path(path).suffix.lower()[1:]
-        mesh = trimesh.load(data, file_type=ending, force="mesh", process=False, skip_materials=True)
+        mesh: Any = trimesh.load(data, file_type=ending, force="mesh", process=False, skip_materials=True)
         return np.asarray(mesh.triangles, float).reshape(-1, 3, 3)
     except Exception as error:  # a foreign parser on foreign bytes
         raise InputError(f"{path}: not a readable mesh ({type(error).__name__})") from None

@@ -293,8 +293,7 @@ def _segment_samples(plans: Plans, target: int | None) -> Float[np.ndarray, "n N
     """Configurations along the straight joint paths to a target, evenly spaced; the start if the target is None."""
     if target is None:
         return np.repeat(plans.start, SEGMENT_SAMPLES, axis=0)
-    x = [plans.before(0, target)[None], plans.via_points.on_segment(0, target), plans.x[:1, target]]
-    x = np.concatenate(x)
+    x = np.concatenate([plans.before(0, target)[None], plans.via_points.on_segment(0, target), plans.x[:1, target]])
     place = np.linspace(0, len(x) - 1, SEGMENT_SAMPLES)
     return np.stack([np.interp(place, np.arange(len(x)), joint) for joint in x.T], axis=1)
 

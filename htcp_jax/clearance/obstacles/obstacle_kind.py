@@ -79,7 +79,7 @@ class GivenObstacle(Obstacle):
     first: int = field(metadata={"static": True})
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]  # nobody sets an obstacle's names
         """The kind's name, as a tuple."""
         return (self.template.kind.name,)
 
@@ -98,7 +98,8 @@ class GivenObstacle(Obstacle):
     def _measured(
         self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes
     ) -> tuple[Contacts, Float[jax.Array, "K"]]:
-        own = self.template.with_numbers(where.obstacle_numbers[self.first : self.first + self.template.size])
+        numbers: Float[jax.Array, "P"] = where.obstacle_numbers  # type: ignore[attr-defined]  # as `Scenario` has them
+        own = self.template.with_numbers(numbers[self.first : self.first + self.template.size])
         radius = robot.capsule_radius
         point, distance, least = jax.vmap(lambda p, q: _nearest(own, p, q))(bodies.p, bodies.q)
         normal = jax.vmap(jax.grad(lambda point: own.distance(point).reshape(())))(point)
@@ -132,7 +133,8 @@ def _nearest(own: ObstacleKind, p: Vector3, q: Vector3) -> tuple[Vector3, Scalar
         left = at(a) < at(b)
         return jnp.where(left, low, a), jnp.where(left, b, high)
 
-    low, high, bound = jnp.zeros(()), jnp.ones(()), jnp.inf
+    low, high = jnp.zeros(()), jnp.ones(())
+    bound: Scalar | float = jnp.inf
     if not own.convex:
         t = jnp.linspace(0.0, 1.0, PIECES + 1)
         d = jax.vmap(at)(t)
@@ -159,10 +161,10 @@ def with_given(obstacles: Sequence[Obstacle | ObstacleKind], scenarios: Scenario
     Raises InputError if the scenarios have such numbers already.
     """
     kinds = [each for each in obstacles if isinstance(each, ObstacleKind)]
+    others = tuple(each for each in obstacles if not isinstance(each, ObstacleKind))
     if not kinds:
-        return tuple(obstacles), scenarios
+        return others, scenarios
     if scenarios.obstacle_numbers is not None:
         raise InputError("the scenarios have obstacles of a job; add these there, to cell.obstacles")
     numbers = np.tile(numbers_of(kinds), (len(scenarios.number), 1))
-    others = tuple(each for each in obstacles if not isinstance(each, ObstacleKind))
     return (*others, *given_obstacles(kinds)), replace(scenarios, obstacle_numbers=numbers)

@@ -137,7 +137,7 @@ def _label_axis(
         axis.set_major_locator(MaxNLocator(ticks))
     axes.margins(0.04)
     for label in (axes.xaxis.label, axes.yaxis.label):
-        label.set_size(10 if ticks > 3 else 9)
+        label.set_fontsize(10 if ticks > 3 else 9)
     axes.set_xlabel(below.label if lowest else "")
     axes.set_ylabel(("targets [%]" if left is None else left.label) if first else "")
 
