@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from htcp_jax.motion.configuration_tree import BeamTree
 from htcp_jax.motion.step_functions import State
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
+from htcp_jax.planning.beam.tree import BeamTree
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 

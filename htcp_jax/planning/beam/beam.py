@@ -29,7 +29,6 @@ from htcp_jax.motion import (
     Problem,
     ViaPoints,
     collision_checker,
-    configuration_tree,
     lane_inputs,
     motion_check,
     step_functions,
@@ -38,6 +37,7 @@ from htcp_jax.motion import (
 from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
+from htcp_jax.planning.beam.tree import BeamTree
 from htcp_jax.planning.method import Method
 from htcp_jax.status import SegmentStatus, Status
 
@@ -88,7 +88,7 @@ class BeamSearch:
 
     def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker):
         self._problem, self._checker = problem, checker
-        self._tree = configuration_tree.BeamTree(plans.x.shape[2])
+        self._tree = BeamTree(plans.x.shape[2])
         self._searches = Searches(problem.settings, self._tree, checker.executor.freedom > 0)
         self._record = BeamRecord(problem, plans, checker, self._searches)
 

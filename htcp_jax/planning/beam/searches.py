@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from htcp_jax.device import tables
-from htcp_jax.motion import configuration_tree, selection
+from htcp_jax.motion import selection
+from htcp_jax.planning.beam.tree import BeamTree, best_first
 from htcp_jax.settings import Settings
 
 NONE = -1  # no status yet; no earlier search
@@ -56,7 +57,7 @@ class Searches:
     next target, and `arrived` the configurations already there while the search spreads.
     """
 
-    def __init__(self, settings: Settings, tree: configuration_tree.BeamTree, has_self_motions: bool):
+    def __init__(self, settings: Settings, tree: BeamTree, has_self_motions: bool):
         self._settings, self._has_self_motions, self.tree = settings, has_self_motions, tree
         self.columns = SearchColumns(*(np.zeros(0, int) for _ in SearchColumns._fields))
         self.going = np.zeros(0, bool)
@@ -102,7 +103,7 @@ class Searches:
     def beam_of(self, search: int) -> list[int]:
         """Return the beam of a search when it ended, the best first."""
         rows = self._ended[search]
-        return rows[selection.best_first(self.tree.nodes(rows))].tolist()
+        return rows[best_first(self.tree.nodes(rows))].tolist()
 
     def store_extended(self, arrived: Members) -> None:
         """Store the results of extending all `pending` rows."""
@@ -185,7 +186,7 @@ class Searches:
 
     def _dispersed(self, members: Members, most: int | None = None, known: Members | None = None) -> Members:
         """Return the best members that are far apart, and far from the known ones."""
-        members = tables.gather(members, selection.best_first(self.tree.nodes(members.node), members.search))
+        members = tables.gather(members, best_first(self.tree.nodes(members.node), members.search))
         most = len(members.node) if most is None else most
         where = None if known is None else (self.tree.x[known.node], known.search)
         x, apart = self.tree.x[members.node], self._settings.beam_separation_rad
