@@ -42,6 +42,7 @@ def arm_xml(
     """
     model = arm.model
     frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""
+    frozen += f"\n  Frozen at a value: {', '.join(fixed_text(arm))}." if arm.fixed else ""
     root = Element("mujoco", model=arm.name)
     root.append(_comment(HEAD.format(source=source, tip=arm.tip.name or "its only site", frozen=frozen)))
     light = {"boundmass": "1e-6", "boundinertia": "1e-6"}  # else MuJoCo refuses a link without a capsule
@@ -138,6 +139,11 @@ def _add_capsule_element(body: Element, name: str, capsule: Capsule) -> None:
         SubElement(body, "geom", name=name, type="sphere", pos=_numbers_text(capsule.p), size=size)
     else:
         SubElement(body, "geom", name=name, type="capsule", fromto=_numbers_text([*capsule.p, *capsule.q]), size=size)
+
+
+def fixed_text(arm: ImportedArm) -> tuple[str, ...]:
+    """Format the joints with a given value: ("torso=0.2", ...)."""
+    return tuple(f"{name}={value:.6g}" for name, value in arm.fixed.items())
 
 
 def in_words(cover: BodyCover) -> str:

@@ -244,13 +244,15 @@ def frame(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     return pose
 
 
-def _turned_frame(axis: np.ndarray, angle: float) -> np.ndarray:
+def turned_frame(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Return the pose (4, 4) of a frame that is turned about an axis (3,) by an angle [rad]."""
     quaternion = np.zeros(4)
     mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
     return frame(np.zeros(3), quaternion)
 
 
-def _shifted(offset: np.ndarray) -> np.ndarray:
+def shifted_frame(offset: np.ndarray) -> np.ndarray:
+    """Return the pose (4, 4) of a frame that is shifted by (3,) [m]."""
     pose = np.eye(4)
     pose[:3, 3] = offset
     return pose
@@ -331,9 +333,9 @@ def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.nda
         first = model.body_jntadr[body]
         for j in range(first, first + model.body_jntnum[body]):
             axis, drawn_at = model.jnt_axis[j], model.qpos0[j]
-            back = _turned_frame(axis, -drawn_at) if model.jnt_type[j] == _HINGE else _shifted(-drawn_at * axis)
-            T_parent_joint[j] = T_link_body @ _shifted(model.jnt_pos[j]) @ back
-            link, T_link_body = j, _shifted(-model.jnt_pos[j])
+            back = turned_frame(axis, -drawn_at) if model.jnt_type[j] == _HINGE else shifted_frame(-drawn_at * axis)
+            T_parent_joint[j] = T_link_body @ shifted_frame(model.jnt_pos[j]) @ back
+            link, T_link_body = j, shifted_frame(-model.jnt_pos[j])
         frames.append((link, T_link_body))
     return T_parent_joint, frames
 
