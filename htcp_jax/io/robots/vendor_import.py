@@ -18,7 +18,7 @@ from htcp_jax.io.robots.model_file import check_joints, compile_spec, joint_name
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
 from htcp_jax.io.robots.srdf import disabled_pairs
-from htcp_jax.io.robots.tcp import Tip, find_tip
+from htcp_jax.io.robots.tcp import Tip, find_tip, other_frames, warn_of_jaw
 
 PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s that an arm keeps
 NOT_OF_AN_ARM = "plane", "hfield", "sdf"
@@ -124,7 +124,8 @@ def import_robot(
         raise InputError(
             f"{path}: no shapes that capsules could hold; geoms of the model: {_geom_kinds(geoms) or 'none'}"
         )
-    joint_names = check_joints(model, path, joints)
+    joint_names = check_joints(model, path, joints, other_frames(model, bodies, tip))
+    warn_of_jaw(model, path, tip, joints)
     # whatever is unreadable
     found = {b: [shapes.shape(g, model) for g in own if _body_of(model, g) == b] for b in bodies}
     names = _Names({model.geom(geom.at).name for geom in own})
