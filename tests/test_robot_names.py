@@ -136,8 +136,16 @@ def test_a_xacro_file_is_refused_with_the_command_that_expands_it(tmp_path, caps
     macro = "" if "xacro" in file else MACRO
     (tmp_path / file).write_text(urdf("base", "a", "b", "c", before=macro).replace("<robot", f"<robot {XACRO}"))
     assert main(["robot", file, "--out", "arm.xml"]) == 2
-    assert capsys.readouterr().err == f"htcp: {file}: a xacro file, from which a URDF is made by: {EXPAND[file]}\n"
+    assert capsys.readouterr().err == f"htcp: {file}: a xacro file; first expand it: {EXPAND[file]}\n"
     assert [each.name for each in tmp_path.iterdir()] == [file]
+
+
+def test_an_srdf_file_may_be_a_xacro_file_too(tmp_path, capsys):
+    (tmp_path / "arm.urdf").write_text(urdf("base", "a", "b", "c"))
+    (tmp_path / "arm.srdf.xacro").write_text(f'<robot name="r" {XACRO}/>')
+    words = ["--srdf", str(tmp_path / "arm.srdf.xacro"), "--out", str(tmp_path / "arm.xml")]
+    assert main(["robot", str(tmp_path / "arm.urdf"), *words]) == 2
+    assert f"expand it: xacro {tmp_path / 'arm.srdf.xacro'} > arm.srdf" in capsys.readouterr().err
 
 
 def test_an_expanded_file_may_still_declare_xacro(tmp_path):

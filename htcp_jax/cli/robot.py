@@ -87,12 +87,14 @@ def robot(
         plan_folder.write_text(folder / out.name, mjcf.arm_xml(arm, source))
         with progress_bar("pairs of capsules") as progress:
             listed = _excluded_pairs(arm, robots.load_robot(folder / out.name), progress)
-        text = mjcf.arm_xml(arm, source, listed)
-        plan_folder.write_text(folder / out.name, text)
-        made = robots.load_robot(folder / out.name)
-        own = self_collision.self_collision(made)
-        title = f"{made.name}: {len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
-        draw_arm(arm, text, title).savefig(folder / picture.name)
+        with progress_bar("pictures"):
+            text = mjcf.arm_xml(arm, source, listed)
+            plan_folder.write_text(folder / out.name, text)
+            made = robots.load_robot(folder / out.name)
+            own = self_collision.self_collision(made)
+            shown = f"{len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
+            title = f"{made.name}: {shown}"
+            draw_arm(arm, text, title).savefig(folder / picture.name)
     table, facts = (
         _robot_table(arm),
         _robot_facts(arm) | {"self-collision": own.described(made) if own else "no pairs to check"},

@@ -77,7 +77,7 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
             file, and for repeated names of links and joints.
     """
     root = parse(path)
-    _refuse_xacro(root, path)
+    refuse_xacro(root, path)
     _put_includes_in_place(root, path, {path.resolve()})
     _rename_world(root)
     _refuse_repeated_names(root, path)
@@ -110,16 +110,20 @@ def model_files(path: Path) -> set[Path]:
     return seen
 
 
-def _refuse_xacro(root: ElementTree.Element, path: Path) -> None:
+def refuse_xacro(root: ElementTree.Element, path: Path, ending: str = ".urdf") -> None:
     """Refuse a file that xacro has not expanded yet; an expanded one may still declare the prefix.
+
+    Args:
+        root: Root of the file.
+        path: The file.
+        ending: Ending of the expanded file, for the message.
 
     Raises:
         InputError: With the command that expands it.
     """
     if path.suffix.lower() == ".xacro" or any(each.tag.startswith("xacro:") for each in root.iter()):
-        made = "expanded.urdf" if path.name == "arm.urdf" else "arm.urdf"  # else the shell would empty the file first
-        command = f"xacro {shlex.quote(str(path))} > {made}"
-        raise InputError(f"{path}: a xacro file, from which a URDF is made by: {command}")
+        made = next(f"{stem}{ending}" for stem in ("arm", "expanded") if path.name != f"{stem}{ending}")
+        raise InputError(f"{path}: a xacro file; first expand it: xacro {shlex.quote(str(path))} > {made}")
 
 
 def _rename_world(root: ElementTree.Element) -> None:
