@@ -71,13 +71,13 @@ def robot(
       htcp robot pipe/arm.xml --tcp link7 --most 5 --out flange.xml
       htcp robot pipe/arm.xml --fix a3=0.2 --out six.xml
     """
+    fixed = _fixed_values(fix or ())
     if out.suffix.lower() != ".xml":
         raise InputError(f"--out is {out}; an arm is an MJCF file and ends in .xml")
     picture = out.with_suffix(".png")
     for file in (out, picture):
         if file.exists() and not replace:
             raise InputError(f"{file} is there already; --replace writes over it, with what was corrected by hand")
-    fixed = _fixed_values(fix or ())
     with progress_bar("bodies") as progress:
         arm = robots.import_robot(model, tcp, most=most, visual=visual, srdf=srdf, fixed=fixed, progress=progress)
     source = os.path.relpath(model, out.parent)

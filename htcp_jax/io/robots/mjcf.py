@@ -66,6 +66,11 @@ def arm_xml(
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
+def fixed_text(arm: ImportedArm) -> tuple[str, ...]:
+    """Format the joints with a given value: ("torso=0.2", ...)."""
+    return tuple(f"{name}={value:.6g}" for name, value in arm.fixed.items())
+
+
 def _body_element(parent: Element, arm: ImportedArm, b: int) -> Element:
     model = arm.model
     body = SubElement(
@@ -139,11 +144,6 @@ def _add_capsule_element(body: Element, name: str, capsule: Capsule) -> None:
         SubElement(body, "geom", name=name, type="sphere", pos=_numbers_text(capsule.p), size=size)
     else:
         SubElement(body, "geom", name=name, type="capsule", fromto=_numbers_text([*capsule.p, *capsule.q]), size=size)
-
-
-def fixed_text(arm: ImportedArm) -> tuple[str, ...]:
-    """Format the joints with a given value: ("torso=0.2", ...)."""
-    return tuple(f"{name}={value:.6g}" for name, value in arm.fixed.items())
 
 
 def in_words(cover: BodyCover) -> str:
