@@ -96,9 +96,14 @@ class LinkMeshes:
             held[name] = body, _capsule_of_geom(model, geom) if piece is None or not len(piece) else piece
         return cls(model, list(range(model.nq)), held)
 
-    def poses(self, x: Float[np.ndarray, "n N"]) -> Poses:
-        """Return the bodies' poses at configurations x [rad or m]."""
-        model, data = self._model, mujoco.MjData(self._model)
+    def poses(self, x: Float[np.ndarray, "n N"], data: mujoco.MjData | None = None) -> Poses:
+        """Return the bodies' poses at configurations x [rad or m].
+
+        Args:
+            x: The configurations.
+            data: Data of the model to work in: making them takes longer than a pose. None: new ones.
+        """
+        model, data = self._model, data or mujoco.MjData(self._model)
         found = Poses(np.empty((len(x), model.nbody, 3, 3)), np.empty((len(x), model.nbody, 3)))
         for k, row in enumerate(x):
             data.qpos[self._addresses] = row
@@ -145,12 +150,13 @@ class LinkMeshes:
         some = rows[:: max(1, len(rows) // SAMPLES)]
         order = np.argsort([self._distance_m(one, other, at, k) for k in some], kind="stable")
         rng, lower, upper = np.random.default_rng(0), x.min(axis=0), x.max(axis=0)
+        data = mujoco.MjData(self._model)
         for k in some[order[:NEAREST]]:
             best, now = self._distance_m(one, other, at, k), x[k]
             for step in range(STEPS):
                 spread = FIRST_STEP * (upper - lower) * LESS**step
                 tried = np.clip(now + spread * rng.normal(size=len(now)), lower, upper)
-                there = self.poses(tried[None])
+                there = self.poses(tried[None], data)
                 if (found := self._distance_m(one, other, there, 0)) < best:
                     best, now = found, tried
                     if best < -robots.TOUCHING_M:

@@ -42,6 +42,7 @@ def arm_xml(
     """
     model = arm.model
     frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""
+    frozen += f"\n  Frozen at a value: {', '.join(fixed_text(arm))}." if arm.fixed else ""
     root = Element("mujoco", model=arm.name)
     root.append(_comment(HEAD.format(source=source, tip=arm.tip.name or "its only site", frozen=frozen)))
     light = {"boundmass": "1e-6", "boundinertia": "1e-6"}  # else MuJoCo refuses a link without a capsule
@@ -63,6 +64,11 @@ def arm_xml(
     _add_exclusions(root, arm)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def fixed_text(arm: ImportedArm) -> tuple[str, ...]:
+    """Format the joints with a given value: ("torso=0.2", ...)."""
+    return tuple(f"{name}={value:.6g}" for name, value in arm.fixed.items())
 
 
 def _body_element(parent: Element, arm: ImportedArm, b: int) -> Element:

@@ -3,7 +3,7 @@
 The joints of the chain to the TCP move, all others are frozen, and capsules enclose the shapes of each body.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,11 +13,12 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import MOST, Capsule, MeshPiece, Triangles, cover_with_capsules, hull_volume
+from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.model_file import check_joints, compile_spec, joint_name, joint_numbers, no_log, upwards
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
 from htcp_jax.io.robots.srdf import disabled_pairs
-from htcp_jax.io.robots.tcp import Tip, find_tip
+from htcp_jax.io.robots.tcp import Tip, find_tip, other_frames, warn_of_jaw
 
 PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s that an arm keeps
 NOT_OF_AN_ARM = "plane", "hfield", "sdf"
@@ -64,7 +65,8 @@ class ImportedArm(NamedTuple):
     tip: Tip
     joints: tuple[int, ...]  # from the world to the TCP; indices in the model, as below
     joint_names: tuple[str, ...]
-    frozen: tuple[str, ...]  # names of the other joints
+    frozen: tuple[str, ...]  # names of the other joints, frozen as drawn
+    fixed: dict[str, float]  # values at which further joints are frozen [rad or m]
     bodies: tuple[int, ...]  # of the robot, see `_robot_bodies`
     covers: dict[int, BodyCover]  # by body
     massive: tuple[int, ...]  # bodies with an inertia in the file
@@ -87,6 +89,7 @@ def import_robot(
     most: int = MOST,
     visual: bool = False,
     srdf: Path | None = None,
+    fixed: Mapping[str, float] | None = None,
     progress: Callable[[int, int], None] = lambda done, count: None,
 ) -> ImportedArm:
     """Read a URDF or MJCF file with its meshes.
@@ -98,18 +101,22 @@ def import_robot(
         visual: Enclose the visual geometry; else the collision geometry, or the visual geometry if the model has no
             other.
         srdf: See `disabled_pairs`.
+        fixed: Values of joints to freeze, on the chain to the TCP or off it, by their names [rad or m].
         progress: Called with the number of bodies done and their total.
 
     Raises:
         InputError: For a file or a mesh that cannot be read, for a missing or ambiguous TCP, ball and free joints on
-            the chain to it, fewer than three joints, a model without shapes, and the SRDF of another robot.
+            the chain to it, fewer than three joints, a model without shapes, the SRDF of another robot, and an unknown
+            joint or a value beyond its limits in `fixed`.
     """
     spec, shapes, model = _read_model(path, visual)
+    values = fix_joints(model, path, fixed or {})
     tip = find_tip(model, path, tcp, _robot_bodies(model, ()))
     on_chain = tuple(upwards(model, tip.body))
     bodies = _robot_bodies(model, on_chain)
     disabled = disabled_pairs(srdf, model_name(model), [body_name(model, b) for b in bodies]) if srdf else ()
-    joints = tuple(j for j in range(model.njnt) if model.jnt_bodyid[j] in on_chain)
+    moving = [j for j in range(model.njnt) if j not in values]
+    joints = tuple(j for j in moving if model.jnt_bodyid[j] in on_chain)
     geoms = [geom for geom in shapes.geoms if _body_of(model, geom) in bodies]
     chosen = _chosen_geoms(geoms, model, visual)
     own = [geom for geom in chosen if not _is_excluded(geom, model)]
@@ -117,7 +124,8 @@ def import_robot(
         raise InputError(
             f"{path}: no shapes that capsules could hold; geoms of the model: {_geom_kinds(geoms) or 'none'}"
         )
-    joint_names = check_joints(model, path, joints)
+    joint_names = check_joints(model, path, joints, other_frames(model, bodies, tip))
+    warn_of_jaw(model, path, tip, joints)
     # whatever is unreadable
     found = {b: [shapes.shape(g, model) for g in own if _body_of(model, g) == b] for b in bodies}
     names = _Names({model.geom(geom.at).name for geom in own})
@@ -131,7 +139,8 @@ def import_robot(
         tip,
         joints,
         joint_names,
-        tuple(joint_name(model, j) for j in range(model.njnt) if j not in joints and model.jnt_bodyid[j] in bodies),
+        tuple(joint_name(model, j) for j in moving if j not in joints and model.jnt_bodyid[j] in bodies),
+        {joint_name(model, j): value for j, value in sorted(values.items())},
         bodies,
         covers,
         tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
