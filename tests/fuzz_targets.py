@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 from sweep_process import make_sweep
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import load_geometry
+from htcp_jax.io.parts import load_geometry
 from htcp_jax.io.parts.point_cloud import load_cloud
 from htcp_jax.io.parts.workpiece_source import read_path
 from htcp_jax.io.robots.loading import gp50

@@ -9,7 +9,7 @@ import pytest
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io import scan
+from htcp_jax.io.parts import scan
 from htcp_jax.io.parts.point_cloud import load_cloud, read_points
 from htcp_jax.io.parts.scan import PARTS, SCANS, read_part
 

@@ -43,7 +43,8 @@ import viser
 import websockets.sync.client
 import websockets.sync.server
 
-from htcp_jax.viewer import Viewer, access
+from htcp_jax.viewer import Viewer
+from htcp_jax.viewer.browser import access
 from htcp_jax.viewer.browser.display import grazing
 from htcp_jax.viewer.browser.scene import lit, side_by_side, turned_to
 
