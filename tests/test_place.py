@@ -40,15 +40,17 @@ place:
 objective: [clearance, joint motion]
 within: {scenarios: 12}
 perturbation: {mm: 20, deg: 1}
-best: 4
+best: 3
 """
+FEWER_TARGETS = "  approach_to_inlet: 1\n  approach_to_path: 1\n"
+SMALL_BEAM = "settings: {beam_width: 6, min_beam_width: 4, self_motions: 6, self_motion_rounds: 2, smooth: false}\n"
 RESULTS = "ranked.json", "mountings.parquet", "ranked/manifest.json"
 KILLS = 20
 
 
 def make(folder: Path) -> Path:
     make_sweep(folder)
-    (folder / "job.yaml").write_text(JOB + "  approach_to_inlet: 1\n  approach_to_path: 1\n")  # fewer targets
+    (folder / "job.yaml").write_text(JOB + FEWER_TARGETS + SMALL_BEAM)
     (folder / "place.yaml").write_text(FILE)
     return folder
 

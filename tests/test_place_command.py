@@ -8,6 +8,7 @@ import re
 
 import pytest
 from sweep_process import JOB, make_sweep
+from test_place import FEWER_TARGETS, SMALL_BEAM
 
 from htcp_jax.cli import main
 
@@ -19,7 +20,7 @@ PLACE = "place: {workpiece.shift_m: [[-1.25, -0.8], 0.02, 0.0]}\n"
 def here(tmp_path, monkeypatch):
     """A plate behind a path of two points; the folder is the working folder."""
     make_sweep(tmp_path)
-    (tmp_path / "job.yaml").write_text(JOB + "  approach_to_inlet: 1\n  approach_to_path: 1\n")
+    (tmp_path / "job.yaml").write_text(JOB + FEWER_TARGETS + SMALL_BEAM)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

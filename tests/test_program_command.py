@@ -327,7 +327,7 @@ def test_an_effort_beyond_its_limit_is_a_warning_and_exit_3_unless_it_is_allowed
     path = np.array([np.asarray(tcp_pose(robot, jnp.asarray(x)))[:3, 3] for x in xs])
     np.savetxt(here / "path.csv", path, delimiter=",")
     job = {"robot": {"model": "arm.xml"}, "start_rad": start, "workpiece": {"cloud": "none", "path": "path.csv"}}
-    job |= {"program": {"velocity": [1, 1, 1]}}
+    job |= {"program": {"velocity": [1, 1, 1]}, "settings": {"smooth": False}}
     (here / "job.yaml").write_text(json.dumps(job))
     assert main(["plan", "job.yaml", "--out", "plan"]) == 0
     capsys.readouterr()
