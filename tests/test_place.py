@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from stranger_jobs import box_job
+from stranger_jobs import small_box_job
 from sweep_process import JOB, environment, make_sweep
 
 import htcp_jax
@@ -131,15 +131,11 @@ def test_complete_are_mountings_in_which_a_motion_leads_to_the_end(found):
 
 
 def test_the_default_screen_finds_motions_in_a_box_whether_the_start_is_given_or_chosen(tmp_path):
-    """Complete placements of the default screen in a box, for a given start and `start_rad: auto` (regression).
-
-    Of the seam every tenth point, and points of the walls that are just dense enough for the spindle.
-    """
-    job = box_job(tmp_path)
-    np.savetxt(tmp_path / "seam.csv", np.loadtxt(tmp_path / "seam.csv", delimiter=",", skiprows=1)[::10], delimiter=",")
+    """Complete placements of the default screen in a box, for a given start and `start_rad: auto` (regression)."""
+    job = small_box_job(tmp_path)
     ranges = {"workpiece.shift_m.z": [0.14, 0.18]}
     for start in ([], ["start_rad=auto"]):
-        search = load_search({"place": ranges}, job, ["workpiece.mesh_spacing_m=0.01", *start])
+        search = load_search({"place": ranges}, job, start)
         run = sweep(sweep_of(search, np.array([[0.15], [0.17]])), [search.file.screen])
         assert MountingScores(search, run, search.file.screen, np.array([[0.15], [0.17]])).complete.any()
 
