@@ -100,7 +100,9 @@ def test_scenarios_with_one_start_begin_where_their_own_arm_tool_and_task_have_t
         "  - task.1.offset_m: [[0.01, 0, 0], [0.02, 0, 0]]\n"
         "  - start_rad.3: [0.5, 0.4]\n",
     )
-    batch = load_sweep(file, {"task": [{"point": "tcp", "on": "path"}]}).batch()
+    (tmp_path / "path.csv").write_text("1.0,-0.2,1.0\n1.01,-0.2,1.0\n")
+    part = {"cloud": "none", "path": str(tmp_path / "path.csv")}
+    batch = load_sweep(file, {"workpiece": part, "task": [{"point": "tcp", "on": "path"}]}).batch()
     assert len({row.tobytes() for row in batch.scenarios.targets[:, 0]}) == 16  # of 32 scenarios
     for point in batch.points:
         _, _, alone = scene(point.config)

@@ -25,10 +25,11 @@ OWN = {"robot": {"model": str(ARM)}, "start_rad": START}
 
 @pytest.fixture
 def pipe(tmp_path):
-    """Copy of the pipe's job, with two points of its seam."""
+    """Copy of the pipe's job, with two points of its seam and some 10,000 on its walls."""
     folder = Path(shutil.copytree(CONFIGS / "pipe", tmp_path / "jobs"))
     np.savetxt(folder / "seam.csv", np.loadtxt(folder / "seam.csv", delimiter=",", ndmin=2)[:2], delimiter=",")
-    text = (folder / "job.yaml").read_text().replace("workpiece:", "workpiece:\n  approach_to_path: 1", 1)
+    own = "workpiece:\n  approach_to_path: 1\n  mesh_spacing_m: 0.02"
+    text = (folder / "job.yaml").read_text().replace("workpiece:", own, 1)
     (folder / "job.yaml").write_text(text.replace("method: beam", "method: baseline"))
     return folder
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from stranger_jobs import box_job
+from stranger_jobs import small_box_job
 from sweep_process import JOB, environment, make_sweep
 
 import htcp_jax
@@ -39,15 +39,17 @@ place:
 objective: [clearance, joint motion]
 within: {scenarios: 12}
 perturbation: {mm: 20, deg: 1}
-best: 4
+best: 3
 """
+FEWER_TARGETS = "  approach_to_inlet: 1\n  approach_to_path: 1\n"
+SMALL_BEAM = "settings: {beam_width: 6, min_beam_width: 4, self_motions: 6, self_motion_rounds: 2, smooth: false}\n"
 RESULTS = "ranked.json", "mountings.parquet", "ranked/manifest.json"
 KILLS = 20
 
 
 def make(folder: Path) -> Path:
     make_sweep(folder)
-    (folder / "job.yaml").write_text(JOB + "  approach_to_inlet: 1\n  approach_to_path: 1\n")  # fewer targets
+    (folder / "job.yaml").write_text(JOB + FEWER_TARGETS + SMALL_BEAM)
     (folder / "place.yaml").write_text(FILE)
     return folder
 
@@ -129,10 +131,10 @@ def test_complete_are_mountings_in_which_a_motion_leads_to_the_end(found):
 
 def test_the_default_screen_finds_motions_in_a_box_whether_the_start_is_given_or_chosen(tmp_path):
     """Complete placements of the default screen in a box, for a given start and `start_rad: auto` (regression)."""
-    job = box_job(tmp_path)
+    job = small_box_job(tmp_path)
     ranges = {"workpiece.shift_m.z": [0.14, 0.18]}
-    for start in ({}, {"start_rad": "auto"}):
-        search = load_search({"place": ranges}, job, [f"{key}={value}" for key, value in start.items()])
+    for start in ([], ["start_rad=auto"]):
+        search = load_search({"place": ranges}, job, start)
         run = sweep(sweep_of(search, np.array([[0.15], [0.17]])), [search.file.screen])
         assert MountingScores(search, run, search.file.screen, np.array([[0.15], [0.17]])).complete.any()
 

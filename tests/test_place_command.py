@@ -3,9 +3,9 @@
 import json
 import re
 
-import numpy as np
 import pytest
 from sweep_process import JOB, make_sweep
+from test_place import FEWER_TARGETS, SMALL_BEAM
 
 from htcp_jax.cli import main
 
@@ -17,7 +17,7 @@ PLACE = "place: {workpiece.shift_m: [[-1.25, -0.8], 0.02, 0.0]}\n"
 def here(tmp_path, monkeypatch):
     """A plate behind a path of two points; the folder is the working folder."""
     make_sweep(tmp_path)
-    (tmp_path / "job.yaml").write_text(JOB + "  approach_to_inlet: 1\n  approach_to_path: 1\n")
+    (tmp_path / "job.yaml").write_text(JOB + FEWER_TARGETS + SMALL_BEAM)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -56,12 +56,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(here, capsys, text, words, say
 
 
 def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, capsys):
-    points = np.random.default_rng(0).uniform((-0.3, -0.3, 0.2), (0.3, 0.3, 1.0), (20_000, 3))  # at the arm
-    np.savetxt(here / "plate.xyz", points)
-    job = JOB + "  pivot_m: [0, 0, 0]\n  neutral_translation_m: [0, 0, 0]\n"
-    lines = [line for line in job.splitlines() if not line.startswith(("  pivot_m: [1", "  neutral_translation_m: [1"))]
-    (here / "job.yaml").write_text("\n".join(lines))
-    assert place("place: {workpiece.shift_m.x: [-0.02, 0.02]}") == 2
+    assert place("place: {workpiece.shift_m: [[-2.2, -2.16], 0.07, 0.37]}") == 2  # the plate is in the upper arm
     output = capsys.readouterr()
     assert "no motion can begin in any of 4 mountings: " in output.err and " mm inside the workpiece" in output.err
     assert output.err.count("\n") == 1 and not (here / "out").exists()

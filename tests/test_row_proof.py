@@ -58,7 +58,7 @@ class CachedArm(MujocoArm):
 
 
 def tool() -> np.ndarray:
-    return np.asarray(jax.vmap(partial(tcp_pose, made_once.robot()))(jnp.asarray(configurations())))
+    return np.asarray(jax.jit(jax.vmap(partial(tcp_pose, made_once.robot())))(jnp.asarray(configurations())))
 
 
 @cache

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_run import LONGER, spoil
-from stranger_jobs import box_job
+from stranger_jobs import small_box_job
 
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.cli import main
@@ -101,7 +101,7 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
 
 def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monkeypatch, capsys):
     """Both distances to a mesh, and an announcement of long checks (regression: only one distance)."""
-    job, run = box_job(tmp_path), tmp_path / "run"
+    job, run = small_box_job(tmp_path), tmp_path / "run"
     sweep({"grid": [{"workpiece.shift_m": [[0, 0, 0.1], [0, 0, 0.12]]}]}, ["baseline"], run, config=job)
     monkeypatch.setattr("htcp_jax.cli.validate.ANNOUNCED_S", 0)
     assert main(["validate", str(run), "--between", "0"]) == 0
@@ -115,7 +115,7 @@ def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monke
 
 
 def test_the_cover_of_a_mesh_is_not_subtracted_from_distances_to_the_cell(tmp_path):
-    job, run, table = box_job(tmp_path), tmp_path / "run", tmp_path / "table.xml"
+    job, run, table = small_box_job(tmp_path, 0.005), tmp_path / "run", tmp_path / "table.xml"
     top = 0.1807 - 0.02 - 0.078 - 1e-3  # 1 mm below the shoulder, whatever the arm does
     table.write_text(
         f'<mujoco><worldbody><geom type="box" size="1 1 .01" pos="0 0 {top - 0.01}"/></worldbody></mujoco>'

@@ -1,6 +1,5 @@
 """Walls: a mesh is measured by its triangles, whatever its sample points."""
 
-from functools import partial
 from pathlib import Path
 
 import jax
@@ -94,31 +93,35 @@ def test_a_spindle_through_a_plate_is_never_clear(car):
     robot, part, where = car
     obstacle = make_obstacle(part)
     assert part.covering_radius_m <= stranger_jobs.SPINDLE_M / 2
-    clear = jax.jit(partial(is_clear, robot, obstacle, where))
+    clear = jax.jit(is_clear)
     x = near_the_rib(robot, where, 40)
-    assert not any(clear(jnp.asarray(row)) for row in x)
-    assert not jax.jit(partial(all_clear, robot, obstacle, where))(jnp.asarray(x[:1]))
+    assert not any(clear(robot, obstacle, where, jnp.asarray(row)) for row in x)
+    assert not jax.jit(all_clear)(robot, obstacle, where, jnp.asarray(x[:1]))
 
 
 def test_the_clearance_is_a_bound_on_that_to_the_triangles(car):
     """Clearance to the points: below the distance to the triangles, by little more than twice the covering radius."""
     robot, part, where = car
     obstacle = make_obstacle(part)
-    measure = jax.jit(lambda x: (contacts(robot, obstacle, where, x), clearance(robot, obstacle, where, x)))
+    rows = rows_of(robot, obstacle)
+
+    @jax.jit
+    def measure(robot, obstacle, where, x, near):
+        touch = contacts(robot, obstacle, where, x)
+        held = hold_contacts(robot, x, rows, touch)
+        predicted = [predict_distances(robot, place, rows, held)[0] for place in (x, near)]
+        return touch, clearance(robot, obstacle, where, x), predicted, clearances(robot, obstacle, where, near)
+
     x0, rng = np.asarray(where.x_start), np.random.default_rng(0)
     for x in [x0, *(x0 + rng.uniform(-0.4, 0.4, (12, 6)))]:
-        truth, (touch, D) = sampled_distances(robot, part, where, x), measure(jnp.asarray(x))
+        truth = sampled_distances(robot, part, where, x)
+        touch, D, (predicted, ahead), near = measure(robot, obstacle, where, jnp.asarray(x), jnp.asarray(x + 0.01))
         inside = ~np.asarray(touch.plane) & (truth > 0)
         assert (touch.distance <= truth + 1e-9)[inside].all()
         assert (touch.distance >= truth - 2.1 * part.covering_radius_m - 1e-4)[inside].all()
         assert D == np.min(touch.distance)
-        rows = rows_of(robot, obstacle)
-        held = hold_contacts(robot, jnp.asarray(x), rows, touch)
-        values, _ = predict_distances(robot, jnp.asarray(x), rows, held)
-        np.testing.assert_allclose(values, touch.distance, atol=1e-12)
-        near = jnp.asarray(x + 0.01)
-        assert (predict_distances(robot, near, rows, held)[0]
-                >= clearances(robot, obstacle, where, near) - 1e-12)[inside].all()  # fmt: skip
+        np.testing.assert_allclose(predicted, touch.distance, atol=1e-12)
+        assert (ahead >= near - 1e-12)[inside].all()
 
 
 def test_validation_measures_the_triangles(car, tmp_path):
