@@ -29,7 +29,7 @@ check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan
 	$(PYTEST) $(CHECKED)
 
 test: lint  ## lint and the quick tests
-	@echo "The quick tests: about 9 minutes on two cores, fewer once programs are compiled"
+	@echo "The quick tests: about 13 minutes on two cores, fewer once programs are compiled"
 	$(PYTEST)
 
 test-slow: WHOLE = 1

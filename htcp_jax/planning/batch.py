@@ -331,12 +331,17 @@ def _of_these(plans: Any, problem: Problem, method: str) -> Plans:
     """Return the plans unchanged.
 
     Raises:
-        InputError: If their shapes are not those of the problem's scenarios and targets.
+        InputError: If their shapes are not those of the problem's scenarios and targets, or a required column is empty.
     """
     expected = problem.scenarios.targets.shape[:2]
     shapes = {each.shape[:2] for each in (plans.status, plans.x, plans.target)} if isinstance(plans, Plans) else set()
     if shapes != {expected}:
         raise InputError(f"method {method!r} returned no Plans of {expected[0]} scenarios with {expected[1]} targets")
+    for column in ("x", "tcp", "clearance", "residual"):
+        if np.isnan(getattr(plans, column)[plans.tracked]).any():
+            raise InputError(f"method {method!r} left {column} of a tracked target empty")
+    if (plans.status[problem.to_plan, 0] == Status.NOT_ATTEMPTED).any():
+        raise InputError(f"method {method!r} left the status of target 0 empty; it is TRACKED or a reason")
     return plans
 
 
