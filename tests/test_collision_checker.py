@@ -196,7 +196,9 @@ class Spy(registry.Method):
     def plan(self, problem):
         self.problem = problem
         self._act(problem)
-        return problem.empty_plans()
+        plans = problem.empty_plans()
+        plans.status[problem.to_plan, 0] = Status.NO_SOLUTION
+        return plans
 
 
 def planned_by(spy, scenarios):
