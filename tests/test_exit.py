@@ -230,7 +230,7 @@ def test_the_call_from_python_leaves_signal_handlers_as_they_are(capsys):
 
 
 def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, monkeypatch):
-    monkeypatch.setattr(output, "LINE_S", 0.01)
+    monkeypatch.setattr(output, "LINE_S", 0.01)  # no command has a setting for it
     with output.progress_bar("plans") as progress:
         progress(3, 1200)
         time.sleep(0.5)

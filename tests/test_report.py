@@ -66,7 +66,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         place = tmp_path_factory.mktemp("runs")
         patch.chdir(place)
-        patch.setattr(batch, "plan", by_hand)
+        patch.setattr(batch, "plan", by_hand)  # the built-in methods would take minutes for the paper's grids
         (place / "box.xyz").write_text(f"{BOX}\n{SHELF}")
         choices = yaml.safe_load(examples()["paper"].read_text())
         del choices["config"]
@@ -348,7 +348,7 @@ def test_an_unfinished_run_is_reported_as_far_as_it_is(folder, monkeypatch, tmp_
             raise InputError("stopped")
         return by_hand(robot, workpiece, scenarios, method, settings, **how)
 
-    monkeypatch.setattr(batch, "plan", gives_up)
+    monkeypatch.setattr(batch, "plan", gives_up)  # as in `folder`
     with pytest.raises(InputError, match="stopped"):
         sweep(folder / "groups.yaml", "baseline,hybrid,keep-clear", tmp_path / "half", shard_scenarios=1)
     report = make_report([tmp_path / "half"])

@@ -227,7 +227,7 @@ def test_a_joint_that_is_drawn_turned_stays_so(folder, tmp_path, capsys):
 
 
 def test_a_log_shows_how_far_the_import_is(folder, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("htcp_jax.cli.output.LINE_S", 1e-3)
+    monkeypatch.setattr("htcp_jax.cli.output.LINE_S", 1e-3)  # no command has a setting for it
     assert main(["robot", str(folder / "crane.urdf"), "--tcp", "grasp", "--out", str(tmp_path / "arm.xml")]) == 0
     said = capsys.readouterr().err
     assert all(f"htcp: {steps} " in said for steps in ("bodies", "pairs of capsules", "pictures"))
