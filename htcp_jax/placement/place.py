@@ -351,4 +351,4 @@ def _save_motions(
     scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
     plans: Plans = confirmed.plans.rows(scenarios)
     spec = sweep_of(search, confirmed.values[rows], margins)
-    return sweeps.keep_plans(spec, confirmed.method, plans, folder / plan_sets.MOTIONS).folder
+    return sweeps.keep_plans(spec, {confirmed.method: plans}, folder / plan_sets.MOTIONS).folder
