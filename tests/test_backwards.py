@@ -6,6 +6,7 @@ import made_once
 import numpy as np
 import pytest
 
+from htcp_jax.clearance import Scene
 from htcp_jax.device import Executor
 from htcp_jax.device.tables import concatenate, gather
 from htcp_jax.model.scenario import make_scenario
@@ -151,29 +152,25 @@ def crossed():
     return arm, duct, [make_scenario(arm, duct, made_once.START, rotation=at, number=k) for k, at in poses.items()]
 
 
-class Followed:
+class Followed(Executor):
     """An executor that notes the name of every lane function that it runs, and the scenarios' numbers."""
 
-    def __init__(self, executor: Executor, calls: list):
-        self._executor, self._calls = executor, calls
+    calls: ClassVar[list] = []
 
     def __call__(self, lane_function, inputs, *tables):
-        self._calls.append((lane_function.name, set(np.asarray(inputs.number).tolist())))
-        return self._executor(lane_function, inputs, *tables)
-
-    def __getattr__(self, name: str):
-        return getattr(self._executor, name)
+        self.calls.append((lane_function.name, set(np.asarray(inputs.number).tolist())))
+        return super().__call__(lane_function, inputs, *tables)
 
 
 class FollowedHybrid(Method):
-    """The method hybrid, with a record of its calls of lane functions."""
+    """The method hybrid, followed."""
 
     name, title, description = "followed-hybrid", HYBRID.title, HYBRID.description
-    calls: ClassVar[list] = []
 
     def plan(self, problem: Problem) -> Plans:
+        scene = Scene(problem.robot, problem.obstacles, problem.task)
         for checker in problem.checkers:
-            checker.executor = Followed(checker.executor, self.calls)
+            checker.executor = Followed(scene, problem.settings, checker.executor.device)
         return HYBRID.plan(problem)
 
 
@@ -181,7 +178,7 @@ class FollowedHybrid(Method):
 def test_a_plan_made_backwards_says_so_and_holds_up_nobody(crossed):
     """Check status and counts of a backward chain in real plans, and step QPs of other scenarios between its pushes."""
     *scene, scenarios = crossed
-    plans, calls = plan(*scene, scenarios, FollowedHybrid(), threads=1), FollowedHybrid.calls
+    plans, calls = plan(*scene, scenarios, FollowedHybrid(), threads=1), Followed.calls
     back = plans.recovery == HYBRID.backwards
     assert back[0].sum() > 50 and not back[1].any() and HYBRID.backwards == 3
     last = np.flatnonzero(back[0])[-1]
