@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+_MISSING = object()
+
 
 def cached_for_last(most: int) -> Callable[[Callable], Callable]:
     """Return a decorator that caches a function of one object by the object's identity.
@@ -21,11 +23,7 @@ def cached_for_last(most: int) -> Callable[[Callable], Callable]:
         @wraps(function)
         def result(owner: Any) -> Any:
             key = weakref.ref(owner, lambda gone: results.pop(gone, None))
-            found = results.pop(key) if key in results else function(owner)
-            results[key] = found  # the last one
-            for oldest in list(results)[:-most]:
-                results.pop(oldest, None)
-            return found
+            return _last_used(results, key, lambda: function(owner), most)
 
         return result
 
@@ -46,12 +44,17 @@ def cached_by_values(most: int) -> Callable[[Callable], Callable]:
         def result(array: np.ndarray, *others: Any) -> Any:
             values = hashlib.blake2b(np.ascontiguousarray(array)).digest()
             key = values, array.shape, array.dtype.str, *others
-            found = results.pop(key, None)
-            results[key] = found = function(array, *others) if found is None else found  # the last one
-            for oldest in list(results)[:-most]:
-                results.pop(oldest, None)
-            return found
+            return _last_used(results, key, lambda: function(array, *others), most)
 
         return result
 
     return decorated
+
+
+def _last_used(results: dict, key: Any, compute: Callable[[], Any], most: int) -> Any:
+    """Return the result of a key, computed if there is none; keep the `most` last used ones."""
+    found = results.pop(key, _MISSING)
+    results[key] = found = compute() if found is _MISSING else found
+    for oldest in list(results)[:-most]:
+        results.pop(oldest, None)
+    return found

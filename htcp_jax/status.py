@@ -148,8 +148,3 @@ class Kind(enum.IntEnum):
     def words(self) -> str:
         """The name as text: "process"."""
         return self.name.lower()
-
-
-def words(status: Status) -> str:
-    """Return a status's name as text."""
-    return status.name.replace("_", " ").lower().replace("qp", "QP")
