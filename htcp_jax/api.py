@@ -167,7 +167,7 @@ class Plan:
         """Draw the arm in the workpiece, cut open, and the clearance along the path."""
         title = f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets"
         blocked = self.obstruction
-        more = {"obstruction": blocked, "fixtures": build.drawn_of(self.job.cell)}
+        more = {"obstruction": blocked, "fixtures": build.drawn_of(self.job.cell, self.robot)}
         more["normals"] = glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece))
         return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, **more)
 

@@ -109,7 +109,7 @@ class GivenObstacle(Obstacle):
     def _heeds(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
         """True for bodies that are checked."""
         links = np.array(robot.capsule_link)
-        first = np.flatnonzero(links == 0)
+        first = np.setdiff1d(np.flatnonzero(links == 0), robot.attached)
         heeds = jnp.asarray(links >= 0)
         if not len(first):
             return heeds

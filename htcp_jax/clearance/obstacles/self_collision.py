@@ -31,7 +31,12 @@ from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Float, Int
 
 USUAL = 0.99  # a start is refused where an excluded pair is deeper than in this share of random configurations
-RULES = {"a": "by the model", "b": "that nearly always overlap", "c": "whose links do not touch where they overlap"}
+RULES = {
+    "a": "by the model",
+    "b": "that nearly always overlap",
+    "c": "whose links do not touch where they overlap",
+    "d": "by the job",
+}
 Ends = Float[jax.Array, "K 3"]
 
 
@@ -114,7 +119,7 @@ def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"])
     """Describe an excluded pair that nevertheless collides at a start x [rad or m], with its depth; None without one.
 
     A pair of rule c collides if the meshes in it touch. One of rule a or b does if its links are not adjacent and it is
-    deeper than in USUAL of the `samples`.
+    deeper than in USUAL of the `samples`. One of rule d never does.
     """
     link, names = robot.capsule_link, robot.capsule_names
     pairs = [each for each in own.excluded if link[each.first] != link[each.second]]
@@ -128,7 +133,7 @@ def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"])
             touch_m = robot.meshes.deepest_m(names[each.first], names[each.second], x)
             if touch_m > robots.TOUCHING_M:
                 return f"the meshes in {pair} touch by {1e3 * touch_m:.3g} mm"
-        elif each.rule != "c" and link[each.first] > link[each.second] + 1 and d > max(usual, 0.0):
+        elif each.rule in "ab" and link[each.first] > link[each.second] + 1 and d > max(usual, 0.0):
             return f"{pair} overlap by {1e3 * d:.3g} mm, more than in {USUAL:.0%} of random configurations"
     return None
 
