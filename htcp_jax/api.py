@@ -19,6 +19,7 @@ from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Motion, Plans
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
+from htcp_jax.motion import start_cause as start_causes
 from htcp_jax.notebook import html_facts
 from htcp_jax.planning import batch, registry
 from htcp_jax.reachability import Obstruction
@@ -147,11 +148,24 @@ class Plan:
             task = build.task_of_job(self.job, self.robot)
             return obstructions.obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
 
+    @cached_property
+    def start_cause(self) -> start_causes.StartCause | None:
+        """The reason why the plan could not begin; None if it could, see `start_cause.CAUSES`."""
+        with devices.on(devices.choose(self.device)[0]):
+            known = self.job.settings, build.task_of_job(self.job, self.robot), self.obstacles
+            status = self.plans.status[:, 0]
+            found = start_causes.start_causes(
+                self.robot, self.workpiece, scenarios.stack([self.scenario]), status, *known
+            )
+        return found.get(0)
+
     def failure(self) -> dict[str, str]:
         """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
         end = self.outcome
         facts = {} if end.failed is None else {f"failed at target {end.failed}": end.status.message}
-        if self.obstruction is not None:
+        if self.start_cause is not None:
+            facts["cause"] = self.start_cause.description
+        elif self.obstruction is not None:
             facts[self.obstruction.heading] = self.obstruction.description
         if end.executable < end.tracked:
             facts[f"no segment to target {end.executable}"] = end.segment_status.message
@@ -180,6 +194,7 @@ class Plan:
         known = {"method": self.job.method, "validated": None, **plan_folder.summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
         known["colliding_body"] = self.obstruction and self.obstruction.record()
+        known["cause"] = self.start_cause and self.start_cause.description
         config = self.job.model_dump()
         files = input_files.file_hashes(input_files.anchor_files(config))
         with devices.on(devices.choose(self.device)[0]):

@@ -9,6 +9,7 @@ import warnings
 from collections import Counter
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -115,8 +116,17 @@ def self_collision(robot: Robot) -> SelfCollision | None:
     return SelfCollision(pairs, excluded) if pairs else None
 
 
-def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) -> str | None:
-    """Describe an excluded pair that nevertheless collides at a start x [rad or m], with its depth; None without one.
+class RefusedPair(NamedTuple):
+    """An excluded pair that collides all the same, by the numbers of its capsules."""
+
+    first: int
+    second: int
+    depth_m: float
+    reason: str
+
+
+def refused_pair(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) -> RefusedPair | None:
+    """Return an excluded pair that nevertheless collides at a start x [rad or m]; None without one.
 
     A pair of rule c collides if the meshes in it touch. One of rule a or b does if its links are not adjacent and it is
     deeper than in USUAL of the `samples`. One of rule d never does.
@@ -132,9 +142,11 @@ def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"])
         if each.rule == "c" and robot.meshes and d > 0:
             touch_m = robot.meshes.deepest_m(names[each.first], names[each.second], x)
             if touch_m > robots.TOUCHING_M:
-                return f"the meshes in {pair} touch by {1e3 * touch_m:.3g} mm"
+                reason = f"the meshes in {pair} touch by {1e3 * touch_m:.3g} mm"
+                return RefusedPair(each.first, each.second, touch_m, reason)
         elif each.rule in "ab" and link[each.first] > link[each.second] + 1 and d > max(usual, 0.0):
-            return f"{pair} overlap by {1e3 * d:.3g} mm, more than in {USUAL:.0%} of random configurations"
+            reason = f"{pair} overlap by {1e3 * d:.3g} mm, more than in {USUAL:.0%} of random configurations"
+            return RefusedPair(each.first, each.second, float(d), reason)
     return None
 
 
