@@ -1,6 +1,7 @@
 """Carriers of a cell's fixtures: boxes and meshes on moving links, and links that a fixture is not tested against."""
 
 import json
+from functools import partial
 
 import fcl
 import jax
@@ -12,7 +13,7 @@ import toy
 import trimesh
 
 import htcp_jax
-from htcp_jax.clearance import Scene
+from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.fixtures import Fixtures
 from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.clearance.proof.bisection import PathVerdict
@@ -24,6 +25,8 @@ from htcp_jax.model.kinematics import capsule_segments, tip_segment
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.validation import validate_results
 from htcp_jax.validation.carried import CarriedBody
+from htcp_jax.validation.mujoco_arm import MujocoArm
+from htcp_jax.validation.mujoco_cell import MujocoCell
 
 ARM = toy.ARM
 for name, start in (
@@ -106,6 +109,33 @@ def test_a_box_on_a_link_heeds_other_links_but_those_that_it_excludes(arm, cell)
     own = {("tool", "camera_1"), ("tool", "camera_2"), ("camera_1", "foot"), ("camera_2", "foot")}
     assert own <= pairs() and not own & pairs("hand", "plinth")
     assert not any({"forearm", "camera_1"} == set(pair) for pair in pairs())
+
+
+def test_validation_measures_boxes_and_meshes_on_links_exactly_in_every_place_of_a_cell(arm, cell, tmp_path):
+    """A mesh on the forearm and a box on the hand, between a post, a ring of triangles, a cloud, and the arm itself.
+
+    The planner's clearance is the lower one, by at most what its capsules stand out and its points on the ring cover.
+    """
+    trimesh.creation.box((0.1, 0.06, 0.04)).export(tmp_path / "scanner.stl")
+    trimesh.creation.annulus(0.6, 0.7, 0.1).export(tmp_path / "ring.stl")
+    np.savetxt(tmp_path / "dust.xyz", np.random.default_rng(1).uniform(-0.8, 0.8, (40, 3)), delimiter=",")
+    places = {"scanner.stl": [0.08, 0.0, 0.1], "ring.stl": [0.0, 0.0, 0.2], "dust.xyz": [0.0, 0.0, 0.6]}
+    clouds = [{"cloud": str(tmp_path / name), "base_m": place} for name, place in places.items()]
+    beside = cell(
+        *({"name": name, "parent": parent} for name, parent in (("scanner", "elbow"), ("camera", "hand"))),
+        *({"name": name, "exclude": ["hand"]} for name in ("ring", "post")),
+        clouds=clouds,
+        self_collision=True,
+    )
+    robot = build.robot_of(arm, beside)
+    obstacles = build.obstacles_of(beside, robot)
+    x = random_configurations(robot, 100)
+    bound = np.asarray(jax.jit(jax.vmap(partial(clearance, robot, obstacles, toy.scenario())))(x))
+    own = MujocoArm(tmp_path / "arm.xml")
+    measured = MujocoCell(beside, own, own).distances(x, own.arm_poses(x)).min(axis=1)
+    clear = measured > 0
+    assert 20 < clear.sum() < 95 and (bound[clear] <= measured[clear] + 1e-6).all()
+    assert (bound[clear] >= measured[clear] - 0.03).all() and (bound[~clear] < 0).all()
 
 
 @pytest.fixture
