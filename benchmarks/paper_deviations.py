@@ -223,7 +223,7 @@ def best_null_space_steps(
     stuck = stuck_at(lane, x_previous, index)
 
     def valid(now):
-        return scene.task.counts(now.clearance, now.residual, lane.margin_m)
+        return scene.task.is_satisfied(now.clearance, now.residual, lane.margin_m)
 
     def going(state):
         _, best, count = state
@@ -402,7 +402,7 @@ class HostExecutor(Executor):
             null_space_steps = null_space_steps + 1
             now = jax.tree.map(np.asarray, moved(*problem, self._direction(problem, int(null_space_steps))))
             x = now.x
-            if null_space_steps >= most or self.task.counts(now.clearance, now.residual, lane.margin_m):
+            if null_space_steps >= most or self.task.is_satisfied(now.clearance, now.residual, lane.margin_m):
                 return NullSpaceState(now, np.int32(null_space_steps))
 
 

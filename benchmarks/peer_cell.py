@@ -61,14 +61,14 @@ class Cell:
         """Move configurations (n, N), n >= 1, to a target; not all converge, and some collide."""
         return Brought(*self.problem.checkers[0].executor(BRING, self._lanes(np.full(len(x), target)), x))
 
-    def counts(self, here: Brought) -> np.ndarray:
+    def is_satisfied(self, here: Brought) -> np.ndarray:
         """Mask of those that are on their target and keep the margin."""
-        return self.problem.task.counts(here.clearance, here.residual, self.margin)
+        return self.problem.task.is_satisfied(here.clearance, here.residual, self.margin)
 
     def brought_clear(self, x: np.ndarray, target: int) -> Brought:
         """Move configurations to a target, and return those that are on it and keep the margin."""
         here = self.bring(x, target)
-        return here.of(self.counts(here))
+        return here.of(self.is_satisfied(here))
 
     def proven(self, a: np.ndarray, b: np.ndarray, target: int, turns: np.ndarray | bool = False) -> np.ndarray:
         """Mask of the straight joint paths from a to b (n, N), n >= 1, that are proven as segments to a target.

@@ -89,7 +89,7 @@ def _rungs(cell: Cell) -> list[Brought]:
     rungs = [own[0]]
     for target in range(1, cell.count):
         here = Brought(*(np.concatenate(column) for column in zip(*(line[target] for line in lines), strict=True)))
-        clear = np.flatnonzero(cell.counts(here))
+        clear = np.flatnonzero(cell.is_satisfied(here))
         rungs.append(here.of(draw.permutation(clear)[:VERTICES]))
     return rungs
 

@@ -133,7 +133,7 @@ class _Search:
         if target <= cell.on_path or not len(after.x):
             return after.x, after
         before = cell.bring(after.x, target - 1)
-        good = cell.counts(before)
+        good = cell.is_satisfied(before)
         good[good] = cell.proven(before.x[good], after.x[good], target) if good.any() else False
         return before.x[good], after.of(good)
 
@@ -142,7 +142,7 @@ class _Search:
         count, going, x = np.zeros(len(here.x), int), np.arange(len(here.x)), here.x
         for later in range(target + 1, min(target + 1 + AHEAD, self._cell.count)):
             there = self._cell.bring(x, later)
-            good = self._cell.counts(there)
+            good = self._cell.is_satisfied(there)
             going, x = going[good], there.x[good]
             count[going] += 1
             if not len(going):

@@ -86,7 +86,7 @@ def of_run(folder: str, feed_m_s: float, checked: int) -> Iterator[Found]:
         made = program_of(opened, feed_m_s, scenario=scenario)
         left = motion_slack(plans, scenario, made.program.motion, made.job.settings.tube_m)
         if made.job.task:
-            left = with_rows(left, made.job, made.robot, made.program.motion, scene(made.job)[2].aims)
+            left = with_rows(left, made.job, made.robot, made.program.motion, scene(made.job)[2].goals)
         _, made_ms = timed(lambda made=made, left=left: time_motion(made.robot, *made_of(made, left)))
         configurations, written_ms = timed(lambda made=made: made.program.timed(STEP_S))
         refuted = check_timed(folder, configurations, made.method, scenario).refuted if count < checked else None

@@ -30,8 +30,8 @@ def scenario(number=0, rotation=(0.4, 0.1), start=made_once.START, **changes):
 
 def first_of(one, targets):
     """Scenario with only its first targets."""
-    goals = None if one.goals is None else one.goals[:targets]
-    return replace(one, targets=one.targets[:targets], goals=goals, count=np.asarray(targets, np.int32))
+    goals = None if one.task_goals is None else one.task_goals[:targets]
+    return replace(one, targets=one.targets[:targets], task_goals=goals, count=np.asarray(targets, np.int32))
 
 
 @cache

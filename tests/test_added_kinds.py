@@ -185,7 +185,7 @@ def test_the_slack_of_a_row_holds_on_all_of_an_interval(row):
     job = load_config({"task": [TRACK, row]})
     robot, _, scenario = scene(job)
     task = task_of_job(job, robot)
-    regions = between(task, jnp.asarray(scenario.goals[[-2, -1]]))
+    regions = between(task, jnp.asarray(scenario.task_goals[[-2, -1]]))
     rng = np.random.default_rng(1)
     for size in np.geomspace(1e-4, 0.5, 12):
         x, rates = jnp.asarray(scenario.x_start), jnp.asarray(size * rng.normal(size=6))
@@ -210,7 +210,7 @@ def test_a_row_without_a_rate_is_sampled_and_nowhere_called_proven():
     with pytest.raises(htcp_jax.InputError, match="stays-above-sampled states no rate"):
         motion = plan.motion()
         left = MotionSlack(*np.zeros((2, len(motion.x) - 1)))
-        with_rows(left, plan.job, plan.robot, motion, np.asarray(plan.scenario.aims))
+        with_rows(left, plan.job, plan.robot, motion, np.asarray(plan.scenario.goals))
 
 
 def test_a_row_holds_where_it_is_planned_and_its_proof_is_one(kinds):
@@ -230,11 +230,11 @@ def test_a_row_may_use_the_path_at_every_target():
     job = load_config({"task": [TRACK, {"kind": "across"}]})
     robot, workpiece, scenario = scene(job)
     task = task_of_job(job, robot)
-    assert task.rows == 4 and scenario.goals.shape[1] == 3 + 3 + 1
-    tangents = scenario.goals[int(scenario.on_path) :, 3:6]
+    assert task.rows == 4 and scenario.task_goals.shape[1] == 3 + 3 + 1
+    tangents = scenario.task_goals[int(scenario.on_path) :, 3:6]
     np.testing.assert_allclose(tangents, workpiece.tangents @ scenario.T_world_workpiece[:3, :3].T)
     value = task.value(robot, jnp.asarray(scenario.x_start))
-    assert abs(float(task.error(value, jnp.asarray(scenario.goals[0]))[3])) < 1e-12  # the start satisfies its goal
+    assert abs(float(task.error(value, jnp.asarray(scenario.task_goals[0]))[3])) < 1e-12  # the start satisfies its goal
 
 
 def test_values_and_keys_of_a_job_plan_alike(kinds):

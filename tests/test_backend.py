@@ -53,7 +53,7 @@ def test_loops_of_the_mathematics_are_unrolled_for_a_gpu_alone():
 class Lowered(LaneFunction):
     """A function that notes the backend of its trace, in place of one for a device that is not here."""
 
-    def program(self, settings, device):
+    def jitted(self, settings, device):
         return self
 
     def lower(self, *arguments):
@@ -68,11 +68,11 @@ SEEN = []
 
 
 def test_a_function_compiled_for_a_gpu_takes_the_gpus_branch_and_one_for_a_cpu_the_cpus():
-    lane_function, programs = Lowered("noted", abs, STEP), ExecutableCache()
+    lane_function, executables = Lowered("noted", abs, STEP), ExecutableCache()
     gpu = mock.Mock(spec=jax.Device, platform="gpu")  # none is here
-    programs.get(lane_function, Settings(), gpu, (np.zeros(1),))
+    executables.get(lane_function, Settings(), gpu, (np.zeros(1),))
     with compiled_for(GPU):
-        programs.get(lane_function, Settings(), jax.devices("cpu")[0], (np.zeros(1),))
+        executables.get(lane_function, Settings(), jax.devices("cpu")[0], (np.zeros(1),))
     assert SEEN == [GPU, CPU]
 
 

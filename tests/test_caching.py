@@ -52,7 +52,7 @@ def test_the_obstacles_of_a_workpiece_leave_the_device_with_it():
 class Compiled(LaneFunction):
     """A function that needs no compiling and counts how often it is compiled."""
 
-    def program(self, settings, device):
+    def jitted(self, settings, device):
         return self
 
     def lower(self, *arguments):
@@ -70,9 +70,9 @@ class Counts(list):
 
 
 def test_executables_beyond_the_most_are_dropped_those_first_that_were_not_asked_for_the_longest():
-    programs, device = ExecutableCache(most=2), jax.devices()[0]
+    executables, device = ExecutableCache(most=2), jax.devices()[0]
     a, b, c = (Compiled(name, abs, STEP, parts=(Counts(),)) for name in "abc")
     for each in (a, b, a, c, a, b):
-        programs.get(each, Settings(), device, (np.zeros(1),))
-        assert len(programs) <= 2
+        executables.get(each, Settings(), device, (np.zeros(1),))
+        assert len(executables) <= 2
     assert [len(each.parts[0]) for each in (a, b, c)] == [1, 2, 1]

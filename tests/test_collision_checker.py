@@ -241,16 +241,16 @@ def test_every_thread_gets_a_checker_and_its_share_of_the_rows():
 def test_goals_follow_the_targets_of_an_approach_that_left_its_lines():
     one = poses()[0]
     first, goals = int(one.on_path), np.arange(4.0 * len(one.targets)).reshape(-1, 4)
-    problem = problem_of([replace(one, goals=goals)] * 2)
+    problem = problem_of([replace(one, task_goals=goals)] * 2)
     plans = problem.empty_plans()
     assert problem.as_planned(plans) is problem
     plans.target[1, 1:first] = plans.target[1, first]
     there = problem.as_planned(plans)
     np.testing.assert_array_equal(there.scenarios.targets, plans.target)
-    np.testing.assert_array_equal(there.scenarios.goals[0], goals)
-    assert (there.scenarios.goals[1, 1:first] == goals[first]).all() and there.checkers is problem.checkers
+    np.testing.assert_array_equal(there.scenarios.task_goals[0], goals)
+    assert (there.scenarios.task_goals[1, 1:first] == goals[first]).all() and there.checkers is problem.checkers
     np.testing.assert_array_equal(
-        np.delete(there.scenarios.goals[1], range(1, first), 0), np.delete(goals, range(1, first), 0)
+        np.delete(there.scenarios.task_goals[1], range(1, first), 0), np.delete(goals, range(1, first), 0)
     )
 
 

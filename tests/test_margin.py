@@ -58,10 +58,10 @@ def test_on_the_device_too():
 def test_a_margin_of_nothing_asks_for_a_clearance_above_zero():
     clearance = np.array([-1e-9, 0.0, 1e-12, 5e-4, 4.999e-4])
     np.testing.assert_array_equal(
-        TCP_POSITION.counts(clearance, np.zeros(()), np.zeros(())), [False, False, True, True, True]
+        TCP_POSITION.is_satisfied(clearance, np.zeros(()), np.zeros(())), [False, False, True, True, True]
     )
     np.testing.assert_array_equal(
-        TCP_POSITION.counts(clearance, np.zeros(()), np.array(5e-4)), [False, False, False, True, False]
+        TCP_POSITION.is_satisfied(clearance, np.zeros(()), np.array(5e-4)), [False, False, False, True, False]
     )
 
 

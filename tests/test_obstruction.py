@@ -69,8 +69,8 @@ def test_the_arm_is_brought_to_where_the_task_is_held():
     arm, part, scenario = scene(job)
     task, known = task_of_job(job, arm), (arm, part, scenario, np.array(START), 60, SETTINGS)
     held = obstruction(*known, task=task)
-    free = obstruction(arm, part, replace(scenario, goals=None), *known[3:])
-    off = [float(task.off(arm, jnp.asarray(found.x), jnp.asarray(scenario.goals[60]))) for found in (held, free)]
+    free = obstruction(arm, part, replace(scenario, task_goals=None), *known[3:])
+    off = [float(task.off(arm, jnp.asarray(found.x), jnp.asarray(scenario.task_goals[60]))) for found in (held, free)]
     assert held.reached and off[0] <= SETTINGS.tolerance_m < off[1]
 
 
@@ -79,9 +79,9 @@ def test_a_pose_out_of_reach_is_off_by_a_length_and_an_angle():
     rows = [{"point": "tcp", "on": "path"}, {"orientation": [1.0, 0.0, 0.0, 0.0]}]
     job = load_config({"task": rows})
     arm, part, scenario = scene(job)
-    targets, goals = scenario.targets.copy(), scenario.goals.copy()
+    targets, goals = scenario.targets.copy(), scenario.task_goals.copy()
     targets[60] = goals[60, :3] = [0.0, 0.0, 9.0]
-    far = replace(scenario, targets=targets, goals=goals)
+    far = replace(scenario, targets=targets, task_goals=goals)
     found = obstruction(arm, part, far, np.array(START), 60, SETTINGS, task=task_of_job(job, arm))
     off = np.linalg.norm(np.asarray(tcp_position(arm, jnp.asarray(found.x))) - targets[60])
     assert not found.reached and found.residual_m == pytest.approx(off, abs=1e-9) and found.angle_rad > 1e-3

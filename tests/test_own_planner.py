@@ -185,6 +185,6 @@ def test_nothing_is_imported_before_a_name_is_looked_up():
         "import sys, htcp_jax.jobs.config, htcp_jax.planning.registry; "
         "own = tuple(f'htcp_jax.{package}.' for package in ('device', 'motion', 'planning')); "
         "loaded = [name for name in sys.modules if name.startswith(own)]; "
-        "assert loaded == ['htcp_jax.planning.registry'], loaded"
+        "assert loaded == ['htcp_jax.planning.method', 'htcp_jax.planning.registry'], loaded"
     )
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": str(ROOT)})

@@ -102,9 +102,9 @@ def test_stacked_scenarios_keep_their_own_numbers_and_pad_their_targets_with_the
     np.testing.assert_array_equal(both.targets[0, :100], short.targets)
     np.testing.assert_array_equal(both.targets[0, 100:], np.tile(short.targets[-1], (5, 1)))
     np.testing.assert_array_equal(both.targets[1], long.targets)
-    assert both.goals is None and all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(both))
+    assert both.task_goals is None and all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(both))
     goals = [np.arange(2.0 * len(one.targets)).reshape(-1, 2) for one in (short, long)]
-    both = stack([replace(one, goals=own) for one, own in zip((short, long), goals, strict=True)])
+    both = stack([replace(one, task_goals=own) for one, own in zip((short, long), goals, strict=True)])
     np.testing.assert_array_equal(both.goals[0, 98:], [[196, 197], *[[198, 199]] * 6])
 
 

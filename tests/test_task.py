@@ -101,9 +101,9 @@ def test_a_step_without_a_choice_that_breaks_a_limit_is_infeasible():
 def test_the_success_criterion_is_clear_by_the_margin_and_on_the_target():
     task = Task(tolerance_m=1e-3)
     clearance, residual = np.array([-1e-9, 0.0, 1e-9, 4e-4, 5e-4]), np.array([0.0, 1e-3, 1.001e-3, 0.0, 1e-3])
-    np.testing.assert_array_equal(task.counts(clearance, 0.0, 0.0), [False, False, True, True, True])
-    np.testing.assert_array_equal(task.counts(1.0, residual, 0.0), [True, True, False, True, True])
-    np.testing.assert_array_equal(task.counts(clearance, residual, 5e-4), [False, False, False, False, True])
+    np.testing.assert_array_equal(task.is_satisfied(clearance, 0.0, 0.0), [False, False, True, True, True])
+    np.testing.assert_array_equal(task.is_satisfied(1.0, residual, 0.0), [True, True, False, True, True])
+    np.testing.assert_array_equal(task.is_satisfied(clearance, residual, 5e-4), [False, False, False, False, True])
 
 
 def test_a_task_that_is_none_is_refused():

@@ -33,7 +33,7 @@ def made(*rows, **more):
 def test_a_job_without_a_task_has_the_papers_and_so_has_one_that_writes_it_out():
     for rows in ((), (ON_PATH,)):
         task, scenario = made(*rows)
-        assert task == TCP_POSITION and scenario.goals is None and scenario.aims is scenario.targets
+        assert task == TCP_POSITION and scenario.task_goals is None and scenario.goals is scenario.targets
 
 
 def test_the_rows_follow_from_the_list():
@@ -57,9 +57,9 @@ def test_the_rows_follow_from_the_list():
 def test_a_point_held_in_all_directions_is_a_place_whatever_frame_they_are_of():
     for frame in ("workpiece", "path"):
         task, scenario = made({**ON_PATH, "frame": frame})
-        assert task == TCP_POSITION and scenario.goals is None
+        assert task == TCP_POSITION and scenario.task_goals is None
     task, scenario = made({"point": "tcp", "on": [1.0, 0.0, 1.0]})
-    assert task == TCP_POSITION and (scenario.goals[11:] == (1.0, 0.0, 1.0)).all()
+    assert task == TCP_POSITION and (scenario.task_goals[11:] == (1.0, 0.0, 1.0)).all()
 
 
 def test_before_the_path_rows_are_eased_so_that_the_start_is_on_its_target():
@@ -68,9 +68,9 @@ def test_before_the_path_rows_are_eased_so_that_the_start_is_on_its_target():
                  [ON_PATH, {"axis": "tcp.x", "looks_at_m": [0, 0, 3]}]):  # fmt: skip
         task, scenario = made(*rows)
         robot, x = made_once.robot(), jnp.asarray(made_once.START)
-        assert task.off(robot, x, jnp.asarray(scenario.goals[0])) < 1e-9
-        np.testing.assert_allclose(scenario.goals[10], scenario.goals[11], atol=1e-9)  # of the first point
-        assert scenario.goals.shape == (105, task.numbers)
+        assert task.off(robot, x, jnp.asarray(scenario.task_goals[0])) < 1e-9
+        np.testing.assert_allclose(scenario.task_goals[10], scenario.task_goals[11], atol=1e-9)  # of the first point
+        assert scenario.task_goals.shape == (105, task.numbers)
 
 
 def test_a_cone_is_data_so_scenarios_of_one_grid_share_their_programs():
@@ -79,8 +79,8 @@ def test_a_cone_is_data_so_scenarios_of_one_grid_share_their_programs():
         {"task": [ON_PATH, CONE]},
     )
     batch = sweep.batch()
-    assert len(batch.cells) == 1 and batch.scenarios.goals.shape == (6, 105, 7)
-    np.testing.assert_allclose(np.rad2deg(batch.scenarios.goals[:, -1, 6]), [90, 90, 60, 60, 30, 30])
+    assert len(batch.cells) == 1 and batch.scenarios.task_goals.shape == (6, 105, 7)
+    np.testing.assert_allclose(np.rad2deg(batch.scenarios.task_goals[:, -1, 6]), [90, 90, 60, 60, 30, 30])
     assert dict(batch.points[0].varied) == {"task.2.cone_deg": "90.0"}
     assert sweep.config.task[1].cone_deg == 60  # the configuration is unchanged
 
@@ -174,9 +174,9 @@ def test_a_path_file_brings_its_normals_tangents_and_quaternions(tmp_path):
         {"orientation": "path"}, workpiece={"path": str(weld_file(tmp_path, "qw,qx,qy,qz", columns[6:]))}
     )
     wanted = np.asarray(scenario.T_world_workpiece)[:3, :3] @ turn.as_matrix()
-    np.testing.assert_allclose(scenario.goals[50].reshape(3, 3), wanted, atol=1e-12)
+    np.testing.assert_allclose(scenario.task_goals[50].reshape(3, 3), wanted, atol=1e-12)
     own = np.asarray(tcp_pose(made_once.robot(), jnp.asarray(made_once.START)))[:3, :3]
-    np.testing.assert_allclose(scenario.goals[0].reshape(3, 3), own, atol=1e-12)
+    np.testing.assert_allclose(scenario.task_goals[0].reshape(3, 3), own, atol=1e-12)
     assert task.rows == 3
 
 

@@ -108,7 +108,7 @@ def test_an_approach_in_free_space_ends_in_the_cone():
     one = first_of(one, 16)
     targets, goals = one.targets.copy(), one.goals.copy()
     targets[5], goals[5, :3] = 9.0, 9.0
-    one = replace(one, targets=targets, goals=goals)
+    one = replace(one, targets=targets, task_goals=goals)
     plans = plan(robot, part, one, "beam", replace(SMALL, smooth=True), task=task_of_job(job, robot))
     assert plans.executable.all()
     assert not broken(job, part, one, plans.x[0, 1:], np.arange(1, 16))

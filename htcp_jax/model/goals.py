@@ -107,7 +107,7 @@ def with_goals(
         columns.append(np.concatenate([eased, wanted]))
         v, follows = v + size, follows or leads
     _check_axes(rows, task, columns, before)
-    return replace(scenario, goals=np.concatenate(columns, axis=1))
+    return replace(scenario, task_goals=np.concatenate(columns, axis=1))
 
 
 def _jacobian_rank(robot: Robot, rows: Sequence[TaskRowKind], task: Task) -> int:

@@ -39,7 +39,7 @@ class Scenario:
     tool_extension_m: Float[Anywhere, "*S"]
     number: Int[Anywhere, "*S"]  # identity, from which the random keys are folded
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status of a scenario that is not planned
-    goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
+    task_goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
     obstacle_numbers: Float[Anywhere, "*S P"] | None = None  # of the kinds of obstacles [m]; None: there are none
 
     @property
@@ -48,9 +48,9 @@ class Scenario:
         return np.asarray(np.isnan(self.x_home).any(axis=-1))
 
     @property
-    def aims(self) -> Float[Anywhere, "*S T G"]:
+    def goals(self) -> Float[Anywhere, "*S T G"]:
         """The task's goals at every target."""
-        return self.targets if self.goals is None else self.goals
+        return self.targets if self.task_goals is None else self.task_goals
 
 
 def path_targets(
@@ -198,7 +198,7 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
         return None if rows is None else np.concatenate([rows, np.repeat(rows[-1:], longest - len(rows), axis=0)])
 
     padded = [
-        jax.tree.map(np.asarray, Scenario(**{**vars(s), "targets": pad(s.targets), "goals": pad(s.goals)}))
+        jax.tree.map(np.asarray, Scenario(**{**vars(s), "targets": pad(s.targets), "task_goals": pad(s.task_goals)}))
         for s in scenarios
     ]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
@@ -214,9 +214,9 @@ def off_their_lines(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> Scen
     s, first = np.arange(len(which)), np.minimum(scenarios.on_path, which.shape[1] - 1)
     targets, goals = (
         None if table is None else np.where(which[..., None], table[s, first][:, None], table)
-        for table in (scenarios.targets, scenarios.goals)
+        for table in (scenarios.targets, scenarios.task_goals)
     )
-    return replace(scenarios, targets=targets, goals=goals)
+    return replace(scenarios, targets=targets, task_goals=goals)
 
 
 _TCP, _LONGER = jax.jit(tcp_position), jax.jit(lengthen_tool)

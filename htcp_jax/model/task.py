@@ -221,7 +221,7 @@ class Task:
         """Return True where the residual [m] is within the tolerance; elementwise, numpy or JAX."""
         return residual <= self.tolerance_m
 
-    def counts(self, clearance: Numbers, residual: Numbers, margin_m: Numbers) -> Numbers:
+    def is_satisfied(self, clearance: Numbers, residual: Numbers, margin_m: Numbers) -> Numbers:
         """Return True where a configuration is accepted; elementwise, numpy or JAX.
 
         The only acceptance test, on the host and on the device: D > 0, D >= margin_m, and the target reached. A margin

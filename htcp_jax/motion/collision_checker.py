@@ -37,7 +37,7 @@ class CollisionChecker:
     compiled functions in the same scene.
 
     Args:
-        lane functions: Runs compiled functions in the scene.
+        executor: Runs compiled functions in the scene.
         settings: Settings of the planner.
         guard: The walls that the tool's bare tip must not pass through; None if it may touch anywhere.
     """
@@ -59,7 +59,7 @@ class CollisionChecker:
 
     def valid(self, inputs: LaneInputs, at: State, among: Rows | bool = True) -> Rows:
         """Return True for states of `among` that satisfy the task and the margin, with the bare tip out of walls."""
-        return self.tip_free(inputs, at.x, self.task.counts(at.clearance, at.residual, inputs.margin_m) & among)
+        return self.tip_free(inputs, at.x, self.task.is_satisfied(at.clearance, at.residual, inputs.margin_m) & among)
 
     def tip_free(self, inputs: LaneInputs, q: Configurations, among: Rows) -> Rows:
         """Return True for configurations of `among` whose bare tip passes through no wall."""
@@ -99,7 +99,7 @@ class CollisionChecker:
             resolution_m: D is proven to be more than minus that, see `prove`.
             deepest: Most halvings, see `prove`.
             tip: False if the tip is not checked; else it is at PLACES - 1 places between a and b, and the verdict of a
-                path on which it passes through a wall is COLLIDES.
+                path on which it passes through a wall is IN_COLLISION.
         """
         proof = self.executor(*prove_call(self.task, inputs, a, b, tube, kept, resolution_m, deepest))
         if self._guard is None or not tip:

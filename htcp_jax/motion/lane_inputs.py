@@ -45,7 +45,7 @@ def lane_inputs(
         margin_m=scenarios.margin_m[scenario],
         tool_extension_m=scenarios.tool_extension_m[scenario],
         number=scenarios.number[scenario],
-        target=scenarios.aims[scenario, row],
+        target=scenarios.goals[scenario, row],
         row=row,
         round=np.full(row.shape, round_, np.int32),
         seed=np.full(row.shape, seed, np.int64),

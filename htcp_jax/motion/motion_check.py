@@ -53,7 +53,7 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
         return motion_proof.Tube(
             np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows
         )
-    a, b = (task.tcp_place(scenarios.aims[scenario, row]) for row in (np.maximum(target - 1, 0), target))
+    a, b = (task.tcp_place(scenarios.goals[scenario, row]) for row in (np.maximum(target - 1, 0), target))
     a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
     return motion_proof.Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, problem.settings.tube_m), *rows)
 
@@ -68,7 +68,7 @@ def _goals_at_ends(
     if problem.task.parts == tasks.TCP_POSITION.parts:
         return ()
     scenarios, before = problem.scenarios, np.maximum(target - 1, 0)
-    goals = np.stack([scenarios.aims[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)
+    goals = np.stack([scenarios.goals[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)
     return goals, target > scenarios.on_path[scenario]
 
 

@@ -134,7 +134,7 @@ def track(
     most = jnp.minimum(iteration + STEPS_PER_CHUNK, settings.max_step_qps)
 
     def going(tracked: TrackingState):
-        here = scene.task.counts(tracked.now.clearance, tracked.now.residual, lane.margin_m)
+        here = scene.task.is_satisfied(tracked.now.clearance, tracked.now.residual, lane.margin_m)
         reached = here & (tracked.iteration > 0)
         return ~reached & (tracked.verdict == step_qp.QPStatus.SOLVED) & (tracked.iteration < most)
 

@@ -331,9 +331,9 @@ def _with_refused(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raise
 
 def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:
     task.freedom(robot)
-    if scenarios.goals is None and (given := scenarios.targets.shape[-1]) != task.rows:
+    if scenarios.task_goals is None and (given := scenarios.targets.shape[-1]) != task.rows:
         raise InputError(f"the task has {task.rows} rows, the targets have {given}")
-    if scenarios.goals is not None and (given := scenarios.goals.shape[-1]) != task.numbers:
+    if scenarios.task_goals is not None and (given := scenarios.task_goals.shape[-1]) != task.numbers:
         raise InputError(f"the task has {task.numbers} numbers at a target, the goals have {given}")
 
 

@@ -209,11 +209,11 @@ def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> 
     For scenarios that have not reached a target before the path these are that target and the following ones up to the
     path's first point.
     """
-    aims, on_path = scenarios.aims, scenarios.on_path[rows]
-    leave = (0 < target) & (target < on_path) & (aims[rows, target] != aims[rows, on_path]).any(axis=1)
-    which = np.zeros(aims.shape[:2], bool)
+    goals, on_path = scenarios.goals, scenarios.on_path[rows]
+    leave = (0 < target) & (target < on_path) & (goals[rows, target] != goals[rows, on_path]).any(axis=1)
+    which = np.zeros(goals.shape[:2], bool)
     which[rows[leave], target:] = True
-    return which & (np.arange(aims.shape[1]) < scenarios.on_path[:, None])
+    return which & (np.arange(goals.shape[1]) < scenarios.on_path[:, None])
 
 
 def _upper_bounds(executor: Executor, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:

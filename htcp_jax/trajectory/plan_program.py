@@ -174,8 +174,8 @@ def program_of_plans(
         why = end.segment_status.message if end.executable < end.tracked else "the next one is not tracked"
         raise InputError(f"{name}: a motion leads to {end.executable} of {end.targets} targets; {why}")
     robot = robots.lengthen_tool(build.robot_of(job.robot, job.cell), job.robot.tool_extension_m)
-    aims = build.scene(job)[2].aims if job.task else None
-    return timed_plan(plans, scenario, job, robot, aims, feed_m_s, method, retract=retract)
+    goals = build.scene(job)[2].goals if job.task else None
+    return timed_plan(plans, scenario, job, robot, goals, feed_m_s, method, retract=retract)
 
 
 def timed_plan(
@@ -183,7 +183,7 @@ def timed_plan(
     scenario: int,
     job: PlanConfig,
     robot: Robot,
-    aims: Float[np.ndarray, "T G"] | None,
+    goals: Float[np.ndarray, "T G"] | None,
     feed_m_s: float,
     method: str,
     *,
@@ -196,7 +196,7 @@ def timed_plan(
         scenario: Row of the plan.
         job: The scenario's job.
         robot: With the job's tool.
-        aims: Goals of its scenario [m, rad], if the job has a task; else None.
+        goals: Goals of its scenario [m, rad], if the job has a task; else None.
         feed_m_s: Feed of the TCP on the path.
         method: The method, for the result.
         retract: Append the motion back.
@@ -209,8 +209,8 @@ def timed_plan(
     left = motion_slack(plans, scenario, whole, job.settings.tube_m)
     if job.cell.self_collision:
         left = left._replace(clearance=0.5 * left.clearance)  # two bodies may move towards each other
-    if aims is not None:
-        left = with_rows(left, job, robot, whole, aims)
+    if goals is not None:
+        left = with_rows(left, job, robot, whole, goals)
     return PlanProgram(time_motion(robot, whole, left, limits, feed_m_s), robot, job, limits, method)
 
 

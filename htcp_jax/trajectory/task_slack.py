@@ -13,13 +13,13 @@ from htcp_jax.trajectory.row_slack import slack_of_rows
 
 
 def with_rows(
-    left: MotionSlack, job: PlanConfig, robot: Robot, motion: Motion, aims: Float[np.ndarray, "T G"]
+    left: MotionSlack, job: PlanConfig, robot: Robot, motion: Motion, goals: Float[np.ndarray, "T G"]
 ) -> MotionSlack:
     """Add the slack of the job's task next to each leg, unlimited off the path.
 
     If the task does not constrain the TCP's position, the TCP has no tube.
 
-    robot: with the job's tool; aims: goals of the task at each target, see `Scenario`. Raises InputError for a task
+    robot: with the job's tool; goals: goals of the task at each target, see `Scenario`. Raises InputError for a task
     with a row that has no bound between two configurations.
     """
     task = build.task_of_job(job, robot)
@@ -29,5 +29,5 @@ def with_rows(
     target, kind = motion.target[1:], motion.kind[1:]
     before = np.where(kind == Kind.DWELL, target, np.maximum(target - 1, 0))
     on = np.isin(kind, (Kind.PROCESS, Kind.DWELL))
-    rows = slack_of_rows(task, robot, motion.x, np.stack([aims[before], aims[target]], axis=1), on)
+    rows = slack_of_rows(task, robot, motion.x, np.stack([goals[before], goals[target]], axis=1), on)
     return left._replace(tube=left.tube if task.holds_tcp else np.full_like(left.tube, np.inf), rows=rows)

@@ -158,10 +158,10 @@ class _Timer:
         if not plans.outcome(scenario).can_be_driven:
             return None
         arm = self._arm(job)
-        aims = build.scenario_of(job, arm, self._part(job, arm)).aims if job.task else None
+        goals = build.scenario_of(job, arm, self._part(job, arm)).goals if job.task else None
         robot = robots.lengthen_tool(arm, job.robot.tool_extension_m)
         try:
-            made = timed_plan(plans, scenario, job, robot, aims, self.requested.feed_m_s, method)
+            made = timed_plan(plans, scenario, job, robot, goals, self.requested.feed_m_s, method)
         except InputError:  # limits and feed are valid: the arm never moves
             return None
         return _TimedScenario(program_figures(made.program, made.limits), self._timed(made), np.asarray(robot.effort))

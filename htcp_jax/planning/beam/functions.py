@@ -73,7 +73,7 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
 
     def extended(state) -> Extension:
         here, *_, count = state
-        reached = task.counts(here.clearance, here.residual, lane.margin_m)
+        reached = task.is_satisfied(here.clearance, here.residual, lane.margin_m)
         return Extension(here._replace(linear=None), reached, jnp.maximum(count - 1, 0))
 
     straight, _ = inverse_kinematics.reanchor(robot, x, lane.target, task.fine_m, task=task)
@@ -115,7 +115,7 @@ def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
         ahead = jnp.clip(x + settings.self_motion_step_rad * direction, robot.lower, robot.upper)
         there, residual = inverse_kinematics.reanchor(robot, ahead, lane.target, task.fine_m, task=task)
         D = clearance(robot, scene.obstacles, lane, there)
-        good = task.counts(D, residual, lane.margin_m)
+        good = task.is_satisfied(D, residual, lane.margin_m)
         good &= safe_norm(there - x) >= LEAST_STEP * settings.self_motion_step_rad
         here = step_functions.State(there, clearance=D, residual=residual, tcp=kinematics.tcp_position(robot, there))
         path = jax.tree.map(lambda all_, new: all_.at[steps].set(jnp.where(good, new, all_[steps])), path, here)

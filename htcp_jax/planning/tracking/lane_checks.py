@@ -37,7 +37,7 @@ class LaneChecks:
 
     def keeps_margin(self, lanes: Lanes, here: step_functions.State) -> np.ndarray:
         """Return True for lanes on their target with the required margin."""
-        return self.executor.task.counts(here.clearance, here.residual, self._scenarios.margin_m[lanes.scenario])
+        return self.executor.task.is_satisfied(here.clearance, here.residual, self._scenarios.margin_m[lanes.scenario])
 
     def tip_free(self, lanes: Lanes, x: np.ndarray, among: np.ndarray) -> np.ndarray:
         """Return True for lanes of `among` whose bare tip at x is outside of the walls.

@@ -52,7 +52,7 @@ def with_separate_errors(problem: Problem, plans: Plans) -> Plans:
         return plans
     residual, angle, scenarios = plans.residual.copy(), plans.orientation_error.copy(), problem.scenarios
     for s in np.flatnonzero(plans.tracked.any(axis=1)).tolist():
-        found = _errors(problem.task, problem.robot, scenarios.tool_extension_m[s], plans.x[s], scenarios.goals[s])
+        found = _errors(problem.task, problem.robot, scenarios.tool_extension_m[s], plans.x[s], scenarios.task_goals[s])
         for column, values in zip((residual, angle), found, strict=True):
             column[s] = np.where(plans.tracked[s], values, np.nan)
     return plans._replace(residual=residual, orientation_error=angle)

@@ -108,7 +108,7 @@ def best_nspace_samples(
     """
     x, near, _ = nspace_samples(scene, settings, where, stuck, step_rad)
     here = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
-    done = near & scene.task.counts(here.clearance, here.residual, where.margin_m)
+    done = near & scene.task.is_satisfied(here.clearance, here.residual, where.margin_m)
     rank = jnp.where(near & ~done, here.clearance, -jnp.inf)
     worth = rank >= jax.lax.top_k(rank, keep)[0][-1]
     return Candidates(here.x, done | (near & worth & ~jnp.any(done)), done)

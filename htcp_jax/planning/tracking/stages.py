@@ -112,7 +112,7 @@ def take_null_space_steps(
     stuck = stuck_at(lane, x_previous, index)
 
     def going(there: NullSpaceState):
-        here = scene.task.counts(there.now.clearance, there.now.residual, lane.margin_m)
+        here = scene.task.is_satisfied(there.now.clearance, there.now.residual, lane.margin_m)
         return ~(here & (there.null_space_steps > null_space_steps)) & (there.null_space_steps < most)
 
     def step(here: Scene, there: NullSpaceState) -> NullSpaceState:
