@@ -43,19 +43,19 @@ def test_a_point_that_no_configuration_reaches_is_out_of_reach():
     """Only a straight arm would get there, and the second joint stops at 120 degrees."""
     found = cause_of(around(POINT, 3.0), Status.NO_START, path=np.array([0.0, 0.0, -0.65]))
     assert found.body is None
-    assert found.description.startswith("out of reach: in 512 attempts the arm came only to within ")
+    assert found.description.startswith("out of reach: in 2048 attempts the arm came only to within ")
     assert 50 < float(found.description.split()[-4]) < 500
 
 
 def test_a_point_that_is_reached_in_collision_alone_names_the_pairs():
     found = cause_of(around(POINT, 0.06), Status.NO_START)
     assert (found.body, found.other) == ("tool", "the workpiece") and found.depth_m > 0
-    assert "of 512 attempts reached it, all in collision, the least by" in found.description
+    assert "of 2048 attempts reached it, all in collision, the least by" in found.description
     assert "capsule tool with the workpiece (" in found.description
 
 
 def test_a_point_that_is_reached_is_never_called_out_of_reach():
-    assert cause_of(around(POINT, 3.0), Status.NO_START).description == "nothing was found in 512 attempts"
+    assert cause_of(around(POINT, 3.0), Status.NO_START).description == "nothing was found in 2048 attempts"
 
 
 def test_bodies_that_overlap_in_every_random_configuration_are_named():

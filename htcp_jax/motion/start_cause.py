@@ -17,9 +17,10 @@ from htcp_jax.clearance.obstacles import of_workpiece, self_collision
 from htcp_jax.device import devices, lane_function, tables
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import robot as robots
+from htcp_jax.motion.home import FIRST_ROUND, ROUNDS
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.transfers import DRAWS, drawn_configurations
+from htcp_jax.motion.transfers import drawn_configurations
 from htcp_jax.settings import Settings
 from htcp_jax.status import AT_HOME, Status
 
@@ -87,7 +88,7 @@ def start_cause(problem: Problem, s: int, status: Status) -> StartCause:
 
 def standing_overlap(problem: Problem, s: int) -> StartCause | None:
     """Return the deepest overlap in a scenario that every configuration has; None without one."""
-    x = drawn_configurations(problem, problem.checkers[0], s, 0)
+    x = drawn_configurations(problem, problem.checkers[0], s, FIRST_ROUND)
     found = _Measured(problem, s, x)
     always = np.where(found.distance.max(axis=0) <= 0, -found.distance.max(axis=0), -np.inf)
     row = int(always.argmax())
@@ -126,11 +127,12 @@ class _Measured:
 
 
 def _without_start(problem: Problem, s: int) -> StartCause:
-    """Return the reason why no start was found at the first target, from the configurations that were tried first."""
+    """Return the reason why no start was found at the first target, from the configurations that were tried."""
     checker, scenarios, task = problem.checkers[0], problem.scenarios, problem.task
-    inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.zeros(DRAWS, int))
-    at = checker.states(inputs, checker.project(inputs, drawn_configurations(problem, checker, s, 0)))
-    reached, attempts = task.reached(at.residual), f"{DRAWS} attempts"
+    drawn = np.concatenate([drawn_configurations(problem, checker, s, FIRST_ROUND + k) for k in range(ROUNDS)])
+    inputs = lane_inputs(scenarios, np.full(len(drawn), s), np.zeros(len(drawn), int))
+    at = checker.states(inputs, checker.project(inputs, drawn))
+    reached, attempts = task.reached(at.residual), f"{len(drawn)} attempts"
     if not reached.any():
         best = int(np.argmin(at.residual))
         robot = robots.lengthen_tool(problem.robot, float(scenarios.tool_extension_m[s]))
@@ -145,9 +147,11 @@ def _without_start(problem: Problem, s: int) -> StartCause:
             return StartCause(f"nothing was found in {attempts}")
         margin = f"the margin of {_mm(float(scenarios.margin_m[s]))}, or with the tool's bare tip in a wall"
         return StartCause(f"in {clear} of {attempts} the arm reached it without collision, but with less than {margin}")
-    tried = Counter(found.pair(int(row), k) for k, row in enumerate(found.distance.argmin(axis=1)))
-    named = [f"{robots.capsule_in_words(problem.robot, a)} with {b} ({n})" for (a, b), n in tried.most_common(NAMED)]
-    (body, other), _ = tried.most_common(1)[0]
+    deepest = found.distance.argmin(axis=1)
+    tried = Counter(deepest.tolist()).most_common(NAMED)
+    pairs = [(*found.pair(row, int(np.argmax(deepest == row))), count) for row, count in tried]
+    named = [f"{robots.capsule_in_words(problem.robot, a)} with {b} ({count})" for a, b, count in pairs]
+    body, other, _ = pairs[0]
     best = _mm(-float(least.max()))
     text = f"{len(least)} of {attempts} reached it, all in collision, the least by {best}: {', '.join(named)}"
     return StartCause(text, body, other, -float(least.max()))
