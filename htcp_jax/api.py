@@ -104,9 +104,10 @@ class Plan:
         return {"motion length": f"{joints:.3g} rad in the joints; {1e3 * path:.4g} mm of the tool's path"}
 
     def _checked(self) -> dict[str, str]:
-        """Return the self-collision pairs and the fixtures that are checked, as labelled text."""
+        """Return the self-collision pairs and the fixtures that are checked, as labelled text; first those on links."""
         own = [each.described(self.robot) for each in self.obstacles if isinstance(each, self_collision.SelfCollision)]
-        names = [name for each in self.obstacles for name in each.names]
+        names = [self.robot.capsule_names[k] for k in self.robot.attached]
+        names += [name for each in self.obstacles for name in each.names]
         facts = {"self-collision": own[0]} if own else {}
         return facts | ({"fixtures": ", ".join(names)} if names else {})
 

@@ -68,6 +68,9 @@ class MujocoCell:
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
         own = {g: rules[name] for g in range(self._model.ngeom) if (name := _name(self._model, g)) in rules}
+        known = {each.name for each in own.values()} | {Path(cloud.cloud).stem for cloud in cell.clouds}
+        if unnamed := [name for name in rules if name not in known]:
+            raise InputError(f"{cell.model}: {unnamed[0]!r} is neither a geom's name nor a body's; name the geom")
         excluded = {g: frozenset(map(arm.link_of, each.exclude)) for g, each in own.items()}
         self.carried = [self._carried(g, each, excluded[g]) for g, each in own.items() if carriers[each.name]]
         drawn = self._data.geom_xpos.copy(), self._data.geom_xmat.copy()
