@@ -150,8 +150,10 @@ class MujocoCell:
 
     def _of_carried(self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses) -> Float[np.ndarray, "n"]:
         """Distance of the fixtures that move with links to everything but the workpiece [m]."""
+        if not self.carried:
+            return np.full(len(x), np.inf)
         found = self._carried_distances(x, arm_poses, self._carried_pairs).min(axis=1, initial=np.inf)
-        for wall in self.walls if self.carried else ():
+        for wall in self.walls:
             found = np.minimum(found, wall.carried_clearance(x, found))
         return found
 
