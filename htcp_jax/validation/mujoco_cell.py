@@ -54,12 +54,13 @@ class MujocoCell:
             spec.worldbody.add_geom(name=f"shape {k} of the job", type=_TYPES[shape.kind], size=size)
         rules = {each.name: each for each in cell.fixtures}
         carriers = {name: arm.link_of(each.parent) for name, each in rules.items()}
-        for k, cloud in enumerate(cell.clouds):
-            if carriers.get(Path(cloud.cloud).stem):
+        stems = {f"cloud {k} of the job": Path(cloud.cloud).stem for k, cloud in enumerate(cell.clouds)}
+        for (name, stem), cloud in zip(stems.items(), cell.clouds, strict=True):
+            if carriers.get(stem):
                 R, t = _pose_of(cloud.base_m, cloud.base_rpy_rad)
                 corners = load_geometry(cloud.cloud).triangles.reshape(-1, 3) @ R.T + t
-                spec.add_mesh(name=f"cloud {k} of the job", uservert=corners.ravel())
-                spec.worldbody.add_geom(name=Path(cloud.cloud).stem, type=_MESH, meshname=f"cloud {k} of the job")
+                spec.add_mesh(name=name, uservert=corners.ravel())
+                spec.worldbody.add_geom(name=name, type=_MESH, meshname=name)
         try:
             self._model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
@@ -67,8 +68,9 @@ class MujocoCell:
         self._bodies = [self._model.geom(f"body {k} of the arm").id for k in range(len(arm.radius))]
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
-        own = {g: rules[name] for g in range(self._model.ngeom) if (name := _name(self._model, g)) in rules}
-        known = {each.name for each in own.values()} | {Path(cloud.cloud).stem for cloud in cell.clouds}
+        names = [_name(self._model, g) for g in range(self._model.ngeom)]
+        own = {g: rules[stem] for g, name in enumerate(names) if (stem := stems.get(name, name)) in rules}
+        known = {each.name for each in own.values()} | set(stems.values())
         if unnamed := [name for name in rules if name not in known]:
             raise InputError(f"{cell.model}: {unnamed[0]!r} is neither a geom's name nor a body's; name the geom")
         excluded = {g: frozenset(map(arm.link_of, each.exclude)) for g, each in own.items()}
