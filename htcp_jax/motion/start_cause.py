@@ -46,6 +46,7 @@ def start_causes(
     settings: Settings,
     task: Task,
     obstacles: Obstacles,
+    rounds: int = ROUNDS,
 ) -> dict[int, StartCause]:
     """Return the reasons why scenarios cannot begin, by their rows; none for rows with another status.
 
@@ -57,26 +58,28 @@ def start_causes(
         settings: The settings that they were planned with.
         task: The task.
         obstacles: In addition to the workpiece.
+        rounds: Rounds of draws for a start that are looked at.
     """
     rows = np.flatnonzero(np.isin(status, CAUSES)).tolist()
     if not rows:
         return {}
     known = of_workpiece.all_obstacles(workpiece, obstacles)
     problem = Problem(robot, workpiece, scenarios, settings, task, known, devices.choose(None)[:1], 1)
-    return {s: start_cause(problem, s, Status(int(status[s]))) for s in rows}
+    return {s: start_cause(problem, s, Status(int(status[s])), rounds) for s in rows}
 
 
-def start_cause(problem: Problem, s: int, status: Status) -> StartCause:
+def start_cause(problem: Problem, s: int, status: Status, rounds: int = ROUNDS) -> StartCause:
     """Return the reason why a scenario cannot begin.
 
     Args:
         problem: The problem.
         s: Row of the scenario.
         status: Its result, one of `CAUSES`.
+        rounds: Rounds of draws for a start that are looked at.
     """
     scenarios = problem.scenarios
     if status == Status.NO_START:
-        return standing_overlap(problem, s) or _without_start(problem, s)
+        return standing_overlap(problem, s) or _without_start(problem, s, rounds)
     x = scenarios.x_home[s] if status in AT_HOME else scenarios.x_start[s]
     found = _Measured(problem, s, x[None])
     if (depth := -found.distance[0]).max() <= 0:
@@ -126,10 +129,10 @@ class _Measured:
         return StartCause(text, name, other, depth_m, always)
 
 
-def _without_start(problem: Problem, s: int) -> StartCause:
+def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
     """Return the reason why no start was found at the first target, from the configurations that were tried."""
     checker, scenarios, task = problem.checkers[0], problem.scenarios, problem.task
-    drawn = np.concatenate([drawn_configurations(problem, checker, s, FIRST_ROUND + k) for k in range(ROUNDS)])
+    drawn = np.concatenate([drawn_configurations(problem, checker, s, FIRST_ROUND + k) for k in range(rounds)])
     inputs = lane_inputs(scenarios, np.full(len(drawn), s), np.zeros(len(drawn), int))
     at = checker.states(inputs, checker.project(inputs, drawn))
     reached, attempts = task.reached(at.residual), f"{len(drawn)} attempts"

@@ -220,7 +220,7 @@ def _causes(batch: grids.Batch, span: Span, plans: Plans) -> dict[int, start_cau
         own, rows = batch.cells[number], np.flatnonzero(cell == number)
         known = own.settings, own.task, own.obstacles
         some = start_cause.start_causes(
-            own.robot, own.workpiece, device_tables.gather(scenarios, rows), status[rows], *known
+            own.robot, own.workpiece, device_tables.gather(scenarios, rows), status[rows], *known, rounds=1
         )
         found |= {int(rows[s]): cause for s, cause in some.items()}
     return found
