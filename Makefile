@@ -18,8 +18,9 @@ CHECKED = $(patsubst %,tests/test_%.py,lint mathematics numerics kinematics sphe
 demo: $(VENV)/.installed  ## plan the default job
 	$(VENV)/bin/htcp plan
 
-lint: $(VENV)/.installed-test  ## style, imports, docstrings, shape annotations
+lint: $(VENV)/.installed-test  ## style, imports, docstrings, shape annotations, types
 	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy
 	$(VENV)/bin/python tests/lint.py
 
 check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan, bad inputs

@@ -29,8 +29,8 @@ from htcp_jax.report.charts.style import new_figure
 from htcp_jax.runs import Run
 from htcp_jax.runs.sweep import sweep
 
-Judge = Callable[[Float[np.ndarray, "n d"]], SearchResults]  # evaluates mountings in the unit cube
-Way = Callable[[Judge, int, int, int], None]  # of a number of dimensions, a budget and a seed
+Evaluate = Callable[[Float[np.ndarray, "n d"]], SearchResults]  # evaluates mountings in the unit cube
+Approach = Callable[[Evaluate, int, int, int], None]  # of a number of dimensions, a budget and a seed
 
 
 class Found(NamedTuple):
@@ -42,7 +42,7 @@ class Found(NamedTuple):
     complete: Float[np.ndarray, "n"]  # number of complete mountings so far
 
 
-def grid(scores: Judge, d: int, budget: int, seed: int) -> None:
+def grid(scores: Evaluate, d: int, budget: int, seed: int) -> None:
     """Evaluate a grid with as many points per axis as the budget allows, at the centres of equal parts.
 
     The first axes have one more.
@@ -55,12 +55,12 @@ def grid(scores: Judge, d: int, budget: int, seed: int) -> None:
     scores(np.stack([part.ravel() for part in parts], axis=1))
 
 
-def draws(scores: Judge, d: int, budget: int, seed: int) -> None:
+def draws(scores: Evaluate, d: int, budget: int, seed: int) -> None:
     """Evaluate uniform, independent random mountings."""
     scores(np.random.default_rng([seed, 2]).random((budget, d)))
 
 
-def search(scores: Judge, d: int, budget: int, seed: int) -> None:
+def search(scores: Evaluate, d: int, budget: int, seed: int) -> None:
     """Search as `htcp place` does: evenly, and then near the best."""
     rounds = int((1 - EVEN) * budget) // (FROM * POPULATION)
     evolution = Evolution(scores(even(d, 0, budget - rounds * FROM * POPULATION, seed)), 1, seed)
@@ -68,7 +68,7 @@ def search(scores: Judge, d: int, budget: int, seed: int) -> None:
         evolution.tell(scores(evolution.ask()))
 
 
-def differential(scores: Judge, d: int, budget: int, seed: int) -> None:
+def differential(scores: Evaluate, d: int, budget: int, seed: int) -> None:
     """Search by SciPy's differential evolution with its defaults, by generations, with the same score."""
     parents = max(5, min(15 * d, budget // 4))
     known: list[SearchResults] = []
@@ -88,7 +88,7 @@ def _fixed_score(known: SearchResults) -> Float[np.ndarray, "n"]:
     return np.where(known.complete, -1.0 - known.objective[:, 0], 1.0 - known.done)
 
 
-APPROACHES: dict[str, Way] = {
+APPROACHES: dict[str, Approach] = {
     "grid": grid,
     "random draws": draws,
     "htcp place": search,
@@ -135,7 +135,7 @@ def draw(found: list[Found]):
             how = {"color": f"C{k}", "linewidth": 1.2, "label": None if number else approach}
             left.plot(np.arange(1, len(each.complete) + 1), each.complete, **how)
             right.plot(np.arange(1, len(each.best_m) + 1), 1e3 * each.best_m, **how)
-    left.set_ylabel("mountings that do the whole work")
+    left.set_ylabel("complete mountings")
     right.set_ylabel("best clearance at the targets [mm]")
     for axes in (left, right):
         axes.set_xlabel("mountings evaluated")
@@ -148,7 +148,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path, nargs="?", default=Path("configs/place/duct.yaml"), metavar="PLACE.yaml")
     parser.add_argument(
-        "--scenarios", type=int, default=2000, help="Mountings that each way may evaluate by each seed."
+        "--scenarios", type=int, default=2000, help="Mountings that each approach may evaluate with each seed."
     )
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--threads", type=int)
@@ -164,7 +164,7 @@ def main() -> None:
               f"{1e3 * each.best_m[-1]:.2f} mm", flush=True)  # fmt: skip
     with (requested.out / "mountings.csv").open("w", newline="") as file:
         rows = csv.writer(file)
-        rows.writerow(["approach", "seed", "judged", "complete", "best_mm"])
+        rows.writerow(["approach", "seed", "evaluated", "complete", "best_mm"])
         rows.writerows(
             [e.approach, e.seed, len(e.complete), e.complete[-1], f"{1e3 * e.best_m[-1]:.3f}"] for e in found
         )

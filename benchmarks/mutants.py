@@ -196,7 +196,7 @@ def _lines(text: str, changed: str) -> tuple[str, str]:
         before = "\n".join(old[start : len(old) - behind])
         if f"\n{text}".count(f"\n{before}\n") == 1:
             return before, "\n".join(new[start : len(new) - behind])
-    raise AssertionError("the whole file is unique")
+    raise AssertionError("the complete file is unique")
 
 
 def _imported(file: Path) -> dict[str, int]:

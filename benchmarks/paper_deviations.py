@@ -123,7 +123,7 @@ def cmaes(runs: Runs) -> None:
 
     def minimise(sigma, is_random, penalty, is_mean, problem, seen, key, settings):
         population, dimension = settings.population, problem.curvature.shape[0]
-        strategy = cma_es.rates(population, dimension)
+        strategy = cma_es.strategy_parameters(population, dimension)
 
         def of(w):
             length = jnp.linalg.norm(w)
@@ -202,7 +202,7 @@ def null_space(runs: Runs) -> None:
 @contextmanager
 def jacobian_point(height_m: float) -> Iterator[None]:
     """Use the Jacobian of a point at this height above the TCP in the step QPs."""
-    own = step_functions.linearise
+    own = step_functions.linearisation.linearise
 
     def linearise(robot, obstacles, where, x, task, smallest=False):
         found = own(robot, obstacles, where, x, task, smallest)
@@ -211,7 +211,7 @@ def jacobian_point(height_m: float) -> Iterator[None]:
         return found._replace(task=found.task._replace(jacobian=wrong))
 
     EXECUTABLES.clear()
-    with mock.patch.object(step_functions, "linearise", linearise):
+    with mock.patch.object(step_functions.linearisation, "linearise", linearise):
         yield
     EXECUTABLES.clear()
 

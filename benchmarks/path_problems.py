@@ -29,7 +29,7 @@ CHECKED = {
 TOLERANCE = (1e-4, np.deg2rad(0.1))  # of CppFlow [m, rad]
 IKLINK, IKLINK_TOLERANCE = "iklink__panda", (1e-3, 0.01)
 MOST_BOXES, FAR_M = 4, -50.0  # boxes are padded by distant ones, so that one compilation serves all problems of an arm
-WAY_M = 0.02  # tolerance of the TCP's path between two waypoints, for which there are no rules
+SEGMENT_M = 0.02  # tolerance of the TCP's path between two waypoints, for which there are no rules
 
 
 class PathProblem(NamedTuple):
@@ -156,8 +156,8 @@ def read_chain(urdf: Path, base: str, tip: str, links: tuple[str, ...], moving: 
             link = into[link].parent
         chain += [joint for joint in segment_status if joint not in chain]
     requested = [joint.name for joint in chain if joint.moves] if moving is None else moving
-    on_way = [joint._replace(moves=joint.name in requested) for joint in chain]
-    return Arm(tuple(on_way), base, tip, {}, frozenset())
+    on_chain = [joint._replace(moves=joint.name in requested) for joint in chain]
+    return Arm(tuple(on_chain), base, tip, {}, frozenset())
 
 
 def _joint(element: Element) -> Joint | None:
@@ -221,7 +221,7 @@ def made(problem: PathProblem, folder: Path) -> dict[str, Any]:
         "settings": {
             "tolerance_m": problem.tolerance[0],
             "tolerance_rad": problem.tolerance[1],
-            "path_tolerance_m": WAY_M,
+            "path_tolerance_m": SEGMENT_M,
         },
     }
     if problem.name != IKLINK:

@@ -8,7 +8,7 @@ planned three times: to compile, without smoothing for the time to the first val
 results are checked by the published rules alone (`path_check`).
 
 Planning uses default settings and one thread per core. --runs N plans every problem N more times with other seeds, and
-with --effort times the settings beam_width, min_beam_width and self-motions; the table has the length relative to the
+with --effort times the settings beam_width, min_beam_width and self_motions; the table has the length relative to the
 shortest of them.
 """
 

@@ -38,7 +38,7 @@ def bring(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Brought:
     robot, task = scene.robot, scene.task
     x, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
     D = clearance(robot, scene.obstacles, lane, x)
-    return Brought(x, D, task.off(robot, x, lane.target), tcp_position(robot, x))
+    return Brought(x, D, task.residual_at(robot, x, lane.target), tcp_position(robot, x))
 
 
 BRING = LaneFunction("bring", bring, DEEP)

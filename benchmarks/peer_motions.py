@@ -34,7 +34,7 @@ OWN = "nspace-sqp", "hybrid", "beam"
 NAMES = (*OWN, *PEERS)
 
 
-class Judged(NamedTuple):
+class PlannerResults(NamedTuple):
     """Results of a planner."""
 
     plans: Plans
@@ -51,11 +51,11 @@ def rows(batch: Batch, names: list[str], limit_s: float):
     targets = int(batch.scenarios.count.sum())
     for name in names:
         try:
-            judged = _judged(batch, name, limit_s)
+            results = _planned(batch, name, limit_s)
         except ImportError:
             yield ROW.format(name, *["--"] * 5, PEERS[name][2])
             continue
-        ends = judged.plans.outcomes
+        ends = results.plans.outcomes
         good, refuted = (
             int(ends.executable.sum()),
             [
@@ -66,14 +66,11 @@ def rows(batch: Batch, names: list[str], limit_s: float):
         )
         by_pose = " ".join(str(count) for count in ends.executable.tolist())
         share, tracked = f"{100 * good / targets:.1f}", int(ends.tracked.sum())
-        note = (
-            f"{by_pose}; "
-            f"{', '.join(f'{refuted.count(way)} {way}' for segment_status in sorted(set(refuted))) or 'none'}"
-        )
-        yield ROW.format(name, good, share, tracked, f"{judged.cpu_s:.1f}", f"{judged.compile_s:.1f}", note)
+        note = f"{by_pose}; {', '.join(f'{refuted.count(name)} {name}' for name in sorted(set(refuted))) or 'none'}"
+        yield ROW.format(name, good, share, tracked, f"{results.cpu_s:.1f}", f"{results.compile_s:.1f}", note)
 
 
-def _judged(batch: Batch, name: str, limit_s: float) -> Judged:
+def _planned(batch: Batch, name: str, limit_s: float) -> PlannerResults:
     if name in PEERS and name not in registry.names():
         module, kind, _ = PEERS[name]
         made = getattr(importlib.import_module(module), kind)
@@ -88,4 +85,4 @@ def _judged(batch: Batch, name: str, limit_s: float) -> Judged:
     compile_s = run(replace(few, count=np.minimum(few.count, 3)) if name in PEERS else batch.scenarios).compile_s
     began = time.process_time()
     plans = run(batch.scenarios)
-    return Judged(plans, time.process_time() - began, compile_s + plans.compile_s)
+    return PlannerResults(plans, time.process_time() - began, compile_s + plans.compile_s)

@@ -92,7 +92,7 @@ class _Search:
         """Plan, target by target, and return the via points of the segments."""
         cell, x, segments = self._cell, self._cell.start, []
         for target in range(cell.count):
-            via_points, here = self._way(target, x)
+            via_points, here = self._segment(target, x)
             if here is None:
                 plans.status[cell.scenario, target] = Status.RECOVERY_EXHAUSTED
                 break
@@ -102,7 +102,7 @@ class _Search:
             x = here.x
         return segments
 
-    def _way(self, target: int, x: np.ndarray) -> tuple[np.ndarray, Brought | None]:
+    def _segment(self, target: int, x: np.ndarray) -> tuple[np.ndarray, Brought | None]:
         """Find via points to a target and the configuration there; None if the time is over."""
         here, none = self._cell.brought_clear(x[None], target), x[:0].reshape(0, len(x))
         if len(here.x) and self._cell.proven(x[None], here.x, target)[0]:

@@ -43,7 +43,7 @@ from htcp_jax.status import Status
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.result import ROUNDING_M
-from htcp_jax.validation.scene_rules import targets_of, turned_and_moved
+from htcp_jax.validation.scene_rules import part_pose, targets_of
 
 SWEEP = Path(__file__).resolve().parents[1] / "sweeps" / "workpiece.yaml"
 POSES = 49
@@ -130,7 +130,7 @@ def passed(batch: Batch, arm: MujocoArm, wall: Wall, found: list[np.ndarray]) ->
     for point, x in zip(batch.points, found, strict=True):
         config, part = point.config, point.config.workpiece
         pose = of_job(config)
-        rotate, translate = turned_and_moved(part, pose)
+        rotate, translate = part_pose(part, pose)
         inlet = None if batch.workpiece.inlet is None else rotate @ batch.workpiece.inlet + translate
         start_tcp = arm.arm_poses(pose.start[None]).tcp[0]
         targets = targets_of(config, start_tcp, inlet, batch.workpiece.path @ rotate.T + translate)

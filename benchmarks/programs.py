@@ -53,7 +53,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", help="that htcp sweep or htcp plan wrote")
     parser.add_argument("--feed", default="20mm/s")
-    parser.add_argument("--checked", type=int, default=1, help="how many scenarios MuJoCo looks at")
+    parser.add_argument("--checked", type=int, default=1, help="number of scenarios that MuJoCo checks")
     parser.add_argument("--json", type=Path, metavar="FILE", help="the times and counts once more, for a machine")
     chosen = parser.parse_args()
     print(hardware.line())
@@ -127,7 +127,7 @@ def row(folder: str, found: list[Found]) -> str:
     most = max(one.largest for one in found)
     made, written = medians(found)
     looked = [one for one in found if one.refuted is not None]
-    refuted = f"{sum(one.refuted for one in looked)} of {sum(one.arm_poses for one in looked):,}"
+    refuted = f"{sum(one.refuted for one in looked)} of {sum(one.configurations for one in looked):,}"
     return f"| {folder} | {len(found)} | {held} | {most:.3f} | {made:.0f} | {written:.0f} | {refuted} |"
 
 

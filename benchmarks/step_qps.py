@@ -100,7 +100,7 @@ def _device(qps: StepQP):
 def _slack(qps: StepQP, k: int) -> float:
     n = qps.q.shape[1]
     rows = np.concatenate([qps.G[k], np.eye(n), -np.eye(n)])
-    bound = np.concatenate([qps.h[k], qps.upper[k], -qps.lower[k]])
+    bound = np.concatenate([qps.h[k], qps.ub[k], -qps.lb[k]])
     rows = np.concatenate([rows, np.ones((len(rows), 1))], axis=1)
     equal = np.concatenate([qps.A[k], np.zeros((len(qps.b[k]), 1))], axis=1)
     cost = np.append(np.zeros(n), -1.0)

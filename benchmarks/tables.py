@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
-from htcp_jax.cli.output import claim
+from htcp_jax.cli.output import claim_device
 from htcp_jax.device import Executor, compile_cache
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
@@ -38,13 +38,13 @@ def main() -> None:
     parser.add_argument("--processes", type=int, help="as many share the scenarios; by default as many as pay")
     parser.add_argument("--config", type=Path, default=ROOT / "configs/paper.yaml")
     parser.add_argument("--profile", action="store_true", help="seconds and lanes by lane function")
-    parser.add_argument("--no-paths", action="store_true", help="leave the joint-path checks out")
+    parser.add_argument("--no-paths", action="store_true", help="skip the joint-path checks")
     parser.add_argument("--once", action="store_true", help="time the first run, less its compilation")
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     parser.add_argument("--json", type=Path, metavar="FILE", help="the seconds and counts once more, for a machine")
     chosen = parser.parse_args()
     compile_cache.enable()
-    claim(chosen.device)  # before anything is computed
+    claim_device(chosen.device)  # before anything is computed
     spent = _watch() if chosen.profile else {}
     print(hardware.line())
     head = f"{'sweep':10} {'method':14} {'tracked':>20} {'%':>6} {'compile s':>9} {'run s':>8} {'us a step':>9}"

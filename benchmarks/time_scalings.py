@@ -1,7 +1,7 @@
 """Time scaling of air moves by this package, copp-py and toppra: durations, and times to compute them.
 
     pip install toppra copp-py
-    python -m benchmarks time-laws out/plan [out/other ...]
+    python -m benchmarks time-scalings out/plan [out/other ...]
 
 All get the same rounded curve on the same grid. toppra and copp-py's second order do not limit the jerk; the others do.
 A package that is not installed is reported. The table has one row per package and air move: the duration, the median
@@ -146,7 +146,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", help="that htcp plan wrote")
     print(hardware.line())
-    print("| way | law | duration s | found in ms | of v | of a | of j |\n|---|---|---|---|---|---|---|")
+    print("| motion | time scaling | duration s | found in ms | of v | of a | of j |\n|---|---|---|---|---|---|---|")
     for folder in parser.parse_args().folders:
         for name, path, limits in paths(folder):
             for title, scaling in SCALINGS.items():

@@ -26,7 +26,7 @@ from .report.report import make_report
 from .runs.run_folder import open_run
 from .runs.sweep import sweep
 from .status import Status
-from .trajectory.whole_run import time_run
+from .trajectory.run_timing import time_run
 
 __all__ = [
     "GeneratedDuct",

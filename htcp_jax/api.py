@@ -163,7 +163,7 @@ class Plan:
     def failure(self) -> dict[str, str]:
         """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
         end = self.outcome
-        facts = {} if end.failed is None else {f"failed at target {end.failed}": end.status.message}
+        facts = {} if end.status is None else {f"failed at target {end.failed}": end.status.message}
         if self.start_cause is not None:
             facts["cause"] = self.start_cause.description
         elif self.obstruction is not None:
@@ -180,11 +180,16 @@ class Plan:
 
     def figure(self) -> Figure:
         """Draw the arm in the workpiece, cut open, and the clearance along the path."""
-        title = f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets"
-        blocked = self.obstruction
-        more = {"obstruction": blocked, "fixtures": build.drawn_of(self.job.cell, self.robot)}
-        more["normals"] = glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece))
-        return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, **more)
+        return draw_plan(
+            self.robot,
+            self.workpiece,
+            self.scenario,
+            self.plans,
+            title=f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets",
+            obstruction=self.obstruction,
+            fixtures=build.drawn_of(self.job.cell, self.robot),
+            normals=glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece)),
+        )
 
     def record(self) -> dict[str, Any]:
         """Return the contents of summary.json.
@@ -265,18 +270,27 @@ def plan(
         InputError: For bad input and for a start in collision.
     """
     if method is not None:
-        given = isinstance(overrides, Mapping)
         name = method if isinstance(method, str) else method.name
-        overrides = {**overrides, "method": name} if given else [*overrides, f"method={name}"]
+        overrides = {**overrides, "method": name} if isinstance(overrides, Mapping) else [*overrides, f"method={name}"]
     with devices.on(devices.choose(device)[0]):
         job = with_kinds(load_config(config, overrides), obstacles, task)
         chosen = registry.find(job.method) if method is None or isinstance(method, str) else method
         robot, workpiece, scenario = build.scene(job)
-        obstacles, task = build.obstacles_of(job.cell, robot), build.task_of_job(job, robot)
-        how = {"progress": progress, "device": device, "obstacles": obstacles, "task": task, "check_starts": True}
-        plans = batch.plan(robot, workpiece, scenario, chosen, job.settings, **how)
+        all_obstacles = build.obstacles_of(job.cell, robot)
+        plans = batch.plan(
+            robot,
+            workpiece,
+            scenario,
+            chosen,
+            job.settings,
+            progress=progress,
+            device=device,
+            task=build.task_of_job(job, robot),
+            obstacles=all_obstacles,
+            check_starts=True,
+        )
         robot, scenario = scenarios.with_own_tool(robot, scenario)
-    return Plan(job, robot, workpiece, scenario, plans, obstacles, device)
+    return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device)
 
 
 def methods() -> "pandas.DataFrame":

@@ -22,6 +22,7 @@ class ExtensionKind:
     """
 
     name: ClassVar[str]
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]  # of every kind, as each is a dataclass
 
     def __str__(self) -> str:
         return self.name
@@ -37,7 +38,7 @@ class Slot(NamedTuple):
 class Template:
     """A kind with its static fields, and a `Slot` in place of each field of numbers."""
 
-    kind: type[ExtensionKind]
+    kind: type[Any]  # derives from ExtensionKind
     fields: tuple[tuple[str, Any], ...]
 
     @property
@@ -73,17 +74,17 @@ def with_arrays(value: ExtensionKind) -> Any:
     return template_of(value).with_numbers(numbers_of([value]))
 
 
-def fault_of(kind: Any, base: type[ExtensionKind], needed: Sequence[str]) -> str:
+def kind_fault(kind: Any, base: type[ExtensionKind], needed: Sequence[str]) -> str:
     """Return the reason why an object is no kind with a base class; "" if it is one.
 
     needed: methods of which it defines one or more.
     """
     if not (isinstance(kind, type) and issubclass(kind, base)):
-        return f"it is no class that derives from htcp_jax.{base.__name__}"
+        return f"it is not a class that derives from htcp_jax.{base.__name__}"
     if not (isinstance(getattr(kind, "name", None), str) and kind.name):
         return "it has no name"
-    if "__dataclass_fields__" not in vars(kind) or not kind.__dataclass_params__.frozen:
-        return "it is no dataclass; write @dataclass(frozen=True) above the class"
+    if "__dataclass_fields__" not in vars(kind) or not vars(kind)["__dataclass_params__"].frozen:
+        return "it is not a dataclass; write @dataclass(frozen=True) above the class"
     if all(getattr(kind, name) is getattr(base, name) for name in needed):
         return f"it does not define {' or '.join(needed)}"
     return ""

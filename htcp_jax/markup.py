@@ -2,7 +2,7 @@
 
 import re
 
-# Markdown's own characters; an image's bracket, too, which viser looks for itself, backslash or not.
+# Markdown's own characters; an image's bracket, too, which viser parses itself, backslash or not.
 MARKS = re.compile(r"[\\`*<>|~$&]|\](?=[\[(:])|(?<=!)\[|(?<![0-9A-Za-z])_|_(?![0-9A-Za-z])")
 UNPRINTABLE = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # no characters of XML
 

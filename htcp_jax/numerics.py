@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.types import Array, Float, Joints, Scalar
 
 
-def of_shape(value: object, shape: tuple[int, ...], name: str) -> Float[Array, "..."]:
+def checked_shape(value: object, shape: tuple[int, ...], name: str) -> Float[Array, "..."]:
     """Return `value` as an array of floats, after a check of its shape.
 
     The check runs while a function is traced, so it costs nothing when the function runs.
@@ -174,7 +175,7 @@ def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-30
     Args:
         a: The matrix.
         b: The right-hand side.
-        floor: Smallest pivot. A smaller one is replaced by it, so that a singular matrix gives a large, finite solution
+        floor: Smallest pivot. Smaller ones are replaced by it, so that a singular matrix gives a large, finite solution
             and not NaN.
     """
     return jnp.stack(solve_spd_scalars(a, b, floor))
@@ -183,7 +184,7 @@ def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-30
 def solve_spd_scalars(a, b, floor: float) -> list[Scalar]:
     """Solve as `solve_spd` does, for any a[i, j] (only j <= i is read) and b[i] that are scalars."""
     n = len(b)
-    factor = [[None] * n for _ in range(n)]
+    factor: list[list[Any]] = [[None] * n for _ in range(n)]
     for j in range(n):
         pivot = a[j, j] - sum((factor[j][k] ** 2 for k in range(j)), start=jnp.zeros(()))
         factor[j][j] = jnp.sqrt(jnp.maximum(pivot, floor))
@@ -227,14 +228,14 @@ def one_by_one(function: Callable) -> Callable:
     def batch(axis_size, in_batched, shared, *arguments):
         if any(jax.tree.leaves(in_batched[0])):
             raise ValueError("what is searched must be the same for all lanes")
-        arguments = [
+        every = [
             a if batched else jnp.broadcast_to(a, (axis_size, *a.shape))
             for a, batched in zip(arguments, in_batched[1:], strict=True)
         ]
         if backend().is_cpu:
-            found = jax.lax.map(lambda lane: alone(shared, *lane), arguments)
+            found = jax.lax.map(lambda lane: alone(shared, *lane), every)
         else:
-            found = jax.vmap(partial(function, shared))(*arguments)
+            found = jax.vmap(partial(function, shared))(*every)
         return found, jax.tree.map(lambda _: True, found)
 
     return alone

@@ -76,7 +76,7 @@ class Registry:
         if name in self._own:
             return self._own[name]
         if name not in self._entry_points:
-            raise InputError(f"{name!r} is no {self._noun}; valid: {', '.join(self.names()) or 'none is installed'}")
+            raise InputError(f"{name!r} is not {self._a_noun}; valid: {', '.join(self.names()) or 'none is installed'}")
         if name not in self._loaded:
             self._loaded[name] = self._load(self._entry_points[name])
         return self._loaded[name]
@@ -130,7 +130,7 @@ class Registry:
         return found
 
     def _left_out(self, point: EntryPoint, there: str) -> None:
-        line = f"{self._called(point)} is left out: there is {there} of that name"
+        line = f"{self._called(point)} is excluded: there is {there} of that name"
         warnings.warn(line, UserWarning, stacklevel=5)
 
     def _load(self, point: EntryPoint) -> Any:
@@ -140,22 +140,23 @@ class Registry:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"{self._called(point)} cannot be imported: {reason}") from error
         if fault := self._why_not(value):
-            raise InputError(f"{self._called(point)} is no {self._noun}: {fault}")
+            raise InputError(f"{self._called(point)} is not {self._a_noun}: {fault}")
         if value.name != point.name:
-            raise InputError(f"{self._called(point)} calls itself {value.name!r}")
+            raise InputError(f"{self._called(point)} has the name {value.name!r}")
         return value
 
     def _replaces(self, value: Any) -> bool:
         """True for a class that replaces its former definition, as a notebook's cell does that runs again."""
         own = self._own.get(value.name)
-        alike = isinstance(own, type) and isinstance(value, type)
-        return alike and (own.__module__, own.__qualname__) == (value.__module__, value.__qualname__)
+        if not (isinstance(own, type) and isinstance(value, type)):
+            return False
+        return (own.__module__, own.__qualname__) == (value.__module__, value.__qualname__)
 
     def _why_not(self, value: Any) -> str:
         if fault := self._fault(value):
             return fault
         if not NAME.fullmatch(value.name):
-            return f"the name {value.name!r} has more in it than small letters, digits and hyphens"
+            return f"the name {value.name!r} may have only small letters, digits and hyphens"
         return ""
 
     def _called(self, point: EntryPoint) -> str:

@@ -15,7 +15,7 @@ from htcp_jax.errors import InputError, described
 
 def _could_be_a_solver(name: str) -> str:
     if name not in ("clarabel", "device") and not name.startswith("qpsolvers:"):
-        raise InputError(f"{name!r} is no QP solver; valid: clarabel, device, qpsolvers:<name of a solver>")
+        raise InputError(f"{name!r} is not a QP solver; valid: clarabel, device, qpsolvers:<name of a solver>")
     return name
 
 
@@ -64,7 +64,7 @@ class Settings:
     after_recovery: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
 
     # Between consecutive configurations
-    path_check: Literal["none", "escapes", "all"] = "all"  # segments that must be clear
+    path_check: Literal["none", "recoveries", "all"] = "all"  # segments that must be clear
     path_test: Literal["bisection", "samples"] = "bisection"  # a proof, or samples at the ends of `path_steps` steps
     path_steps: Steps = 20
     path_tolerance_m: Tolerance | None = None  # allowed TCP distance from the line between targets; None: the tolerance
@@ -104,7 +104,7 @@ class Settings:
     search_shortcuts: Rounds = 8  # rounds of shortcuts
 
     # Hybrid
-    restart_rounds: Rounds = 9  # sampling rounds for a configuration at a lost target that leads back to the first
+    restart_rounds: Rounds = 9  # sampling rounds for a configuration at a failed target that leads back to the first
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # every scenario's random key is folded from it
 

@@ -37,14 +37,14 @@ def temporary_folder(folder: Path | None = None) -> Iterator[Path]:
     clear(Path(place), prefix)
     made = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
     try:
-        with _held_folder(made):
+        with _locked_folder(made):
             yield made
     finally:
         shutil.rmtree(made, ignore_errors=True)
 
 
 @contextlib.contextmanager
-def _held_folder(folder: Path) -> Iterator[None]:
+def _locked_folder(folder: Path) -> Iterator[None]:
     if fcntl is None:
         yield
         return

@@ -80,7 +80,7 @@ place_map(searched)
 # %% [markdown]
 # ## The best of them
 #
-# At the seam where it is tightest.
+# At the seam with the least guaranteed clearance.
 
 # %%
 best_pictures(Path("../out/two-seams"), searched)[1]

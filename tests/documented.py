@@ -2,7 +2,7 @@
 
 A block may have a comment before it, `<!-- runs: HOW -->`:
 
-    (none)                   by a quick test, unchanged
+    (none)                   by a quick test, unchanged; a command of several pages, on the first of them
     slow                     by a slow test, unchanged
     slow, two scenarios      by a slow test, with --limit 2: it would take longer than all other tests together
     slow, in a fresh copy    by a slow test, in a copy of the repository without a virtual environment

@@ -14,7 +14,7 @@ def from_axis(points: np.ndarray, capsule: Capsule) -> np.ndarray:
     return np.linalg.norm(points - capsule.p - share[..., None] * ahead, axis=-1)
 
 
-def are_held(triangles: np.ndarray, capsules: list[Capsule]) -> bool:
+def are_enclosed(triangles: np.ndarray, capsules: list[Capsule]) -> bool:
     """True if every triangle (F, 3, 3) lies in the union of the capsules.
 
     A capsule is convex: it encloses a triangle if it encloses the corners. A triangle that no single capsule encloses

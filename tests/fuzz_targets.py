@@ -23,13 +23,15 @@ import numpy as np
 import pyarrow as pa
 import trimesh
 import yaml
+from collada_box import DAE
 from hypothesis import strategies as st
 from sweep_process import make_sweep
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import load_geometry
+from htcp_jax.io.parts import load_geometry
 from htcp_jax.io.parts.point_cloud import load_cloud
 from htcp_jax.io.parts.workpiece_source import read_path
+from htcp_jax.io.robots.collada_mesh import read_triangles
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.io.robots.model_file import RobotFields, read_robot_file
 from htcp_jax.jobs import PlanConfig, load_config
@@ -281,6 +283,25 @@ def check_mesh(folder: Path, case: tuple[str, bytes]) -> bool:
     return True
 
 
+COLLADA_WORDS = ["nan", "-1", "1e999", "9" * 12, "#box", "#s", '<instance_geometry url="#box"/>', "<!DOCTYPE a>", "&a;",
+                 '<instance_node url="#n"/>', "<matrix>1 2</matrix>", "</node>", "<p>", "triangles"]  # fmt: skip
+
+
+def check_collada(folder: Path, data: bytes) -> bool:
+    """Check that an accepted mesh has as many triangles as trimesh finds, where trimesh reads the file."""
+    found = refusal(lambda: read_triangles(written(folder, "mesh.dae", data)))
+    if found is None:
+        return False
+    assert np.isfinite(found).all()
+    try:
+        scene = trimesh.load_scene(io.BytesIO(data), file_type="dae", process=False)
+    except Exception:  # of a material, for example
+        return True
+    nodes = [scene.graph[name][1] for name in scene.graph.nodes_geometry]
+    assert len(found) == sum(len(scene.geometry[name].faces) for name in nodes), "triangles were dropped"
+    return True
+
+
 # Robots
 
 ARM = (HERE.parent / "htcp_jax" / "model" / "robots" / "gp50.xml").read_bytes()
@@ -415,7 +436,7 @@ def _reads_what_was_written(folder: Path, tables: dict) -> bool:
     found = refusal(read)
     if found is not None:
         for name, rows in tables.items():
-            assert found[name] <= rows, f"{name}: rows that nobody wrote"
+            assert found[name] <= rows, f"{name}: rows that were never written"
     return found is not None
 
 
@@ -516,6 +537,7 @@ TARGETS = {
     "table of points": Target(17, with_endings(TEXTS, TEXT_WORDS), check_table),
     "array of points": Target(10, damaged(ARRAYS, ARRAY_WORDS), check_npy),
     "mesh": Target(15, with_endings(MESHES.items(), MESH_WORDS), check_mesh),
+    "Collada mesh": Target(6, damaged([DAE.encode()], COLLADA_WORDS), check_collada),
     "robot": Target(12, with_endings(MODELS, XML_WORDS), check_robot),
     "manifest": Target(6, MANIFESTS, check_manifest, finished),
     "row file": Target(4, ROW_FILES, check_parquet, finished),

@@ -76,7 +76,7 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
     },
     "jobs": {
         "CellConfig FixtureConfig PlanConfig RobotConfig WorkpieceConfig WORLD": "what a job's file states",
-        "arm_of part_of shape_of": "keys of a job, to load each part once",
+        "robot_key workpiece_key walls_key": "keys of a job, to load each part once",
         "shapes_in_world": "MuJoCo shapes that a job's obstacle of another package states",
         "robot_of workpiece_of": "loading of a workpiece; points on a mesh, which only normals are fitted to, are as "
         "close as the arm needs",
@@ -113,7 +113,7 @@ MATHEMATICS = "equations", "mathematics"  # pages
 SHOWN = re.compile(r"^::: htcp_jax\.(\S+)\n((?: +.*\n?)*)", re.MULTILINE)
 MEMBERS = re.compile(r"members: \[([^\]]*)\]")
 UNIT_IN_NAME = re.compile(r"_(m|mm|rad|deg|s|ms|m2|mm_s|share|rate)$")
-UNIT_TOLD = re.compile(r"\[[^\]]*\b(m|mm|rad|deg|s|ms|m2|1|%)\b[^\]]*\]|\b(unit|percent|radians|metres|seconds)\b")
+UNIT_IN_TEXT = re.compile(r"\[[^\]]*\b(m|mm|rad|deg|s|ms|m2|1|%)\b[^\]]*\]|\b(unit|percent|radians|metres|seconds)\b")
 WITH_UNIT = {"Joints", "Pose", "Vector3"}  # of types: [rad or m]; a frame in [m]; a point in [m]
 COUNTED = re.compile(r"^(num_.*|.*weights?|tracked|executable|population)$")
 SOURCE = re.compile(r"equation|Eq\.|section|Algorithm|paper|constraints\)|Rodrigues|Ericson", re.IGNORECASE)
@@ -197,7 +197,7 @@ def _used(tree: ast.Module, package: Path) -> Iterator[tuple[str, str]]:
 
 def _imports(node: ast.AST) -> Iterator[tuple[str, str]]:
     """Names that a statement imports from the package, each with the dotted module within it. "" is the package itself,
-    or the name of a module that is imported as a whole."""
+    or the name of a module that is imported as a module."""
     if isinstance(node, ast.Import):
         modules = [(alias.name, "") for alias in node.names]
     elif isinstance(node, ast.ImportFrom):
@@ -210,7 +210,7 @@ def _imports(node: ast.AST) -> Iterator[tuple[str, str]]:
 
 
 def _public_names(package: Path, unit: str) -> dict[str, str]:
-    """Public names of a package, each with its dotted name within the whole: of the module, or module and name."""
+    """Public names of a package, each with its dotted name within the package: of the module, or module and name."""
     stub = package / unit.replace(".", "/") / "__init__.pyi"
     return _listed(stub.read_text(encoding="utf-8"), unit) if stub.is_file() else {}
 
@@ -295,7 +295,7 @@ class Public(NamedTuple):
 
 def incomplete(root: Path) -> dict[str, list[str]]:
     """Missing documentation of each public name of a checkout; an empty list if it is complete."""
-    lost = {name: ["is not where a page or a stub says"] for name in _named(root).keys() - public(root).keys()}
+    lost = {name: ["is not where a page or a stub refers to"] for name in _named(root).keys() - public(root).keys()}
     return lost | {name: list(_lacks(one)) for name, one in public(root).items()}
 
 
@@ -314,7 +314,7 @@ def public(root: Path) -> dict[str, Public]:
 
 
 def _named(root: Path) -> dict[str, bool]:
-    """Names that the stub of the whole package or a page makes public -> True if documented as mathematics.
+    """Names that the stub of the package or a page makes public -> True if documented as mathematics.
 
     Modules and packages in the stub are excluded: pages show what is public of them.
     """
@@ -358,7 +358,7 @@ def _lacks(public: Public) -> Iterator[str]:
     if node.returns is not None:
         yield from _value_lacks("return", node.returns, text)
     if _raises(node, public.module, set()) and "InputError" not in text:
-        yield "raises InputError and does not say so"
+        yield "raises InputError without mentioning it"
     if public.is_mathematics and not SOURCE.search(text + (ast.get_docstring(public.module) or "")):
         yield "names no source"
 
@@ -380,7 +380,7 @@ def _value_lacks(name: str, annotation: ast.expr | None, text: str) -> Iterator[
     if ARRAYS.search(bare) and not name.endswith(RANDOM_KEY) and not re.search(rf"\b{name}\b[^.;]*\(\w[^)]*,", text):
         yield f"{name} has no shape"
     has_unit = UNIT_IN_NAME.search(name) or COUNTED.match(name) or any(alias in kind for alias in WITH_UNIT)
-    if NUMBERS.search(kind) and not has_unit and not UNIT_TOLD.search(text):
+    if NUMBERS.search(kind) and not has_unit and not UNIT_IN_TEXT.search(text):
         yield f"{name} has no unit"
 
 

@@ -23,7 +23,7 @@ def small_job(arm: Path, folder: Path, out: tuple = (0, 0, 1), seed: int = 0) ->
     body = {"name": "spindle of the job", "p_m": p, "q_m": q, "radius_m": 0.015}
     robot = htcp_jax.load_robot(arm, tool=Tool(tip, bodies=(ToolBody(**body),)))
     x = _handy_configuration(robot, np.random.default_rng(seed))
-    T = np.asarray(tcp_pose(robot, jnp.asarray(x)))
+    T = np.asarray(jax.jit(tcp_pose)(robot, jnp.asarray(x)))
     ahead, across = T[:3, :3] @ ahead, np.linalg.svd((T[:3, :3] @ ahead)[None])[2][1:]
     path = T[:3, 3] + np.outer(STEP_M * np.arange(1, POINTS + 1), across[0])
     grid = PLATE_M * np.stack(np.meshgrid(*2 * [np.arange(-16, 17)]), axis=-1).reshape(-1, 2)
@@ -40,5 +40,5 @@ def _handy_configuration(robot: Robot, draw: np.random.Generator) -> np.ndarray:
     """Random configuration in the middle half of the limits with the largest minimum singular value of the Jacobian."""
     low, high = (np.clip(np.asarray(limit), -np.pi, np.pi) for limit in (robot.lower, robot.upper))
     tried = draw.uniform(0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high, (TRIED, len(low)))
-    slopes = np.asarray(jax.vmap(lambda x: jacobian(robot, x))(jnp.asarray(tried)))
+    slopes = np.asarray(jax.jit(jax.vmap(jacobian, (None, 0)))(robot, jnp.asarray(tried)))
     return tried[np.linalg.svd(slopes, compute_uv=False)[:, -1].argmax()]

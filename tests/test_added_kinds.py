@@ -251,13 +251,13 @@ def test_values_and_keys_of_a_job_plan_alike(kinds):
 @pytest.mark.parametrize(
     ("job", "line"),
     [
-        ({"cell.obstacles": [{"kind": "bal"}]}, "cell.obstacles.1: 'bal' is no kind of obstacle; valid: .*ball"),
-        ({"cell.obstacles": [{"centre_m": [0, 0, 0]}]}, "is no obstacle; it is {kind: NAME"),
+        ({"cell.obstacles": [{"kind": "bal"}]}, "cell.obstacles.1: 'bal' is not a kind of obstacle; valid: .*ball"),
+        ({"cell.obstacles": [{"centre_m": [0, 0, 0]}]}, "is not an obstacle; it is {kind: NAME"),
         ({"cell.obstacles": [BALL | {"radius": 1}]}, "unknown key radius; did you mean radius_m"),
         ({"cell.obstacles": [BALL | {"radius_m": "x"}]}, "kind ball: radius_m is 'x'"),
         ({"cell.obstacles": [BALL | {"radius_m": float("inf")}]}, "radius_m is inf; finite numbers are needed"),
         ({"cell.obstacles": [{"kind": "ball"}]}, "kind ball: centre_m"),
-        ({"task": [TRACK, {"kind": "stays-abov"}]}, "'stays-abov' is no kind of task row; valid: .*stays-above"),
+        ({"task": [TRACK, {"kind": "stays-abov"}]}, "'stays-abov' is not a kind of task row; valid: .*stays-above"),
         ({"task": [TRACK, ABOVE | {"link": "elbow"}]}, "no point 'elbow' on gp50; valid: link1"),
     ],
 )
@@ -289,7 +289,7 @@ def test_a_kind_of_this_process_alone_does_not_go_to_ray():
 @pytest.mark.parametrize(
     ("kind", "line"),
     [
-        (type("A", (htcp_jax.ObstacleKind,), {"name": "a"}), "it is no dataclass"),
+        (type("A", (htcp_jax.ObstacleKind,), {"name": "a"}), "it is not a dataclass"),
         (dataclass(frozen=True)(type("B", (htcp_jax.ObstacleKind,), {"name": "b"})), "it does not define distance"),
         (dataclass(frozen=True)(type("C", (htcp_jax.TaskRowKind,), {"name": "c"})), "it does not define features"),
         (dataclass(frozen=True)(type("D", (htcp_jax.ObstacleKind,), {})), "it has no name"),

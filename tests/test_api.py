@@ -69,7 +69,7 @@ def test_clearance_to_a_mesh_is_reported_with_and_without_the_covering_radius(sh
 
 
 def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, capsys):
-    """Regression: a saved plan of a user-defined planner was refused by every command: `is no method`."""
+    """Regression: a saved plan of a user-defined planner was refused by every command: `is not a method`."""
     htcp_jax.register(StepQPs("of-ones-own", "Own", "the baseline by another name"))
     plan = htcp_jax.plan(overrides=short, method="of-ones-own")
     plan.save(tmp_path / "out")
@@ -78,7 +78,7 @@ def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, capsys):
     assert "of-ones-own" in capsys.readouterr().out
     replays = open_replays(tmp_path / "out")
     np.testing.assert_array_equal(replays.replay(0, "of-ones-own").x, plan.plans.x[0])
-    with pytest.raises(htcp_jax.InputError, match="'of-ones-own' is no method"):
+    with pytest.raises(htcp_jax.InputError, match="'of-ones-own' is not a method"):
         htcp_jax.plan(overrides=short, method="of-ones-own")
 
 
@@ -102,7 +102,7 @@ def test_overrides_are_words_or_values(short):
 @pytest.mark.parametrize(
     ("how", "line"),
     [
-        ({"method": "rrt"}, "'rrt' is no method; valid: baseline"),
+        ({"method": "rrt"}, "'rrt' is not a method; valid: baseline"),
         ({"overrides": {"margin": 1}}, "unknown key margin; did you mean margin_m?"),
         ({"overrides": {"settings.alpha_rad": -1.0}}, "alpha_rad is -1.0: at least 1e-15 is needed"),
         ({"overrides": {"start_rad": [0, -1.2, -0.5, 0, 0.5, -2]}}, "start is in collision"),

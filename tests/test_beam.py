@@ -163,7 +163,7 @@ def example():
     return one, plans
 
 
-def judged(one, settings=SMALL, threads=1, **changes):
+def verified(one, settings=SMALL, threads=1, **changes):
     """Plans of `example` with these arrays, validated anew."""
     plans = example()[1]
     plans = plans._replace(**{name: array.copy() for name, array in plans.arrays().items()})._replace(**changes)
@@ -199,7 +199,7 @@ def configuration_at(target, point):
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_judging_again_says_the_same(threads):
     one, plans = example()
-    again = judged(one, threads=threads)
+    again = verified(one, threads=threads)
     np.testing.assert_array_equal(again.segment_status, plans.segment_status)
     np.testing.assert_array_equal(again.segment_clearance, plans.segment_clearance)
 
@@ -214,14 +214,15 @@ def test_a_tool_that_leaves_its_path_is_no_motion(target):
     line = one.targets[target] - one.targets[target - 1]
     beside = np.cross(line, [0.3, 0.5, 0.8])
     point = one.targets[target] + 2e-3 * beside / np.linalg.norm(beside)
-    changed = judged(one, x=with_configuration(target, configuration_at(target, point)))
+    changed = verified(one, x=with_configuration(target, configuration_at(target, point)))
     ends(changed, target, SegmentStatus.OFF_PATH)
     assert (
         changed.tracked.all()
         and (changed.segment_status[0, target // 16 * 16 + 16 :] == SegmentStatus.NOT_CHECKED).all()
     )
     assert (
-        judged(one, replace(SMALL, path_tolerance_m=5e-3), x=changed.x).segment_status[0, target] == SegmentStatus.VALID
+        verified(one, replace(SMALL, path_tolerance_m=5e-3), x=changed.x).segment_status[0, target]
+        == SegmentStatus.VALID
     )
 
 
@@ -229,7 +230,7 @@ def test_a_tool_that_goes_backwards_is_no_motion():
     one, _ = example()
     line = one.targets[20] - one.targets[19]
     point = one.targets[19] - 5e-4 * line / np.linalg.norm(line)
-    ends(judged(one, x=with_configuration(20, configuration_at(20, point))), 20, SegmentStatus.REVERSES)
+    ends(verified(one, x=with_configuration(20, configuration_at(20, point))), 20, SegmentStatus.REVERSES)
 
 
 def test_at_a_point_that_is_met_twice_the_tool_may_go_any_way():
@@ -238,7 +239,7 @@ def test_at_a_point_that_is_met_twice_the_tool_may_go_any_way():
     behind = with_configuration(20, configuration_at(20, targets[19] - 5e-4 * line))
     for apart, verdict in ((0.0, SegmentStatus.VALID), (1e-9, SegmentStatus.VALID), (1e-4, SegmentStatus.REVERSES)):
         targets[20] = targets[19] + apart * line
-        assert judged(replace(one, targets=targets.copy()), x=behind).segment_status[0, 20] == verdict
+        assert verified(replace(one, targets=targets.copy()), x=behind).segment_status[0, 20] == verdict
 
 
 @pytest.mark.parametrize("target", [0, 5, 20])
@@ -251,7 +252,7 @@ def test_an_arm_that_touches_on_its_segment_is_no_motion(target):
     D = np.asarray(D_everywhere(*scene[:2], where, jnp.asarray(far)))
     through = ViaPoints.of([(0, target, far[[int(np.argmin(D))]])], 6)
     assert D.min() < 0
-    changed = judged(one, via_points=through)
+    changed = verified(one, via_points=through)
     ends(
         changed,
         target,
@@ -262,7 +263,7 @@ def test_an_arm_that_touches_on_its_segment_is_no_motion(target):
         ),
     )
     assert (
-        judged(one, replace(SMALL, path_tolerance_m=0.1), via_points=through).segment_status[0, target]
+        verified(one, replace(SMALL, path_tolerance_m=0.1), via_points=through).segment_status[0, target]
         != SegmentStatus.VALID
     )
 
@@ -283,7 +284,7 @@ def test_a_change_of_configuration_has_to_stay_at_the_target_before():
         there = configuration_at(target, point)
         back = configuration_at(target, one.targets[target - 1])
         segment_status = np.stack([there, back])
-        changed = judged(one, via_points=ViaPoints.of([(0, target, segment_status)], 6))
+        changed = verified(one, via_points=ViaPoints.of([(0, target, segment_status)], 6))
         assert changed.segment_status[0, target] == verdict
         ends(changed, target, verdict) if verdict != SegmentStatus.VALID else check_motions(
             [one], changed, SMALL.tolerance_m
@@ -292,7 +293,7 @@ def test_a_change_of_configuration_has_to_stay_at_the_target_before():
 
 def test_a_plan_from_another_start_is_no_motion():
     one, plans = example()
-    changed = judged(one, start=plans.start + 1e-12)
+    changed = verified(one, start=plans.start + 1e-12)
     assert (
         changed.segment_status[0, 0] == SegmentStatus.WRONG_START
         and (changed.segment_status[0, 1:] == SegmentStatus.NOT_CHECKED).all()
@@ -304,7 +305,7 @@ def test_nobody_looks_beyond_a_failure_or_where_nobody_is_asked_to():
     one, plans = example()
     status = plans.status.copy()
     status[0, 10], status[0, 11:] = Status.PATH_BLOCKED, Status.NOT_ATTEMPTED
-    changed = judged(one, status=status)
+    changed = verified(one, status=status)
     assert (changed.segment_status[0, :10] == SegmentStatus.VALID).all() and (
         changed.segment_status[0, 10:] == SegmentStatus.NOT_CHECKED
     ).all()

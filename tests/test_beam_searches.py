@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from htcp_jax.motion.configuration_tree import BeamTree
 from htcp_jax.motion.step_functions import State
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
+from htcp_jax.planning.beam.tree import BeamTree
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
@@ -35,19 +35,19 @@ def extended(searches, counts) -> None:
     x = np.arange(2 * len(search)).reshape(-1, 2) + searches.tree.x[parent]
     node = searches.tree.grow(parent, at(x), searches.tree.target[parent] + 1)
     searches.columns.failure[list(first)] = Status.PATH_BLOCKED
-    searches.take_extended(Members(search, node))
+    searches.store_extended(Members(search, node))
 
 
 def test_a_search_that_has_ended_is_extended_and_moved_no_more():
     """Ended searches: neither extended nor spread.
 
-    One reaches its last target, one goes on, and one gets nothing from the start.
+    One reaches its last target, one continues, and one gets nothing from the start.
     """
     searches = begun([2, 4, 4])
     extended(searches, [3, 3, 0])
-    assert searches.take_ended() == [2] and searches.columns.status.tolist() == [NONE, NONE, Status.PATH_BLOCKED]
+    assert searches.pop_ended() == [2] and searches.columns.status.tolist() == [NONE, NONE, Status.PATH_BLOCKED]
     extended(searches, [3, 3, None])
-    assert searches.take_ended() == [0]
+    assert searches.pop_ended() == [0]
     for held in (searches.pending, searches.beam):
         assert set(held.search.tolist()) == {1}
     assert not len(searches.origins()[0].node)
@@ -65,7 +65,7 @@ def test_a_thin_beam_is_spread_once_and_goes_on_with_what_was_found_and_what_was
     origins, number = searches.origins()
     assert origins.search.tolist() == [0, 0, 0] and number.tolist() == [0, 1, 2]
     assert (searches.tree.target[origins.node] == 0).all()
-    searches.take_self_motions(origins, Members.none())
+    searches.store_self_motions(origins, Members.none())
     assert searches.columns.target.tolist() == [0, 0] and np.bincount(searches.pending.search).tolist() == [1, 3]
     assert searches.columns.rounds.tolist() == [0, 0] and searches.columns.draws.tolist() == [1, 0]
 
@@ -83,14 +83,14 @@ def test_a_dead_end_is_moved_from_in_turn_until_the_rounds_are_over():
     assert origins.node.tolist() == beam[:3]
     new = searches.tree.x[beam[0]] + np.array([[0.01, 0.0], [0.5, 0.0]])  # one that is known, one that is not
     found = searches.tree.grow(origins.node[:2], at(new), 0, by_self_motion=True, dwells=1)
-    searches.take_self_motions(origins, Members(np.zeros(2, int), found))
+    searches.store_self_motions(origins, Members(np.zeros(2, int), found))
     assert searches.pending.node.tolist() == [found[1]] and searches.beam.node.tolist() == [*beam, found[1]]
     extended(searches, [0])
     origins, _ = searches.origins()
     assert origins.node.tolist() == [beam[3], found[1], beam[0]]  # continued after the last round
     assert searches.columns.status.tolist() == [NONE]
-    searches.take_self_motions(origins, Members.none())
-    assert searches.columns.status.tolist() == [Status.PATH_BLOCKED] and searches.take_ended() == [0]
+    searches.store_self_motions(origins, Members.none())
+    assert searches.columns.status.tolist() == [Status.PATH_BLOCKED] and searches.pop_ended() == [0]
 
 
 @pytest.mark.parametrize("last", [False, True])
@@ -106,7 +106,7 @@ def test_forgotten_configurations_change_nothing_of_what_searches_hold():
     searches = begun([4000, 4000, 2])
     while not searches.tree.is_overgrown:
         extended(searches, [8, 5, 8])
-        searches.take_ended()
+        searches.pop_ended()
     before = [searches.tree.x[rows] for rows in (searches.beam.node, searches.pending.node, searches.beam_of(2))]
     count = len(searches.tree)
     searches.prune()

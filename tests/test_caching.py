@@ -1,4 +1,4 @@
-"""Caches: who owns what they hold, and how much that is at most."""
+"""Caches: a result lives as long as its object, and each cache holds a limited number of them."""
 
 import gc
 import weakref
@@ -7,7 +7,7 @@ from unittest import mock
 import jax
 import numpy as np
 
-from htcp_jax.caching import cached_for_last
+from htcp_jax.caching import cached_by_values, cached_for_last
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.device.executor import ExecutableCache
 from htcp_jax.device.lane_function import STEP, LaneFunction
@@ -37,6 +37,22 @@ def test_results_are_kept_for_the_last_owners_and_freed_with_them():
     del b
     gc.collect()
     assert gone() is None
+
+
+def test_results_are_kept_for_the_last_values_whatever_array_has_them():
+    made = []
+
+    @cached_by_values(2)
+    def result(array, power):
+        made.append(array**power)
+        return made[-1]
+
+    a, b = np.arange(6.0), np.arange(6.0).reshape(2, 3)
+    first = result(a, 2)
+    assert result(a.copy(), 2) is first and result(b, 2).shape == (2, 3) and result(a, 2) is first
+    assert result(a, 3).tolist() == (a**3).tolist() and len(made) == 3
+    a[0] = 7.0
+    assert result(a, 2)[0] == 49.0 and len(made) == 4
 
 
 def test_the_obstacles_of_a_workpiece_leave_the_device_with_it():

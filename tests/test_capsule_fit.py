@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import trimesh
-from enclosed import are_held, from_axis
+from enclosed import are_enclosed, from_axis
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as of_numpy
@@ -35,16 +35,16 @@ def covered(name: str, most: int) -> list[Capsule]:
 @pytest.mark.parametrize(("name", "most"), [*((name, 1) for name in SOLIDS), ("slab", 3), ("elbow", 3)])
 def test_every_triangle_is_held(name, most):
     capsules = covered(name, most)
-    assert 1 <= len(capsules) <= most and are_held(triangles_of(name), capsules)
+    assert 1 <= len(capsules) <= most and are_enclosed(triangles_of(name), capsules)
 
 
 def test_a_capsule_that_is_too_thin_is_found_out():
     """Sensitivity of the enclosure check: it finds 10 um, and a triangle whose corners alone are enclosed."""
     capsule = fit_capsule(SOLIDS["rod"][0].vertices)
-    assert not are_held(triangles_of("rod"), [capsule._replace(radius=capsule.radius - 2 * GRID_M)])
+    assert not are_enclosed(triangles_of("rod"), [capsule._replace(radius=capsule.radius - 2 * GRID_M)])
     triangle = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
-    assert not are_held(triangle, [Capsule(corner, corner, 0.4) for corner in triangle[0]])
-    assert are_held(triangle, [Capsule(corner, corner, 0.75) for corner in triangle[0]])
+    assert not are_enclosed(triangle, [Capsule(corner, corner, 0.4) for corner in triangle[0]])
+    assert are_enclosed(triangle, [Capsule(corner, corner, 0.75) for corner in triangle[0]])
 
 
 @pytest.mark.parametrize("name", ["slab", "elbow"])

@@ -82,7 +82,7 @@ def seen(kind: str, folder, p, q):
 
 @jax.jit
 def each_seen(solid, p, q):
-    return jax.vmap(solid.seen)(p, q)
+    return jax.vmap(solid.contact)(p, q)
 
 
 def compare(kind: str, folder, count: int) -> None:
@@ -245,7 +245,7 @@ def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path)
         assert jitted(is_clear)(robot, (own,), where, x) == (expected.min() > 0)
         touching += int(expected.min() <= 0)
         row = int(expected.argmin())
-        assert own.hit(robot, row, *ends(x)) == f"the fixture {own.names[every[:, row].argmin()]!r}"
+        assert own.nearest_name(robot, row, *ends(x)) == f"the fixture {own.names[every[:, row].argmin()]!r}"
     assert 3 < touching < 22
 
 

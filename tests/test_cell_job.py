@@ -150,8 +150,8 @@ def test_a_cell_that_cannot_be_taken_in_is_named_in_one_line(geoms, message, tmp
     [
         (["cell.model=none.xml"], "none.xml: cannot read the model: No such file"),
         (["cell.modle=cell.xml"], "unknown key cell.modle; did you mean cell.model?"),
-        (["cell.moved=bench"], "cell.moved is given, and no cell.model that could be moved"),
-        (["cell.shift_m=[1, 0, 0]"], "cell.shift_m is given, and no cell.model"),
+        (["cell.moved=bench"], "cell.moved is given, but no cell.model"),
+        (["cell.shift_m=[1, 0, 0]"], "cell.shift_m is given, but no cell.model"),
         (["cell.shift_m=[.nan, 0, 0]"], "cell.shift_m.0 is nan"),
         (["cell.clouds=[{cloud: none.xyz}]"], "none.xyz: no such file"),
         (["cell.clouds=[{file: a.xyz}]"], "unknown key cell.clouds.0.file; valid: cloud, base_m, base_rpy_rad"),
@@ -221,7 +221,7 @@ def test_what_is_drawn_of_a_shape_lies_on_it(tmp_path):
     (tmp_path / "cell.xml").write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
     for shape in load_cell(tmp_path / "cell.xml"):
         solid, corners = jax.tree.map(jnp.asarray, solid_of(shape)), jnp.asarray(shape.surface.reshape(-1, 3))
-        np.testing.assert_allclose(jax.jit(jax.vmap(solid.seen))(corners, corners).distance, 0.0, atol=1e-7)
+        np.testing.assert_allclose(jax.jit(jax.vmap(solid.contact))(corners, corners).distance, 0.0, atol=1e-7)
 
 
 def test_the_picture_of_a_plan_shows_its_cell(cell, tmp_path):

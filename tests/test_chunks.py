@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_motion_proof import motions
 
-from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, begun, of_proven
+from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, initial_state, proven_result
 from htcp_jax.clearance.proof.motion_proof import Tube, _next_interval
 from htcp_jax.device import Executor, Loop, by_chunks
 from htcp_jax.device.batching import chunked
@@ -113,8 +113,8 @@ def made_up(scene, free_radius, place, bad, kind) -> Loop:
         index, depth = jax.tree.map(lambda *segment_status: jnp.where(left >= 0, *segment_status), *moved)
         return Bisection(index, depth, far.end, proof)
 
-    begin = jax.tree.map(jnp.asarray, begun())
-    return Loop(begin, lambda far: far.going, look, lambda far: of_proven(far.proof))
+    begin = jax.tree.map(jnp.asarray, initial_state())
+    return Loop(begin, lambda far: far.going, look, lambda far: proven_result(far.proof))
 
 
 @pytest.mark.parametrize(("capacity", "width"), [(300, 16), (64, 64), (40, 100), (5, 3), (1, 8)])

@@ -39,7 +39,7 @@ def test_a_complete_plan_exits_0_with_a_table_and_five_files(here, capsys):
         assert arrays["x"].shape == (13, 6)
     motion, reported = summary["motion"], output.out
     assert (motion["executable"], motion["segment_status"], motion["dwells"]) == (13, "VALID", [])
-    assert f" mm; minimum on the segment to target {motion['tightest']}\n" in reported
+    assert f" mm; minimum on the segment to target {motion['clearance_target']}\n" in reported
     with open(here / "out" / "motion.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["kind"] for row in rows] == ["APPROACH"] * 13 + ["PROCESS"]
@@ -68,7 +68,7 @@ def test_an_incomplete_plan_exits_3_saves_what_it_has_and_names_the_failure(here
     ("arguments", "line"),
     [
         (["plan", "nowhere.yaml"], "cannot read nowhere.yaml: No such file"),
-        (["plan", "--method", "rrt"], "'rrt' is no method; valid: baseline, cspace-sample"),
+        (["plan", "--method", "rrt"], "'rrt' is not a method; valid: baseline, cspace-sample"),
         (["plan", "--set", "margin=1"], "unknown key margin; did you mean margin_m?"),
         (["plan", "--set", "settings.tolerance_m=0"], "settings.tolerance_m is 0: at least 1e-15 is needed"),
         (["plan", "--set", "workpiece.path=none.csv"], "none.csv: no such file"),

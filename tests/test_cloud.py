@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import load_geometry
+from htcp_jax.io.parts import load_geometry
 from htcp_jax.io.parts.point_cloud import CLOUDS, load_cloud
 from htcp_jax.io.parts.scan import PARTS, SCANS
 

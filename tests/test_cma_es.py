@@ -86,7 +86,7 @@ def test_a_long_path_stalls_the_covariance_path_as_in_the_package():
 @pytest.mark.parametrize(("population", "n"), [(100, 3), (12, 6), (7, 4)])
 def test_the_default_rates_are_the_tutorials(population, n):
     """Equations (49) to (58) without negative weights; those of the covariance also equal the package's."""
-    rates, es = cma_es.rates(population, n), package(np.zeros(n), 1.0, population)
+    rates, es = cma_es.strategy_parameters(population, n), package(np.zeros(n), 1.0, population)
     theirs = rates_of(es)
     for name in ("weights", "mu_eff", "c_c", "c_1", "c_mu", "chi_n"):
         np.testing.assert_allclose(getattr(rates, name), getattr(theirs, name), rtol=1e-3 if name == "chi_n" else 1e-12)
@@ -109,7 +109,7 @@ def test_samples_have_the_mean_and_covariance_of_the_distribution():
 
 
 def test_the_order_of_the_samples_does_not_matter():
-    rng, rates = np.random.default_rng(0), Hashable(*cma_es.rates(20, 3))
+    rng, rates = np.random.default_rng(0), Hashable(*cma_es.strategy_parameters(20, 3))
     samples = rng.normal(size=(20, 3))
     costs, order = np.array([ellipsoid(x) for x in samples]), rng.permutation(20)
     start = cma_es.start(jnp.zeros(3), 0.5)
@@ -120,7 +120,7 @@ def test_the_order_of_the_samples_does_not_matter():
 
 
 def test_it_finds_a_minimum():
-    rates = Hashable(*cma_es.rates(20, 4))
+    rates = Hashable(*cma_es.strategy_parameters(20, 4))
     distribution = cma_es.start(jnp.ones(4), 0.5)
     scale = jnp.geomspace(1, 100, 4)
     ask = jax.jit(lambda d, g: cma_es.ask(d, jax.random.fold_in(jax.random.key(1), g), 20))

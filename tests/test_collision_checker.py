@@ -1,5 +1,7 @@
-"""The collision checker: its answers are those of plain computations, for any batch and number of threads; and a
-problem is final: a method gets it with all starts chosen, and nothing can write into it."""
+"""The collision checker: its answers are those of plain computations, for any batch and number of threads.
+
+A problem is final: a method gets it with all starts chosen, and nothing can write into it.
+"""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""Folder of the compilation cache: the user's cache folder, a given folder, or none."""
+"""The compilation cache uses the user's cache folder, a given folder, or none."""
 
 import jax
 import pytest

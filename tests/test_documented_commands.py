@@ -32,6 +32,7 @@ from htcp_jax.cli import main
 from htcp_jax.planning import registry
 
 DEMO_S = 180  # from a clone to a picture
+DRY_RUN = "make", "--dry-run", f"PYTHON={sys.executable}"  # a Python named here is not looked for
 
 
 def pages_with(how: str) -> list[str]:
@@ -50,8 +51,15 @@ def reader(tmp_path, monkeypatch):
         registry.METHODS.unregister(name)
 
 
+def on_earlier_pages(page: str) -> set[str]:
+    """Commands of quick blocks of the pages before this one, which run them as they stand."""
+    earlier = pages()[: pages().index(page)]
+    return {line for each in earlier for block in blocks(each) if block.how == QUICK for line in block.commands}
+
+
 def follow(page: str, how: str) -> None:
-    """Run the blocks of a page that are marked `how`, in order."""
+    """Run the blocks of a page that are marked `how`, in order; quick commands once for all pages."""
+    done = on_earlier_pages(page) if how == QUICK else set()
     for block in blocks(page):
         if block.how != how:
             continue
@@ -62,6 +70,8 @@ def follow(page: str, how: str) -> None:
             exec(compile(block.text, f"{page}, python block", "exec"), {"__name__": "__main__"})
         else:
             for command in block.commands:
+                if command in done:
+                    continue
                 command += " --limit 2" * (how == TWO)
                 assert run(shlex.split(command)) == 0, f"{page}: {command}"
 
@@ -112,7 +122,7 @@ def test_what_sentences_speak_of_is_there(page, capsys):
         if program == "htcp" and words != ["--install-completion"]:
             assert main([*words, "--help"]) == 0, f"{page}: {command}"
         elif program == "make":
-            known = subprocess.run(["make", "--dry-run", *words], cwd=ROOT, capture_output=True, text=True)
+            known = subprocess.run([*DRY_RUN, *words], cwd=ROOT, capture_output=True, text=True)
             assert known.returncode == 0, f"{page}: {command}: {known.stderr}"
         elif program == ".venv/bin/pip":
             assert words[:2] == ["install", "-e"] and words[2][2:-1] in extras, f"{page}: {command}"

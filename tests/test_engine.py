@@ -36,7 +36,7 @@ COMPARED = ("x", "status", "clearance", "residual", "iterations", "recovery")
 
 
 class Noting(Executor):
-    """Kernels that keep a log of their calls: name, number of lanes."""
+    """Executor that keeps a log of its calls: name, number of lanes."""
 
     def __init__(self, *scene):
         super().__init__(*scene)
@@ -48,13 +48,13 @@ class Noting(Executor):
 
 
 class AsOnGpu(Noting):
-    """Kernels whose calls take as long for one lane as for many."""
+    """Executor whose calls take as long for one lane as for many."""
 
     pays_by_lane = False
 
 
 class FourLanes(Executor):
-    """Kernels for four lanes at a time."""
+    """Executor for four lanes at a time."""
 
     lanes = 4
 
@@ -177,9 +177,9 @@ def test_an_engine_that_breaks_lets_the_others_end():
         toy.planned(method="baseline", settings=PAPER, threads=3, progress=breaking)
 
 
-def test_a_self_motion_in_chunks_is_the_walk_in_one():
+def test_null_space_steps_in_chunks_are_those_in_one_call():
     """Compare ten short null-space steps, where the baseline is stuck, with five and from their end five more."""
-    executor, walk = (
+    executor, steps_of = (
         Executor(toy.scene(), replace(PAPER, alpha_rad=0.003)),
         find("nspace-sqp").stages[0].lane_function(0),
     )
@@ -188,9 +188,9 @@ def test_a_self_motion_in_chunks_is_the_walk_in_one():
     which = np.arange(len(lost))
     inputs, x = lane_inputs(stack(toy.scenarios()), which, lost), plans.x[which, lost - 1]
     begin, zero, five = executor(ENTER, inputs, x).x, np.zeros(len(lost), np.int32), np.int32(STEPS_PER_CHUNK)
-    whole, null_space_steps = executor(walk, inputs, x, begin, zero, zero + 2 * five)
-    half, at = executor(walk, inputs, x, begin, zero, zero + five)
-    rest, end = executor(walk, inputs, x, half.x, at, at + five)
+    whole, null_space_steps = executor(steps_of, inputs, x, begin, zero, zero + 2 * five)
+    half, at = executor(steps_of, inputs, x, begin, zero, zero + five)
+    rest, end = executor(steps_of, inputs, x, half.x, at, at + five)
     more = null_space_steps > five  # the others are clear before
     assert more.sum() >= 2 and (at[more] == five).all()
     np.testing.assert_array_equal(end[more], null_space_steps[more])

@@ -1,4 +1,4 @@
-"""Command `htcp example`, and names of examples in place of files."""
+"""`htcp example` lists and copies each example with its files, and its name works in place of its file."""
 
 import json
 from pathlib import Path

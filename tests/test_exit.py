@@ -178,7 +178,7 @@ def test_a_sweep_that_compiles_keeps_what_is_finished_and_says_how_to_go_on(here
     compiles(here)(process)
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=LIMIT_S)
-    go_on = "htcp: stopped; 1 of 2 shards are finished in run; the same command goes on from there"
+    go_on = "htcp: stopped; 1 of 2 shards are finished in run; the same command resumes"
     assert (process.returncode, sweep_process.without_progress(errors)) == (143, [go_on])
     assert main(["report", str(here / "run"), "--out", str(here / "report")]) == 0
 

@@ -254,7 +254,7 @@ def test_bounds_that_are_worse_than_before_fail(run, baseline, capsys):
 
     edit(baseline, better)
     failures = outcome(run, baseline, capsys)["failures"]
-    assert any(failure.startswith("baseline: the smallest clearance is") for failure in failures)
+    assert any(failure.startswith("baseline: the minimum clearance is") for failure in failures)
     assert any(failure.startswith("baseline: the largest TCP error is") for failure in failures)
     edit(baseline, lambda raw: raw["allow"]["here"].update(clearance_mm=10.0, tcp_error_mm=10.0))
     assert outcome(run, baseline, capsys)["passed"]
@@ -292,7 +292,7 @@ def test_a_run_of_another_configuration_is_bad_input(updated, run, baseline, cap
     [
         (lambda raw: raw["methods"]["baseline"]["scenarios"].pop(3), "tracked is 76, which is not the sum"),
         (lambda raw: raw["methods"]["baseline"].update(tracked=0), "tracked is 0, which is not the sum"),
-        (lambda raw: raw["methods"]["baseline"]["scenarios"].update({3: "19 FINE"}), "is no end of a scenario"),
+        (lambda raw: raw["methods"]["baseline"]["scenarios"].update({3: "19 FINE"}), "is not an end of a scenario"),
         (lambda raw: raw["methods"]["baseline"].pop("tcp_error_max_mm"), "tcp_error_max_mm"),
         (lambda raw: raw["planned"].update(margin_m=0.1), "config_hash is not that of"),
         (lambda raw: raw.update(methods={}), "methods"),

@@ -75,7 +75,7 @@ def wrong(scene, settings, *rest):
     return sphere_problem(scene, SimpleNamespace(**read), *rest)
 null_space.sphere_problem = wrong
 """,
-    "escape": """
+    "null-space step": """
 from htcp_jax.solvers import sphere
 sqp = sphere.sqp
 def wrong(*arguments, **start):
@@ -84,7 +84,7 @@ def wrong(*arguments, **start):
 sphere.sqp = wrong
 """,
 }
-PLANNED_BY = {fault: "nspace-sqp" if fault in ("escape", "J1's weight") else "baseline" for fault in FAULTS}
+PLANNED_BY = {fault: "nspace-sqp" if fault in ("null-space step", "J1's weight") else "baseline" for fault in FAULTS}
 
 
 def plan(place: Path, method: str, out: str, fault: str = "") -> Path:

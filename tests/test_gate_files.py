@@ -104,8 +104,8 @@ def test_figures_that_changed_are_listed_with_their_difference(verdict):
     first, *others = verdict.rows
     row = first._replace(was_clearance_min_mm=2.0, clearance_min_mm=0.5, was_held=3, held=None)
     found = texts(gate_summary(verdict._replace(rows=(row, *others))))
-    place = found.index("smallest clearance [mm]")
-    assert found[place - 1 : place + 4] == ["baseline", "smallest clearance [mm]", "2.000", "0.500", "-1.500"]
+    place = found.index("minimum clearance [mm]")
+    assert found[place - 1 : place + 4] == ["baseline", "minimum clearance [mm]", "2.000", "0.500", "-1.500"]
     place = found.index("scenarios with the feed held")
     assert found[place + 1 : place + 4] == ["3", "-", "-"]
 

@@ -177,7 +177,7 @@ def test_a_covariance_that_is_none_gives_finite_axes():
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_generation_by_the_gpus_formulas_is_that_of_the_cpu_but_for_signs(monkeypatch, seed):
     """Compare mean, step size, covariance and paths from the same samples, to rounding."""
-    rng, r = np.random.default_rng(seed), cma_es.rates(20, 3)
+    rng, r = np.random.default_rng(seed), cma_es.strategy_parameters(20, 3)
     state = cma_es.start(jnp.array([1.0, -2.0, 0.5]), 0.3)._replace(C=jnp.asarray(covariances(3)[seed + 5]))
     samples, cost = rng.normal(size=(20, 3)), rng.normal(size=20)
     cpu = jax.jit(lambda *a: cma_es.tell(*a, r))(state, samples, cost)

@@ -100,7 +100,9 @@ def test_scenarios_with_one_start_begin_where_their_own_arm_tool_and_task_have_t
         "  - task.1.offset_m: [[0.01, 0, 0], [0.02, 0, 0]]\n"
         "  - start_rad.3: [0.5, 0.4]\n",
     )
-    batch = load_sweep(file, {"task": [{"point": "tcp", "on": "path"}]}).batch()
+    (tmp_path / "path.csv").write_text("1.0,-0.2,1.0\n1.01,-0.2,1.0\n")
+    part = {"cloud": "none", "path": str(tmp_path / "path.csv")}
+    batch = load_sweep(file, {"workpiece": part, "task": [{"point": "tcp", "on": "path"}]}).batch()
     assert len({row.tobytes() for row in batch.scenarios.targets[:, 0]}) == 16  # of 32 scenarios
     for point in batch.points:
         _, _, alone = scene(point.config)
@@ -127,7 +129,7 @@ def test_a_limit_takes_the_first_scenarios():
         ("grid: [start_rad.7: [1]]", "unknown parameter start_rad.7; did you mean start_rad"),
         ("grid: [settings.zzz: [1]]", "valid: any key of the configuration but method, program and ray"),
         ("grid: [{margin_m: [0, 1], start_rad.1: [0]}]", "margin_m has 2 values, start_rad.joint1 has 1 values"),
-        ("grid: [{start_rad.3: [0]}, {start_rad.joint3: [0]}]", "start_rad.joint3 stands in it twice"),
+        ("grid: [{start_rad.3: [0]}, {start_rad.joint3: [0]}]", "start_rad.joint3 is repeated"),
         ("grid: [margin_m: [true]]", "margin_m takes finite numbers, not True"),
         ("grid: [margin_m: [.nan]]", "margin_m takes finite numbers, not nan"),
         ("grid: [start_rad: [0]]", "start_rad takes lists of numbers, not 0"),

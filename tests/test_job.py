@@ -25,10 +25,11 @@ OWN = {"robot": {"model": str(ARM)}, "start_rad": START}
 
 @pytest.fixture
 def pipe(tmp_path):
-    """Copy of the pipe's job, with two points of its seam."""
+    """Copy of the pipe's job, with two points of its seam and some 10,000 on its walls."""
     folder = Path(shutil.copytree(CONFIGS / "pipe", tmp_path / "jobs"))
     np.savetxt(folder / "seam.csv", np.loadtxt(folder / "seam.csv", delimiter=",", ndmin=2)[:2], delimiter=",")
-    text = (folder / "job.yaml").read_text().replace("workpiece:", "workpiece:\n  approach_to_path: 1", 1)
+    own = "workpiece:\n  approach_to_path: 1\n  mesh_spacing_m: 0.02"
+    text = (folder / "job.yaml").read_text().replace("workpiece:", own, 1)
     (folder / "job.yaml").write_text(text.replace("method: beam", "method: baseline"))
     return folder
 
@@ -107,7 +108,7 @@ def test_jobs_build_on_each_other_with_files_of_their_own_folders(tmp_path):
     (tmp_path / "middle.yaml").write_text("config: cell/base.yaml\nmargin_m: 0.25\nworkpiece: {path: b.csv}\n")
     (tmp_path / "job.yaml").write_text("config: middle.yaml\nrobot: {base_m: [1, 0, 0]}\nsettings:\nmargin_m: 0.5\n")
     job = load_config(tmp_path / "job.yaml", ["workpiece.path=c.csv"])
-    assert (job.robot.base_m, job.margin_m) == ((1, 0, 0), 0.5), "lists are replaced as a whole"
+    assert (job.robot.base_m, job.margin_m) == ((1, 0, 0), 0.5), "lists are replaced as a unit"
     assert job.robot.model == str(ARM) and job.workpiece.cloud == str(tmp_path / "cell" / "box.stl")
     assert job.workpiece.path == "c.csv" and job.robot.limits == "model"
     assert load_config(tmp_path / "job.yaml").workpiece.path == str(tmp_path / "b.csv")

@@ -105,7 +105,7 @@ def test_another_engine_finds_nothing_that_touches_at_a_thousand_places_of_every
 
 
 def test_every_step_is_proven_and_within_the_limits():
-    """Check with the kernel that validates the segments of plans; no two successive configurations are equal."""
+    """Check with the lane function that verifies the segments of plans; no two successive configurations are equal."""
     lower, upper = checker().executor.limits
     for s, path in paths():
         assert (verdicts(s, path[:-1], path[1:]) == PathVerdict.VALID).all()

@@ -1,5 +1,8 @@
-"""Style checks of `lint`: they find each kind of fault in hand-made packages and cover the public names here."""
+"""Checks of `make lint`: they find each kind of fault in hand-made packages and cover the public names here."""
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -62,7 +65,8 @@ def test_validation_that_imports_the_planners_mathematics_is_found(package, line
     (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
     (package / "htcp_jax/validation").mkdir()
     (package / "htcp_jax/validation/a.py").write_text(
-        "from htcp_jax.motion import Plans\nfrom htcp_jax.jobs.build import arm_of\nfrom htcp_jax.validation.b import c"
+        "from htcp_jax.motion import Plans\nfrom htcp_jax.jobs.build import robot_key\n"
+        "from htcp_jax.validation.b import c"
     )
     assert not faults(package)
     (package / "htcp_jax/validation/a.py").write_text(line)
@@ -169,10 +173,10 @@ def test_a_file_opened_by_other_means_than_the_one_reader_is_found(package, call
         ("def f(n: np.ndarray) -> None:\n    '''Of n.'''", "n has no shape"),
         ("def f(n: np.ndarray) -> None:\n    '''Of n (S,).'''", ""),
         ("def f() -> Float[Array, 'N']:\n    '''A number.'''", "return has no unit"),
-        ("def f():\n    '''Says no.'''\n    raise InputError", "raises InputError and does not say so"),
+        ("def f():\n    '''Says no.'''\n    raise InputError", "raises InputError without mentioning it"),
         (
             "def f():\n    '''Says no.'''\n    _g()\ndef _g():\n    raise InputError",
-            "raises InputError and does not say so",
+            "raises InputError without mentioning it",
         ),
         ("def f():\n    '''Says no. Raises InputError.'''\n    raise InputError", ""),
         ("class f:\n    '''Of one field.'''\n    x: float", "x has no unit"),
@@ -187,7 +191,7 @@ def test_a_public_name_that_lacks_something_is_found(package, source, lacks):
 def test_a_name_that_a_page_shows_exists(package):
     (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
     (package / "docs/page.md").write_text("::: htcp_jax.made.g\n")
-    assert faults(package) == ["made.g: is not where a page or a stub says"]
+    assert faults(package) == ["made.g: is not where a page or a stub refers to"]
 
 
 @pytest.mark.parametrize("text", ["The tool.", "The tool, equation (7)."])
@@ -202,3 +206,24 @@ def test_what_all_names_and_what_the_pages_show_is_public():
     assert set(htcp_jax.__all__) - {"charts", "clearance"} <= {name.rpartition(".")[2] for name in found}
     assert {"model.scenario.Scenario", "solvers.sphere.sqp", "runs.run_folder.open_run"} <= found.keys()
     assert found["solvers.sphere.sqp"].is_mathematics and not found["runs.run_folder.open_run"].is_mathematics
+
+
+CALLS = {  # a call of the public interface -> the checker's code of its fault
+    'htcp_jax.plan("job.yaml", {"margin_m": 0.001}, method="beam").complete': "",
+    'htcp_jax.sweep("sweeps/workpiece", "baseline,hybrid").frame()': "",
+    "htcp_jax.plan(method=3)": "arg-type",
+    'htcp_jax.plan(metod="beam")': "call-arg",
+    "htcp_jax.plan().completed": "attr-defined",
+    "htcp_jax.lengthen_tools": "attr-defined",
+    "htcp_jax.load_robot(0.1)": "arg-type",
+    "htcp_jax.plan(obstacles=[htcp_jax.PointCloud])": "list-item",
+}
+
+
+def test_a_wrong_call_of_the_public_interface_is_found_by_the_type_checker(tmp_path):
+    (tmp_path / "calls.py").write_text("\n".join(["import htcp_jax", *CALLS, ""]))
+    command = [sys.executable, "-m", "mypy", "--no-pretty", "--no-error-summary", tmp_path / "calls.py"]
+    result = subprocess.run(command, cwd=Path(__file__).parents[1], capture_output=True, text=True)
+    found = {int(line): code for line, code in re.findall(r"^\S+:(\d+): error: .*\[(\S+)\]$", result.stdout, re.M)}
+    expected = {line: code for line, code in enumerate(CALLS.values(), start=2) if code}
+    assert found == expected, result.stdout + result.stderr

@@ -1,4 +1,4 @@
-"""Metrics of the summary, on plans with known values."""
+"""The metrics of a summary are those calculated by hand on plans with known values."""
 
 import numpy as np
 import pytest

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,10 +22,9 @@ from htcp_jax.runs.sweep import sweep
 from htcp_jax.viewer.replay import open_replays
 
 ARM = """
-<mujoco model="{name}"><worldbody><geom name="foot" type="sphere" size="0.05"/>
+<mujoco model="{name}"><worldbody>
   <body><joint name="j1" axis="0 0 1" range="-170 170"/>
     <body pos="0 0 0.3"><joint name="j2" axis="0 1 0" range="-{range} {range}"/>
-      <geom name="upper" type="capsule" fromto="0 0 0.1 0 0 {upper}" size="0.03"/>
       <body pos="0 0 {upper}"><joint name="j3" axis="0 1 0" range="-150 150"/>
         <geom name="lower" type="capsule" fromto="0 0 0.1 0 0 0.45" size="0.02"/>
         <body pos="0 0 0.5"><joint name="j4" axis="0 1 0" range="-150 150"/>
@@ -45,13 +45,16 @@ grid:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Folder with a grid of two robots, two clouds with a setting each, and two starts with a rotation each."""
+    """Folder with a grid of two robots, two clouds with a setting each, and two starts with a rotation each.
+
+    Joints, bodies and points are as many as the toy's, whose compiled programs plan it.
+    """
     place = tmp_path_factory.mktemp("mixed")
     for name, upper, limit in (("short", 0.5, 120), ("long", 0.7, 110)):
         (place / name).mkdir()
         (place / name / "arm.xml").write_text(ARM.format(name=name, upper=upper, range=limit))
     for name, x in (("near", 1.0), ("far", 1.2)):
-        np.savetxt(place / f"{name}.xyz", [(x, y / 80, z / 80) for y in range(-40, 41) for z in range(81)])
+        np.savetxt(place / f"{name}.xyz", [(x, y / 60, z / 60) for y in range(-10, 10) for z in range(25, 35)])
     (place / "path.csv").write_text("0.8,0,0.5\n0.8,0.05,0.5\n")
     part = "{path: path.csv, cloud: near.xyz, interior: none, approach_to_inlet: 1, approach_to_path: 0}"
     (place / "job.yaml").write_text(f"workpiece: {part}\nstart_rad: [0, 0.4, 1.2, 0.3]\nmethod: baseline\n")
@@ -101,12 +104,12 @@ def test_the_manifest_leads_to_the_same_configurations(place, run):
 
 
 def test_a_scenario_is_opened_with_its_own_robot_and_workpiece(place, run):
-    replays = open_replays(place / "run")
+    replays, axes = open_replays(place / "run"), jax.jit(capsule_segments)
     for point in run.points():
         replay = replays.replay(point.number, "baseline")
         robot = robot_of(point.config.robot)
         assert replay.robot.name == robot.name
-        ends = capsule_segments(robot, jnp.asarray(replay.x[0]))[0]
+        ends = axes(robot, jnp.asarray(replay.x[0]))[0]
         np.testing.assert_allclose(replay.p[0], np.asarray(ends), atol=1e-12)
         if replay.failed != 0:
             near = np.linalg.norm(replay.witness.arm[0] - replay.witness.cloud[0])
@@ -134,7 +137,7 @@ def test_a_changed_file_of_an_axis_is_refused(place, run):
     """Check that a run whose cloud has changed is not opened or continued."""
     text = (place / "far.xyz").read_text()
     try:
-        (place / "far.xyz").write_text(text + "1.2 0 0\n")
+        (place / "far.xyz").write_text(text + "1.2 0 0.4\n")
         with pytest.raises(InputError, match=r"far\.xyz is not what it was when .*run was planned"):
             open_replays(place / "run")
         with pytest.raises(InputError, match=r"run holds another sweep: its grid differs"):
@@ -201,5 +204,5 @@ def test_a_cloud_of_an_axis_stands_at_its_own_origin_and_the_duct_where_it_does(
 
 def test_what_varies_the_robot_stands_in_every_group(place):
     (place / "groups.yaml").write_text("groups: {a: [{robot.model: [short/arm.xml]}], b: [{margin_m: [0]}]}")
-    with pytest.raises(InputError, match=r"groups\.b: robot\.model varies in another group; it has to stand in every"):
+    with pytest.raises(InputError, match=r"groups\.b: robot\.model varies in another group; it must vary in every"):
         load_sweep(place / "groups.yaml", {"start_rad": [0, 0.4, 1.2, 0.3]})

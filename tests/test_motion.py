@@ -18,7 +18,7 @@ from htcp_jax.motion.motion import (
     motion,
     motion_figures,
     motions,
-    tightest,
+    narrowest_segment,
 )
 from htcp_jax.status import Kind, SegmentStatus, Status
 
@@ -112,7 +112,7 @@ def curved(plans: Plans, s: int) -> dict[int, float]:
 def test_the_figures_are_those_of_a_plain_loop(seed):
     plans = some_plans(seed)
     found, bent, on_path = motion_figures(plans, ON_PATH), curvature(plans, ON_PATH), motions(plans, ON_PATH)
-    turning, (least_at, least) = dwells(plans, ON_PATH), tightest(plans)
+    turning, (least_at, least) = dwells(plans, ON_PATH), narrowest_segment(plans)
     costs, steps = cost(on_path, len(plans.x)), largest_step(on_path, len(plans.x))
     for s in range(len(plans.x)):
         rows, count = null_space_steps(plans, s), int(plans.executable[s].sum())

@@ -81,14 +81,14 @@ def test_the_map_counts_what_works_what_nearly_does_and_what_blocks_elsewhere(tm
     words = [label.get_text() for label in bars["mountings"].get_yticklabels()]
     counts = [int(text) for text in written(bars["mountings"])]
     assert words == [
-        "everything works",
-        "nearly: 90 % of the targets",
+        "complete",
+        "nearly complete: 90 % of the targets",
         "iteration limit",
         "QP infeasible",
         "path blocked",
     ]
     assert counts == [COMPLETE, NEARLY, 20 - NEARLY, 10, 5]
-    assert [int(text) for text in written(bars["colliding, in 9 of the lost"])] == [7, 2]
+    assert [int(text) for text in written(bars["colliding body, in 9 failed mountings"])] == [7, 2]
 
 
 def test_the_map_is_drawn_where_nothing_works(tmp_path):
@@ -140,7 +140,7 @@ def test_what_is_no_search_is_refused_in_a_line(tmp_path):
     with pytest.raises(InputError, match="damaged search"):
         read_search(folder)
     (folder / "ranked.json").unlink()
-    with pytest.raises(InputError, match="has not come to its end"):
+    with pytest.raises(InputError, match="is not finished"):
         read_search(folder)
     with pytest.raises(InputError, match="has not ranked any mounting"):
         open_plans(folder)

@@ -1,4 +1,4 @@
-"""Safe norms and divisions with finite gradients, distances of segments, Cholesky, folded keys."""
+"""Numerical primitives: finite gradients everywhere, exact distances and solutions, reproducible random keys."""
 
 import jax
 import jax.numpy as jnp

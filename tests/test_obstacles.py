@@ -1,7 +1,4 @@
-"""Obstacle types from outside the package, and the arm's own bodies.
-
-They are measured, linearised, proven and planned with as the workpiece is.
-"""
+"""Obstacles of other packages, and the arm's own bodies: measured, proven and planned with like the workpiece."""
 
 from functools import cache
 
@@ -93,13 +90,15 @@ def test_the_gradient_is_that_of_the_distance_also_where_both_bodies_move():
 def test_a_contact_held_never_predicts_less_than_the_truth_and_the_truth_where_it_was_seen():
     robot, where = made_once.robot(), made_once.nominal()
     rows, rng = rows_of(robot, obstacles()), np.random.default_rng(0)
+    hold = jax.jit(lambda robot, x, touch: hold_contacts(robot, x, rows, touch))
+    predict = jax.jit(lambda robot, x, held: predict_distances(robot, x, rows, held)[0])
     for x in configurations()[60::2]:
         touch = jitted(contacts)(robot, obstacles(), where, x)
-        held = hold_contacts(robot, jnp.asarray(x), rows, touch)
-        np.testing.assert_allclose(predict_distances(robot, x, rows, held)[0], touch.distance, atol=1e-12)
+        held = hold(robot, jnp.asarray(x), touch)
+        np.testing.assert_allclose(predict(robot, x, held), touch.distance, atol=1e-12)
         for near in x + rng.uniform(-0.1, 0.1, (4, 6)):
             truth = np.asarray(jitted(clearances)(robot, obstacles(), where, near))
-            predicted = np.asarray(predict_distances(robot, near, rows, held)[0])
+            predicted = np.asarray(predict(robot, near, held))
             assert (predicted >= truth - 1e-12)[~np.asarray(touch.plane)].all()
             assert (predicted >= truth - 1e-12)[8:].all()
 

@@ -70,7 +70,8 @@ def test_the_arm_is_brought_to_where_the_task_is_held():
     task, known = task_of_job(job, arm), (arm, part, scenario, np.array(START), 60, SETTINGS)
     held = obstruction(*known, task=task)
     free = obstruction(arm, part, replace(scenario, task_goals=None), *known[3:])
-    off = [float(task.off(arm, jnp.asarray(found.x), jnp.asarray(scenario.task_goals[60]))) for found in (held, free)]
+    measure, goal = jax.jit(task.residual_at), jnp.asarray(scenario.task_goals[60])
+    off = [float(measure(arm, jnp.asarray(found.x), goal)) for found in (held, free)]
     assert held.reached and off[0] <= SETTINGS.tolerance_m < off[1]
 
 
@@ -101,7 +102,7 @@ def test_hundreds_at_once_are_each_as_alone(scenario, workpiece):
 def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece):
     found = obstruction(robot(), workpiece, scenario, np.array(START), 80, SETTINGS)
     where = {"point": np.array([0.81, 0.1, 0.42]), "reached": True}
-    known = found._replace(body="spindle", in_words="capsule spindle", **where)
+    known = found._replace(body="spindle", body_label="capsule spindle", **where)
     inside = known._replace(depth_m=0.0032).description
     assert inside == "capsule spindle is 3.2 mm inside the workpiece at (0.81, 0.10, 0.42) m there"
     clear = known._replace(depth_m=-0.0032)

@@ -16,6 +16,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.motion import Plans, Problem
 from htcp_jax.planning import registry
 from htcp_jax.planning.tracking import StepQPs
+from htcp_jax.status import Status
 
 ROOT = Path(__file__).parents[1]
 NAME = "random-neighbours"
@@ -120,7 +121,7 @@ def test_what_cannot_be_imported_is_one_line_and_breaks_nothing_else(tmp_path):
     assert code == 0 and "hybrid" in out
     line = "the method 'broken' (entry point broken_planner:PLANNER of package broken-package) cannot be imported"
     assert line in " ".join(err.split())
-    assert "'baseline' (entry point broken_planner:OTHER of package broken-package) is left out" in " ".join(
+    assert "'baseline' (entry point broken_planner:OTHER of package broken-package) is excluded" in " ".join(
         err.split()
     )
     code, _, err = place.run("plan", "job.yaml", "--method", "broken")
@@ -132,9 +133,31 @@ def test_what_cannot_be_imported_is_one_line_and_breaks_nothing_else(tmp_path):
 
 
 class Standstill(htcp_jax.Method):
-    """A planner that does not plan."""
+    """A planner that finds nothing."""
 
     name, title, description = "standstill", "Standstill", "nothing at all"
+
+    def plan(self, problem: Problem) -> Plans:
+        plans = problem.empty_plans()
+        plans.status[:, 0] = Status.NO_SOLUTION
+        return plans
+
+
+class Forgetful(Standstill):
+    """A planner that leaves a required column empty."""
+
+    name = "forgetful"
+
+    def plan(self, problem: Problem) -> Plans:
+        plans = problem.empty_plans()
+        plans.status[:, 0], plans.x[:, 0], plans.tcp[:, 0] = Status.TRACKED, problem.scenarios.x_start, 0.0
+        return plans
+
+
+class Silent(Standstill):
+    """A planner that states no reason."""
+
+    name = "silent"
 
     def plan(self, problem: Problem) -> Plans:
         return problem.empty_plans()
@@ -170,6 +193,19 @@ def test_a_method_of_this_process_plans_and_is_listed(standstill, tmp_path):
 def test_what_is_no_method_is_not_registered(method, line):
     with pytest.raises(InputError, match=line):
         htcp_jax.register(method)
+
+
+@pytest.mark.parametrize(
+    ("method", "line"),
+    [
+        (Forgetful(), "method 'forgetful' left clearance of a tracked target empty"),
+        (Silent(), "method 'silent' left the status of target 0 empty"),
+    ],
+)
+def test_plans_with_an_empty_required_column_are_refused(method, line, tmp_path):
+    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n")
+    with pytest.raises(InputError, match=line):
+        htcp_jax.plan({"workpiece": {"path": str(tmp_path / "path.csv")}}, method=method)
 
 
 def test_plans_of_other_scenarios_are_refused(monkeypatch, standstill, tmp_path):

@@ -1,6 +1,7 @@
-"""Package metadata: the command, the commit that runs record, and the imports of the core."""
+"""Package metadata: the command, the version, the commit that runs record, and the imports of the core."""
 
 import importlib
+import re
 import shutil
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 import htcp_jax
 from htcp_jax.runs import provenance
@@ -20,6 +22,13 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 def test_the_command_is_where_the_project_says():
     module, _, function = PROJECT["project"]["scripts"]["htcp"].partition(":")
     assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_the_citation_and_the_newest_section_of_the_changes_name_the_version_of_the_project():
+    version = PROJECT["project"]["version"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    released = re.findall(r"^## \[(\d.*)\] - (\S+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert (version, citation["date-released"]) == released[0] and citation["version"] == version
 
 
 @pytest.mark.parametrize("edited", ["planning/tracking/lanes.py", "model/robots/gp50.xml", "numerics.py"])

@@ -1,4 +1,4 @@
-"""QP of a whole path, equation (3): minima by their multipliers, closed forms, and what every answer satisfies."""
+"""QP of a complete path, equation (3): minima by their multipliers, closed forms, constraints of every answer."""
 
 from itertools import pairwise
 
@@ -50,7 +50,7 @@ def left(qp, y):
 
 
 def task(qp, y):
-    return np.concatenate([qp.A[i] @ y[i] for i in np.flatnonzero(qp.held)] or [np.zeros(0)])
+    return np.concatenate([qp.A[i] @ y[i] for i in np.flatnonzero(qp.constrained)] or [np.zeros(0)])
 
 
 def is_a_minimum(qp, y):
@@ -101,7 +101,7 @@ def test_without_an_active_inequality_it_solves_the_equations_of_its_multipliers
         system = np.vstack([top, np.hstack([rows, np.zeros((len(rows), len(rows)))])])
         right = np.concatenate([-2 * V.T @ W @ np.diff(x, axis=0).ravel(), np.zeros(len(rows))])
         expected = np.linalg.solve(system, right)[:32].reshape(8, 4)
-        np.testing.assert_allclose(solve_path_qp(free(x, w, held=held, A=A)), expected, atol=EXACT)
+        np.testing.assert_allclose(solve_path_qp(free(x, w, constrained=held, A=A)), expected, atol=EXACT)
 
 
 def test_a_path_whose_last_configuration_stays_becomes_straight_and_even():
@@ -127,7 +127,7 @@ def test_one_configuration_on_its_task_gives_way_where_joints_are_light():
         x, a = rng.normal(size=(2, 3)), rng.normal(size=3)
         back = x[0] - x[1]
         expected = back - a / weights * (a @ back) / (a / weights @ a)
-        qp = free(x, weights, held=np.array([True]), A=a[None, None])
+        qp = free(x, weights, constrained=np.array([True]), A=a[None, None])
         np.testing.assert_allclose(solve_path_qp(qp)[0], expected, atol=EXACT)
 
 

@@ -1,8 +1,7 @@
-"""Placement searches of a small part by real planners.
+"""Placement searches by real planners: each ranked mounting holds when planned alone, perturbed, and by MuJoCo.
 
-Each ranked result holds when it is planned alone, when it is perturbed and when MuJoCo measures it; neither threads nor
-kills have any influence on it. The part is a plate behind a path of two points, moved towards the arm until nothing
-fits.
+Neither threads nor kills have any influence on the results. The part is a plate behind a path of two points, moved
+towards the arm until nothing fits.
 """
 
 import json
@@ -16,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from stranger_jobs import box_job
+from stranger_jobs import small_box_job
 from sweep_process import JOB, environment, make_sweep
 
 import htcp_jax
@@ -40,15 +39,17 @@ place:
 objective: [clearance, joint motion]
 within: {scenarios: 12}
 perturbation: {mm: 20, deg: 1}
-best: 4
+best: 3
 """
+FEWER_TARGETS = "  approach_to_inlet: 1\n  approach_to_path: 1\n"
+SMALL_BEAM = "settings: {beam_width: 6, min_beam_width: 4, self_motions: 6, self_motion_rounds: 2, smooth: false}\n"
 RESULTS = "ranked.json", "mountings.parquet", "ranked/manifest.json"
 KILLS = 20
 
 
 def make(folder: Path) -> Path:
     make_sweep(folder)
-    (folder / "job.yaml").write_text(JOB + "  approach_to_inlet: 1\n  approach_to_path: 1\n")  # fewer targets
+    (folder / "job.yaml").write_text(JOB + FEWER_TARGETS + SMALL_BEAM)
     (folder / "place.yaml").write_text(FILE)
     return folder
 
@@ -130,10 +131,10 @@ def test_complete_are_mountings_in_which_a_motion_leads_to_the_end(found):
 
 def test_the_default_screen_finds_motions_in_a_box_whether_the_start_is_given_or_chosen(tmp_path):
     """Complete placements of the default screen in a box, for a given start and `start_rad: auto` (regression)."""
-    job = box_job(tmp_path)
+    job = small_box_job(tmp_path)
     ranges = {"workpiece.shift_m.z": [0.14, 0.18]}
-    for start in ({}, {"start_rad": "auto"}):
-        search = load_search({"place": ranges}, job, [f"{key}={value}" for key, value in start.items()])
+    for start in ([], ["start_rad=auto"]):
+        search = load_search({"place": ranges}, job, start)
         run = sweep(sweep_of(search, np.array([[0.15], [0.17]])), [search.file.screen])
         assert MountingScores(search, run, search.file.screen, np.array([[0.15], [0.17]])).complete.any()
 
@@ -267,9 +268,7 @@ def test_ctrl_c_ends_it_with_130_and_one_line_how_to_go_on(found, here):
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate()
     assert (process.returncode, output) == (130, "")
-    assert errors.strip().splitlines()[-1] == (
-        "htcp: stopped; what is finished is in out; the same command goes on from there"
-    )
+    assert errors.strip().splitlines()[-1] == ("htcp: stopped; finished plans are in out; the same command resumes")
     place("place.yaml", "out")
     assert results(here / "out") == results(found.folder)
 
@@ -281,7 +280,7 @@ def test_a_search_by_time_that_was_stopped_repeats_its_rounds_and_goes_on(here):
             raise KeyboardInterrupt
 
     changes = {"within": {"seconds": 20}, "best": 1, "objective": "clearance"}
-    with pytest.raises(Interrupted, match="what is finished is in out"):
+    with pytest.raises(Interrupted, match="finished plans are in out"):
         place("place.yaml", "out", changes=changes, progress=stop)
     rounds = sorted((here / "out" / "rounds").glob("[0-9]*"))
     found = place("place.yaml", "out", changes=changes)

@@ -73,7 +73,7 @@ def numpy_D(robot, workpiece, scenario, x):
 
 @every_method
 def test_a_tracked_target_is_reached_clear_and_within_the_limits(method):
-    """Tracked targets, checked independently: TCP error at most 1 mm, D > 0 over all points, and the same on record."""
+    """Tracked targets, checked independently: TCP error at most 1 mm, D > 0 over all points, and the same saved."""
     plans, (robot, duct) = planned(method), scene()
     tracked = np.argwhere(plans.status <= Status.TRACKED_AFTER_RECOVERY)
     assert len(tracked) > 60
@@ -144,7 +144,7 @@ def test_a_recovery_gets_further_than_the_baseline():
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="a GPU launches a loop's kernels one by one")
 def test_on_a_cpu_a_kernel_is_one_native_function():
-    """Check the kernels that every method needs, and the start of self-motions, for loops outside native code.
+    """Check the lane functions that every method needs, and the start of self-motions, for loops outside native code.
 
     A library call in a loop, for example to LAPACK, would make XLA dispatch its parts one by one. No other test would
     fail, and everything would take twice the time.
@@ -214,7 +214,7 @@ def test_every_path_of_the_hybrid_is_clear():
 def test_the_prose_of_the_paper_tracks_again_after_a_recovery():
     """after_recovery="track", as in the paper's prose: the step QP tracks again after a recovery.
 
-    An escaped target is reached like any other. With the QP's cost about x_{t-1}, equation (4), it goes straight back
+    A recovered target is reached like any other. With the QP's cost about x_{t-1}, equation (4), it goes straight back
     to where it was stuck: no recovery lasts.
     """
     lasted = {}
@@ -228,7 +228,7 @@ def test_the_prose_of_the_paper_tracks_again_after_a_recovery():
 
 
 def test_what_cannot_be_planned_is_refused_by_name():
-    with pytest.raises(InputError, match=r"'nspace-sqq' is no method; valid: baseline, .*hybrid"):
+    with pytest.raises(InputError, match=r"'nspace-sqq' is not a method; valid: baseline, .*hybrid"):
         plan(*scene(), poses(), "nspace-sqq")
     with pytest.raises(InputError, match=r"q_weights has 2 values.*6 joints"):
         plan(*scene(), poses(), "baseline", Settings(q_weights=(1.0, 1.0)))

@@ -17,7 +17,7 @@ import toy
 
 import htcp_jax
 from htcp_jax.device import compile_cache, processes
-from htcp_jax.device.processes import shares, that_pay
+from htcp_jax.device.processes import profitable_count, shares
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.model.scenario import stack
 from htcp_jax.planning import Method
@@ -81,7 +81,7 @@ def test_progress_counts_what_all_processes_have_done():
 
 
 def test_what_a_worker_raises_arrives():
-    with pytest.raises(InputError, match="'nonsense' is no QP solver; valid: clarabel"):
+    with pytest.raises(InputError, match="'nonsense' is not a QP solver; valid: clarabel"):
         toy.planned(method="baseline", settings=replace(toy.SETTINGS, qp="nonsense"), processes=2)
 
 
@@ -129,13 +129,13 @@ def test_a_method_of_this_process_plans_here():
 
 
 def test_few_scenarios_need_no_worker_and_many_do():
-    assert that_pay(64, 1, 10**6) == that_pay(64, 15, 10**6) == that_pay(1, 1000, 10**6) == 1
-    assert that_pay(2, 49, 5145) == 1 and that_pay(2, 49, 10290) == 2
-    assert that_pay(64, 125, 13125) == 15  # at least eight scenarios each
+    assert profitable_count(64, 1, 10**6) == profitable_count(64, 15, 10**6) == profitable_count(1, 1000, 10**6) == 1
+    assert profitable_count(2, 49, 5145) == 1 and profitable_count(2, 49, 10290) == 2
+    assert profitable_count(64, 125, 13125) == 15  # at least eight scenarios each
 
 
 def test_the_number_of_processes_does_not_depend_on_earlier_calls():
-    assert {that_pay(2, 49, 5145) for _ in range(10)} == {1}
+    assert {profitable_count(2, 49, 5145) for _ in range(10)} == {1}
 
 
 SCRIPT = """
@@ -213,14 +213,14 @@ def test_who_comes_second_compiles_after_the_first(tmp_path):
     entered = threading.Event()
 
     def second():
-        with compile_cache.alone("null space 0"):
+        with compile_cache.compilation_lock("null space 0"):
             entered.set()
 
     try:
-        with compile_cache.alone("null space 0"):
+        with compile_cache.compilation_lock("null space 0"):
             waiting = threading.Thread(target=second)
             waiting.start()
-            with compile_cache.alone("advance"):
+            with compile_cache.compilation_lock("advance"):
                 assert not entered.wait(0.2)
         waiting.join()
         assert entered.is_set()

@@ -1,7 +1,6 @@
-"""Time-parameterised motions.
+"""Timed motions keep every limit at 1 ms and the feed rate on the weld, as near to the plan as its proof allows.
 
-Within every limit at 1 ms, at the feed rate on the weld, and no further from the plan than its proof allows. All is
-measured on the result, by finite differences and by MuJoCo, not taken from the time scaling itself.
+All is measured on the result, by finite differences and by MuJoCo, not taken from the time scaling itself.
 """
 
 from dataclasses import replace
@@ -141,7 +140,7 @@ def test_legs_a_thousand_times_shorter_than_others_keep_the_limits_within_a_mill
         made_once.robot(), motion, free_radius(motion, clearance=2e-5), joint_limits(made_once.robot()), 0.02
     )
     assert max(scaling.speed.slower for scaling in one.scalings) < 1.005, (
-        "one corner does not slow the whole motion down"
+        "one corner does not slow the complete motion down"
     )
     for k, limit in enumerate(joint_limits(made_once.robot()), 1):
         found = np.diff(one.timed(1e-4).x, n=k, axis=0) / 1e-4**k

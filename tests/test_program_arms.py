@@ -53,7 +53,7 @@ def test_an_arm_with_a_task_in_a_cell_is_timed_within_its_limits_and_nothing_is_
         assert (np.abs(np.diff(timed.x, n=order, axis=0)) / STEP_S**order <= (1 + ROUNDING) * limit).all()
     found = check_timed(tmp_path / "plan", timed, made.method)
     assert found.refuted == 0 and found.clearance_min_m > 0
-    assert 0 < made.load.share < 1 and abs(made.load.torque) > 1
+    assert 0 < made.peak_torque.share < 1 and abs(made.peak_torque.torque) > 1
     if kind != "cone":
         passed = made.program.at(made.program.at_configurations().time_s)
         results = read_results(tmp_path / "plan")

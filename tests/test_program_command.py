@@ -5,6 +5,7 @@ import json
 import shutil
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ STEP_S = 1e-3
 ROUNDING = 1e-6  # of a limit: third differences of doubles over 1 ms
 WELD = "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n0.195,-0.1739,0.1703\n"
 PER_RAD, ZERO_RAD = [9e4, 8e4, -8e4, -5e4, -5e4, -3e4], [0, -1.5, 0, 0, 0, 0]
+_POSE = jax.jit(tcp_pose)
 PULSES = f"program.pulses={{per_rad: {PER_RAD}, zero_rad: {ZERO_RAD}, source: a drawing}}"
 
 
@@ -126,7 +128,7 @@ def changed(plans, folder, **sections) -> Path:
 def tool_axis(plans) -> list[float]:
     """Direction of the tool where the weld begins."""
     x = open_plans(plans / "good").plans("beam").x[0, -3]
-    return np.asarray(tcp_pose(gp50(), jnp.asarray(x)))[:3, 2].tolist()
+    return np.asarray(_POSE(gp50(), jnp.asarray(x)))[:3, 2].tolist()
 
 
 OFF = [
@@ -250,7 +252,7 @@ def test_rectan_positions_are_the_tcp_by_mujoco_in_the_workpiece(plans, here):
 
 
 WRONG = [
-    (["--set", "margin_m=0"], "--set margin_m: the plan is on record; keys of program.* alone can be changed"),
+    (["--set", "margin_m=0"], "--set margin_m: the plan is saved; only keys of program.* can be changed"),
     (["--set", "program.velocty=1"], "unknown key program.velocty; did you mean program.velocity?"),
     (["--set", "program.velocity=[1, 2]"], "program.velocity has 2 values, the robot gp50 has 6 joints"),
     (["--set", "program.velocity=[1, 1, 1, 1, 1, 0]"], "program.velocity.5 is 0"),
@@ -324,7 +326,7 @@ def test_an_effort_beyond_its_limit_is_a_warning_and_exit_3_unless_it_is_allowed
     start = [0.3, 0.6, 0.2]
     robot = htcp_jax.load_robot(here / "arm.xml")
     xs = np.array(start) + np.array([[0.0, 0, 0], [0.02, -0.02, 0.02], [0.04, -0.04, 0.04]])
-    path = np.array([np.asarray(tcp_pose(robot, jnp.asarray(x)))[:3, 3] for x in xs])
+    path = np.array([np.asarray(_POSE(robot, jnp.asarray(x)))[:3, 3] for x in xs])
     np.savetxt(here / "path.csv", path, delimiter=",")
     job = {"robot": {"model": "arm.xml"}, "start_rad": start, "workpiece": {"cloud": "none", "path": "path.csv"}}
     job |= {"program": {"velocity": [1, 1, 1]}}

@@ -284,13 +284,13 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
 @pytest.mark.parametrize(
     ("format", "timed", "given", "said"),
     [
-        ("krl", a_motion(), {}, "'krl' is no format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses"),
+        ("krl", a_motion(), {}, "'krl' is not a format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses"),
         ("csv", NO_CONFIGURATION, {}, "has none"),
         ("csv", STILL, {}, "configuration 2 comes no later"),
         ("jbi", a_motion(), {"user_frame": None}, "program.user_frame names it"),
         ("jbi", a_motion(), {"user_frame": FRAME_0}, "user frame 0; there are 1 to 63"),
         ("jbi", a_motion(7), {}, "an arm of 7 joints; RECTAN holds 6"),
-        ("jbi", a_motion(), {"name": "Größe"}, "'Größe' is no name of a job"),
+        ("jbi", a_motion(), {"name": "Größe"}, "'Größe' is not a name of a job"),
         ("jbi", a_motion(), {"speed": None}, "program.velocity gives them"),
         (
             "jbi-pulses",
@@ -305,7 +305,7 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
         ("jbi-pulses", MANY, {}, "a job holds 9,999; the path has too many points"),
         ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),
         ("urscript", a_motion(), {"slides": (True, *[False] * 5)}, "1 of which slide"),
-        ("urscript", a_motion(), {"name": "2 welds"}, "'2 welds' is no name of a function"),
+        ("urscript", a_motion(), {"name": "2 welds"}, "'2 welds' is not a name of a function"),
         ("urscript", OFF_STEP, {}, "a configuration at 0.2013 s; times must be multiples of the controller's 0.002 s"),
     ],
 )

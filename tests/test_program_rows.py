@@ -1,6 +1,6 @@
 """Rounded corners keep every row of a task: its slack bounds the displacement, by MuJoCo, for each kind of row."""
 
-from functools import cache, partial
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ from htcp_jax.validation.task_check import PartPose, hold_between
 SHARES = np.linspace(0, 1, 9)  # of a segment, where it is checked
 SIZES = np.geomspace(0.3, 1e-7, 60)  # of displacements, tried in turn
 ON = np.ones(PATHS, bool)
+_POSES = jax.jit(jax.vmap(link_poses, (None, 0)))
 
 
 @cache
@@ -110,7 +111,7 @@ def test_no_feature_is_displaced_further_than_its_bound_by_points_of_a_rigid_bod
 
 def ends(robot, features, x) -> np.ndarray:
     """Features in the world frame, by the poses of their links."""
-    T = np.asarray(jax.jit(jax.vmap(partial(link_poses, robot)))(jnp.asarray(x)))
+    T = np.asarray(_POSES(robot, jnp.asarray(x)))
     own = [T[:, each.link, :3, :3] @ np.array(each.vector) for each in features]
     place = [0.0 if each.is_direction else T[:, each.link, :3, 3] for each in features]
     return np.stack([a + b for a, b in zip(own, place, strict=True)], axis=1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from enclosed import are_held
+from enclosed import are_enclosed
 from published import MODELS, path_of
 from small_cell import small_job
 
@@ -17,7 +17,7 @@ def test_capsules_hold_every_triangle_tightly(name):
     """Capsules around every triangle, with at most 2.5 times the convex hull's volume in the mean."""
     arm = import_robot(path_of(name), MODELS[name].tcp)
     fitted = [cover for cover in arm.covers.values() if cover.fitted]
-    assert fitted and all(are_held(cover.held, list(cover.fitted.values())) for cover in fitted)
+    assert fitted and all(are_enclosed(cover.enclosed, list(cover.fitted.values())) for cover in fitted)
     assert np.mean([cover.ratio for cover in fitted]) <= 2.5
 
 
@@ -34,6 +34,6 @@ def test_a_job_is_planned(name, tmp_path):
 def test_one_capsule_a_body_holds_it_too(name):
     arm = import_robot(path_of(name), MODELS[name].tcp, most=1)
     fitted = [cover for cover in arm.covers.values() if cover.fitted]
-    assert all(len(cover.fitted) == 1 and are_held(cover.held, list(cover.fitted.values())) for cover in fitted)
+    assert all(len(cover.fitted) == 1 and are_enclosed(cover.enclosed, list(cover.fitted.values())) for cover in fitted)
     assert ("torso_lift_joint" in arm.joint_names) == (name == "fetch")
     assert {"panda": "panda_finger_joint1", "fetch": "r_wheel_joint"}[name] in arm.frozen

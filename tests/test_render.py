@@ -18,9 +18,9 @@ from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.status import Kind
 from htcp_jax.viewer import Studio, offscreen
-from htcp_jax.viewer.camera import fitted, kept, open_side
+from htcp_jax.viewer.camera import kept_points, nearest_camera, open_side
 from htcp_jax.viewer.colours import DWELL, FAILED, NEAREST, TargetStyle, rgb, target_styles
-from htcp_jax.viewer.movie import HELD, RATE, Film, write_movie
+from htcp_jax.viewer.movie import LAST_REPEATS, RATE, Film, write_movie
 from htcp_jax.viewer.playback import STRIDE_M, poses_along
 from htcp_jax.viewer.replay import replays_of
 
@@ -122,7 +122,7 @@ def test_the_way_passes_the_configurations_between_targets_and_knows_where_the_a
     assert [pose.target for pose in poses] == sorted(pose.target for pose in poses)
 
 
-def test_a_picture_marks_the_dwells_and_the_tightest_place(replay, dwelling, screenless):
+def test_a_picture_marks_the_dwells_and_the_minimum_clearance(replay, dwelling, screenless):
     with Studio(dwelling, *SIZE, close=True, fine=False) as studio:
         marked = studio.still(0)
     with Studio(replay, *SIZE, close=True, fine=False) as studio:
@@ -136,14 +136,19 @@ def test_the_command_tells_of_the_motion(made, screenless, tmp_path, capsys):
     replace(made[0], plans=with_a_dwell(made[0].plans)).save(tmp_path / "plan")
     assert main(["render", str(tmp_path / "plan"), *words]) == 0
     motion = json.loads(capsys.readouterr().out)["motion"]
-    assert (motion["executable"], motion["dwells"], motion["tightest"], motion["clearance_m"]) == (7, [4], 5, 2e-4)
+    assert (motion["executable"], motion["dwells"], motion["clearance_target"], motion["clearance_m"]) == (
+        7,
+        [4],
+        5,
+        2e-4,
+    )
 
 
 def test_the_open_side_s_half_is_cut_off(replay):
-    left = kept(replay)
+    left = kept_points(replay)
     near_side = open_side(replay).near
     assert (replay.cloud[~left] @ near_side).min() >= (replay.cloud[left] @ near_side).max()
-    assert 0.2 < left.mean() < 0.8 and kept(replay, 0.0).all() and kept(replay, 1.0).sum() == 1
+    assert 0.2 < left.mean() < 0.8 and kept_points(replay, 0.0).all() and kept_points(replay, 1.0).sum() == 1
 
 
 SPHERES = st.lists(st.tuples(*[st.floats(-2, 2)] * 3, st.floats(0.01, 0.5)), min_size=1, max_size=6)
@@ -153,7 +158,7 @@ SPHERES = st.lists(st.tuples(*[st.floats(-2, 2)] * 3, st.floats(0.01, 0.5)), min
 def test_every_sphere_is_seen_whole_and_one_touches_the_edge(spheres, azimuth, aspect):
     fovy = np.radians(40.0)
     spheres = np.array(spheres)
-    eye, look_at = fitted(spheres[:, :3], spheres[:, 3], azimuth, fovy, aspect)
+    eye, look_at = nearest_camera(spheres[:, :3], spheres[:, 3], azimuth, fovy, aspect)
     ahead = (look_at - eye) / np.linalg.norm(look_at - eye)
     right = np.cross(ahead, [0, 0, 1]) / np.linalg.norm(np.cross(ahead, [0, 0, 1]))
     seen = (spheres[:, :3] - eye) @ np.stack([right, np.cross(right, ahead), ahead], axis=1)
@@ -172,7 +177,7 @@ def test_a_gif_holds_all_frames_and_runs_for_ever(frames, tmp_path):
     with Image.open(tmp_path / "a.gif") as gif:
         assert (gif.n_frames, gif.size, gif.info["loop"]) == (len(frames), SIZE, 0)
         gif.seek(gif.n_frames - 1)
-        assert gif.info["duration"] == 1000 * HELD / RATE
+        assert gif.info["duration"] == 1000 * LAST_REPEATS / RATE
         shown = np.asarray(gif.convert("RGB")).astype(int)
     assert np.abs(shown - frames[-1]).mean() < 6
 
@@ -197,7 +202,7 @@ def test_an_mp4_can_be_read_again(frames, tmp_path):
     decode = [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / "a.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     pixels = np.frombuffer(subprocess.run(decode, capture_output=True, check=True).stdout, np.uint8)
     film = pixels.reshape(-1, SIZE[1], SIZE[0], 3).astype(int)
-    assert len(film) == len(frames) + HELD
+    assert len(film) == len(frames) + LAST_REPEATS
     assert np.abs(film[0] - frames[0]).mean() < 6 and np.abs(film[-1] - frames[-1]).mean() < 6
 
 

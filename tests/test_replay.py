@@ -125,7 +125,7 @@ def test_a_plan_next_to_another_configuration_is_refused(folder, tmp_path):
     summary = json.loads((tmp_path / "summary.json").read_text())
     summary["config"]["workpiece"]["approach_to_path"] += 1
     (tmp_path / "summary.json").write_text(json.dumps(summary))
-    with pytest.raises(InputError, match=r"trajectory\.npz is no plan of the configuration next to it"):
+    with pytest.raises(InputError, match=r"trajectory\.npz is not a plan of the configuration next to it"):
         open_replays(tmp_path)
 
 

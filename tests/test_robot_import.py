@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from enclosed import are_held
+from enclosed import are_enclosed
 
 import htcp_jax
 from htcp_jax.cli import main
@@ -144,7 +144,7 @@ def test_capsules_hold_meshes_boxes_and_cylinders_of_a_urdf(folder):
     assert {name: cover.kinds for name, cover in found.items()} == {
         "base": ("box",), "mast": ("cylinder",), "boom": ("mesh",), "jib": (), "hand": ("mesh",)
     }  # fmt: skip
-    assert all(are_held(cover.held, list(cover.fitted.values())) for cover in found.values() if cover.fitted)
+    assert all(are_enclosed(cover.enclosed, list(cover.fitted.values())) for cover in found.values() if cover.fitted)
     assert found["jib"].own["jib"].radius == 0.04 and not found["jib"].fitted
     rim = 0.05 * np.stack([np.cos(angle := np.linspace(0, 7, 500)), np.sin(angle), np.full(500, 5.0)], axis=1)
     turn = mujoco_turn("0.1 0.2 0.3")
@@ -174,7 +174,9 @@ def test_meshes_lie_where_mujoco_has_them(folder, tmp_path):
     vertices = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
     theirs = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
     body = model.body("a").id
-    ours = arm.covers[arm.model.body("a").id].held.reshape(-1, 3) @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+    ours = (
+        arm.covers[arm.model.body("a").id].enclosed.reshape(-1, 3) @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+    )
     apart = np.linalg.norm(ours[:, None] - theirs[None], axis=2)
     assert apart.min(axis=0).max() < 1e-6 and apart.min(axis=1).max() < 1e-6  # MuJoCo keeps 32-bit floats
 
@@ -199,7 +201,7 @@ def test_a_capsule_that_mujoco_fits_to_a_mesh_is_read_as_it_fits_it(folder):
 def test_what_is_no_part_of_the_arm_is_left_out(folder):
     arm = import_robot(folder / "mixed.xml", most=1)  # the only site except the mouse's
     assert arm.tip.name == "flange" and arm.joint_names == ("j1", "j2", "j3") and not arm.frozen
-    assert arm.left_out == ("floor of world", "table of world") and arm.shapeless == ("c",)
+    assert arm.excluded == ("floor of world", "table of world") and arm.shapeless == ("c",)
     assert "target" not in [arm.model.body(b).name for b in arm.bodies] and len(arm.covers) == 3
     drawn = import_robot(folder / "mixed.xml", most=1, visual=True)
     assert drawn.shapeless == () and drawn.covers[drawn.model.body("c").id].kinds == ("ellipsoid",)
@@ -222,6 +224,13 @@ def test_a_joint_that_is_drawn_turned_stays_so(folder, tmp_path, capsys):
             np.asarray(tcp_pose(arm, jnp.asarray(x)))[:3, 3], data.site("flange").xpos, atol=1e-12
         )
     assert "own" in arm.capsule_names and arm.capsule_link[arm.capsule_names.index("own")] == 1
+
+
+def test_a_log_shows_how_far_the_import_is(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("htcp_jax.cli.output.LINE_S", 1e-3)
+    assert main(["robot", str(folder / "crane.urdf"), "--tcp", "grasp", "--out", str(tmp_path / "arm.xml")]) == 0
+    said = capsys.readouterr().err
+    assert all(f"htcp: {steps} " in said for steps in ("bodies", "pairs of capsules", "pictures"))
 
 
 def test_the_picture_shows_the_arm(crane):
@@ -254,7 +263,7 @@ def test_an_arm_of_our_own_comes_out_as_it_is(tmp_path):
 
 ONE_LINE = {
     "unknown TCP": (["--tcp", "nose"], "no site or body 'nose' for the TCP; there are base, mast, boom, jib, hand"),
-    "TCP not clear": ([], "it is not clear where the TCP is: hand, left, right, grasp; say --tcp NAME"),
+    "TCP not clear": ([], "it is not clear where the TCP is: hand, left, right, grasp; name it by --tcp NAME"),
     "two joints": (["--tcp", "boom"], "2 joints from the world to the TCP; at least 3 are needed"),
     "not an XML file": (["--tcp", "grasp", "--out", "arm.urdf"], "an arm is an MJCF file and ends in .xml"),
 }
@@ -309,7 +318,7 @@ def test_an_arm_that_is_there_is_not_written_over(crane, folder, capsys):
     words = ["robot", str(folder / "crane.urdf"), "--tcp", "grasp", "--out", str(crane), "--most", "1"]
     before = crane.read_bytes()
     crane.write_bytes(before + b"<!-- corrected -->")
-    assert main(words) == 2 and "--replace writes over it" in capsys.readouterr().err
+    assert main(words) == 2 and "--replace overwrites it" in capsys.readouterr().err
     assert crane.read_bytes().endswith(b"<!-- corrected -->")
     assert main([*words, "--replace"]) == 0 and crane.read_bytes() == before
 

@@ -46,7 +46,7 @@ def segments() -> tuple[np.ndarray, np.ndarray]:
     return configurations()[:-1] + beside[0], configurations()[1:] + beside[1]
 
 
-class Posed(MujocoArm):
+class CachedArm(MujocoArm):
     """An arm that caches the frames of each configuration."""
 
     def frames(self, x, name):
@@ -58,7 +58,7 @@ class Posed(MujocoArm):
 
 
 def tool() -> np.ndarray:
-    return np.asarray(jax.vmap(partial(tcp_pose, made_once.robot()))(jnp.asarray(configurations())))
+    return np.asarray(jax.jit(jax.vmap(partial(tcp_pose, made_once.robot())))(jnp.asarray(configurations())))
 
 
 @cache
@@ -115,8 +115,8 @@ def bounded():
 
 
 @cache
-def arm() -> Posed:
-    return Posed(GP50, limits="simulation")
+def arm() -> CachedArm:
+    return CachedArm(GP50, limits="simulation")
 
 
 def by_mujoco(segment_status: int, share: np.ndarray) -> np.ndarray:

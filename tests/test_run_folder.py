@@ -178,7 +178,7 @@ def test_the_folder_of_a_plan_is_reported_from_one_that_holds_nothing(tmp_path):
 def test_a_stranger_among_the_results_is_named_and_left_alone(tmp_path):
     completed(tmp_path)
     (tmp_path / "targets" / "mine.parquet").write_bytes(b"mine")
-    with pytest.warns(UserWarning, match=r"mine\.parquet is not of this run; it is left alone"):
+    with pytest.warns(UserWarning, match=r"mine\.parquet is not of this run; it stays unchanged"):
         assert writer.begin(tmp_path, manifest()).complete
     (tmp_path / "manifest.json").unlink()
     with pytest.raises(InputError, match=r"results without a manifest\.json"):

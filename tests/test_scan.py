@@ -9,7 +9,7 @@ import pytest
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io import scan
+from htcp_jax.io.parts import scan
 from htcp_jax.io.parts.point_cloud import load_cloud, read_points
 from htcp_jax.io.parts.scan import PARTS, SCANS, read_part
 
@@ -85,7 +85,7 @@ def test_a_pcd_cloud_keeps_its_normals_and_leaves_out_what_was_not_seen(tmp_path
     points[3] = np.nan
     names = ("intensity", "x", "y", "z", "normal_x", "normal_y", "normal_z")
     file = pcd(tmp_path / "scan.pcd", points=np.hstack([np.ones((40, 1)), points, normals]), names=names)
-    with pytest.warns(Note, match=r"scan.pcd: 1 of 40 points are NaN and left out"):
+    with pytest.warns(Note, match=r"scan.pcd: 1 of 40 points are NaN and excluded"):
         found = read_points(file)
     assert np.array_equal(found.xyz, np.delete(POINTS, 3, axis=0))
     np.testing.assert_allclose(found.normals, normals[1:], atol=1e-12)
@@ -197,7 +197,7 @@ def test_a_header_that_promises_too_much_takes_neither_time_nor_memory(tmp_path)
     data = bytearray(las(tmp_path / "scan.las").read_bytes())
     data[100:104] = b"\xff\xff\xff\xff"
     (tmp_path / "scan.las").write_bytes(data)
-    assert "more variable length records than the file has room for" in refusal(tmp_path / "scan.las")
+    assert "more variable length records than fit into the file" in refusal(tmp_path / "scan.las")
     text = pcd(tmp_path / "scan.pcd").read_bytes()
     for promised in (b"9999999999", b"41"):
         (tmp_path / "scan.pcd").write_bytes(text.replace(b"POINTS 40", b"POINTS " + promised))

@@ -1,4 +1,4 @@
-"""Labels of a run's scenarios: the parameters that vary, in a few words."""
+"""Labels of a run's scenarios name the parameters that vary, and only these."""
 
 import pyarrow as pa
 from small_run import LONGER

@@ -1,4 +1,4 @@
-"""Beam of the beam search search: the best, mutually distant configurations per target, and exact path costs."""
+"""Beam of the beam search: the best, mutually distant configurations per target, and exact path costs."""
 
 from itertools import pairwise
 
@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.motion.configuration_tree import LEAST, BeamTree, Nodes
-from htcp_jax.motion.selection import best_first, dispersed
+from htcp_jax.motion.selection import dispersed
 from htcp_jax.motion.step_functions import State
+from htcp_jax.planning.beam.tree import LEAST, BeamTree, Nodes, best_first
 
 numbers = st.floats(-1, 1)
 configurations = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=20)

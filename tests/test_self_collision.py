@@ -220,7 +220,7 @@ def test_of_several_bodies_on_a_link_the_nearest_decides(tmp_path):
             others = [b for a, b in own.pairs if a == body and robot.capsule_link[b] == link]
             each = [np.linalg.norm(p[body] - p[b]) - radius[body] - radius[b] for b in others]
             np.testing.assert_allclose(found[row], min(each), atol=1e-12)
-            assert own.hit(robot, row, *ends) == f"capsule {robot.capsule_names[others[int(np.argmin(each))]]}"
+            assert own.nearest_name(robot, row, *ends) == f"capsule {robot.capsule_names[others[int(np.argmin(each))]]}"
 
 
 def test_what_a_model_excludes_is_handed_on_to_an_imported_arm(tmp_path):

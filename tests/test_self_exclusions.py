@@ -14,7 +14,7 @@ from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import distances, samples
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io import LinkMeshes
+from htcp_jax.io.robots import LinkMeshes
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.vendor_import import import_robot
 

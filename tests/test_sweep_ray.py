@@ -148,7 +148,7 @@ def test_a_device_next_to_ray_and_gpus_that_this_machine_has_not_are_one_line(he
     for words, line in (
         (
             ("--device", "gpu"),
-            "device is 'gpu'; with Ray it can be cpu alone, and ray.num_gpus says what its workers get",
+            "device is 'gpu'; with Ray it can only be cpu; ray.num_gpus sets the GPUs of its workers",
         ),
         (("--set", "ray.num_gpus=0.5"), "ray.num_gpus is 0.5; this machine has 0 GPUs"),
     ):
@@ -253,7 +253,7 @@ def test_when_the_whole_cluster_is_lost_what_is_finished_is_kept(here, undisturb
         _, errors = driver.communicate()
     assert driver.returncode == 1, errors
     (line,) = [line for line in errors.splitlines() if line.startswith("htcp: ")]  # among Ray's own output
-    assert line.startswith("htcp: Ray lost its workers") and line.endswith("the same command goes on from there")
+    assert line.startswith("htcp: Ray lost its workers") and line.endswith("the same command resumes")
     assert f"{HALF} of {SHARDS} shards are finished" in line
     assert finish(here, "run").returncode == 0 and rows(here / "run") == undisturbed
 

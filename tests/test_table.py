@@ -77,7 +77,7 @@ def test_what_follows_the_points_and_is_no_normal_is_left_out_with_a_note(tmp_pa
     found, said = read(write(tmp_path, table(POINTS, others)))
     assert np.array_equal(found.xyz, POINTS) and found.normals is None
     count = 3 + others.shape[1]
-    assert said == [f"{count} columns; the first three are taken as x, y, z, and the others left out"]
+    assert said == [f"{count} columns; the first three are taken as x, y, z, and the others ignored"]
 
 
 def test_a_few_points_without_a_normal_do_not_hide_the_others(tmp_path):

@@ -59,7 +59,7 @@ def test_inverse_kinematics_reaches_any_task_and_its_null_space_leaves_it_alone(
     for x in made_once.configurations_near(made_once.START, 10, 0.5):
         target = task.value(robot, jnp.asarray(x))
         near, residual = reanchor(robot, jnp.asarray(x + rng.uniform(-0.1, 0.1, 6)), target, task.fine_m, task=task)
-        np.testing.assert_allclose(residual, task.off(robot, near, target), atol=1e-15)
+        np.testing.assert_allclose(residual, task.residual_at(robot, near, target), atol=1e-15)
         reached += bool(task.reached(residual))
         basis = null_basis(task.jacobian(robot, near))
         assert basis.shape == (6, task.freedom(robot))
@@ -141,7 +141,7 @@ def test_a_task_with_as_many_rows_as_joints_is_planned_and_says_where_there_is_n
     plans = plan(made_once.robot(), made_once.duct(), [free, lost], "nspace-sqp", task=task)
     assert plans.tracked[0].all() and plans.outcome(0).complete
     for x, target in zip(plans.x[0], plans.target[0], strict=True):
-        assert task.reached(task.off(made_once.robot(), jnp.asarray(x), jnp.asarray(target)))
+        assert task.reached(task.residual_at(made_once.robot(), jnp.asarray(x), jnp.asarray(target)))
     np.testing.assert_allclose(plans.x[0], xs, atol=5e-3)  # these are the only solutions
     assert plans.tracked[1].tolist() == [True, True, False, False]
     assert plans.outcome(1).status == Status.NO_NULL_SPACE and "no null space" in Status.NO_NULL_SPACE.message

@@ -68,7 +68,7 @@ def test_before_the_path_rows_are_eased_so_that_the_start_is_on_its_target():
                  [ON_PATH, {"axis": "tcp.x", "looks_at_m": [0, 0, 3]}]):  # fmt: skip
         task, scenario = made(*rows)
         robot, x = made_once.robot(), jnp.asarray(made_once.START)
-        assert task.off(robot, x, jnp.asarray(scenario.task_goals[0])) < 1e-9
+        assert task.residual_at(robot, x, jnp.asarray(scenario.task_goals[0])) < 1e-9
         np.testing.assert_allclose(scenario.task_goals[10], scenario.task_goals[11], atol=1e-9)  # of the first point
         assert scenario.task_goals.shape == (105, task.numbers)
 
@@ -113,15 +113,15 @@ def test_a_row_is_addressed_by_its_number_on_the_command_line():
         ([{"point": "tcp", "on": "plane"}], "a point on a plane needs through_m"),
         ([{**ON_PATH, "axes": "zx"}], "axes is 'zx'; valid: some of x, y, z, in this order"),
         ([{**ON_PATH, "frame": "tool"}], "frame is 'tool'; valid: world, workpiece, path"),
-        ([{**ON_PATH, "cone_deg": 3}], "cone_deg is no key of a row of point; valid: offset_m, on"),
+        ([{**ON_PATH, "cone_deg": 3}], "cone_deg is not a key of a row of point; valid: offset_m, on"),
         ([{**ON_PATH, "within_m": 0}], "within_m is 0; it must be more than 0"),
         ([{**ON_PATH, "to": 0}], "unknown key task.1.to"),
         ([{**ON_PATH, "axis": "tcp.z"}], "a row is one of point, axis, orientation; this one is point and axis"),
         ([{"orientation": [0, 0, 0, 0]}], "orientation is a quaternion of length 0"),
         ([{"orientation": "path"}], "the path has no orientations; its file needs columns qw,qx,qy,qz"),
-        ([ON_PATH, {"point": "tcp", "on": [1, 0, 1]}], r"task.2 \(point tcp\) asks for what the rows before it fix"),
-        ([ON_PATH, {"point": "link6", "on": [1, 0, 1]}], r"task.2 \(point link6\) asks for what the rows before it"),
-        ([{**CONE, "cone_deg": 0}, {"axis": "tcp.x", "towards": "path.tangent"}], r"task.2 \(axis tcp.x\) asks for"),
+        ([ON_PATH, {"point": "tcp", "on": [1, 0, 1]}], r"task.2 \(point tcp\) repeats or contradicts the rows before"),
+        ([ON_PATH, {"point": "link6", "on": [1, 0, 1]}], r"task.2 \(point link6\) repeats or contradicts"),
+        ([{**CONE, "cone_deg": 0}, {"axis": "tcp.x", "towards": "path.tangent"}], r"task.2 \(axis tcp.x\) repeats"),
         ([CONE, {**CONE, "axis": "-tcp.z"}], r"task.1 \(axis tcp.z\) and task.2 \(axis -tcp.z\) contradict each other"),
         ([ON_PATH, {"orientation": [1, 0, 0, 0]}, {"point": "link4", "on": [1, 0, 1]}], "the task has 9 rows"),
     ],

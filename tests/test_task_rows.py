@@ -12,7 +12,7 @@ from htcp_jax.model import Task
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import link_poses, tcp_pose
 from htcp_jax.model.rotations import axis_error, rotation_vector
-from htcp_jax.model.task_rows import AxisTowards, PointAlong, TaskPoint, Turned
+from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, TaskPoint
 from htcp_jax.numerics import null_basis
 
 Z, SKEW = (0.0, 0.0, 1.0), (0.6, 0.0, 0.8)
@@ -29,9 +29,9 @@ PARTS = {
     "an axis in a cone": (AxisTowards(4, SKEW), [*N1, 0.7]),
     "an axis that looks at a place": (AxisTowards(5, Z, looks_from_m=(0.0, 0.1, 0.0), cone=False), [2.0, 0.3, 0.5]),
     "an axis that looks about a place": (AxisTowards(None, Z, looks_from_m=(0.0, 0.0, 0.0)), [2.0, 0.3, 0.5, 0.4]),
-    "a frame": (Turned(None), R.ravel()),
-    "a frame of another body": (Turned(4, TURNED), R.ravel()),
-    "a frame within an angle": (Turned(None, cone=True), [*R.ravel(), 0.5]),
+    "a frame": (FrameOrientation(None), R.ravel()),
+    "a frame of another body": (FrameOrientation(4, TURNED), R.ravel()),
+    "a frame within an angle": (FrameOrientation(None, cone=True), [*R.ravel(), 0.5]),
 }
 
 
@@ -101,7 +101,9 @@ def test_the_least_turn_of_the_last_link_is_what_scipy_says_and_none_where_a_row
     task, goal = task_of(name, tolerance_rad=0.01)
     robot = made_once.robot()
     counts = (
-        isinstance(part, AxisTowards | Turned) and part.link is None and getattr(part, "looks_from_m", None) is None
+        isinstance(part, AxisTowards | FrameOrientation)
+        and part.link is None
+        and getattr(part, "looks_from_m", None) is None
     )
     found = jax.jit(lambda x: task.least_turn(robot, link_poses(robot, x)[-1, :3, :3], goal))
     for x in made_once.configurations(robot, 10):
@@ -119,7 +121,9 @@ def slacks(task, robot, x, goal):
 def test_inverse_kinematics_comes_onto_it_and_its_null_space_leaves_it_alone(name):
     task, goal = task_of(name)
     robot = made_once.robot()
-    off, jac = (jax.jit(f) for f in (lambda x: task.off(robot, x, goal), lambda x: linear_at(task, robot, x, goal)))
+    off, jac = (
+        jax.jit(f) for f in (lambda x: task.residual_at(robot, x, goal), lambda x: linear_at(task, robot, x, goal))
+    )
     reached = 0
     for x in made_once.configurations(robot, 12):
         near, residual = reanchor(robot, jnp.asarray(x), goal, task.fine_m, iterations=60, task=task)
@@ -149,7 +153,7 @@ def test_a_broken_cone_is_never_reached_however_little_it_is_broken():
     off = np.arccos(T[2, 2])
     for limit, reached in [(off + 1e-6, True), (off - 1e-6, False), (off - 1e-3, False)]:
         goal = jnp.array([*T[:3, 3], 0.0, 0.0, 1.0, limit])
-        assert bool(task.reached(task.off(robot, x, goal))) is reached
+        assert bool(task.reached(task.residual_at(robot, x, goal))) is reached
 
 
 def test_the_rotation_vector_is_scipys_also_next_to_half_a_turn():
@@ -169,7 +173,7 @@ def test_an_axis_that_points_the_other_way_is_half_a_turn_off_and_one_that_is_th
 
 
 def test_more_equalities_than_joints_are_refused():
-    task = Task((TaskPoint(), Turned(None), TaskPoint(3, axes=(2,))))
+    task = Task((TaskPoint(), FrameOrientation(None), TaskPoint(3, axes=(2,))))
     assert (task.rows, task.bands, task.numbers, task.values) == (7, 0, 13, 13)
     with pytest.raises(InputError, match="the task has 7 rows, the robot gp50 has 6 joints"):
         task.freedom(made_once.robot())

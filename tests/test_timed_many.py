@@ -18,7 +18,7 @@ SCENARIOS, MOST_BYTES = 1000, 4 * 2**30
 TIME_ALL = """
 import sys
 from pathlib import Path
-from htcp_jax.trajectory.whole_run import time_run
+from htcp_jax.trajectory.run_timing import time_run
 from htcp_jax.runs.run_folder import open_run
 time_run(open_run(sys.argv[1]), "50mm/s")
 print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line))
@@ -42,5 +42,5 @@ def test_a_thousand_timed_scenarios_with_torques_stay_within_4_gib_and_each_is_a
     plans = open_plans(tmp_path / "run")
     for row in timed[:: len(timed) // 5]:
         made = program_of(plans, 0.05, "baseline", row["scenario"])
-        assert (row["torque_share"], row["torque_joint"]) == (made.load.share, made.load.joint)
+        assert (row["torque_share"], row["torque_joint"]) == (made.peak_torque.share, made.peak_torque.joint)
         assert row["cycle_time_s"] == made.program.duration_s

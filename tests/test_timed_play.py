@@ -19,7 +19,7 @@ from htcp_jax.viewer.browser.timeline import ByTarget, ByTime
 from htcp_jax.viewer.movie import RATE
 from htcp_jax.viewer.plot_strip import PlotStrip
 from htcp_jax.viewer.replay import open_replays
-from htcp_jax.viewer.timed_play import Curves, arms_of, frame_times, played
+from htcp_jax.viewer.timed_play import Curves, arms_of, frame_times, sample_program
 
 FEED, SIZE = "200mm/s", (320, 220)
 DARK, STEP_S = 90, 1e-5  # of a line's pixels; of a finite difference
@@ -45,7 +45,7 @@ def test_the_arm_in_each_frame_is_where_the_timed_curve_has_it_then(made, speed)
     times = frame_times(made.program.duration_s, speed)
     np.testing.assert_allclose(np.diff(times), speed / RATE, rtol=1e-9)
     assert 0 <= len(times) / RATE - made.program.duration_s / speed <= 1 / RATE
-    row = arms_of(made, played(made, times))
+    row = arms_of(made, sample_program(made, times))
     for k in (0, len(times) // 3, len(times) - 1):
         x = made.program.at(np.array([k * speed / RATE])).x
         np.testing.assert_allclose(row[k].arm.p, np.asarray(capsules_and_tcp(made.robot, x).p)[0], atol=1e-9)
@@ -55,16 +55,16 @@ def test_the_targets_are_come_to_when_the_tool_passes_them(made, folder):
     passed = made.program.at_configurations()
     on_path = np.flatnonzero(passed.kind == Kind.PROCESS)
     for k in on_path.tolist():
-        before, after = (played(made, passed.time_s[k : k + 1] + d).target[0] for d in (-0.01, 0.01))
+        before, after = (sample_program(made, passed.time_s[k : k + 1] + d).target[0] for d in (-0.01, 0.01))
         assert (before, after) == (passed.target[k] - 1, passed.target[k])
     back = np.flatnonzero(passed.kind == Kind.RETRACT)
     for k in back[:-1].tolist():
-        before, after = (played(made, passed.time_s[k : k + 1] + d).target[0] for d in (-0.01, 0.01))
+        before, after = (sample_program(made, passed.time_s[k : k + 1] + d).target[0] for d in (-0.01, 0.01))
         assert (before, after) == (passed.target[k - 1], passed.target[k])
-    whole = played(made, np.linspace(0, made.program.duration_s, 200))
+    whole = sample_program(made, np.linspace(0, made.program.duration_s, 200))
     assert whole.target[0] == 0 and whole.target.max() == 9 and whole.target[-1] == 0  # the plan starts at target 0
     there = program_of(open_plans(folder), 0.2, retract=False)
-    assert played(there, np.array([there.program.duration_s])).target.tolist() == [9]
+    assert sample_program(there, np.array([there.program.duration_s])).target.tolist() == [9]
 
 
 def test_what_is_plotted_is_how_fast_the_timed_curve_is(made):
@@ -90,7 +90,7 @@ def test_what_is_plotted_is_how_fast_the_timed_curve_is(made):
 
 def test_the_line_in_the_strip_is_at_the_present_time_and_the_curves_are_beneath(made):
     times = frame_times(made.program.duration_s)
-    strip = PlotStrip(made, played(made, times), 640)
+    strip = PlotStrip(made, sample_program(made, times), 640)
     above, below = strip.figure.axes
     curves = Curves.of(made)
     drawn = [line for line in above.lines if line.get_label() in ("approach", "process", "retract")]
@@ -111,14 +111,14 @@ def test_the_line_in_the_strip_is_at_the_present_time_and_the_curves_are_beneath
 
 def test_the_picture_says_at_which_speed_it_is_shown(made):
     def words(speed: float) -> list[str]:
-        return [text.get_text() for text in PlotStrip(made, played(made, np.zeros(1)), 320, speed).figure.texts]
+        return [text.get_text() for text in PlotStrip(made, sample_program(made, np.zeros(1)), 320, speed).figure.texts]
 
     assert "in real time" in words(1.0) and "at 4 times real time" in words(4.0)
 
 
 def test_the_film_is_the_scene_over_the_strip_and_sees_all_of_the_arm(made, folder, screenless):
     replay = open_replays(folder).replay(0, "baseline")
-    play = played(made, frame_times(made.program.duration_s, 4.0))
+    play = sample_program(made, frame_times(made.program.duration_s, 4.0))
     with Studio(replay, *SIZE, fine=False) as studio:
         alone = studio.film(arms_of(made, play))
         film = alone.over(PlotStrip(made, play, studio.width, 4.0).at)
@@ -127,7 +127,7 @@ def test_the_film_is_the_scene_over_the_strip_and_sees_all_of_the_arm(made, fold
     edges = np.concatenate([scene[0], scene[:, 0], scene[:, -1]]).astype(int)
     grey = np.abs(edges - edges.mean(axis=1, keepdims=True)).max(axis=1) < 12
     assert grey.all()  # sky and floor, no part of the arm
-    assert len(film) == len(play.time_s) and film.held == 0
+    assert len(film) == len(play.time_s) and film.last_repeats == 0
     assert first.shape == last.shape and first.shape[0] > SIZE[1] and first.shape[1] == SIZE[0]
     with pytest.raises(IndexError):
         film[len(film)]
@@ -168,7 +168,7 @@ def test_play_by_time_goes_on_with_the_clock_and_ends_with_the_program(made):
     assert timeline.after(1.0, 0.25, 1.0) == 1.25 and timeline.after(1.0, 0.25, 4.0) == 2.0
     assert timeline.after(1.0, 1e3, 1.0) == timeline.last and 0 <= timeline.last - made.program.duration_s <= 0.01
     pose, said = timeline.look(1.234)
-    now = played(made, np.array([1.234]))
+    now = sample_program(made, np.array([1.234]))
     np.testing.assert_array_equal(pose.arm.tcp, arms_of(made, now)[0].arm.tcp)
     assert "1.23 s" in said and f"{1e3 * now.tcp_m_s[0]:.1f} mm/s" in said and Kind(now.kind[0]).words in said
 
@@ -192,12 +192,12 @@ WRONG = [
     (["--speed", "2"], f"--speed {NO_FEED}"),
     (["--one-way"], f"--one-way {NO_FEED}"),
     (["--set", "program.full_speed_s=0.4"], f"--set {NO_FEED}"),
-    (["--feed", "20"], "feed '20' is no speed above 0 with a unit, as 20mm/s is"),
-    (["--feed", "0mm/s"], "feed '0mm/s' is no speed above 0"),
+    (["--feed", "20"], "feed '20' is not a speed above 0 with a unit, such as 20mm/s"),
+    (["--feed", "0mm/s"], "feed '0mm/s' is not a speed above 0"),
     (["--feed", FEEDS, "--speed", "0"], "--speed is 0; from 0.1 to 100 are possible"),
     (["--feed", FEEDS, "--movie", "none"], "--feed gives a movie its time; --movie none makes none"),
-    (["--feed", FEEDS, "--set", "margin_m=0"], "keys of program.* alone can be changed"),
-    (["--movie", "gif", "--out", "weld.mp4"], "--out weld.mp4 is the name of one mp4, --movie gif asks for something"),
+    (["--feed", FEEDS, "--set", "margin_m=0"], "only keys of program.* can be changed"),
+    (["--movie", "gif", "--out", "weld.mp4"], "--out weld.mp4 is the name of one mp4, --movie gif names another"),
 ]
 
 

@@ -17,7 +17,7 @@ from htcp_jax.report import make_report
 from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.runs.timing_file import COLUMNS, timing_file
-from htcp_jax.trajectory import time_run, whole_run
+from htcp_jax.trajectory import run_timing, time_run
 from htcp_jax.trajectory.figures import program_figures
 from htcp_jax.trajectory.plan_program import program_of
 
@@ -109,13 +109,13 @@ def test_a_sweep_with_a_feed_leaves_the_same_file_as_timing_it_afterwards(timed,
 
 @pytest.mark.slow
 def test_neither_the_number_of_processes_nor_what_is_timed_together_has_any_influence(timed, run, monkeypatch):
-    monkeypatch.setattr(whole_run, "BLOCK", 2)
+    monkeypatch.setattr(run_timing, "BLOCK", 2)
     time_run(open_run(run), "20mm/s", workers=2)
     assert pq.read_table(timing_file(run, METHOD)).equals(pq.read_table(timing_file(timed, METHOD)))
 
 
 def test_what_a_signal_leaves_is_whole_and_the_same_call_does_the_rest(timed, run, monkeypatch):
-    monkeypatch.setattr(whole_run, "BLOCK", 1)
+    monkeypatch.setattr(run_timing, "BLOCK", 1)
     done = []
 
     def interrupt(method, finished, of):
@@ -155,7 +155,7 @@ def test_times_of_results_that_are_not_the_runs_any_more_do_not_count(timed_copy
 def test_a_damaged_file_is_named_and_made_again(timed, timed_copy):
     file = timing_file(timed_copy, METHOD)
     file.write_bytes(content(timed)[:-40])
-    with pytest.raises(InputError, match=r"baseline\.parquet is damaged: .*htcp program --all makes it again"):
+    with pytest.raises(InputError, match=r"baseline\.parquet is damaged: .*htcp program --all creates it again"):
         open_run(timed_copy).scenarios()
     time_run(open_run(timed_copy), "20mm/s")
     assert content(timed_copy) == content(timed)
@@ -236,13 +236,13 @@ def test_a_run_that_takes_longer_holds_its_feed_less_or_has_fewer_times_fails(ti
 
 
 WRONG = [
-    (["--all", "--feed", "20"], "feed '20' is no speed above 0 with a unit, as 20mm/s is"),
+    (["--all", "--feed", "20"], "feed '20' is not a speed above 0 with a unit, such as 20mm/s"),
     (["--all"], "no feed: --feed 20mm/s gives one, or program.feed of the job"),
     (["--all", "--feed", "20mm/s", "--out", "x.csv"], "--out is for one program; --all times every scenario"),
     (["--all", "--feed", "20mm/s", "--one-way"], "--one-way is for one program"),
     (["--all", "--feed", "20mm/s", "--method", "hybrid"], "has no plans by 'hybrid'; there are baseline"),
-    (["--all", "--feed", "20mm/s", "--set", "margin_m=0"], "keys of program.* alone can be changed"),
-    (["--all", "--set", "program.feed=5"], "program.feed: feed '5' is no speed above 0 with a unit"),
+    (["--all", "--feed", "20mm/s", "--set", "margin_m=0"], "only keys of program.* can be changed"),
+    (["--all", "--set", "program.feed=5"], "program.feed: feed '5' is not a speed above 0 with a unit"),
     (
         ["--all", "--feed", "20mm/s", "--set", "program.velocity=[1, 2]"],
         "program.velocity has 2 values, the robot gp50",

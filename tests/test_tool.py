@@ -1,7 +1,4 @@
-"""Tool, flange and base from the job, without a change of the model.
-
-MuJoCo and the planner agree on them, and a model with all of it written into its file is the same arm.
-"""
+"""Tool, flange and base of a job give the same arm as a model file that contains them, and MuJoCo agrees on it."""
 
 from pathlib import Path
 

@@ -12,7 +12,7 @@ import trimesh
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io import units
+from htcp_jax.io.parts import units
 from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.jobs import load_config

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_run import LONGER, spoil
-from stranger_jobs import box_job
+from stranger_jobs import small_box_job
 
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.cli import main
@@ -19,7 +19,7 @@ from htcp_jax.io.parts.duct_seams import SEAMS
 from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.jobs import load_config
-from htcp_jax.jobs.build import part_of, robot_of, workpiece_of
+from htcp_jax.jobs.build import robot_of, workpiece_key, workpiece_of
 from htcp_jax.model import Robot
 from htcp_jax.model.duct import POINTS
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
@@ -83,7 +83,7 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
     assert one["checked"] == sum(open_run(run).scenarios("baseline")["tracked"].to_pylist()) > 60
     assert 0 < one["clearance_min_mm"] and one["tcp_error_max_mm"] <= 1
     assert max(one[f"{name}_off_max_mm"] for name in ("clearance", "tcp", "target")) < 1e-9
-    assert one["paths_touching"] == one["paths_blocked_on_record"]
+    assert one["paths_touching"] == one["paths_blocked"]
     assert one["clearance_between_min_mm"] <= one["clearance_min_mm"]
     scenario, target = one["clearance_min_at"]
     recorded = open_run(run).plans("baseline").clearance
@@ -101,21 +101,21 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
 
 def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monkeypatch, capsys):
     """Both distances to a mesh, and an announcement of long checks (regression: only one distance)."""
-    job, run = box_job(tmp_path), tmp_path / "run"
+    job, run = small_box_job(tmp_path), tmp_path / "run"
     sweep({"grid": [{"workpiece.shift_m": [[0, 0, 0.1], [0, 0, 0.12]]}]}, ["baseline"], run, config=job)
-    monkeypatch.setattr("htcp_jax.cli.validate.WORTH_SAYING_S", 0)
+    monkeypatch.setattr("htcp_jax.cli.validate.ANNOUNCED_S", 0)
     assert main(["validate", str(run), "--between", "0"]) == 0
     output = capsys.readouterr()
     assert "less cover" in output.out and re.match(r"about [\d,]+ s for 2 plans", output.err)
     one = json.loads((run / VALIDATION).read_text())["methods"]["baseline"]
-    cover = 1e3 * workpiece_of(part_of(load_config(job)), robot_of(load_config(job).robot)).covering_radius_m
+    cover = 1e3 * workpiece_of(workpiece_key(load_config(job)), robot_of(load_config(job).robot)).covering_radius_m
     recorded = 1e3 * np.nanmin(open_run(run).plans("baseline").clearance)
     np.testing.assert_allclose(one["clearance_less_cover_min_mm"], one["clearance_min_mm"] - cover)
     assert one["clearance_less_cover_min_mm"] <= recorded + 1e-6 < one["clearance_min_mm"]
 
 
 def test_the_cover_of_a_mesh_is_not_subtracted_from_distances_to_the_cell(tmp_path):
-    job, run, table = box_job(tmp_path), tmp_path / "run", tmp_path / "table.xml"
+    job, run, table = small_box_job(tmp_path, 0.005), tmp_path / "run", tmp_path / "table.xml"
     top = 0.1807 - 0.02 - 0.078 - 1e-3  # 1 mm below the shoulder, whatever the arm does
     table.write_text(
         f'<mujoco><worldbody><geom type="box" size="1 1 .01" pos="0 0 {top - 0.01}"/></worldbody></mujoco>'
@@ -135,14 +135,17 @@ def test_a_report_does_not_call_other_results_validated_than_those_that_were(run
 
 
 def test_a_weaker_validation_never_replaces_a_stronger_one_of_the_same_results(run, capsys):
-    """Validation on record: a weaker one never replaces a stronger one of the same results (regression)."""
+    """Saved validation: a weaker one never replaces a stronger one of the same results (regression)."""
     main(["validate", str(run), "--between", "2"])
     before = (run / VALIDATION).read_bytes()
     capsys.readouterr()
     assert main(["validate", str(run), "--between", "0", "--feed-mm-s", "50", "--json"]) == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out)["between"] == 0 and (run / VALIDATION).read_bytes() == before
-    assert "validation.json is kept: of the same results, it looks closer" in shown.err and shown.err.count("\n") == 1
+    assert (
+        "validation.json is kept: it validates the same results with more samples" in shown.err
+        and shown.err.count("\n") == 1
+    )
     assert main(["validate", str(run), "--between", "2", "--feed", "3m/min"]) == 0
     assert json.loads((run / VALIDATION).read_text())["feed_mm_s"] == 50  # as strong: the later one stays
     spoil(run, 0, 5, iterations=1)
@@ -190,7 +193,7 @@ def test_the_tip_passes_through_the_discs_that_the_planner_places_in_its_own_way
     where.translate = arm_poses.tcp[0] - where.rotate @ part.cloud[0]  # the wall lies at the TCP
     ends = (where.local(end) for end in (where.arm.tip_start(arm_poses), arm_poses.tcp))
     expected = make_tip_guard(part).passes(*ends)
-    assert where.tip_goes_through(arm_poses, 0.01).tolist() == expected.tolist() and 100 < expected.sum() < 900
+    assert where.tip_crosses(arm_poses, 0.01).tolist() == expected.tolist() and 100 < expected.sum() < 900
 
 
 @pytest.mark.parametrize("seam", SEAMS)
@@ -225,7 +228,7 @@ def test_a_recorded_clearance_that_is_1_mm_off_is_refuted(run):
     spoil(run, 1, 7, clearance_m=float(recorded + 1e-3))
     found = validate_results(run, between=0)
     (refuted,) = found.refuted
-    assert (refuted.scenario, refuted.target) == (1, 7) and f"{1e3 * recorded + 1:.3f} mm on record" in refuted.reason
+    assert (refuted.scenario, refuted.target) == (1, 7) and f"{1e3 * recorded + 1:.3f} mm was saved" in refuted.reason
     assert found.methods["baseline"].clearance_off_max_mm == pytest.approx(1.0)
 
 
@@ -235,7 +238,7 @@ def test_a_joint_beyond_its_limits_and_a_configuration_that_is_not_there_are_ref
     spoil(run, 2, 4, joint1_rad=None)
     reasons = {(one.scenario, one.target): one.reason for one in validate_results(run).refuted}
     assert set(reasons) == {(0, 3), (2, 4)}
-    assert "joint6 is outside its limits" in reasons[0, 3] and reasons[2, 4] == "no configuration on record"
+    assert "joint6 is outside its limits" in reasons[0, 3] and reasons[2, 4] == "no saved configuration"
 
 
 def test_a_longer_tool_is_the_planner_s():

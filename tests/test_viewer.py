@@ -43,9 +43,10 @@ import viser
 import websockets.sync.client
 import websockets.sync.server
 
-from htcp_jax.viewer import Viewer, access
+from htcp_jax.viewer import Viewer
+from htcp_jax.viewer.browser import access
 from htcp_jax.viewer.browser.display import grazing
-from htcp_jax.viewer.browser.scene import lit, side_by_side, turned_to
+from htcp_jax.viewer.browser.scene import compensated, label_groups, rotations_to
 
 
 @pytest.fixture(scope="module")
@@ -174,10 +175,10 @@ def test_at_the_failed_target_the_body_in_collision_is_red_and_named(viewer, rep
     body = replay.robot.capsule_names.index(replay.obstruction.body)
     viewer.go_to(replay.failed)
     colours = [tuple(node.color) for node in viewer.stage._arm]
-    assert colours[body] == tuple(lit(FAILED).tolist()) and colours.count(colours[body]) == 1
+    assert colours[body] == tuple(compensated(FAILED).tolist()) and colours.count(colours[body]) == 1
     assert viewer.stage._label.text == replay.obstruction.description in viewer._facts.content
     viewer.go_to(replay.failed - 1)
-    assert tuple(lit(FAILED).tolist()) not in [tuple(node.color) for node in viewer.stage._arm]
+    assert tuple(compensated(FAILED).tolist()) not in [tuple(node.color) for node in viewer.stage._arm]
 
 
 def test_play_stops_at_the_last_target_that_is_tracked(page, viewer, replays):
@@ -202,7 +203,9 @@ def test_play_passes_the_configurations_between_targets(page, viewer):
     page.get_by_role("option", name="beam").click()
     until(lambda: viewer.shown == (1, "beam"))
     reported = " ".join(getattr(node, "text", "") for node in viewer.stage._marks)
-    assert "dwell at 4" in reported and "tightest, on the segment to target 5: at least 0.2 mm proven" in reported
+    assert (
+        "dwell at 4" in reported and "minimum clearance, on the segment to target 5: at least 0.2 mm proven" in reported
+    )
     page.get_by_role("button", name="Play").click()
     until(lambda: viewer.target == 6)
     replay = viewer._replays.replay(1, "beam")
@@ -274,7 +277,7 @@ def test_the_page_holds_the_times_and_the_speeds_of_the_program(timed):
 
 
 def test_dwells_side_by_side_share_a_label():
-    assert side_by_side(()) == [] and side_by_side((3, 5, 9, 30, 40, 41)) == [[3, 5, 9], [30], [40, 41]]
+    assert label_groups(()) == [] and label_groups((3, 5, 9, 30, 40, 41)) == [[3, 5, 9], [30], [40, 41]]
 
 
 def test_the_facts_of_a_target_tell_of_the_segment_there(replays):
@@ -282,7 +285,7 @@ def test_the_facts_of_a_target_tell_of_the_segment_there(replays):
     viewer.go_to(4)
     assert "The arm changes its configuration here." in viewer._facts.content
     viewer.go_to(5)
-    assert "proven: 0.2 mm clear at least. It is the tightest of the proof." in viewer._facts.content
+    assert "proven: 0.2 mm clear at least. It is the minimum of the motion." in viewer._facts.content
     viewer.go_to(7)
     assert SegmentStatus.NOT_CHECKED.message in viewer._facts.content
     viewer.stop()
@@ -296,7 +299,7 @@ def test_the_cut_the_points_and_the_closer_look_change_the_picture(page):
     until(lambda: sliders.nth(1).get_attribute("aria-valuenow") == "0")
     until(lambda: (np.abs(seen(page) - before).max(axis=2) > 20).mean() > 0.01)
     whole = seen(page)
-    page.get_by_role("button", name="Look at the smallest distance").click()
+    page.get_by_role("button", name="Look at the minimum distance").click()
     until(lambda: (np.abs(seen(page) - whole).max(axis=2) > 20).mean() > 0.1)
 
 
@@ -553,7 +556,7 @@ def test_ctrl_c_before_the_page_is_up_ends_with_the_code_of_one_after_it(folder,
 
 def test_capsules_are_turned_to_their_axes():
     axes = np.vstack([np.random.default_rng(0).normal(size=(50, 3)), np.eye(3), -np.eye(3), np.zeros((1, 3))])
-    w, x, y, z = turned_to(axes).T
+    w, x, y, z = rotations_to(axes).T
     turned = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], axis=1)
     length = np.linalg.norm(axes, axis=1, keepdims=True)
     np.testing.assert_allclose(turned, np.where(length > 0, axes / np.maximum(length, 1e-300), [0, 0, 1]), atol=1e-12)

@@ -1,6 +1,5 @@
 """Walls: a mesh is measured by its triangles, whatever its sample points."""
 
-from functools import partial
 from pathlib import Path
 
 import jax
@@ -25,11 +24,11 @@ from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning.registry import names
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import read_plan
-from htcp_jax.validation.mesh_clearance import axis_distances, goes_through
+from htcp_jax.validation.mesh_clearance import axis_distances, crosses
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, wall_of
 from htcp_jax.validation.records import data_of
-from htcp_jax.validation.scene_rules import turned_and_moved
+from htcp_jax.validation.scene_rules import part_pose
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +67,7 @@ def on_segment(robot: Robot, part: Workpiece, where: Scenario, a: np.ndarray, b:
     segment_status = tip[:, 1] - tip[:, 0]
     end = tip[:, 1] - 0.01 * segment_status / np.linalg.norm(segment_status, axis=1, keepdims=True)
     pairs = np.repeat(np.arange(len(tip)), len(part.triangles))
-    through = goes_through(tip[pairs, 0], end[pairs], np.tile(part.triangles, (len(tip), 1, 1)))
+    through = crosses(tip[pairs, 0], end[pairs], np.tile(part.triangles, (len(tip), 1, 1)))
     return float((distance - radius).min()), bool(through.any())
 
 
@@ -94,31 +93,35 @@ def test_a_spindle_through_a_plate_is_never_clear(car):
     robot, part, where = car
     obstacle = make_obstacle(part)
     assert part.covering_radius_m <= stranger_jobs.SPINDLE_M / 2
-    clear = jax.jit(partial(is_clear, robot, obstacle, where))
+    clear = jax.jit(is_clear)
     x = near_the_rib(robot, where, 40)
-    assert not any(clear(jnp.asarray(row)) for row in x)
-    assert not jax.jit(partial(all_clear, robot, obstacle, where))(jnp.asarray(x[:1]))
+    assert not any(clear(robot, obstacle, where, jnp.asarray(row)) for row in x)
+    assert not jax.jit(all_clear)(robot, obstacle, where, jnp.asarray(x[:1]))
 
 
 def test_the_clearance_is_a_bound_on_that_to_the_triangles(car):
     """Clearance to the points: below the distance to the triangles, by little more than twice the covering radius."""
     robot, part, where = car
     obstacle = make_obstacle(part)
-    measure = jax.jit(lambda x: (contacts(robot, obstacle, where, x), clearance(robot, obstacle, where, x)))
+    rows = rows_of(robot, obstacle)
+
+    @jax.jit
+    def measure(robot, obstacle, where, x, near):
+        touch = contacts(robot, obstacle, where, x)
+        held = hold_contacts(robot, x, rows, touch)
+        predicted = [predict_distances(robot, place, rows, held)[0] for place in (x, near)]
+        return touch, clearance(robot, obstacle, where, x), predicted, clearances(robot, obstacle, where, near)
+
     x0, rng = np.asarray(where.x_start), np.random.default_rng(0)
     for x in [x0, *(x0 + rng.uniform(-0.4, 0.4, (12, 6)))]:
-        truth, (touch, D) = sampled_distances(robot, part, where, x), measure(jnp.asarray(x))
+        truth = sampled_distances(robot, part, where, x)
+        touch, D, (predicted, ahead), near = measure(robot, obstacle, where, jnp.asarray(x), jnp.asarray(x + 0.01))
         inside = ~np.asarray(touch.plane) & (truth > 0)
         assert (touch.distance <= truth + 1e-9)[inside].all()
         assert (touch.distance >= truth - 2.1 * part.covering_radius_m - 1e-4)[inside].all()
         assert D == np.min(touch.distance)
-        rows = rows_of(robot, obstacle)
-        held = hold_contacts(robot, jnp.asarray(x), rows, touch)
-        values, _ = predict_distances(robot, jnp.asarray(x), rows, held)
-        np.testing.assert_allclose(values, touch.distance, atol=1e-12)
-        near = jnp.asarray(x + 0.01)
-        assert (predict_distances(robot, near, rows, held)[0]
-                >= clearances(robot, obstacle, where, near) - 1e-12)[inside].all()  # fmt: skip
+        np.testing.assert_allclose(predicted, touch.distance, atol=1e-12)
+        assert (ahead >= near - 1e-12)[inside].all()
 
 
 def test_validation_measures_the_triangles(car, tmp_path):
@@ -137,7 +140,7 @@ def test_validation_measures_the_triangles(car, tmp_path):
         truth = sampled_distances(robot, part, where, row).min()
         if not (found.outside[k] > 0).any():
             assert truth - 2e-3 < found.clearance[k] <= truth + 1e-9 or found.clearance[k] < truth < 0
-    tip = beside.tip_goes_through(found.arm_poses, 0.0)
+    tip = beside.tip_crosses(found.arm_poses, 0.0)
     first = arm.tip_start(found.arm_poses)
     assert np.allclose(np.linalg.norm(first - found.arm_poses.tcp, axis=1), 0.038) and tip.shape == (10,)
 
@@ -206,7 +209,7 @@ def test_an_inlet_direction_turns_with_the_part(tmp_path):
     plane = part.interior_plane(part.T_world(0.3, 0.0))
     np.testing.assert_allclose(plane[:3], [-np.sin(0.3), 0, -np.cos(0.3)], atol=1e-12)
     pose = Parameters(np.zeros(6), 0.0, 0.3, 0.0, np.zeros(3), 0.0)
-    rotate, translate = turned_and_moved(job.workpiece, pose)
+    rotate, translate = part_pose(job.workpiece, pose)
     along = (part.triangles.reshape(-1, 3) @ rotate.T + translate) @ plane[:3]
     assert plane[3] == pytest.approx(along.min() + 0.2)
 

@@ -1,4 +1,4 @@
-"""The workpiece's pose, hull and loading."""
+"""The workpiece: pose by its rule, hull around all points, and one line for each rejected input."""
 
 import dataclasses
 from pathlib import Path

@@ -5,7 +5,7 @@ and its task, which all scenarios of a plan share; `own_scene` gives it a scenar
 
 `clearance` is the minimum clearance of a configuration, `clearances` has one number per capsule, `contacts` the nearest
 points and their normals, and `is_clear` compares with a margin, at less cost. `ClearanceRows` are the linearised
-clearances of a step QP. `HasWorkpiecePose`, `rows_of`, `in_workpiece` and `nearest_to` serve code that looks at single
+clearances of a step QP. `HasWorkpiecePose`, `rows_of`, `in_workpiece` and `nearest_to` serve code that evaluates single
 pairs.
 
 Three packages, from the bottom up: `distance` has the distances of a capsule from points, half-spaces and solids, with

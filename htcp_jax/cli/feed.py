@@ -5,9 +5,9 @@ from typing import Annotated
 import typer
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import feed as on_process
+from htcp_jax.jobs import feed as feed_rates
 
-_FEED = f"Feed rate of the TCP along the path, for example 20mm/s; units: {', '.join(on_process.UNITS)}."
+_FEED = f"Feed rate of the TCP along the path, for example 20mm/s; units: {', '.join(feed_rates.UNITS)}."
 Feed = Annotated[str | None, typer.Option(metavar="SPEED", help=f"{_FEED} By default the job's.")]
 PlayedFeed = Annotated[str | None, typer.Option("--feed", metavar="SPEED", help=f"Show the timed motion. {_FEED}")]
 OneWay = Annotated[bool, typer.Option("--one-way", help="Stop at the last target; do not return to the start.")]
@@ -28,7 +28,7 @@ def played_feed(feed: str | None, **others: object) -> float | None:
         InputError: As `feed_of`, and for one of these options without a feed rate.
     """
     if feed is not None:
-        return on_process.feed_of(feed)
+        return feed_rates.feed_of(feed)
     for name in (name for name, given in others.items() if given):
         raise InputError(f"--{name.replace('_', '-')} needs --feed: it belongs to a timed motion")
     return None

@@ -150,7 +150,7 @@ def _print_comparison(verdict: regression.GateVerdict) -> None:
     for changed in verdict.changed[:LISTED]:
         console.print(_describe(changed))
     if (more := len(verdict.changed) - LISTED) > 0:
-        console.print(f"and {labels.counted(more, 'scenario')} more that flipped")
+        console.print(f"and {labels.counted(more, 'scenario')} more that changed")
     if verdict.elsewhere:
         console.print(Text("On another device or with other versions than the baseline: see allow.elsewhere.", "dim"))
     for line in verdict.improvements:

@@ -153,7 +153,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if error.filename is None and error.errno not in FULL:
             raise
         _forget_stdout()
-        return _print_refusal(_said_by_the_system(error))
+        return _print_refusal(_system_message(error))
 
 
 def _run(words: list[str]) -> int:
@@ -172,7 +172,7 @@ def _run(words: list[str]) -> int:
     return int(code or 0)
 
 
-def _said_by_the_system(error: OSError) -> str:
+def _system_message(error: OSError) -> str:
     """One-line message on an invalid name, or a full disk."""
     if error.filename is None:
         return f"cannot write the output: {error.strerror}"

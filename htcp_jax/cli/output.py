@@ -51,7 +51,7 @@ Overrides = Annotated[
 ]
 
 
-def claim(device: str | None) -> None:
+def claim_device(device: str | None) -> None:
     """Refuse a device that this host lacks.
 
     For the CPU, keep JAX off the GPUs, of whose memory it would take most: the process is the command's own.

@@ -10,7 +10,7 @@ import typer
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from htcp_jax.cli.output import Device, Json, claim, print_facts, print_json, print_table, progress_bars, stdout
+from htcp_jax.cli.output import Device, Json, claim_device, print_facts, print_json, print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.placement import PlacementResult, PlaceProgress, mounting, tolerance
 from htcp_jax.placement import place as search_places
@@ -61,13 +61,13 @@ def place(
       htcp plan out/duct/best-1.yaml                         the best one as a plan of its own
       htcp view out/duct                                     the ranked ones in the browser
     """
-    claim(sweeps.device_of(on, device))  # before anything is read
+    claim_device(sweeps.device_of(on, device))  # before anything is read
     changes: dict[str, Any] = {} if seed is None else {"seed": seed}
     if scenarios is not None and seconds is not None:
         raise InputError("--scenarios and --seconds exclude each other; omit one")
     if scenarios is not None or seconds is not None:
         changes["within"] = {"scenarios": scenarios} if seconds is None else {"seconds": seconds}
-    with _bar(said=as_json) as progress:
+    with _bar(announced=as_json) as progress:
         found = search_places(
             file,
             Path("out", file.stem) if out is None else out,
@@ -87,17 +87,17 @@ def place(
 
 
 @contextmanager
-def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
+def _bar(announced: bool) -> Iterator[Callable[[PlaceProgress], None]]:
     """Show one bar per stage on a terminal: scenarios, complete mountings.
 
-    Before the first one, the largest number of plans is printed, unless `said` is True.
+    Before the first one, the largest number of plans is printed, unless `announced` is True.
     """
     columns = TextColumn("{task.description:<10}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn()
     with progress_bars(*columns) as bars:
         tasks: dict[str, Any] = {}
 
         def show(now: PlaceProgress) -> None:
-            if not (said or tasks):
+            if not (announced or tasks):
                 print(_stage_maxima(now.most), flush=True)
             if now.stage not in tasks:
                 for task in bars.tasks:
@@ -192,7 +192,7 @@ def _shown_value(objective_name: str, value: float) -> float:
 
 def _tolerated(found: PlacementResult, one) -> str:
     if one.tolerance is None:
-        return f"{100 * one.held:.0f} % of the perturbed mountings are complete" if one.held < 1 else ""
+        return f"{100 * one.success_rate:.0f} % of the perturbed mountings are complete" if one.success_rate < 1 else ""
     perturbation = found.search.file.perturbation
     if not one.tolerance.together:
         return f"less than {tolerance.LEVELS[0] * perturbation.mm:g} mm and {tolerance.LEVELS[0] * perturbation.deg:g}°"

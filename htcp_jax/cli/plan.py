@@ -9,7 +9,7 @@ from rich.text import Text
 from htcp_jax import api
 from htcp_jax.api import Plan, forget_validation
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.output import Device, Json, Overrides, claim, print_facts, print_json, progress_bar, stdout
+from htcp_jax.cli.output import Device, Json, Overrides, claim_device, print_facts, print_json, progress_bar, stdout
 from htcp_jax.runs import plan_folder
 
 COMPLETE, INCOMPLETE = 0, 3
@@ -55,7 +55,7 @@ def plan(
       htcp plan cone --method hybrid            a third one, by another method
       htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
-    claim(device)  # before anything is read
+    claim_device(device)  # before anything is read
     overrides = [*(overrides or ()), *([] if seed is None else [f"settings.seed={seed}"])]
     with plan_folder.written_whole(out) as folder:
         made = plan_with_progress(config, overrides, method, device)

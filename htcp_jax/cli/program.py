@@ -13,7 +13,7 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import feed as on_process
+from htcp_jax.jobs import feed as feed_rates
 from htcp_jax.report import Column, Table
 from htcp_jax.runs import open_plans, open_run, plan_folder, timing_file
 from htcp_jax.trajectory import FORMATS, PeakTorque, PlanProgram, figures, format_of, plan_program
@@ -97,7 +97,7 @@ def program(
     format, scenario = format or "csv", scenario or 0
     format_of(format)
     if feed is not None:
-        on_process.feed_of(feed)  # before anything is opened
+        feed_rates.feed_of(feed)  # before anything is opened
     found, step_s = open_plans(run), _step_seconds(step_ms)
     feed_m_s = plan_program.requested_feed(feed, plan_program.with_program(found.config, overrides or ()))
     made = plan_program.program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())

@@ -31,7 +31,7 @@ from htcp_jax.reachability import (
     RESOLUTION_RAD,
     Reachability,
     SearchStopped,
-    nothing_found,
+    initial_reachability,
     reachable_prefixes,
 )
 from htcp_jax.runs import Run, manifest, open_run, plan_folder, reachability_file
@@ -128,7 +128,7 @@ def _search_parts(batch: grid.Batch, resolution_rad: float, proof_cells: int) ->
                 )
             except SearchStopped as stop:
                 left = np.flatnonzero(batch.cell > number)
-                later = nothing_found(jax.tree.map(itemgetter(left), batch.scenarios))
+                later = initial_reachability(jax.tree.map(itemgetter(left), batch.scenarios))
                 raise SearchStopped(_in_order([*parts, (rows, stop.found), (left, later)])) from None
             parts.append((rows, found))
     return _in_order(parts)

@@ -134,7 +134,7 @@ def _files(out: Path, movie: str | None, name: str) -> _Files:
     """
     if (kind := out.suffix[1:].lower()) in movies.KINDS:
         if movie not in (None, kind):
-            raise InputError(f"--out {out} is the name of one {kind}, --movie {movie} asks for something else")
+            raise InputError(f"--out {out} is the name of one {kind}, --movie {movie} names another format")
         movies.check_kind(kind)
         return _Files(out.parent, None, out.name)
     return _Files(out, f"{name}.png", None if movie == "none" else f"{name}.{movie or movies.KINDS[0]}")
@@ -142,7 +142,7 @@ def _files(out: Path, movie: str | None, name: str) -> _Files:
 
 def _film(studio: Studio, made: PlanProgram, speed: float) -> movies.Film:
     """Film of a robot program at `speed` times real time, above its plot strip."""
-    play = timed_play.played(made, timed_play.frame_times(made.program.duration_s, speed))
+    play = timed_play.sample_program(made, timed_play.frame_times(made.program.duration_s, speed))
     return studio.film(timed_play.arms_of(made, play)).over(plot_strip.PlotStrip(made, play, studio.width, speed).at)
 
 

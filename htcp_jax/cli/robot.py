@@ -1,8 +1,9 @@
 """`htcp robot`: convert a vendor's URDF or MJCF to an arm of capsules."""
 
 import itertools
+import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +35,10 @@ Out = Annotated[Path, typer.Option(metavar="ARM.xml", help="Output file; a pictu
 Most = Annotated[int, typer.Option(metavar="N", min=1, max=20, help="Maximum number of capsules fitted to a body.")]
 Visual = Annotated[bool, typer.Option("--visual", help="Enclose the visual meshes instead of the collision geometry.")]
 Srdf = Annotated[Path | None, typer.Option(metavar="FILE", help="SRDF file with disabled collision pairs.")]
+Fix = Annotated[
+    list[str] | None,
+    typer.Option("--fix", metavar="JOINT=VALUE", help="Freeze a joint at a value [rad or m]; may be repeated."),
+]
 Replace = Annotated[bool, typer.Option("--replace", help="Overwrite existing files.")]
 
 
@@ -44,12 +49,14 @@ def robot(
     most: Most = capsule_fit.MOST,
     visual: Visual = False,
     srdf: Srdf = None,
+    fix: Fix = None,
     replace: Replace = False,
     as_json: Json = False,
 ) -> int:
     """Convert a vendor's URDF or MJCF model to an arm of capsules.
 
-    The joints from base to TCP are kept, all others are frozen, for example a gripper's. Capsules and spheres of the
+    The joints from base to TCP are kept, all others are frozen, for example a gripper's; --fix freezes further ones.
+    Capsules and spheres of the
     model are kept; meshes, boxes and cylinders are enclosed by fitted capsules. Writes ARM.xml, for you to review, and
     ARM.png, which shows the capsules over the model. ARM.xml lists the pairs of capsules that are not checked for
     self-collision, with the reason: disabled by the model or the SRDF file, nearly always overlapping, or overlapping
@@ -62,15 +69,17 @@ def robot(
       htcp example pipe pipe                                 one with a model to try: pipe/arm.xml
       htcp robot pipe/arm.xml --out arm.xml
       htcp robot pipe/arm.xml --tcp link7 --most 5 --out flange.xml
+      htcp robot pipe/arm.xml --fix a3=0.2 --out six.xml
     """
+    fixed = _fixed_values(fix or ())
     if out.suffix.lower() != ".xml":
         raise InputError(f"--out is {out}; an arm is an MJCF file and ends in .xml")
     picture = out.with_suffix(".png")
     for file in (out, picture):
         if file.exists() and not replace:
-            raise InputError(f"{file} is there already; --replace writes over it, with what was corrected by hand")
+            raise InputError(f"{file} exists; --replace overwrites it, manual changes included")
     with progress_bar("bodies") as progress:
-        arm = robots.import_robot(model, tcp, most=most, visual=visual, srdf=srdf, progress=progress)
+        arm = robots.import_robot(model, tcp, most=most, visual=visual, srdf=srdf, fixed=fixed, progress=progress)
     source = os.path.relpath(model, out.parent)
     from htcp_jax.viewer import draw_arm  # here, because bad input is refused before matplotlib is loaded
 
@@ -78,12 +87,14 @@ def robot(
         plan_folder.write_text(folder / out.name, mjcf.arm_xml(arm, source))
         with progress_bar("pairs of capsules") as progress:
             listed = _excluded_pairs(arm, robots.load_robot(folder / out.name), progress)
-        text = mjcf.arm_xml(arm, source, listed)
-        plan_folder.write_text(folder / out.name, text)
-        made = robots.load_robot(folder / out.name)
-        own = self_collision.self_collision(made)
-        title = f"{made.name}: {len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
-        draw_arm(arm, text, title).savefig(folder / picture.name)
+        with progress_bar("pictures"):
+            text = mjcf.arm_xml(arm, source, listed)
+            plan_folder.write_text(folder / out.name, text)
+            made = robots.load_robot(folder / out.name)
+            own = self_collision.self_collision(made)
+            shown = f"{len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
+            title = f"{made.name}: {shown}"
+            draw_arm(arm, text, title).savefig(folder / picture.name)
     table, facts = (
         _robot_table(arm),
         _robot_facts(arm) | {"self-collision": own.described(made) if own else "no pairs to check"},
@@ -95,6 +106,27 @@ def robot(
     lines = {name: ", ".join(value) if isinstance(value, tuple) else value for name, value in facts.items() if value}
     print_facts(title, lines | {"files": f"{out}, {picture}"})
     return 0
+
+
+def _fixed_values(options: Iterable[str]) -> dict[str, float]:
+    """Return the values in `JOINT=VALUE` by the names of the joints.
+
+    Raises:
+        InputError: For another form, a number that is not finite, and a joint that is given twice.
+    """
+    values: dict[str, float] = {}
+    for option in options:
+        name, _, text = option.rpartition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not name or not math.isfinite(value):
+            raise InputError(f"--fix {option}: it must be JOINT=VALUE with a number, in rad or m")
+        if name in values:
+            raise InputError(f"--fix {option}: {name} is fixed twice")
+        values[name] = value
+    return values
 
 
 def _excluded_pairs(arm: robots.ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[mjcf.Listed]:
@@ -121,7 +153,7 @@ def _robot_table(arm: robots.ImportedArm) -> Table:
                 *counts,
                 cover.ratio,
                 1e3 * cover.outside_m,
-                mjcf.in_words(cover),
+                mjcf.shapes_label(cover),
             )
         )
     return Table("robot", COLUMNS, tuple(rows))
@@ -132,6 +164,7 @@ def _robot_facts(arm: robots.ImportedArm) -> dict[str, str | tuple[str, ...]]:
         "TCP": arm.tip.name,
         "joints": arm.joint_names,
         "frozen": arm.frozen,
+        "fixed": mjcf.fixed_text(arm),
         "without a shape": arm.shapeless,
-        "left out": arm.left_out,
+        "excluded": arm.excluded,
     }

@@ -64,7 +64,7 @@ def self_test() -> SelfTest:
     off_rad = float(np.abs(plans.x[0, -1] - KNOWN_RAD).max())
     off_m = float(abs(plans.clearance[0].min() - KNOWN_CLEARANCE_M))
     passed = off_rad <= TOLERANCE and off_m <= TOLERANCE  # NaN, where a target is not tracked, does not pass
-    description = f"{count} targets, {off_rad:.0e} rad and {1e3 * off_m:.0e} mm off the known answer"
+    description = f"{count} targets, {off_rad:.0e} rad and {1e3 * off_m:.0e} mm from the known answer"
     return SelfTest(passed, description, time.perf_counter() - began, plans.compile_s)
 
 

@@ -19,7 +19,7 @@ from htcp_jax.cli.output import (
     Limit,
     Overrides,
     SweepFile,
-    claim,
+    claim_device,
     print_json,
     print_table,
     progress_bars,
@@ -81,7 +81,7 @@ def sweep(
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     running, chosen = RunningSummary(), sweeps.method_names(methods)
-    claim(sweeps.device_of(on, device))  # before anything is read
+    claim_device(sweeps.device_of(on, device))  # before anything is read
     spec = grid.load_sweep(file, config, sweeps.seeded(overrides or (), seed))
     feed = spec.config.program.feed if feed is None else feed
     if feed is not None:

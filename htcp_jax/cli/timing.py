@@ -7,7 +7,7 @@ from rich.text import Text
 
 from htcp_jax.cli.output import print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import feed as on_process
+from htcp_jax.jobs import feed as feed_rates
 from htcp_jax.jobs import grid
 from htcp_jax.report import timing as timings
 from htcp_jax.runs import Run, timing_file
@@ -49,7 +49,7 @@ def check_feed(spec: grid.Sweep, feed: str) -> None:
     Raises:
         InputError: For an invalid feed rate, and for an arm of the sweep without velocity limits.
     """
-    on_process.feed_of(feed)
+    feed_rates.feed_of(feed)
     check_limits(point.config for point in spec.points())
 
 

@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
-from htcp_jax.jobs import feed as on_process
+from htcp_jax.jobs import feed as feed_rates
 from htcp_jax.report import validation
 from htcp_jax.runs import labels as run_labels
 from htcp_jax.runs import manifest, open_run, plan_folder
@@ -18,7 +18,7 @@ from htcp_jax.validation import Validation, validation_record, write_validation
 from htcp_jax.validation import validate_results as check
 
 VALIDATED, REFUTED = 0, 1
-WORTH_SAYING_S = 60  # longer checks are announced
+ANNOUNCED_S = 60  # longer checks are announced
 LISTED = 10  # refuted configurations on the terminal
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
@@ -50,13 +50,13 @@ def validate(
       htcp validate out/workpiece                 every method of a sweep
       htcp validate out/workpiece --between 0 --json  only the targets, for another program
     """
-    feed_mm_s = feed_mm_s if feed is None else 1e3 * on_process.feed_of(feed)
+    feed_mm_s = feed_mm_s if feed is None else 1e3 * feed_rates.feed_of(feed)
     run = plan_sets.run_folder(run)
     began = time.perf_counter()
     with progress_bar("plans", time_left=True) as progress:
 
         def show(done: int, count: int) -> None:
-            if done == 1 and (seconds := (time.perf_counter() - began) * count) > WORTH_SAYING_S:
+            if done == 1 and (seconds := (time.perf_counter() - began) * count) > ANNOUNCED_S:
                 print(
                     f"about {seconds:,.0f} s for {count:,} plans, estimated from the first", file=sys.stderr, flush=True
                 )

@@ -34,7 +34,7 @@ def finished(found: Any) -> Any:
     return found.result(jax.lax.while_loop(found.going, found.step, found.state))
 
 
-def chunked(function: Callable, width: int) -> Callable:
+def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
     """Return a compiled function that applies `function` to the rows of tables, `width` at a time.
 
     It is run(scene, lanes, *tables): tables have a leading axis of capacity C, of which the first `lanes` rows are
@@ -81,7 +81,7 @@ class Slots(NamedTuple):
     going: Bool[jax.Array, "width"]
 
 
-def refilled(function: Callable, width: int) -> Callable:
+def refilled(function: Callable, width: int) -> jax.stages.Wrapped:
     """Return `chunked` for a function that returns a `Loop`: a finished lane's slot takes the next lane.
 
     So no lane waits for the longest in its chunk. While lanes are left, up to an eighth of the slots may be idle before

@@ -35,7 +35,7 @@ class PathResults(NamedTuple):
 def by_chunks(function: Callable, width: int) -> Callable:
     """Return `batching.refilled` for a function whose loop is a bisection.
 
-    Its state is a `Bisection` that has not begun, every step one clearance query, and its result `of_proven`.
+    Its state is a `Bisection` that has not begun, every step one clearance query, and its result `proven_result`.
     """
 
     def run(scene, lanes, *tables) -> bisection.Proof:
@@ -58,10 +58,10 @@ def by_chunks(function: Callable, width: int) -> Callable:
             slots, following, _ = now
             return (following < lanes) | jnp.any(slots.row < capacity)
 
-        slots = ChunkSlots(jnp.full(width, capacity, jnp.int32), _table_of(bisection.begun(), width))
-        known = PathResults(jnp.full(capacity, bisection.WHOLE), _table_of(bisection.begun().proof, capacity))
+        slots = ChunkSlots(jnp.full(width, capacity, jnp.int32), _table_of(bisection.initial_state(), width))
+        known = PathResults(jnp.full(capacity, bisection.WHOLE), _table_of(bisection.initial_state().proof, capacity))
         *_, known = jax.lax.while_loop(more, advance, (slots, jnp.zeros((), jnp.int32), known))
-        return jax.vmap(bisection.of_proven)(known.proof)
+        return jax.vmap(bisection.proven_result)(known.proof)
 
     return jax.jit(run)
 
@@ -78,7 +78,7 @@ def _shared_out(slots: ChunkSlots, capacity: int) -> ChunkSlots:
     # The longest interval at the end that bisection comes to: as long as the largest power of two in the rest.
     level = 63 - jax.lax.clz(jnp.maximum(rest, 1))
     start = far.end - (1 << level)
-    new = bisection.begun()._replace(
+    new = bisection.initial_state()._replace(
         index=start[giver] >> level[giver], depth=bisection.WHOLE_DEPTH - level[giver], end=far.end[giver]
     )
     left = far._replace(end=jnp.where(gives, start, far.end))
@@ -108,7 +108,7 @@ def _put_together(
         whole.queries.at[through].add(found.queries, mode="drop"),
         whole.depth.at[through].max(found.depth, mode="drop"),
     )
-    far = jax.tree.map(lambda fresh, own: jnp.where(goes_on, own, fresh), bisection.begun(), queried)
+    far = jax.tree.map(lambda fresh, own: jnp.where(goes_on, own, fresh), bisection.initial_state(), queried)
     return ChunkSlots(rows(goes_on), far), PathResults(ends, whole)
 
 

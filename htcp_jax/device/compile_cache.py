@@ -44,7 +44,7 @@ def enable() -> Path | None:
 
 
 @contextlib.contextmanager
-def alone(program: str) -> Iterator[None]:
+def compilation_lock(program: str) -> Iterator[None]:
     """Lock the compilation of this executable among processes that share the cache folder.
 
     The others wait, then load it. If the lock is not available, continue without it.

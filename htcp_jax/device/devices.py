@@ -14,7 +14,7 @@ from htcp_jax.errors import InputError
 
 
 def choose(name: str | None = None) -> list[jax.Device]:
-    """Return the devices with that name. Raises InputError for a name that is no device here."""
+    """Return the devices with that name. Raises InputError for a name that is not a device here."""
     here = jax.local_devices()
     gpus = [] if here[0].platform == "cpu" else here
     if name is None:

@@ -29,7 +29,7 @@ COMPILER = {
 }
 
 
-NOBODY = nullcontext()  # in place of a stopwatch for the time spent waiting
+NO_STOPWATCH = nullcontext()  # in place of a stopwatch for the time spent waiting
 
 
 class ExecutableCache:
@@ -40,7 +40,7 @@ class ExecutableCache:
 
     def __init__(self, most: int = 256):
         self._most = most
-        self._compiled: dict[tuple, jax.stages.Compiled] = {}  # those last asked for at the end
+        self._compiled: dict[tuple, jax.stages.Compiled] = {}  # the last requested ones at the end
         self._compiling: dict[tuple, threading.Lock] = {}  # one per executable: others can be compiled meanwhile
         self._tracing, self._sorting = threading.Lock(), threading.Lock()
 
@@ -57,7 +57,7 @@ class ExecutableCache:
         settings: Settings,
         device: jax.Device,
         arguments: tuple,
-        waiting: AbstractContextManager = NOBODY,
+        waiting: AbstractContextManager = NO_STOPWATCH,
     ) -> jax.stages.Compiled:
         """Return the executable for arguments of these shapes, compiling it if there is none.
 
@@ -78,7 +78,7 @@ class ExecutableCache:
                 if (found := self._kept(key)) is None:
                     with self._tracing, compiled_for(Backend.of(device.platform)):
                         lowered = lane_function.jitted(settings, device).lower(*arguments)
-                    with compile_cache.alone(lane_function.name):
+                    with compile_cache.compilation_lock(lane_function.name):
                         found = lowered.compile(COMPILER.get(device.platform))
                     self._keep(key, found)
         return found
@@ -223,7 +223,7 @@ class Executor:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
             for each in begun:
-                with NOBODY if each.done() else self._waiting:
+                with NO_STOPWATCH if each.done() else self._waiting:
                     each.result()
 
     def _ready(self, lane_function: LaneFunction, tables) -> None:

@@ -90,7 +90,7 @@ class LaneFunction:
 
         return bound
 
-    def jitted(self, settings: Settings, device: jax.Device) -> Callable:
+    def jitted(self, settings: Settings, device: jax.Device) -> jax.stages.Wrapped:
         """Return the function to compile for that device: of (scene, number of lanes, tables...)."""
         table = self.sizes.on(device)
         return (self.refill if table.refills else chunked)(self.of(settings), table.width)

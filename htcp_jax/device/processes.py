@@ -28,14 +28,14 @@ from htcp_jax.errors import Lost
 from htcp_jax.process_exit import signals_blocked
 from htcp_jax.unfinished import temporary_folder
 
-LOOK_S = 0.1  # interval at which progress is polled
+POLL_S = 0.1  # interval at which progress is polled
 IDLE_S = 300  # idle time after which workers end
 START_PAYS = 10_000  # targets that outweigh starting workers, which takes as long as some thousands of them
 EACH_PAYS = 8  # minimum number of scenarios per worker
 MOST_TOGETHER = 64  # scenarios per part: fewer make calls with fewer lanes, more make the last part take longer
 
 
-def that_pay(cores: int, scenarios: int, targets: int) -> int:
+def profitable_count(cores: int, scenarios: int, targets: int) -> int:
     """Return the number of processes for a number of scenarios on a number of cores.
 
     It depends on this call alone, not on earlier ones.
@@ -84,9 +84,9 @@ def spread(
     report: Callable[[np.ndarray], None] | None,
     ready: Callable[[], Any] = tuple,
 ) -> Spread:
-    """Return call(tell, *shared, part) for every part.
+    """Return call(set_counts, *shared, part) for every part.
 
-    tell(a, b) sets two counts of a part's progress.
+    set_counts(a, b) sets the two counts of a part's progress.
 
     Args:
         processes: Number of workers.
@@ -125,7 +125,7 @@ def _watched(requested: Sequence[Future], look: Callable[[], Any]) -> None:
     """Wait for all futures, calling `look` at intervals; raise the first exception among them."""
     left = set(requested)
     while left:
-        done, left = wait(left, LOOK_S, FIRST_EXCEPTION)
+        done, left = wait(left, POLL_S, FIRST_EXCEPTION)
         for each in done:
             each.result()
         look()

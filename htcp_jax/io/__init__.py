@@ -4,7 +4,7 @@
 work cell from an MJCF file.
 
 `files` alone opens files: it limits their size, follows no link out of a folder, and replaces a file completely or not
-at all. `strict_yaml` refuses harmful input, and `strict_model` checks mappings: a `strict_model.Section` refuses
+at all. `strict_yaml` refuses harmful input, and `strict_model` checks mappings: a `strict_model.FileSection` refuses
 unknown keys and names the valid ones.
 
 Bad input is an InputError of one line that names the file and the valid choices.

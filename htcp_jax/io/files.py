@@ -22,7 +22,7 @@ import warnings
 import zipfile
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -55,7 +55,7 @@ def known_ending(path: Path, endings: tuple[str, ...]) -> str:
 
 
 @contextlib.contextmanager
-def opened(path: Path, folder: Path | None = None, largest: int = LARGEST_NAMED) -> Iterator[BinaryIO]:
+def opened(path: Path, folder: Path | None = None, largest: int = LARGEST_NAMED) -> Iterator[io.BufferedReader]:
     """Open a regular file for reading.
 
     Args:
@@ -84,7 +84,7 @@ def _check_size(found: os.stat_result, path: Path, largest: int) -> None:
 
 
 @contextlib.contextmanager
-def open_named(path: Path) -> Iterator[BinaryIO]:
+def open_named(path: Path) -> Iterator[io.BufferedReader]:
     """Open a file named by the user for reading.
 
     Raises:
@@ -143,7 +143,7 @@ def read_json(file: Path, folder: Path) -> Any:
 
 def _finite(text: str) -> float:
     if not math.isfinite(number := float(text)):
-        raise ValueError(f"{text[:40]} is no finite number")
+        raise ValueError(f"{text[:40]} is not a finite number")
     return number
 
 
@@ -218,7 +218,7 @@ def read_array(data: bytes, source: str) -> np.ndarray:
     return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape, order="F" if by_column else "C")
 
 
-def read_parquet(stream: BinaryIO, file: Path, most_rows: int | None = None, exact: bool = False) -> pa.Table:
+def read_parquet(stream: io.BufferedReader, file: Path, most_rows: int | None = None, exact: bool = False) -> pa.Table:
     """Return the table in an open Parquet file.
 
     Args:
@@ -254,7 +254,7 @@ def read_parquet(stream: BinaryIO, file: Path, most_rows: int | None = None, exa
     except InputError:
         raise
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        raise InputError(f"{file} is no Parquet file: {one_line(error)}") from None
+        raise InputError(f"{file} is not a Parquet file: {one_line(error)}") from None
 
 
 def _is_plain(kind: pa.DataType) -> bool:

@@ -67,7 +67,7 @@ def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> Non
                 if isinstance(item, dict) and KIND not in item:
                     refuse_unknown(item, section, source, f"{prefix}{name}." + ("" if k is None else f"{k}."))
         if not key.sections and not key.is_truth and any(isinstance(item, bool) for item in _items(value)):
-            raise InputError(f"{source}: {prefix}{name} is {reprlib.repr(value)}: true and false are no numbers")
+            raise InputError(f"{source}: {prefix}{name} is {reprlib.repr(value)}: true and false are not numbers")
 
 
 class _Key(NamedTuple):
@@ -80,7 +80,7 @@ class _Key(NamedTuple):
 
 
 @cache
-def _keys_of(model: type) -> dict[str, _Key]:
+def _keys_of(model: type[Any]) -> dict[str, _Key]:
     kinds = (
         {field.name: field.type for field in fields(model)}
         if is_dataclass(model)

@@ -22,7 +22,7 @@ def read_yaml(path: str | Path) -> dict:
     """Read the mapping in a YAML file; {} for an empty one.
 
     Raises:
-        InputError: For a file that cannot be read, is no strict YAML, or has no mapping.
+        InputError: For a file that cannot be read, is not strict YAML, or has no mapping.
     """
     try:
         with opened(Path(path), largest=LARGEST_FILE) as stream:
@@ -66,9 +66,9 @@ class _Loader(yaml.SafeLoader):
         seen = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
-                raise yaml.MarkedYAMLError(problem="a key that is no word", problem_mark=key.start_mark)
+                raise yaml.MarkedYAMLError(problem="a key that is not a word", problem_mark=key.start_mark)
             if key.value in seen:
-                raise yaml.MarkedYAMLError(problem=f"key {key.value!r} stands twice", problem_mark=key.start_mark)
+                raise yaml.MarkedYAMLError(problem=f"key {key.value!r} is repeated", problem_mark=key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
@@ -96,7 +96,7 @@ def parse_yaml(text: str, source: str) -> Any:
     """Parse the value in `text`; errors name `source`.
 
     Raises:
-        InputError: For a text that is no strict YAML.
+        InputError: For a text that is not strict YAML.
     """
     try:
         return yaml.load(text, _Loader)

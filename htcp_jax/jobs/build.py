@@ -200,19 +200,19 @@ _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "s
 _APPROACH = {"approach_to_inlet": 0, "approach_to_path": 0}
 
 
-def arm_of(job: PlanConfig) -> tuple[RobotConfig, CellConfig]:
+def robot_key(job: PlanConfig) -> tuple[RobotConfig, CellConfig]:
     """Return the keys that determine the robot, `robot_of`'s arguments; equal for scenarios that share it."""
     cell = job.cell
     carried = cell.is_carried and CellConfig(model=cell.model, clouds=cell.clouds, fixtures=cell.fixtures)
     return job.robot.model_copy(update={"tool_extension_m": 0.0}), carried or NO_CELL
 
 
-def part_of(job: PlanConfig) -> WorkpieceConfig:
+def workpiece_key(job: PlanConfig) -> WorkpieceConfig:
     """Return the keys that determine the workpiece."""
     return job.workpiece.model_copy(update=_POSE | _APPROACH)
 
 
-def beside_of(cell: CellConfig) -> tuple:
+def obstacles_key(cell: CellConfig) -> tuple:
     """Return the values that determine the planner's obstacles in addition to the workpiece.
 
     The numbers of obstacles of other packages are excluded: they belong to the scenario.
@@ -220,7 +220,7 @@ def beside_of(cell: CellConfig) -> tuple:
     return cell.model_copy(update={"obstacles": ()}), tuple(map(template_of, cell.obstacles))
 
 
-def shape_of(part: WorkpieceConfig) -> WorkpieceConfig:
+def walls_key(part: WorkpieceConfig) -> WorkpieceConfig:
     """Return the keys that determine the workpiece for the planner: without path and pose, which the scenario has."""
     origin = (0.0, 0.0, 0.0)
     return part.model_copy(update={"path": "", "pivot_m": origin, "neutral_translation_m": origin})

@@ -103,7 +103,7 @@ def _shapes(cell: CellConfig, moved: bool) -> tuple[Fixture, ...]:
     if cell.model is None:
         for key in ("moved", "shift_m", "rpy_rad"):
             if getattr(cell, key) != getattr(CellConfig(), key):
-                raise InputError(f"cell.{key} is given, and no cell.model that could be moved")
+                raise InputError(f"cell.{key} is given, but no cell.model")
         return ()
     if not moved:
         return cells.load_cell(cell.model)

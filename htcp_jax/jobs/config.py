@@ -41,13 +41,13 @@ def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
         InputError: For any other word.
     """
     if isinstance(value, str) and value != AUTO:
-        raise InputError(f"{value!r} is no start; valid: {AUTO}, or a list of joint positions")
+        raise InputError(f"{value!r} is not a start; valid: {AUTO}, or a list of joint positions")
     return value if value == AUTO else numbers(value)
 
 
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
-# What stands in a job as {kind: NAME, ...} is of another package; a row without a kind is a `TaskRow`.
+# Entries {kind: NAME, ...} of a job are of other packages; a row without a kind is a `TaskRow`.
 Row = Annotated[
     TaskRow, WrapValidator(given_kind_of(task_row_kind.TASK_ROWS, task_row_kind.TaskRowKind)), WrapSerializer(record_of)
 ]
@@ -250,5 +250,5 @@ class PlanConfig(strict_model.FileSection):
     @classmethod
     def _could_be_a_method(cls, name: str) -> str:
         if not NAME.fullmatch(name):  # whether it exists is checked by the planner
-            raise InputError(f"{name!r} is no method; their names are small letters, digits and hyphens")
+            raise InputError(f"{name!r} is not a method; their names are small letters, digits and hyphens")
         return name

@@ -47,10 +47,10 @@ def layers_of(mapping: Mapping[str, Any], name: str) -> list[tuple[str, dict]]:
 
 def merged(raws: Iterable[dict]) -> dict:
     """Merge mappings; later ones take precedence."""
-    whole: dict = {}
+    combined: dict = {}
     for raw in raws:
-        _lay_over(whole, raw)
-    return whole
+        _lay_over(combined, raw)
+    return combined
 
 
 def put_key(raw: dict, dotted: str, value: Any) -> None:
@@ -88,7 +88,7 @@ def parse_override(override: str) -> tuple[str, Any]:
     """Split "key=value" from a command line into key and value.
 
     Raises:
-        InputError: Without a key or "=", and for a value that is no YAML.
+        InputError: Without a key or "=", and for a value that is not YAML.
     """
     dotted, equals, text = override.partition("=")
     if not equals or not dotted:
@@ -132,12 +132,12 @@ def _anchor_files(raw: dict, folder: Path) -> None:
         owner[key] = str(folder / owner[key])
 
 
-def _lay_over(whole: dict, raw: dict) -> None:
+def _lay_over(combined: dict, raw: dict) -> None:
     for key, value in raw.items():
-        if isinstance(value, dict) and isinstance(whole.get(key), dict):
-            _lay_over(whole[key], value)
+        if isinstance(value, dict) and isinstance(combined.get(key), dict):
+            _lay_over(combined[key], value)
         else:
-            whole[key] = _copy(value)
+            combined[key] = _copy(value)
 
 
 def _yaml_value(value: Any) -> Any:

@@ -24,7 +24,7 @@ def feed_of(text: str) -> float:
     except ValueError:
         feed = 0.0
     if not 0 < feed < np.inf:
-        raise InputError(f"feed {text!r} is no speed above 0 with a unit, as 20mm/s is; units: {', '.join(UNITS)}")
+        raise InputError(f"feed {text!r} is not a speed above 0 with a unit, such as 20mm/s; units: {', '.join(UNITS)}")
     if not SLOWEST_M_S <= feed <= FASTEST_M_S:
         raise InputError(f"feed {text!r} is {feed:g} m/s; valid: {SLOWEST_M_S:g} to {FASTEST_M_S:g} m/s")
     return feed

@@ -36,7 +36,7 @@ def needs_kind(value: Any) -> Any:
     """Raise InputError for an obstacle of no kind."""
     if not isinstance(value, obstacle_kind.ObstacleKind):
         valid = ", ".join(obstacle_kind.OBSTACLES.names()) or "none is installed"
-        raise InputError(f"{value!r} is no obstacle; it is {{kind: NAME, ...}}; valid names: {valid}")
+        raise InputError(f"{value!r} is not an obstacle; it is {{kind: NAME, ...}}; valid names: {valid}")
     return value
 
 

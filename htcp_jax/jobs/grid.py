@@ -26,14 +26,14 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
 from htcp_jax.jobs.build import (
-    arm_of,
-    beside_of,
+    obstacles_key,
     obstacles_of,
-    part_of,
+    robot_key,
     robot_of,
     scenario_of,
-    shape_of,
     task_of_job,
+    walls_key,
+    workpiece_key,
     workpiece_of,
 )
 from htcp_jax.jobs.config import DEPENDENT, PlanConfig, WorkpieceConfig
@@ -127,23 +127,23 @@ class Sweep:
                 robots with different joints.
         """
         points = self.points(limit)
-        arms = {arm_of(self.config): self.robot}
+        arms = {robot_key(self.config): self.robot}
         parts: dict[tuple[tuple, WorkpieceConfig], Workpiece] = {}
         obstacles: dict[tuple[tuple, tuple], Obstacles] = {}
         follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # position at a start, see `make_scenario`
         cells: dict[tuple, tuple[int, PlannerInputs]] = {}
         scenarios, whose = [], []
         for point in points:
-            arm, part, settings = arm_of(point.config), part_of(point.config), point.config.settings
+            arm, part, settings = robot_key(point.config), workpiece_key(point.config), point.config.settings
             if arm not in arms:
                 arms[arm] = _like(self.robot, robot_of(*arm), f"{self.name}: scenario {point.number}")
             if (arm, part) not in parts:
                 parts[arm, part] = workpiece_of(part, arms[arm])
-            task, beside = _task(point, arms[arm]), beside_of(point.config.cell)
-            if (arm, beside) not in obstacles:
-                obstacles[arm, beside] = obstacles_of(point.config.cell, arms[arm])
-            own = len(cells), PlannerInputs(arms[arm], parts[arm, part], settings, task, obstacles[arm, beside])
-            whose.append(cells.setdefault((arm, shape_of(part), settings, task, beside), own)[0])
+            task, surroundings = _task(point, arms[arm]), obstacles_key(point.config.cell)
+            if (arm, surroundings) not in obstacles:
+                obstacles[arm, surroundings] = obstacles_of(point.config.cell, arms[arm])
+            own = len(cells), PlannerInputs(arms[arm], parts[arm, part], settings, task, obstacles[arm, surroundings])
+            whose.append(cells.setdefault((arm, walls_key(part), settings, task, surroundings), own)[0])
             begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
             number = 0 if self.alone else point.number
             scenarios.append(_scenario(point, arms[arm], parts[arm, part], follows.get(begins), number))
@@ -193,7 +193,7 @@ def load_sweep(
         where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
         groups.append(read_grid(where, path.parent, name, axes, robot.joint_names))
         for key in first.keys() - groups[-1].keys:
-            raise InputError(f"{where}: {key} varies in another group; it has to stand in every one")
+            raise InputError(f"{where}: {key} varies in another group; it must vary in every one")
     if (size := sum(group.size for group in groups)) > MOST:
         raise InputError(f"{path}: the grid has {size:,} scenarios; at most {MOST:,} make a sweep")
     return Sweep(path.stem, base, robot, tuple(groups), frozenset(stated.intersection((*DEPENDENT, "start_rad"))))

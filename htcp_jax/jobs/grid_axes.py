@@ -120,7 +120,7 @@ def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], 
     seen = set()
     for column in itertools.chain.from_iterable(read):
         if column.parameter in seen:
-            raise InputError(f"{where}: {column.parameter.name} stands in it twice")
+            raise InputError(f"{where}: {column.parameter.name} is repeated")
         seen.add(column.parameter)
     return Group(name, read)
 
@@ -136,7 +136,7 @@ def parameters(joints: Sequence[str]) -> dict[str, AxisParameter]:
     return known
 
 
-def of_kind(name: str) -> AxisParameter | None:
+def kind_parameter(name: str) -> AxisParameter | None:
     """Return the parameter of an obstacle or a row of another package; None if the name is of no such form.
 
     Whether the kind has that key is checked by `put_parameter`.
@@ -207,7 +207,7 @@ def group_record(group: Group, stated: Collection[str]) -> dict[str, Any]:
         {column.parameter.name: {"offsets" if column.relative else "values": values(column)} for column in axis}
         for axis in group.axes
     ]
-    known = {"stated": sorted(stated)} if hangs(group) else {}
+    known = {"stated": sorted(stated)} if has_own_defaults(group) else {}
     return {"name": group.name, "axes": axes, **known}
 
 
@@ -217,7 +217,7 @@ def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
 
     def column(name: str, values: Mapping[str, list]) -> AxisColumn:
         ((kind, items),) = values.items()
-        return AxisColumn(known.get(name) or of_kind(name), kind == "offsets", tuple(map(_hashable, items)))
+        return AxisColumn(known.get(name) or kind_parameter(name), kind == "offsets", tuple(map(_hashable, items)))
 
     return Group(record["name"], tuple(tuple(column(*item) for item in axis.items()) for axis in record["axes"]))
 
@@ -227,14 +227,14 @@ def absolute(name: str | None, words: Collection[str | None]) -> str | None:
     return name if name in words else str(Path(name).resolve())
 
 
-def hangs(group: Group) -> bool:
+def has_own_defaults(group: Group) -> bool:
     """Return True if the defaults depend on the scenario, see `defaults.own_defaults`."""
     return bool(group.keys & {*SOURCES, "workpiece.neutral_translation_m"})
 
 
 def varied_keys(names: Collection[str]) -> tuple[str, ...]:
     """Return the varied keys without a column of their own, given the names of all axes' parameters."""
-    given = {name: of_kind(name) for name in names if name not in KEYS}
+    given = {name: kind_parameter(name) for name in names if name not in KEYS}
     names = [given[name].key if given.get(name) else name for name in names]
     own = tuple(dict.fromkeys(name for name in names if OF_A_KIND.fullmatch(name) and name not in KEYS))
     keys = dict.fromkeys(name if name in KEYS else name.rpartition(".")[0] for name in names)
@@ -250,12 +250,12 @@ def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, AxisParamet
     lengths = {column.parameter.name: len(column.values) for column in axis}
     if len(set(lengths.values())) > 1:
         counts = ", ".join(f"{name} has {length} values" for name, length in lengths.items())
-        raise InputError(f"{where}: what stands in one axis goes together, value by value, but {counts}")
+        raise InputError(f"{where}: the values of one axis vary jointly, but {counts}")
     return axis
 
 
 def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str, AxisParameter]) -> AxisColumn:
-    if (parameter := known.get(key) or of_kind(key)) is None:
+    if (parameter := known.get(key) or kind_parameter(key)) is None:
         raise InputError(f"{where}: {_unknown(key, known)}")
     relative = isinstance(value, dict) and list(value) == ["offsets"]
     if isinstance(value, dict) and list(value) in (["offsets"], ["values"]):

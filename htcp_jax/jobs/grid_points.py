@@ -8,7 +8,7 @@ from pathlib import Path
 from htcp_jax.io import strict_model
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.defaults import fill_in, value_at
-from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, ScenarioPoint, hangs, put_parameter, varied_keys
+from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, ScenarioPoint, has_own_defaults, put_parameter, varied_keys
 
 
 def points_of(
@@ -35,7 +35,7 @@ def points_of(
         short[key] = short_names([*files, value_at(base, key)], words)
     number = itertools.count()
     for group in groups:
-        hanging, known = hangs(group), {*stated, *group.keys}
+        hanging, known = has_own_defaults(group), {*stated, *group.keys}
         for row in group.rows():
             raw = {key: dict(value) if isinstance(value, dict) else value for key, value in base.items()}
             for column, value in row:
@@ -50,11 +50,11 @@ def points_of(
 
 def short_names(files: Iterable[str | None], words: Collection[str | None]) -> dict[str | None, str | None]:
     """Return the shortest ends of paths, of equal length, that distinguish the files; `words` are kept."""
-    whole = {file: Path(file).resolve() for file in files if file not in words}
+    resolved = {file: Path(file).resolve() for file in files if file not in words}
     count = 1
-    while len({path.parts[-count:] for path in whole.values()}) < len(set(whole.values())):
+    while len({path.parts[-count:] for path in resolved.values()}) < len(set(resolved.values())):
         count += 1
-    return {word: word for word in words} | {file: "/".join(path.parts[-count:]) for file, path in whole.items()}
+    return {word: word for word in words} | {file: "/".join(path.parts[-count:]) for file, path in resolved.items()}
 
 
 def _words_of(config: PlanConfig, varied: Sequence[str], short: Mapping[str, Mapping[str, str]]) -> dict[str, str]:

@@ -31,8 +31,8 @@ def load_config(
         overrides: "dotted.key=value" each, or a mapping.
 
     Raises:
-        InputError: For a file that cannot be read, is no YAML mapping or repeats a key, for a cycle of base files, for
-            an unknown key, for a value of the wrong type or outside its range, and for a robot other than the GP50
+        InputError: For a file that cannot be read, is not a YAML mapping or repeats a key, for a cycle of base files,
+            for an unknown key, for a value of the wrong type or outside its range, and for a robot other than the GP50
             without a start.
     """
     raw, source = read_config(config, overrides)

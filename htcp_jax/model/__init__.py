@@ -10,7 +10,7 @@ target; `goals` computes the goals that the task's rows have at each target, and
 rows. `task_row_kind` has the base class of kinds that other packages add, and `row_bounds` what a kind states about
 its error between two configurations.
 `rotations`, `surface`, `mesh_points` and `duct` are geometry: rotations, the triangles that are drawn, points on a
-mesh, the generated duct. `arrays` checks points that somebody passes in. `robot`, `scenario`, `task`, `tool`, `fixture`
+mesh, the generated duct. `arrays` checks points that a caller passes in. `robot`, `scenario`, `task`, `tool`, `fixture`
 and `workpiece` have the types above and the functions that make and change them, such as `scenario.make_scenario`.
 
 Nothing here opens a file: package `io` reads robots, parts and paths, package `jobs` builds scenarios from a job.

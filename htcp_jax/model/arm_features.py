@@ -34,4 +34,5 @@ def axis_of(robot: Robot, name: str) -> Feature:
     if letter not in ("x", "y", "z"):
         raise InputError(f"the axis is {name!r}; it is a name and x, y or z, as in tcp.z")
     frame, sign = frame_of(robot, own, "axis"), -1.0 if name.startswith("-") else 1.0
-    return Feature(frame.link, tuple(sign * value for value in frame.columns["xyz".index(letter)]), is_direction=True)
+    x, y, z = frame.columns["xyz".index(letter)]
+    return Feature(frame.link, (sign * x, sign * y, sign * z), is_direction=True)

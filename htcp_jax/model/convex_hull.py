@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
+from htcp_jax.caching import cached_by_values
 from htcp_jax.errors import InputError
 
 
@@ -17,6 +18,7 @@ class Hull(NamedTuple):
     vertices: Float[np.ndarray, "V 3"]  # of the exact hull, for any tolerance
 
 
+@cached_by_values(2)
 def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: str) -> Hull:
     """Return the hull of P points [m]: exact at tolerance 0, else with fewer facets.
 

@@ -49,7 +49,7 @@ def task_of(rows: Sequence[TaskRowKind], robot: Robot, tolerance_m: float = 1e-3
     task.freedom(robot)
     for k in range(2, len(parts) + 1):
         if _jacobian_rank(robot, rows[:k], Task(tuple(parts[:k]))) < sum(part.equalities for part in parts[:k]):
-            raise InputError(f"task.{k} ({rows[k - 1]}) asks for what the rows before it fix already, or the opposite")
+            raise InputError(f"task.{k} ({rows[k - 1]}) repeats or contradicts the rows before it")
     return task
 
 
@@ -67,7 +67,7 @@ def follower_position(rows: Sequence[TaskRowKind], robot: Robot, x: Float[np.nda
     Raises:
         InputError: For a name that the robot lacks.
     """
-    row = next((row for row in rows if row.on == "path"), ON_PATH[0])
+    row = next((row for row in rows if isinstance(row, TaskRow) and row.on == "path"), ON_PATH[0])
     point = point_of(robot, row.point, row.offset_m)
     part = PointAlong(point.link, point.vector, 3)
     return np.asarray(_VALUE(robot, jnp.asarray(x), Task((part,))))
@@ -143,15 +143,15 @@ def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
 
 def _check_axes(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.ndarray], before: int) -> None:
     """Raise InputError if the required angle between two axes of one link differs from the actual one."""
-    parts = task.parts
-    axes = [k for k, part in enumerate(parts) if isinstance(part, AxisTowards) and part.looks_from_m is None]
-    for k, i in ((k, i) for k in axes for i in axes if i < k and parts[i].link == parts[k].link):
-        between = np.arccos(np.clip(np.dot(parts[i].axis, parts[k].axis), -1.0, 1.0))
+    parts = enumerate(task.parts)
+    axes = {k: part for k, part in parts if isinstance(part, AxisTowards) and part.looks_from_m is None}
+    for k, i in ((k, i) for k in axes for i in axes if i < k and axes[i].link == axes[k].link):
+        between = np.arccos(np.clip(np.dot(axes[i].axis, axes[k].axis), -1.0, 1.0))
         requested = np.arccos(np.clip((goals[i][before:, :3] * goals[k][before:, :3]).sum(axis=1), -1.0, 1.0))
-        most = sum(goals[j][before:, 3] if parts[j].cone else task.tolerance_rad for j in (i, k))
+        most = sum(goals[j][before:, 3] if axes[j].cone else task.tolerance_rad for j in (i, k))
         if len(far := np.flatnonzero(np.abs(requested - between) > most)):
             has, wants = np.rad2deg(between), np.rad2deg(requested[far[0]])
             raise InputError(
                 f"task.{i + 1} ({rows[i]}) and task.{k + 1} ({rows[k]}) contradict each other at point {far[0] + 1} of "
-                f"the path: {has:.4g} degrees are between the axes, {wants:.4g} between what they are turned to"
+                f"the path: {has:.4g} degrees between the axes, {wants:.4g} between their directions"
             )

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from htcp_jax.model.kinematics import checked_configuration
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.task import TCP_POSITION, Task
-from htcp_jax.numerics import of_shape, product, safe_norm, solve_spd
+from htcp_jax.numerics import checked_shape, product, safe_norm, solve_spd
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
 DAMPING = 1e-6  # damping of a step [m2/rad2]
@@ -42,7 +42,7 @@ def reanchor(
     Raises:
         InputError: For more than one configuration or target.
     """
-    x, target = checked_configuration(robot, x), of_shape(target, (task.numbers,), "target")
+    x, target = checked_configuration(robot, x), checked_shape(target, (task.numbers,), "target")
     off, slopes = partial(_residual_to_remove, robot, task, target), partial(_slopes, robot, task, target)
 
     def look(x):
@@ -59,7 +59,7 @@ def reanchor(
     # The first iteration evaluates x itself, so that the kinematics is compiled once.
     blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
     (x, error, _), _ = jax.lax.while_loop(going, step, ((x, *blank[1:]), jnp.full((), -1, jnp.int32)))
-    return x, task.off(robot, x, target) if task.bands else safe_norm(error)
+    return x, task.residual_at(robot, x, target) if task.bands else safe_norm(error)
 
 
 def damped_step(robot: Robot, x: Joints, error: Float[Array, "M"], jac: Float[Array, "M N"], damping: float) -> Joints:

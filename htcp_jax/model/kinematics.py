@@ -16,7 +16,7 @@ import numpy as np
 from htcp_jax.backend import backend
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.rotations import axis_angle_matrix
-from htcp_jax.numerics import of_shape, product
+from htcp_jax.numerics import checked_shape, product
 from htcp_jax.types import Array, Float, Int, Joints, Pose, Vector3
 
 
@@ -166,7 +166,7 @@ def checked_configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
     Raises:
         InputError: For another shape, and for several configurations.
     """
-    return of_shape(x, (len(robot.slides),), f"{name} of {robot.name}")
+    return checked_shape(x, (len(robot.slides),), f"{name} of {robot.name}")
 
 
 def max_reach(robot: Robot) -> float:

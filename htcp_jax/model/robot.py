@@ -118,7 +118,7 @@ def carrier_of(robot: Robot, name: str) -> ArmFrame:
     return known[name]
 
 
-def capsule_in_words(robot: Robot, name: str) -> str:
+def capsule_label(robot: Robot, name: str) -> str:
     """Return a capsule's name for a message; a capsule that is only numbered comes with its link's name, if known."""
     if not name.startswith("capsule"):
         return f"capsule {name}"

@@ -131,7 +131,7 @@ class ViewTarget(NamedTuple):
         return RowSlack(left, safe_norm(here) > self.radius, nearest)
 
 
-class Rated(NamedTuple):
+class RateBound(NamedTuple):
     """Features of which error and slack change by at most `rate` per displacement; None: sampled."""
 
     slack: Callable[[Float[Array, "v"]], Scalar]  # the larger of the slacks by the goals at both targets and half way
@@ -149,17 +149,19 @@ class Rated(NamedTuple):
         return RowSlack(slack / self.rate - safe_norm(jnp.stack(moves)) - ROUNDING_M, slack < 0, jnp.inf)
 
 
-Region = Slabs | Chords | ViewTarget | Rated
+Region = Slabs | Chords | ViewTarget | RateBound
 
 
-def towards(a: Vector3, b: Vector3, limit: Float[Array, "2"], tolerance_rad: float) -> Chords:
+def allowed_axes(a: Vector3, b: Vector3, limit: Float[Array, "2"], tolerance_rad: float) -> Chords:
     """Return the allowed axes between two directions with half angles [rad]."""
     both = a + b
     middle = jnp.where(safe_norm(both) > 1e-6, both / jnp.maximum(safe_norm(both), 1e-6), a)
     return Chords(jnp.stack([a, b, middle]), chord(_half_angles(limit, angle(a, b)) + tolerance_rad))
 
 
-def turned(a: Float[Array, "3 3"], b: Float[Array, "3 3"], limit: Float[Array, "2"], tolerance_rad: float) -> Chords:
+def allowed_frames(
+    a: Float[Array, "3 3"], b: Float[Array, "3 3"], limit: Float[Array, "2"], tolerance_rad: float
+) -> Chords:
     """Return the allowed frames between two rotations with angles [rad]."""
     vector = rotation_vector(product(b, a.T))
     size = safe_norm(vector)

@@ -169,8 +169,8 @@ def interior_plane_of(
 
 def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
     """Describe the rule that bodies deep in the workpiece must lie in its hull, or the reason that it is off."""
-    beside = np.isinf(scenario.interior_plane[3]) and len(workpiece.hull_offset)
-    return "off: the robot stands beyond the inlet" if beside else workpiece.interior_rule
+    is_outside = np.isinf(scenario.interior_plane[3]) and len(workpiece.hull_offset)
+    return "off: the robot stands beyond the inlet" if is_outside else workpiece.interior_rule
 
 
 def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:
@@ -204,7 +204,7 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
 
 
-def off_their_lines(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> Scenario:
+def with_free_approach(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> Scenario:
     """Return stacked scenarios whose approaches leave their lines: the chosen targets become the path's first point.
 
     Args:

@@ -1,7 +1,7 @@
 """The task: M equations that constrain the arm at a target, equation (1), and B inequalities.
 
     error(x) = 0        M rows, with the Jacobian -d error / dx, M x N; the paper's are target - Gamma(x) of the TCP
-    room(x) >= 0        B rows: cones and bands
+    slack(x) >= 0       B rows: cones and bands
 
 The kinds of rows are in `task_rows`. They compare features of the arm, `value`, which depend on x alone, with the
 numbers of a target's goal. With N - M = 0 the arm has no redundancy, and no null space. Errors and their tolerances are
@@ -188,7 +188,7 @@ class Task:
             v += size
         return safe_norm(jnp.concatenate(lengths)), jnp.max(jnp.stack(angles))
 
-    def off(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> Scalar:
+    def residual_at(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> Scalar:
         """Return the residual at x [m]."""
         return self.residual(self.value(robot, x), goal)
 

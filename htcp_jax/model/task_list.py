@@ -19,7 +19,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model.arm_features import frame_of, point_of
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.task_row_kind import PlacedPath, TaskRowKind
-from htcp_jax.model.task_rows import AxisTowards, PointAlong, Row, TaskPoint, Turned
+from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, Row, TaskPoint
 from htcp_jax.types import Triple
 
 FRAMES = "world", "workpiece", "path"
@@ -125,7 +125,7 @@ class TaskRow(TaskRowKind):
         for field in fields(self):
             stated = getattr(self, field.name) != field.default
             if stated and field.name != kind and field.name not in KINDS[kind]:
-                raise InputError(f"{field.name} is no key of a row of {kind}; valid: {', '.join(KINDS[kind])}")
+                raise InputError(f"{field.name} is not a key of a row of {kind}; valid: {', '.join(KINDS[kind])}")
 
     def _check_point(self) -> None:
         if self.on is None or (isinstance(self.on, str) and self.on not in NEEDED):
@@ -168,7 +168,7 @@ class TaskRow(TaskRowKind):
 def _row_of_task(row: TaskRow, robot: Robot) -> Row:
     if row.orientation is not None:
         frame = frame_of(robot, row.of)
-        return Turned(frame.link, frame.columns, cone=row.limit_deg is not None)
+        return FrameOrientation(frame.link, frame.columns, cone=row.limit_deg is not None)
     if row.axis is not None:
         name, k, sign = row.axis_of
         frame = frame_of(robot, name, "axis")
@@ -178,7 +178,7 @@ def _row_of_task(row: TaskRow, robot: Robot) -> Row:
     link, offset, *_ = point_of(robot, row.point, row.offset_m)
     if row.on in ("plane", "line"):
         return PointAlong(link, offset, 1 if row.on == "plane" else 2, row.within_m is not None)
-    of_world = (row.frame == "world" or row.axes == "xyz") and row.within_m is None  # all three say the same anywhere
+    of_world = (row.frame == "world" or row.axes == "xyz") and row.within_m is None  # then all three are equivalent
     if of_world and not (link is None and any(offset)):
         return TaskPoint(link, offset, tuple("xyz".index(axis) for axis in row.axes))
     return PointAlong(link, offset, len(row.axes), row.within_m is not None)
@@ -193,8 +193,8 @@ def _goals(row: TaskRow, part: Row, posed: PlacedPath) -> Float[np.ndarray, "T g
         offsets = np.einsum("tkj,tj->tk", across, _places(row, posed))
         rows = np.concatenate([across, offsets[:, :, None]], axis=2).reshape(count, -1)
         return np.column_stack([rows, np.full(count, row.within_m)]) if part.band else rows
-    found = _rotations(row, posed).reshape(count, 9) if isinstance(part, Turned) else _directions(row, posed)
-    return np.column_stack([found, np.full(count, np.deg2rad(row.limit_deg))]) if part.cone else found
+    found = _rotations(row, posed).reshape(count, 9) if isinstance(part, FrameOrientation) else _directions(row, posed)
+    return np.column_stack([found, np.full(count, np.deg2rad(row.limit_deg))]) if part.inequalities else found
 
 
 def _places(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T 3"]:

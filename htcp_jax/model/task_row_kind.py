@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import ExtensionKind, Slot, Template, fault_of, numbers_of, template_of
+from htcp_jax.kinds import ExtensionKind, Slot, Template, kind_fault, numbers_of, template_of
 from htcp_jax.model.robot import Robot
-from htcp_jax.model.row_bounds import Rated
+from htcp_jax.model.row_bounds import RateBound
 from htcp_jax.model.task_rows import AIM_M, AIM_RAD, SLACK, Feature, Row
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.numerics import safe_norm
@@ -57,11 +57,11 @@ class TaskRowKind(ExtensionKind):
         raise NotImplementedError
 
     def error(self, value: Float[Array, "v"]) -> Float[Array, "m"]:
-        """Return what its equations are off at the features' world coordinates, one after another, in jax.numpy."""
+        """Return the errors of its equations at the features' world coordinates, concatenated, in jax.numpy."""
         return jnp.zeros(0)
 
     def slack(self, value: Float[Array, "v"]) -> Float[Array, "b"]:
-        """Return what is left until its inequalities are violated, likewise; negative: they are."""
+        """Return the slacks of its inequalities, likewise; negative: violated."""
         return jnp.zeros(0)
 
     def aim(self, value: Float[Array, "v"]) -> Float[Array, "b"]:
@@ -125,7 +125,7 @@ def path_values(names: tuple[str, ...], posed: PlacedPath) -> dict[str, Float[np
 
 
 def _row_fault(kind: Any) -> str:
-    return fault_of(kind, TaskRowKind, ["features"]) or fault_of(kind, TaskRowKind, ["error", "slack"])
+    return kind_fault(kind, TaskRowKind, ["features"]) or kind_fault(kind, TaskRowKind, ["error", "slack"])
 
 
 TASK_ROWS = Registry("htcp_jax.task_rows", "kind of task row", _row_fault)
@@ -181,7 +181,7 @@ class GivenRow(Row):
         """Return how far inside the inequalities a step aims."""
         return self._own(goal).aim(value)
 
-    def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Rated:
+    def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> RateBound:
         """Return what is allowed by the goals at both targets, or by the numbers half way."""
         tolerance = tolerance_rad if self.angular else tolerance_m
 
@@ -192,7 +192,7 @@ class GivenRow(Row):
         def slack(value: Float[Array, "v"]) -> Scalar:
             return jnp.max(jnp.stack([by(goal, value) for goal in (goals[0], 0.5 * (goals[0] + goals[1]), goals[1])]))
 
-        return Rated(slack, tuple(feature.is_direction for feature in self.features), self.kind.rate)
+        return RateBound(slack, tuple(feature.is_direction for feature in self.features), self.kind.rate)
 
     def eased(self, start, first, share, places):
         """Return goals whose errors and slacks are those of the start, faded out."""

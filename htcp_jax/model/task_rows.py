@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.rotations import angle, axis_error, least_turn, rotation_vector
-from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, chord, towards, turned
+from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, allowed_axes, allowed_frames, chord
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Float, Triple, Vector3
 
@@ -41,14 +41,25 @@ class Row:
     `value` are the coordinates of its features, one after another; `goal` are its numbers at the target. Errors and
     slacks are in metres, if `angular` in radians.
 
-    turns: its errors and slacks change by no more than a turn of its features, directions. looks: the first feature is
-    an axis that points at a place, the second one its origin. sampled: it has no bound between two configurations.
+    turns: its errors and slacks change by no more than a turn of its features, directions.
     """
 
-    angular: ClassVar[bool] = False
     turns: ClassVar[bool] = False
-    looks: ClassVar[bool] = False
-    sampled: ClassVar[bool] = False
+
+    @property
+    def angular(self) -> bool:
+        """True if errors and slacks are angles."""
+        return False
+
+    @property
+    def is_view(self) -> bool:
+        """True if the first feature is an axis that points at a place, and the second one its origin."""
+        return False
+
+    @property
+    def sampled(self) -> bool:
+        """True if it has no bound between two configurations."""
+        return False
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -76,7 +87,7 @@ class Row:
         return sum(len(feature.rows) for feature in self.features)
 
     def error(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
-        """Return what the equations are off."""
+        """Return the errors of the equations."""
         return jnp.zeros(0)
 
     def slack(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
@@ -246,7 +257,7 @@ class AxisTowards(Row):
     turns: ClassVar[bool] = True
 
     @property
-    def looks(self) -> bool:
+    def is_view(self) -> bool:
         """True if it points at a place."""
         return self.looks_from_m is not None
 
@@ -292,7 +303,7 @@ class AxisTowards(Row):
         limit = goals[:, 3] if self.cone else jnp.zeros(2)
         if self.looks_from_m is not None:
             return ViewTarget(goals[1, :3], chord(limit[1] + tolerance_rad))
-        return towards(*goals[:, :3], limit, tolerance_rad)
+        return allowed_axes(*goals[:, :3], limit, tolerance_rad)
 
     def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
         """Return a random direction."""
@@ -317,7 +328,7 @@ class AxisTowards(Row):
 
 
 @dataclass(frozen=True)
-class Turned(Row):
+class FrameOrientation(Row):
     """A frame of the arm turned to a rotation: exactly, or within an angle.
 
     A goal is the rotation matrix, row by row, and with a tolerance the angle [rad].
@@ -365,7 +376,7 @@ class Turned(Row):
     def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Region:
         """Return the frames within the angles and the tolerance [rad]."""
         limit = goals[:, 9] if self.cone else jnp.zeros(2)
-        return turned(*goals[:, :9].reshape(2, 3, 3), limit, tolerance_rad)
+        return allowed_frames(*goals[:, :9].reshape(2, 3, 3), limit, tolerance_rad)
 
     def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
         """Return a random rotation."""

@@ -166,7 +166,7 @@ class Workpiece:
     def interior_rule(self) -> str:
         """Description of the rule that bodies deep in the part must lie in its hull."""
         if len(self.hull_offset):
-            along = "world x" if self.inlet_direction is None else f"({_in_words(self.inlet_direction)})"
+            along = "world x" if self.inlet_direction is None else f"({_numbers_text(self.inlet_direction)})"
             return f"convex hull, {self.interior_depth_m:.3g} m deep along {along}"
         return "off: no inlet" if self.inlet is None else "off"
 
@@ -177,7 +177,7 @@ class Workpiece:
             "walls": self.walls,
             "extent": " x ".join(f"{side:.3f}" for side in high - low) + " m",
             "tool path": f"{len(self.path)} points, {length:.3f} m",
-            "inlet": "none" if self.inlet is None else f"{_in_words(self.inlet)} m",
+            "inlet": "none" if self.inlet is None else f"{_numbers_text(self.inlet)} m",
             "interior": self.interior_rule,
         }
         return html_facts(self.name, facts)
@@ -208,7 +208,7 @@ def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.
     return direction / np.linalg.norm(direction)
 
 
-def _in_words(values: Float[np.ndarray, "3"]) -> str:
+def _numbers_text(values: Float[np.ndarray, "3"]) -> str:
     return ", ".join(f"{value:.4g}" for value in values + 0.0)
 
 

@@ -6,9 +6,10 @@ that an arm follows, from its start to its last target. `CollisionChecker` check
 between them, on one device; `collision_checker` has its calls.
 
 `motion_check` verifies each segment, `home` leads from and to the home configuration, `smoothing` shortens a motion
-within its margin. `configuration_tree` keeps configurations with their parents, `beam` chooses some that lie apart,
-`transfers` joins a plan to its start. `lane_inputs` and `executor` are the rows that compiled functions take, and those
-functions. `plans` and `motion` compute outcomes and figures: complete or not, cost, curvature, clearance.
+within its margin. `configuration_tree` keeps configurations with their parents, `selection` chooses some that lie
+apart, `transfers` joins a plan to its start. `lane_inputs` and `step_functions` are the rows that compiled functions
+take, and those functions. `plans` and `motion` compute outcomes and figures: complete or not, cost, curvature,
+clearance.
 """
 
 import lazy_loader

@@ -1,31 +1,12 @@
-"""Tree of configurations of a beam search: clear, on target, each connected to a root by proven motions.
+"""Trees of configurations in tables with one row per node."""
 
-Its tables have one row per node.
-"""
-
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
-
-from htcp_jax.device import tables
-from htcp_jax.motion.step_functions import State
+from jaxtyping import Int
 
 NO_PARENT = -1
-LEAST = 4096  # minimum rows of a table
-
-
-class Nodes(NamedTuple):
-    """Configurations, and the motion to each from its parent."""
-
-    at: State
-    target: Int[np.ndarray, "n"]
-    parent: Int[np.ndarray, "n"]  # its row; NO_PARENT for a root
-    by_self_motion: Bool[np.ndarray, "n"]  # True if reached by self-motion at its target, False if extended to it
-    step_qps: Int[np.ndarray, "n"]
-    dwells: Int[np.ndarray, "n"]  # changes of configuration on the path so far
-    cost: Float[np.ndarray, "n"]  # from the root, equation (3): the sum of |x_{t+1} - x_t|^2 [rad2]
 
 
 class Tree:
@@ -56,76 +37,6 @@ class Tree:
         while (row := int(parent[row])) != NO_PARENT:
             rows.append(row)
         return np.array(rows[::-1])
-
-
-class BeamTree(Tree):
-    """All configurations of some searches. Those without descendants in a beam are pruned from time to time."""
-
-    def __init__(self, joints: int):
-        names = {"x": (joints,), "clearance": (), "residual": (), "tcp": (3,)}
-        at = State(**{name: np.empty((LEAST, *shape)) for name, shape in names.items()})
-        whole = (np.empty(LEAST, kind) for kind in (np.int32, np.int64, bool, np.int32, np.int32))
-        super().__init__(Nodes(at, *whole, np.empty(LEAST)))
-        self._count, self._kept = 0, LEAST
-
-    @property
-    def x(self) -> Float[np.ndarray, "n N"]:
-        """Configurations [rad or m]."""
-        return self._table.at.x[: self._count]
-
-    @property
-    def target(self) -> Int[np.ndarray, "n"]:
-        """Target of each configuration."""
-        return self._table.target[: self._count]
-
-    def nodes(self, rows: Int[np.ndarray, "m"]) -> Nodes:
-        """Return the nodes in some rows."""
-        return tables.gather(self._table, rows)
-
-    def plant(self, at: State, target: int) -> Int[np.ndarray, "m"]:
-        """Add roots at a target; return their rows."""
-        none = np.full(len(at.x), NO_PARENT)
-        return self.add(Nodes(at, none * 0 + target, none, none > 0, none * 0, none * 0, np.zeros(len(none))))
-
-    def grow(
-        self, parent: Int[np.ndarray, "m"], at: State, target, step_qps=0, by_self_motion: bool = False, dwells=0
-    ) -> Int[np.ndarray, "m"]:
-        """Add a child to each parent, at a target; return their rows.
-
-        Args:
-            parent: Rows of the parents.
-            at: The children, with `x` [rad or m].
-            target (int or array): Their target.
-            step_qps (int or array): Number of step QPs solved for them.
-            by_self_motion: See `Nodes`.
-            dwells (int or array): Changes of configuration that begin on the motion from the parent.
-        """
-        step, zero = at.x - self.x[parent], np.zeros_like(parent)
-        dwells = self._table.dwells[parent] + dwells
-        cost = self._table.cost[parent] + (step * step).sum(axis=1)
-        return self.add(
-            Nodes(at, zero + target, parent, np.full(len(parent), by_self_motion), zero + step_qps, dwells, cost)
-        )
-
-    @property
-    def is_overgrown(self) -> bool:
-        """True if there are more than twice as many nodes as after the last pruning."""
-        return self._count > 2 * self._kept
-
-    def prune(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "n"]:
-        """Remove all nodes but these and their ancestors; return the new row of each old one."""
-        alive, parent = np.zeros(self._count, bool), self._table.parent
-        while len(rows):
-            alive[rows] = True
-            rows = np.unique(parent[rows])
-            rows = rows[rows != NO_PARENT]
-            rows = rows[~alive[rows]]
-        moved = np.cumsum(alive) - 1
-        kept = tables.gather(self._table, np.flatnonzero(alive))
-        kept.parent[:] = np.where(kept.parent == NO_PARENT, NO_PARENT, moved[kept.parent])
-        self._table, self._count = kept, len(kept.parent)
-        self._kept = max(LEAST, self._count)
-        return moved
 
 
 def _longer(column: np.ndarray, length: int) -> np.ndarray:

@@ -9,7 +9,7 @@ they meet:
     shorten    the path found, by straight joint paths between random points on it
 
 These are expansive trees (Hsu, Latombe and Motwani, 1997), joined as in RRT-Connect (Kuffner and LaValle, 2000).
-Samples are drawn around the tree instead of in the whole joint range, and only the smaller tree, the confined one,
+Samples are drawn around the tree instead of in the complete joint range, and only the smaller tree, the confined one,
 grows: for configurations inside a part this joins more pairs than RRT-Connect, with far fewer proofs.
 
 A search is a generator: it yields straight joint paths, and is sent which of them are proven clear. Searches are

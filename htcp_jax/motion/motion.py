@@ -114,7 +114,7 @@ class MotionFigures(NamedTuple):
     motion_cost_rad2: Float[np.ndarray, "S"]  # equation (3), see `cost` [rad^2]
     path_step_max_rad: Float[np.ndarray, "S"]  # see `largest_step`
     curvature_max_rad_m2: Float[np.ndarray, "S"]  # see `curvature`
-    segment_clearance_min_m: Float[np.ndarray, "S"]  # see `tightest`
+    segment_clearance_min_m: Float[np.ndarray, "S"]  # see `narrowest_segment`
 
 
 def motion_figures(plans: Plans, on_path: OnPath) -> MotionFigures:
@@ -131,7 +131,7 @@ def motion_figures(plans: Plans, on_path: OnPath) -> MotionFigures:
         motion_cost_rad2=np.where(begun, cost(found, count), np.nan),
         path_step_max_rad=largest_step(found, count),
         curvature_max_rad_m2=np.fmax.reduce(curvature(plans, on_path), axis=1, initial=np.nan),
-        segment_clearance_min_m=tightest(plans)[1],
+        segment_clearance_min_m=narrowest_segment(plans)[1],
     )
 
 
@@ -196,7 +196,7 @@ def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
     return found
 
 
-def tightest(plans: Plans) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"]]:
+def narrowest_segment(plans: Plans) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"]]:
     """Return the target whose segment has the least guaranteed clearance, and that D [m].
 
     They are -1 and NaN if no target is executable.

@@ -13,7 +13,7 @@ Only this module derives a scenario's end from the statuses: charts and viewers 
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
@@ -90,8 +90,10 @@ class Outcomes(NamedTuple):
         targets, tracked, executable, failed, status, blocked, segment_status = (
             int(column[scenario]) for column in self
         )
-        ended = (None, None) if failed < 0 else (failed, Status(status))
-        return Outcome(int(scenario), targets, tracked, executable, *ended, blocked, SegmentStatus(segment_status))
+        known = int(scenario), targets, tracked, executable
+        if failed < 0:
+            return Outcome(*known, None, None, blocked, SegmentStatus(segment_status))
+        return Outcome(*known, failed, Status(status), blocked, SegmentStatus(segment_status))
 
 
 class Plans(NamedTuple):
@@ -211,14 +213,14 @@ class Plans(NamedTuple):
     def rows(self, which: slice | np.ndarray | Sequence[int]) -> "Plans":
         """Return the plans of some scenarios; the seconds remain those of all."""
         numbers = np.arange(len(self.status))[which]
-        return self._replace(
-            **{name: array[which] for name, array in self.arrays().items()}, via_points=self.via_points.rows(numbers)
-        )
+        kept: dict[str, Any] = {name: array[which] for name, array in self.arrays().items()}
+        return self._replace(**kept, via_points=self.via_points.rows(numbers))
 
     def widened(self, targets: int) -> "Plans":
         """Return the plans with columns for this many targets, T or more; the new ones do not exist."""
         more = targets - self.status.shape[1]
-        return self._replace(**{name: self._padded(name, more) for name in (*_KINDS, "target", "tcp")})
+        wider: dict[str, Any] = {name: self._padded(name, more) for name in (*_KINDS, "target", "tcp")}
+        return self._replace(**wider)
 
     def narrowed(self) -> "Plans":
         """Return the plans without the last columns, in which no scenario has a target."""
@@ -230,7 +232,7 @@ class Plans(NamedTuple):
 
         `start`, `x`, `tcp` and `target` lose their last axis' columns, and there are no via points.
         """
-        bare = {name: getattr(self, name)[..., :0].copy() for name in ("start", "x", "tcp", "target")}
+        bare: dict[str, Any] = {name: getattr(self, name)[..., :0].copy() for name in ("start", "x", "tcp", "target")}
         return self._replace(**bare, via_points=ViaPoints.none(0))
 
     def with_own(self, *names: str) -> "Plans":

@@ -20,6 +20,7 @@ from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.settings import Settings
+from htcp_jax.types import Anywhere
 
 FoundInThread = TypeVar("FoundInThread")
 
@@ -55,8 +56,8 @@ class Problem:
     def checkers(self) -> tuple[CollisionChecker, ...]:
         """Collision checkers of this scene, one for each device."""
         scene, guard = Scene(self.robot, self.obstacles, self.task), tip_guard.make_tip_guard(self.workpiece)
-        spare = max(1, self.threads // max(1, len(self.to_plan)))  # threads without a scenario of their own
-        each = (Executor(scene, self.settings, device, threads=spare) for device in self.devices)
+        extra = max(1, self.threads // max(1, len(self.to_plan)))  # threads without a scenario of their own
+        each = (Executor(scene, self.settings, device, threads=extra) for device in self.devices)
         return tuple(CollisionChecker(executor, self.settings, guard) for executor in each)
 
     @cached_property
@@ -71,7 +72,7 @@ class Problem:
 
     def empty_plans(self) -> Plans:
         """Return plans in which nothing is attempted yet, to be filled in; refused scenarios have their status."""
-        plans = Plans.empty(self.scenarios.x_start, self.scenarios.targets, self.scenarios.count)
+        plans = Plans.empty(*map(np.asarray, (self.scenarios.x_start, self.scenarios.targets, self.scenarios.count)))
         refused = self.scenarios.refused != scenario_functions.NOT_REFUSED
         plans.status[refused, 0] = self.scenarios.refused[refused]
         return plans
@@ -116,10 +117,10 @@ class Problem:
         """
         before = np.arange(plans.target.shape[1]) < self.scenarios.on_path[:, None]
         left = np.logical_or.accumulate((plans.target != self.scenarios.targets).any(axis=2), axis=1) & before
-        return self.with_scenarios(scenario_functions.off_their_lines(self.scenarios, left)) if left.any() else self
+        return self.with_scenarios(scenario_functions.with_free_approach(self.scenarios, left)) if left.any() else self
 
 
-def _read_only(array: np.ndarray) -> np.ndarray:
+def _read_only(array: Anywhere) -> np.ndarray:
     """Return a view of an array that cannot be written into."""
     view = np.asarray(array).view()
     view.flags.writeable = False

@@ -1,18 +1,11 @@
-"""Selection of a beam: of the configurations that reach a target, the best of close ones, and those far apart.
+"""Selection of configurations that lie apart: the best of close ones, and those far from each other.
 
-The functions work on many searches at once: rows with the same number belong to one search, and searches do not
+`dispersed` works on many searches at once: rows with the same number belong to one search, and searches do not
 influence each other.
 """
 
 import numpy as np
 from jaxtyping import Float, Int
-
-from htcp_jax.motion.configuration_tree import Nodes
-
-
-def best_first(nodes: Nodes, search: Int[np.ndarray, "n"] | int = 0) -> Int[np.ndarray, "n"]:
-    """Return all row indices, search by search: fewest dwells first, then least cost; ties in the order given."""
-    return np.lexsort((nodes.cost, nodes.dwells, np.broadcast_to(search, nodes.cost.shape)))
 
 
 def dispersed(

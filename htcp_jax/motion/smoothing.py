@@ -69,7 +69,7 @@ class SmoothedPath:
         return cls(s, x, target, is_via_point, int(problem.scenarios.on_path[s]), radius, anywhere)
 
     @property
-    def held(self) -> Bool[np.ndarray, "P"]:
+    def constrained(self) -> Bool[np.ndarray, "P"]:
         """True for configurations at which the task is required: before the path only those at targets."""
         return ~self.is_via_point | (self.target > self.on_path)
 
@@ -176,18 +176,20 @@ class Smoothing:
         settings, rows = self._problem.settings, path.seen.clearance
         aim = self._problem.scenarios.margin_m[path.scenario] + settings.aim_above_m
         left = np.maximum(rows.distance - aim, 0.0)
-        A, G, left = self._held(path, -rows.gradient, left)
+        A, G, left = self._task_limits(path, -rows.gradient, left)
         radius, x = path.radius[:, None], path.x[1:]
         lower = np.clip(self._lower - x, -radius, 0.0)
         upper = np.clip(self._upper - x, 0.0, radius)
         return path_qp.solve_path_qp(
             path_qp.PathQP(
-                path.x, self._weights, path.held, A, G[:, 0], left[:, 0], G[:, 1], left[:, 1], lower, upper,
+                path.x, self._weights, path.constrained, A, G[:, 0], left[:, 0], G[:, 1], left[:, 1], lower, upper,
                 path.begins_anywhere,
             )
         )  # fmt: skip
 
-    def _held(self, path: SmoothedPath, G: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _task_limits(
+        self, path: SmoothedPath, G: np.ndarray, left: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the task's equations at the configurations, and the rows that limit a step, bands and cones included.
 
         Bands and cones limit it at configurations at which the task is required, and at midpoints before those beyond
@@ -199,11 +201,11 @@ class Smoothing:
         count = len(path.target)
         inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs([path]))
         flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), path.seen)
-        held = self._checker.executor(TASK_ROWS, inputs, flat)
-        held = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), held)
-        requested = np.stack([path.held, path.target > path.on_path], axis=1)
-        slack = np.where(requested[:, :, None], np.maximum(held.slack, 0.0), np.inf)
-        return held.jacobian[:, 0], np.concatenate([G, -held.gradient], 2), np.concatenate([left, slack], 2)
+        rows = self._checker.executor(TASK_ROWS, inputs, flat)
+        rows = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), rows)
+        requested = np.stack([path.constrained, path.target > path.on_path], axis=1)
+        slack = np.where(requested[:, :, None], np.maximum(rows.slack, 0.0), np.inf)
+        return rows.jacobian[:, 0], np.concatenate([G, -rows.gradient], 2), np.concatenate([left, slack], 2)
 
     def _candidates(
         self, steps: list[tuple[SmoothedPath, np.ndarray]]
@@ -238,7 +240,7 @@ class Smoothing:
         """
         paths = [path for path, _ in steps]
         x = np.concatenate([np.clip(path.x[1:] + y, self._lower, self._upper) for path, y in steps])
-        off = np.concatenate([path.held & y.any(axis=1) for path, y in steps])
+        off = np.concatenate([path.constrained & y.any(axis=1) for path, y in steps])
         if off.any():
             x[off] = self._checker.project(tables.gather(self._inputs(paths), off), x[off])
         return [
@@ -255,7 +257,7 @@ class Smoothing:
         flat = places.reshape(-1, places.shape[-1])
         seen = self._checker.states(jax.tree.map(lambda table: np.repeat(table, 2, axis=0), inputs), flat)
         seen = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), seen)
-        residual = np.where(np.concatenate([path.held for path in paths]), seen.residual[:, 0], 0.0)
+        residual = np.where(np.concatenate([path.constrained for path in paths]), seen.residual[:, 0], 0.0)
         good = self._checker.valid(inputs, State(places[:, 0], clearance=seen.clearance[:, 0], residual=residual))
         linear = [tables.gather(seen.linear, rows) for rows in _split_by_path(np.arange(len(good)), paths)]
         return linear, _split_by_path(good, paths)

@@ -120,7 +120,7 @@ class _Measured:
     def cause(self, row: int, k: int, always: bool) -> StartCause:
         """Return the overlap of a row at configuration k."""
         name, other = self.pair(row, k)
-        depth_m, body = -float(self.distance[k, row]), robots.capsule_in_words(self._problem.robot, name)
+        depth_m, body = -float(self.distance[k, row]), robots.capsule_label(self._problem.robot, name)
         text = f"{body} is {_mm(depth_m)} inside {other}"
         if always:
             where = "every configuration" if self.stands[row] else f"all of {len(self.x)} random configurations"
@@ -153,7 +153,7 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
     deepest = found.distance.argmin(axis=1)
     tried = Counter(deepest.tolist()).most_common(NAMED)
     pairs = [(*found.pair(row, int(np.argmax(deepest == row))), count) for row, count in tried]
-    named = [f"{robots.capsule_in_words(problem.robot, a)} with {b} ({count})" for a, b, count in pairs]
+    named = [f"{robots.capsule_label(problem.robot, a)} with {b} ({count})" for a, b, count in pairs]
     body, other, _ = pairs[0]
     best = _mm(-float(least.max()))
     text = f"{len(least)} of {attempts} reached it, all in collision, the least by {best}: {', '.join(named)}"
@@ -166,7 +166,7 @@ def _excluded_overlap(problem: Problem, x: Float[np.ndarray, "N"]) -> StartCause
     for own in (each for each in problem.obstacles if isinstance(each, self_collision.SelfCollision)):
         if (found := self_collision.refused_pair(own, robot, x)) is not None:
             body, other = (robot.capsule_names[k] for k in (found.first, found.second))
-            return StartCause(found.reason, body, robots.capsule_in_words(robot, other), found.depth_m)
+            return StartCause(found.reason, body, robots.capsule_label(robot, other), found.depth_m)
     return None
 
 

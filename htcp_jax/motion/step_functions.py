@@ -93,7 +93,7 @@ def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
     return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
 
 
-def nothing_known(look: Callable, *arguments) -> Any:
+def empty_result(look: Callable, *arguments) -> Any:
     """Return zeros in the structure and shapes that `look` would return for these arguments."""
     return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, *arguments))
 
@@ -190,11 +190,11 @@ def prove_path(
         closely: Resolution of the proof.
 
     Returns:
-        A loop whose result is a `Proof`, see `of_proven`.
+        A loop whose result is a `Proof`, see `proven_result`.
     """
     look = motion_proof.query_on(scene, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
-    start = jax.tree.map(jnp.asarray, bisection.begun())
-    return Loop(start, lambda far: far.going, lambda _, far: look(far), lambda far: bisection.of_proven(far.proof))
+    start = jax.tree.map(jnp.asarray, bisection.initial_state())
+    return Loop(start, lambda far: far.going, lambda _, far: look(far), lambda far: bisection.proven_result(far.proof))
 
 
 def task_rows(

@@ -27,7 +27,7 @@ from htcp_jax.motion import Plans
 from htcp_jax.placement.clock import Clock
 from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
-from htcp_jax.placement.placement_result import PlacementResult, searching, write_result
+from htcp_jax.placement.placement_result import PlacementResult, locked_search, write_result
 from htcp_jax.placement.scores import (
     MARGIN,
     RAISED,
@@ -107,12 +107,21 @@ def place(
     """
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
-    with searching(folder, search):
-        report, where = _ProgressReporter(search, progress), {"on": on, "device": device, "threads": threads}
+    with locked_search(folder, search):
+        report = _ProgressReporter(search, progress)
 
         def plan(grid: grids.Sweep, method: str, into: Path) -> Run:
             report.begin(STAGES[into.relative_to(folder).parts[0]])
-            run = sweeps.sweep(grid, [method], into, progress=report.sweep, targets_in_all=targets, **where)
+            run = sweeps.sweep(
+                grid,
+                [method],
+                into,
+                on=on,
+                device=device,
+                threads=threads,
+                progress=report.sweep,
+                targets_in_all=targets,
+            )
             report.planned(run)
             return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.objective else run
 
@@ -201,7 +210,7 @@ def _rounds(search: Search, folder: Path, plan: Planner, report: _ProgressReport
             _refuse_collision(search, found, folder)
         own = SearchResults(u, found.done.mean(axis=1), found.complete, found.objective)
         if evolution is not None:
-            evolution.report(own)
+            evolution.tell(own)
         known = own if known is None else SearchResults(*map(np.concatenate, zip(known, own, strict=True)))
         number += 1
         clock.finished(number)
@@ -221,7 +230,7 @@ def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> No
         depth, body, other = start_clearance(cell.robot, cell.workpiece, scenario, scenario.x_home, cell.obstacles)
         why = f"{body} is {-1e3 * depth:.3g} mm inside {other} in the first of them" if depth <= 0 else why
     shutil.rmtree(folder)
-    raise InputError(f"{search.name}: in all of {len(found.values):,} mountings nothing can begin: {why}")
+    raise InputError(f"{search.name}: no motion can begin in any of {len(found.values):,} mountings: {why}")
 
 
 def _confirmed(search: Search, scores: Sequence[MountingScores], folder: Path, plan: Planner) -> MountingScores:

@@ -122,7 +122,7 @@ def load_search(
         if seam not in words and not Path(seam).is_file():
             raise InputError(f"{path}: seams: there is no file {name}")
     if len(set(seams)) < len(seams):
-        raise InputError(f"{path}: seams: one stands there twice")
+        raise InputError(f"{path}: seams: one is repeated")
     if file.within.scenarios is not None and file.within.scenarios < len(seams):
         raise InputError(f"{path}: within: {file.within.scenarios} scenarios are fewer than the {len(seams)} seams")
     return Search(path.stem, file, None if config is None else str(config), tuple(overrides), job, ranges, seams)

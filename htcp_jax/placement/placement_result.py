@@ -115,7 +115,7 @@ class PlacementResult(NamedTuple):
 
 
 @contextlib.contextmanager
-def searching(folder: Path, search: Search) -> Iterator[None]:
+def locked_search(folder: Path, search: Search) -> Iterator[None]:
     """Lock the search's folder, and restore it at the end if no plan was finished.
 
     Raises:
@@ -140,7 +140,7 @@ def searching(folder: Path, search: Search) -> Iterator[None]:
 def _stop_search(folder: Path, is_new: bool) -> str:
     """Remove a search without finished plans, and return the message on how to resume."""
     if _holds_any(folder):
-        return f"stopped; what is finished is in {folder}; the same command goes on from there"
+        return f"stopped; finished plans are in {folder}; the same command resumes"
     (folder / plan_sets.SEARCH).unlink(missing_ok=True)
     if is_new:
         shutil.rmtree(folder, ignore_errors=True)

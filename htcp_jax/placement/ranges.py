@@ -107,7 +107,7 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
     axes: list[Range] = []
     fixed: dict[str, tuple[float | None, ...]] = {}
     for name, value in raw.items():
-        if (own := grid_axes.of_kind(str(name))) is not None:
+        if (own := grid_axes.kind_parameter(str(name))) is not None:
             known.setdefault(str(name), own)
         _refuse_key(where, str(name), known, base)
         key, element = known[name].key, known[name].element
@@ -122,11 +122,11 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
         else:
             old = _of(base, key)
             if old is None or isinstance(old, str) or element >= len(old):
-                raise InputError(f"{where}: {name}: the job gives {key} no such element")
+                raise InputError(f"{where}: {name}: {key} of the job has no such element")
             fixed.setdefault(key, tuple(old))
             axes.append(_read_range(where, key, element, value))
     if len({axis.name for axis in axes}) < len(axes):
-        raise InputError(f"{where}: a parameter stands in it twice")
+        raise InputError(f"{where}: a parameter is repeated")
     if not axes:
         raise InputError(f"{where} has no range, only numbers")
     return Ranges(tuple(axes), fixed)
@@ -146,7 +146,9 @@ def _refuse_key(where: str, name: str, known: Mapping[str, Any], base: Mapping[s
     default = _default(known[name].key, base)
     is_vector = isinstance(default, tuple) and all(map(_is_finite_number, default))
     if not (isinstance(default, float) or is_vector) or (name == "start_rad" and known[name].element is None):
-        raise InputError(f"{where}: {name} cannot vary in a search: it is no number that could lie between two others")
+        raise InputError(
+            f"{where}: {name} cannot vary in a search: it is not a number that could lie between two others"
+        )
 
 
 def _read_range(where: str, key: str, element: int | None, value: Any) -> Range:

@@ -73,13 +73,13 @@ def plan(
         threads: Engines per process; None: one, or one per core if there are no other processes.
         check_paths: Afterwards check the straight joint path (`Plans.path_clear`) of every accepted step that the
             method did not check itself, verify the motion of every segment, and smooth the motions if `settings.smooth`
-            or the method says so.
+            or the method requires it.
         task: The constraints at every target; None: the TCP's position within `tolerance_m`.
         obstacles: In addition to the workpiece, see `obstacle.Obstacle`.
         check_starts: Refuse a start in collision, which otherwise is a status.
-        processes: Number of processes that share the scenarios on a CPU; None: as many as pay (`processes.that_pay`).
-            Work that other processes cannot import, for example a method or an obstacle defined in a notebook, is
-            planned in this one.
+        processes: Number of processes that share the scenarios on a CPU; None: see
+            `processes.profitable_count`. Work that other processes cannot import, for example a method or an obstacle
+            defined in a notebook, is planned in this one.
 
     Raises:
         InputError: For an unknown method, device or setting, weights of the wrong length, no scenarios, a task with
@@ -110,7 +110,7 @@ def plan(
     cores = compute_devices.default_threads(devices, settings.qp)
     if processes is None:
         targets = targets_in_all or int(scenarios.count.sum())
-        processes = 1 if threads else worker_processes.that_pay(cores, len(scenarios.number), targets)
+        processes = 1 if threads else worker_processes.profitable_count(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
     if processes > 1 and devices[0].platform == "cpu" and registry.METHODS.is_shared(chosen):
@@ -243,8 +243,8 @@ def _start_contact(
     surface = touch.point[row] - scene.robot.capsule_radius[body] * touch.normal[row]
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
     note = robots.mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
-    words = robots.capsule_in_words(robot, robot.capsule_names[body])
-    return float(touch.distance[row]), words, other + note, bool(fixed[row])
+    label = robots.capsule_label(robot, robot.capsule_names[body])
+    return float(touch.distance[row]), label, other + note, bool(fixed[row])
 
 
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
@@ -364,12 +364,17 @@ def _of_these(plans: Any, problem: Problem, method: str) -> Plans:
     """Return the plans unchanged.
 
     Raises:
-        InputError: If their shapes are not those of the problem's scenarios and targets.
+        InputError: If their shapes are not those of the problem's scenarios and targets, or a required column is empty.
     """
     expected = problem.scenarios.targets.shape[:2]
     shapes = {each.shape[:2] for each in (plans.status, plans.x, plans.target)} if isinstance(plans, Plans) else set()
     if shapes != {expected}:
         raise InputError(f"method {method!r} returned no Plans of {expected[0]} scenarios with {expected[1]} targets")
+    for column in ("x", "tcp", "clearance", "residual"):
+        if np.isnan(getattr(plans, column)[plans.tracked]).any():
+            raise InputError(f"method {method!r} left {column} of a tracked target empty")
+    if (plans.status[problem.to_plan, 0] == Status.NOT_ATTEMPTED).any():
+        raise InputError(f"method {method!r} left the status of target 0 empty; it is TRACKED or a reason")
     return plans
 
 

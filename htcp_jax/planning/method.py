@@ -11,7 +11,7 @@ class Method:
     """A planner: derive from it, and define `name`, `title`, `description` and `plan`.
 
     name: on the command line and in file names; small letters, digits and hyphens. title: column heading in tables.
-    description: a few words. smooth: True if its motions are smoothed unless the settings say otherwise.
+    description: a few words. smooth: True if its motions are smoothed unless the settings disable that.
     """
 
     name: str

@@ -3,7 +3,7 @@
 `reachable_prefixes` searches configurations at each target and proves cells of tool orientations unreachable. Its
 `Reachability` has two numbers for each scenario: leading targets that are known to be reachable, and the number beyond
 which no plan can come. `PROOF_CELLS` and `RESOLUTION_RAD` limit the work of the proof; `SearchStopped` is raised when
-the user interrupts it, and `nothing_found` is the result without any search.
+the user interrupts it, and `initial_reachability` is the result without any search.
 
 `obstruction` finds the colliding body at the target where a plan ended: an `Obstruction` names the capsule of the arm
 and the body that it would touch there.

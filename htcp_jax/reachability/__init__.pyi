@@ -1,6 +1,13 @@
 from . import obstruction
 from .obstruction import Obstruction
-from .reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, SearchStopped, nothing_found, reachable_prefixes
+from .reachability import (
+    PROOF_CELLS,
+    RESOLUTION_RAD,
+    Reachability,
+    SearchStopped,
+    initial_reachability,
+    reachable_prefixes,
+)
 
 __all__ = [
     "PROOF_CELLS",
@@ -8,7 +15,7 @@ __all__ = [
     "Obstruction",
     "Reachability",
     "SearchStopped",
-    "nothing_found",
+    "initial_reachability",
     "obstruction",
     "reachable_prefixes",
 ]

@@ -37,7 +37,7 @@ class Obstruction(NamedTuple):
     x: Float[np.ndarray, "N"]  # the configuration [rad or m]
     other: str = "the workpiece"  # the obstacle nearest to the body
     from_mesh: str = ""  # distance from the capsule to its mesh there, if the arm's file refers to meshes
-    in_words: str = ""  # the body with its link, for messages
+    body_label: str = ""  # the body with its link, for messages
     angle_rad: float = 0.0  # from the orientation that the task requires; 0 if it requires none
     within_bands: bool = True  # False if a cone or band of the task is violated
 
@@ -62,7 +62,7 @@ class Obstruction(NamedTuple):
             angle = f" and {np.rad2deg(self.angle_rad):.3g} deg" if self.angle_rad else ""
             outside = "" if self.within_bands else ", outside of the task's cones and bands"
             return f"the arm comes only to within {_mm(self.residual_m)}{angle} of it{outside}"
-        body = self.in_words or self.body
+        body = self.body_label or self.body
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
         if self.depth_m > 0:
             return f"{body} is {_mm(self.depth_m)} inside {self.other} {where}{self.from_mesh}"
@@ -143,7 +143,7 @@ def obstructions(
             x,
             other,
             note,
-            in_words=robots.capsule_in_words(robot, body),
+            body_label=robots.capsule_label(robot, body),
         )
         if not (reached or task.is_points):
             distance, angle, within = _distance_from_goal(own, task, jnp.asarray(x), jnp.asarray(goals[k]))

@@ -24,9 +24,7 @@ from htcp_jax.clearance import Obstacles, Scene
 from htcp_jax.clearance.obstacles import of_workpiece, tip_guard
 from htcp_jax.device import Executor, devices, tables
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario
-from htcp_jax.motion import CollisionChecker, lane_inputs
-from htcp_jax.motion import selection as fronts
-from htcp_jax.motion import step_functions as motion_kernels
+from htcp_jax.motion import CollisionChecker, lane_inputs, selection, step_functions
 from htcp_jax.planning.tracking import stages
 from htcp_jax.reachability.configuration_search import (
     APART_RAD,
@@ -91,7 +89,7 @@ def reachable_prefixes(
         progress: Called with (target, targets) after each target.
 
     Raises:
-        Stopped: On Ctrl-C.
+        SearchStopped: On Ctrl-C.
     """
     settings = settings or Settings()
     scenarios = jax.tree.map(np.asarray, scenarios)
@@ -100,7 +98,7 @@ def reachable_prefixes(
     checker = CollisionChecker(Executor(scene, settings), settings, tip_guard.make_tip_guard(workpiece))
     known = known_configurations(robot, scenarios.tool_extension_m)
     threads = devices.default_threads([checker.executor.device], settings.qp)
-    parts = [nothing_found(tables.gather(scenarios, slice(number, None, threads))) for number in range(threads)]
+    parts = [initial_reachability(tables.gather(scenarios, slice(number, None, threads))) for number in range(threads)]
     stop = threading.Event()
 
     def work(number: int) -> None:
@@ -128,7 +126,7 @@ def reachable_prefixes(
     return tables.interleaved(parts)
 
 
-def nothing_found(scenarios: Scenario) -> Reachability:
+def initial_reachability(scenarios: Scenario) -> Reachability:
     """Return the initial result for S stacked scenarios, with its own arrays."""
     count, rows = scenarios.targets.shape[:2]
     return Reachability(
@@ -171,7 +169,7 @@ def _prefixes(
                     found.prefix[s] += 1
             looked = looked[[not len(own) for own in clear]]
             leave = _off_lines(scenarios, looked, row)
-            scenarios = scenario.off_their_lines(scenarios, leave) if leave.any() else scenarios
+            scenarios = scenario.with_free_approach(scenarios, leave) if leave.any() else scenarios
             looked = looked[leave[looked, row]]
         alive = alive[found.prefix[alive] > row]
         progress(row + 1, rows)
@@ -239,7 +237,7 @@ def _carried(checker: CollisionChecker, inputs: lane_inputs.LaneInputs, beam: li
 
 
 def _search_targets(
-    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, here: motion_kernels.State
+    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, here: step_functions.State
 ) -> list[np.ndarray]:
     """Return, for each target, the configurations found by a search that are clear, far apart, clearest first."""
     lanes = len(here.x)
@@ -249,7 +247,7 @@ def _search_targets(
 
 
 def _clear(
-    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, lane: np.ndarray, lanes: int, here: motion_kernels.State
+    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, lane: np.ndarray, lanes: int, here: step_functions.State
 ) -> list[np.ndarray]:
     good = checker.valid(inputs, here)
     return [_dispersed(here.x[own], here.clearance[own]) for own in (good & (lane == k) for k in range(lanes))]
@@ -259,4 +257,4 @@ def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
     """Return up to CARRIED configurations: the clearest, then always the one farthest from those chosen."""
     if not len(x):
         return x
-    return x[fronts.farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]
+    return x[selection.farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]

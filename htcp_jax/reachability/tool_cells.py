@@ -19,14 +19,13 @@ from scipy.spatial import cKDTree
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof import arm_exclusion
-from htcp_jax.device import Executor, tables
-from htcp_jax.device import lane_function as lane_kernels
+from htcp_jax.device import Executor, lane_function, tables
 from htcp_jax.model import Robot, rotations
 from htcp_jax.motion import lane_inputs
 from htcp_jax.settings import Settings
 
-MANY = lane_kernels.DeviceSizes(
-    cpu=lane_kernels.BatchSize(1024, 1), gpu=lane_kernels.BatchSize(4096, 4096)
+MANY = lane_function.DeviceSizes(
+    cpu=lane_function.BatchSize(1024, 1), gpu=lane_function.BatchSize(4096, 4096)
 )  # for calls with thousands of lanes
 FACES = 4
 FINEST = 2.0**-24  # smallest half side of a cube
@@ -67,7 +66,7 @@ class Cells(NamedTuple):
 
 
 def tool(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quaternion, rho) -> arm_exclusion.CellBounds:
-    """Return the `Cell` of the tool's orientations within `rho` of a quaternion.
+    """Return the `CellBounds` of the tool's orientations within `rho` of a quaternion.
 
     An orientation that violates a row of the task counts as colliding.
 
@@ -85,7 +84,7 @@ def tool(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quatern
 
 
 def cell_bounds(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, cube, half) -> arm_exclusion.CellBounds:
-    """Return the `Cell` of a box of the joints before the wrist.
+    """Return the `CellBounds` of a box of the joints before the wrist.
 
     The box is a cube in coordinates in which -1 to 1 is each joint's range; the range of a hinge is one revolution at
     most.
@@ -106,7 +105,7 @@ def cell_bounds(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
     return arm_exclusion.arm_cell(scene, lane, lane.margin_m, place, x, turns)
 
 
-TOOL, ARM = lane_kernels.LaneFunction("tool", tool, MANY), lane_kernels.LaneFunction("arm", cell_bounds, MANY)
+TOOL, ARM = lane_function.LaneFunction("tool", tool, MANY), lane_function.LaneFunction("arm", cell_bounds, MANY)
 
 
 def tool_cells(

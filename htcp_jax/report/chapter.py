@@ -130,9 +130,9 @@ def choice(part: Part) -> str:
     """
     ran = part.run.config
     if not fits_presets(part):
-        differ = tables.config_differences(ran, PlanConfig())
-        own = ", ".join(f"{key} {value}" for key, value in differ.items() if key.startswith("settings."))
-        return f"margin {1e3 * ran.margin_m:g} mm, {own or 'settings as they are by default'}"
+        changed = tables.config_differences(ran, PlanConfig())
+        own = ", ".join(f"{key} {value}" for key, value in changed.items() if key.startswith("settings."))
+        return f"margin {1e3 * ran.margin_m:g} mm, {own or 'default settings'}"
     differ = {name: tables.config_differences(ran, preset) for name, preset in presets().items()}
     nearest = min(differ, key=lambda name: len(differ[name]))
     text = ", ".join(f"{key} {value}" for key, value in differ[nearest].items())
@@ -201,11 +201,11 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     def line(name):
         given = over(name), axes[name], part.targets
         known = part.reachability
-        beside = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
+        options = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
         if len(names) == 1:
-            return Picture(f"{prefix}map", charts.success_line(*given, executable=executable_of(name), **beside), alt)
-        beside["title"] = f"Success over {axes[name].label}, means over the other axes"
-        figure = charts.success_line(*given, executable=executable_of(name), **beside)
+            return Picture(f"{prefix}map", charts.success_line(*given, executable=executable_of(name), **options), alt)
+        options["title"] = f"Success over {axes[name].label}, means over the other axes"
+        figure = charts.success_line(*given, executable=executable_of(name), **options)
         return Picture(f"{prefix}along-{name.replace('.', '-')}", figure, alt)
 
     if not names:
@@ -245,13 +245,13 @@ def _motion_ends(table: Table) -> list[Block]:
         return []
     shown = [status for status in SegmentStatus if any(row["reason"] == status.words for row in table.records())]
     meaning = "; ".join(f"{status.words}: {status.message}" for status in shown)
-    text = "Why tracked targets are not executable: the motion ends at one of them, and those behind it count with it"
+    text = "Why tracked targets are not executable: the motion ends at one of them, so that no later one is"
     return [table, f"{text}. {meaning[0].upper()}{meaning[1:]}."]
 
 
 def _clearance_picture(part: Part, prefix: str) -> Picture:
     figure = charts.clearance_along({method: plans.clearance for method, plans in part.plans.items()})
-    return Picture(f"{prefix}clearance", figure, "Clearance along the path: median, band and smallest, by method")
+    return Picture(f"{prefix}clearance", figure, "Clearance along the path: median, band and minimum, by method")
 
 
 def _motion_pictures(part: Part, prefix: str) -> list[Picture]:
@@ -270,7 +270,7 @@ def _notes_on_results(part: Part) -> list[str]:
     sampled = f"The task row {names} states no rate: along the path, motions called proven in this report are sampled."
     return [
         *([sampled] if names else []),
-        "Executable are the targets to which a proven motion leads: from the start that was given, the arm clear all "
+        "Executable are the targets to which a proven motion leads: from the given start, the arm clear all "
         "along and the tool on its path. What lies beyond cannot be driven as it is planned. "
         + _unchecked_sentence(part),
         "Means and the minimum clearance are over the tracked targets: a method that gets further also passes "
@@ -287,7 +287,7 @@ def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
         table,
         f"Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time per step: run time by attempted "
         "targets. TCP distance: mean over the tracked targets. Safe distance: here the mean of D over the tracked "
-        "targets. The paper does not say over what it averages, and leaves the start configuration and the "
+        "targets. The paper does not state over what it averages, and leaves the start configuration and the "
         "workpiece's pose "
         "open; docs/reproduction.md compares other definitions.",
     ]

@@ -16,7 +16,7 @@ LISTED = 100  # scenarios, and failures; a job summary holds 1 MiB
 FIGURES = (  # fields of a Row, after "was_" in the baseline; with a name, a unit and a form
     ("share", "reachable targets tracked", "%", ".2f"),
     ("tcp_error_max_mm", "largest TCP error", "mm", ".3f"),
-    ("clearance_min_mm", "smallest clearance", "mm", ".3f"),
+    ("clearance_min_mm", "minimum clearance", "mm", ".3f"),
     ("held", "scenarios with the feed held", "", ",d"),
     ("cycle_mean_s", "mean cycle time", "s", ".3f"),
 )

@@ -14,7 +14,7 @@ from htcp_jax.motion import Plans, motion
 from htcp_jax.report import paper
 from htcp_jax.report.validation import read_validation
 from htcp_jax.runs import Run, reachability_file
-from htcp_jax.runs import labels as label_words
+from htcp_jax.runs import labels as scenario_labels
 from htcp_jax.runs import tables as scenario_tables
 
 
@@ -53,11 +53,11 @@ class Part:
     timed_with: dict[str, str]  # by method that is timed: description of its feed and limits
     reachability: np.ndarray | None  # (S,) reachable targets in a row, a lower bound
     not_excluded: np.ndarray | None  # (S,) not proven unreachable, an upper bound
-    step_s: dict[str, float]  # run time by attempted targets, over the whole run
+    step_s: dict[str, float]  # run time by attempted targets, over the complete run
     joints: tuple[str, ...]
     run: Run
     run_labels: dict[int, str]  # varied parameters of each scenario of the run, by its number
-    validation: dict[str, Any] | None  # of the whole run, as in validation.json
+    validation: dict[str, Any] | None  # of the complete run, as in validation.json
     scene: SceneOfRun
 
     @property
@@ -68,7 +68,7 @@ class Part:
     @cached_property
     def axes(self) -> dict[str, np.ndarray]:
         """Parameters that vary, each with its values in order, without those that another one determines."""
-        return {name: np.unique(values) for name, values in label_words.varying(self.parameters).items()}
+        return {name: np.unique(values) for name, values in scenario_labels.varying(self.parameters).items()}
 
     def causes(self, method: str) -> dict[int, dict[str, str | None]]:
         """Columns `tables.CAUSE` of the scenarios that could not begin, by their numbers."""
@@ -78,9 +78,9 @@ class Part:
     @cached_property
     def labels(self) -> dict[int, str]:
         """Varied parameters of each scenario, by its number."""
-        own = label_words.varying(self.parameters)
+        own = scenario_labels.varying(self.parameters)
         texts = [
-            ", ".join(label_words.part(name, values[s]) for name, values in own.items())
+            ", ".join(scenario_labels.part(name, values[s]) for name, values in own.items())
             for s in range(len(self.numbers))
         ]
         return dict(zip(self.numbers.tolist(), texts, strict=True))
@@ -126,7 +126,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
     plans = {method: run.plans(method) for method in methods}
     longest = max(each.status.shape[1] for each in plans.values())
     plans = {method: each.widened(longest) for method, each in plans.items()}
-    parameters = {name: label_words.column_of(table[name]) for name in label_words.parameter_names(table)}
+    parameters = {name: scenario_labels.column_of(table[name]) for name in scenario_labels.parameter_names(table)}
     motions = {method: _figures_of_method(run, method) for method in methods}
     timing = {method: run.timing(method) for method in methods}
     numbers, reachability = table["scenario"].to_numpy(), reachability_file.read_reachability(run)
@@ -136,7 +136,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
         "step_s": {method: each.step_s for method, each in plans.items()},
         "joints": run.manifest.joints,
         "run": run,
-        "run_labels": label_words.labels_of(whole),
+        "run_labels": scenario_labels.labels_of(whole),
         "timed_with": {method: each.words for method, each in timing.items() if each is not None},
         "validation": read_validation(run),
         "scene": scene_of(run, plans),

@@ -11,7 +11,7 @@ MOTIONS = (
     Column("method", "method"),
     Column("tracked", "tracked", "targets", ",d"),
     Column("executable", "executable", "targets", ",d"),
-    Column("whole", "to the end", "scenarios", ",d"),
+    Column("complete_motions", "complete", "motions", ",d"),
     Column("dwells", "dwells", "targets", ",d"),
     Column("dwelling", "in", "scenarios", ",d"),
     Column("cost_median_rad2", "cost", "median rad2", ".3g"),
@@ -40,7 +40,7 @@ def meaning(part: Part) -> str:
     """Explanation of the columns."""
     count = int(common_scenarios(part).sum())
     scenarios = f"the {count:,}" if count else "those, of which there are none,"
-    return MEANING.format(common=f"{scenarios} in which that is so with every method")
+    return MEANING.format(common=f"{scenarios} in which every method's motion does")
 
 
 def common_scenarios(part: Part) -> np.ndarray:
@@ -50,15 +50,15 @@ def common_scenarios(part: Part) -> np.ndarray:
 
 def _motion_row(part: Part, method: str, common: np.ndarray) -> dict:
     ends, found = part.plans[method].outcomes, part.motions[method]
-    known, whole = ~np.isnan(found.dwells), _can_be_driven(part, method)
+    known, complete = ~np.isnan(found.dwells), _can_be_driven(part, method)
     return {
         "method": method,
         "tracked": int(ends.tracked.sum()),
         "executable": int(ends.executable.sum()),
-        "whole": int(whole.sum()),
+        "complete_motions": int(complete.sum()),
         "dwells": int(found.dwells[known].sum()) if known.any() else None,
         "dwelling": int((found.dwells[known] > 0).sum()) if known.any() else None,
-        "cost_median_rad2": _reduced(np.median, found.motion_cost_rad2[whole]),
+        "cost_median_rad2": _reduced(np.median, found.motion_cost_rad2[complete]),
         "cost_common_rad2": _reduced(_geometric_mean, found.motion_cost_rad2[common]),
         "path_step_max_rad": _reduced(np.max, found.path_step_max_rad),
         "curvature_median_rad_m2": _reduced(np.median, found.curvature_max_rad_m2),

@@ -19,7 +19,9 @@ class PaperRow(NamedTuple):
     success_percent: float
     step_s: float  # "computation time", average of a step
     tcp_distance_mm: float
-    safe_distance_mm: float  # "closest distance between robot and obstacle": minimum or mean, the paper does not say
+    safe_distance_mm: (
+        float  # "closest distance between robot and obstacle": minimum or mean, the paper does not state which
+    )
 
 
 class PaperTable(NamedTuple):

@@ -67,7 +67,7 @@ def read_search(folder: str | Path) -> SearchTable:
     if not (folder / plan_sets.SEARCH).exists():
         raise InputError(f"{folder} holds no search of htcp place ({plan_sets.SEARCH})")
     if not (folder / mounting.RANKED).exists():
-        raise InputError(f"{folder}: the search has not come to its end; the same htcp place goes on with it")
+        raise InputError(f"{folder}: the search is not finished; the same htcp place command resumes it")
     try:
         requested, reported = (files.read_json(folder / name, folder) for name in (plan_sets.SEARCH, mounting.RANKED))
         with files.opened(folder / mounting.MOUNTINGS, folder, files.LARGEST) as stream:

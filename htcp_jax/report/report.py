@@ -130,23 +130,23 @@ def _appendix(parts: Sequence[Part]) -> list[Block]:
         (Column("method", "method"), Column("title", "name"), Column("what", "what it does")),
         tuple((name, known[name].title, known[name].description) for name in methods if name in known),
     )
-    beside = presets() if any(fits_presets(part) for part in parts) else {}
+    presets_shown = presets() if any(fits_presets(part) for part in parts) else {}
     return [
         Heading(2, "What was run"),
-        *_compared(ran, beside),
+        *_compared(ran, presets_shown),
         about,
         *(f"{name}: {_provenance(run)}" for name, run in {part.run_name: part.run for part in parts}.items()),
     ]
 
 
-def _compared(ran: dict[str, PlanConfig], beside: dict[str, PlanConfig]) -> list[Block]:
+def _compared(ran: dict[str, PlanConfig], presets_shown: dict[str, PlanConfig]) -> list[Block]:
     """The runs' configurations next to each other, and next to the shipped ones if these have the same scene."""
-    if not beside and len(ran) < 2:
+    if not presets_shown and len(ran) < 2:
         return []
-    others = f" and {', '.join(beside)}" if beside else ""
+    others = f" and {', '.join(presets_shown)}" if presets_shown else ""
     return [
         f"Keys of the configuration in which the runs{others} are not all the same.",
-        configuration_table(ran, beside),
+        configuration_table(ran, presets_shown),
     ]
 
 

@@ -51,7 +51,7 @@ REACHABILITY = (
     Column("not_excluded", "not excluded", "targets", ",d"),
     Column("of_reachable_percent", "of reachable", "%", ".2f"),
     Column("short", "fall short", "scenarios", ",d"),
-    Column("beyond", "get further", "scenarios", ",d"),
+    Column("beyond", "exceed it", "scenarios", ",d"),
 )
 STEPS = (
     Column("method", "method"),
@@ -73,8 +73,8 @@ STOPS = (
     Column("first_target", "first", "target", "d"),
     Column("median_target", "median", "target", ".0f"),
     Column("last_target", "last", "target", "d"),
-    Column("colliding_body", "colliding body (how often)"),
-    Column("targets", "at targets (how many)"),
+    Column("colliding_body", "colliding body (scenarios)"),
+    Column("targets", "at targets (scenarios)"),
 )
 MOTION_ENDS = (
     Column("method", "method"),

@@ -20,18 +20,18 @@ COLUMNS = (
     Column("cycle_median_s", "cycle time", "median s", ".2f"),
     Column("cycle_max_s", "cycle time", "max s", ".2f"),
     Column("held", "feed held", "scenarios", ",d"),
-    Column("held_min_percent", "feed held", "least %", ".2f"),
-    Column("reached_min_mm_s", "feed reached", "least mm/s", ".2f"),
-    Column("velocity_percent", "velocity", "most %", ".1f"),
-    Column("acceleration_percent", "acceleration", "most %", ".1f"),
-    Column("jerk_percent", "jerk", "most %", ".1f"),
-    Column("torque_percent", "torque", "most %", ".1f"),
+    Column("held_min_percent", "feed held", "min %", ".2f"),
+    Column("reached_min_mm_s", "feed reached", "min mm/s", ".2f"),
+    Column("velocity_percent", "velocity", "max %", ".1f"),
+    Column("acceleration_percent", "acceleration", "max %", ".1f"),
+    Column("jerk_percent", "jerk", "max %", ".1f"),
+    Column("torque_percent", "torque", "max %", ".1f"),
 )
 SHARES = *timing_file.LIMITS, "torque"
 MEANING = (
     "Cycle time is from home over the path and back, of the scenarios with a motion to their last target. Feed held: "
-    f"within 1 % over {100 * timing_file.HELD_OVER:g} % of the path's length. Feed reached: the least between the "
-    "path's run-up and its run-down, 0 where the arm stops between. "
+    f"within 1 % over {100 * timing_file.FEED_HELD_SHARE:g} % of the path's length. Feed reached: the minimum between "
+    "the path's run-up and its run-down, 0 where the arm stops between. "
     "Velocity, acceleration, jerk: of the limits, on the path; torque: of the efforts, all along."
 )
 CYCLE = Measure(
@@ -66,7 +66,7 @@ def timing_row(method: str, rows: pa.Table) -> dict:
         "cycle_min_s": _reduced_column(np.min, timed, "cycle_time_s"),
         "cycle_median_s": float(np.median(cycle)) if len(cycle) else math.nan,
         "cycle_max_s": _reduced_column(np.max, timed, "cycle_time_s"),
-        "held": int((held >= timing_file.HELD_OVER).sum()),
+        "held": int((held >= timing_file.FEED_HELD_SHARE).sum()),
         "held_min_percent": 100 * _reduced_column(np.min, timed, "feed_held_share"),
         "reached_min_mm_s": 1e3 * _reduced_column(np.min, timed, "feed_reached_m_s"),
         **{f"{name}_percent": value for name, value in most.items()},

@@ -23,7 +23,7 @@ BETWEEN_TARGETS = (
     Column("method", "method"),
     Column("paths", "joint paths", "", ",d"),
     Column("paths_touching", "collide", "", ",d"),
-    Column("paths_blocked_on_record", "blocked", "in the plan", ",d"),
+    Column("paths_blocked", "blocked", "in the plan", ",d"),
     Column("clearance_between_min_mm", "clearance", "min mm", ".3g"),
     Column("clearance_between_min_at", "scenario:", "target"),
     Column("line_deviation_max_mm", "path deviation", "max mm", ".2f"),

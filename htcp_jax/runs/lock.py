@@ -44,7 +44,7 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         found = os.fstat(handle)
         if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
-            raise InputError(f"cannot write to {folder}: {file} is no regular file, or has another name, too")
+            raise InputError(f"cannot write to {folder}: {file} is not a regular file, or has another name, too")
         _take(handle, folder)
         clear_all(folder)
         yield
@@ -66,7 +66,7 @@ def _take(handle: int, folder: Path) -> None:
         os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
 
 
-class SignalCame(Exception):
+class SignalReceived(Exception):
     """Raised after a signal where the work can stop."""
 
 

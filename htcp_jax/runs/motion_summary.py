@@ -22,7 +22,7 @@ class MotionSummary(NamedTuple):
     curvature_max_rad_m2: float
     curvature_at: int | None  # the target of the maximum
     clearance_m: float  # guaranteed clearance along the motion
-    tightest: int | None  # the target at the end of that segment
+    clearance_target: int | None  # the target at the end of that segment
     transfer_rad: float  # length of the joint path to the plan's first configuration
     transfer_legs: int  # its straight joint paths; 0 without a transfer
 
@@ -31,7 +31,7 @@ class MotionSummary(NamedTuple):
         end, there = self.end, self._can_be_run()
         if not end.executable:
             return {"can be run": there}
-        least = f"{self.proven}; minimum on the segment to target {self.tightest}"
+        least = f"{self.proven}; minimum on the segment to target {self.clearance_target}"
         return {"can be run": there, "guaranteed clearance": least, **self._transfer()}
 
     def _can_be_run(self) -> str:
@@ -96,7 +96,7 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
     alone = plans.rows([scenario])
     (found,) = zip(*motion.motion_figures(alone, on_path), strict=True)
     _, cost, step, bend, clearance = map(float, found)
-    turning, at = np.flatnonzero(motion.dwells(alone, on_path)[0]), int(motion.tightest(alone)[0][0])
+    turning, at = np.flatnonzero(motion.dwells(alone, on_path)[0]), int(motion.narrowest_segment(alone)[0][0])
     bent = motion.curvature(alone, on_path)[0]
     there = motion.motions(alone, on_path)
     transfer = there.steps[there.kind == Kind.TRANSFER]
@@ -108,7 +108,7 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
         curvature_max_rad_m2=bend,
         curvature_at=None if math.isnan(bend) else int(np.nanargmax(bent)),
         clearance_m=clearance,
-        tightest=None if at < 0 else at,
+        clearance_target=None if at < 0 else at,
         transfer_rad=float(transfer.sum()) if len(transfer) else math.nan,
         transfer_legs=max(0, len(transfer) - 1),
     )

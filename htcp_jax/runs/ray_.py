@@ -31,7 +31,7 @@ from htcp_jax.runs.provenance import planned_by
 ANSWER_S = 5.0  # for a connection to a cluster, and for its first answer
 HTTP2 = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))  # connection preface of a gRPC client
 TRIES = 5  # one second each, to connect to a cluster that does not answer as Ray
-LOOK_S = 0.5  # interval between checks for a signal
+POLL_S = 0.5  # interval between checks for a signal
 GPU_SHARE = 0.75  # of a GPU's memory that JAX allocates by default
 
 
@@ -153,7 +153,7 @@ def _plan(
             if not _own_node_answers(ray):
                 running.clear()
                 raise Lost("Ray lost its workers (this process's own node is gone)")
-            done, _ = ray.wait(list(running), timeout=LOOK_S)
+            done, _ = ray.wait(list(running), timeout=POLL_S)
             report(next(iter(running.values())).method)
             if not any(node["Alive"] for node in ray.nodes()):  # Ray itself would wait without end
                 running.clear()

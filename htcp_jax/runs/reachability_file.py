@@ -32,7 +32,7 @@ def read_reachability(run: Run) -> ReachabilityBounds | None:
     try:
         record = files.read_json(file, Path(run.folder))
         if isinstance(record, dict) and not record.get("complete", True):
-            warnings.warn(f"{file} is incomplete and not used; htcp reachability makes it anew", Note, stacklevel=2)
+            warnings.warn(f"{file} is incomplete and not used; htcp reachability creates it again", Note, stacklevel=2)
             return None
         found = _read_record(record)
     except FileNotFoundError:

@@ -13,9 +13,10 @@ not at all, whenever the process dies.
 import hashlib
 import os
 from collections.abc import Iterable
+from io import BufferedReader
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 from pydantic import ValidationError
@@ -253,7 +254,7 @@ def open_run(folder: str | Path) -> Run:
         ) from None
 
 
-def fault(file: Path, record: FileRecord) -> str | None:
+def file_fault(file: Path, record: FileRecord) -> str | None:
     """Return the error in a table's file; None if it is as recorded."""
     try:
         with io_files.opened(file, file.parents[1]) as stream:
@@ -264,7 +265,7 @@ def fault(file: Path, record: FileRecord) -> str | None:
         return f"cannot be read ({error.strerror})"
 
 
-def _fault_of(stream: BinaryIO, record: FileRecord) -> str | None:
+def _fault_of(stream: BufferedReader, record: FileRecord) -> str | None:
     if (size := os.fstat(stream.fileno()).st_size) != record.bytes:
         return f"has {size:,} bytes instead of {record.bytes:,}"
     if hashlib.file_digest(stream, "sha256").hexdigest() != record.sha256:
@@ -273,7 +274,7 @@ def _fault_of(stream: BinaryIO, record: FileRecord) -> str | None:
 
 
 def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table:
-    if problem := fault(file, record):
+    if problem := file_fault(file, record):
         raise InputError(f"{file} {problem}; the same sweep plans its scenarios again")
     with io_files.opened(file, file.parents[1]) as stream:
         rows = io_files.read_parquet(stream, file, record.rows, exact=True)

@@ -34,7 +34,7 @@ from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.input_files import anchor_files, file_hashes
 from htcp_jax.runs.local import Shard, plan_here, scenarios_of
-from htcp_jax.runs.lock import SignalCame, locked, signals
+from htcp_jax.runs.lock import SignalReceived, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans
 from htcp_jax.runs.plan_folder import made_folder
 from htcp_jax.runs.provenance import planned_by
@@ -104,11 +104,11 @@ def sweep(
 
             def stopped() -> str:
                 discard()
-                return _how_to_go_on(run)
+                return _resume_message(run)
 
             def report_progress(method: str, shard: ShardProgress | None = None) -> None:
                 if came:
-                    raise SignalCame
+                    raise SignalReceived
                 if progress is not None:
                     progress(_progress(run.manifest, method, shard))
 
@@ -123,12 +123,12 @@ def sweep(
                         if finished is not None:
                             finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
                         report_progress(method)
-            except SignalCame:
-                raise Interrupted(_how_to_go_on(run), came[0]) from None
+            except SignalReceived:
+                raise Interrupted(_resume_message(run), came[0]) from None
             except Lost as lost:
                 if came:  # the signal went to the workers, too
-                    raise Interrupted(_how_to_go_on(run), came[0]) from None
-                raise Lost(f"{lost}; {_how_to_go_on(run)}") from None
+                    raise Interrupted(_resume_message(run), came[0]) from None
+                raise Lost(f"{lost}; {_resume_message(run)}") from None
             return run
 
 
@@ -144,7 +144,7 @@ def device_of(on: str, device: str | None) -> str | None:
         raise InputError(f"on is {on!r}; valid: here, ray, ray:<address of a cluster>")
     if device not in (None, "cpu"):
         raise InputError(
-            f"device is {device!r}; with Ray it can be cpu alone, and ray.num_gpus says what its workers get"
+            f"device is {device!r}; with Ray it can only be cpu; ray.num_gpus sets the GPUs of its workers"
         )
     return "cpu"
 
@@ -245,7 +245,7 @@ def _manifest(
     return Manifest(
         name=spec.name,
         config=config,
-        grid=grid,
+        grid=tuple(grid),
         dtype=dtype,
         files=files,
         config_hash=config_hash(identity(config, grid, dtype, files)),
@@ -289,12 +289,12 @@ def _progress(manifest: Manifest, method: str, shard: ShardProgress | None) -> S
     return SweepProgress(method, done, manifest.count, tracked, manifest.targets)
 
 
-def _how_to_go_on(run: Run) -> str:
+def _resume_message(run: Run) -> str:
     manifest = run.manifest
     there, all_ = len(manifest.shards), len(manifest.methods) * len(spans(manifest))
     if not there:
         return "stopped before anything was finished; nothing was written"
-    return f"stopped; {there} of {all_} shards are finished in {run.folder}; the same command goes on from there"
+    return f"stopped; {there} of {all_} shards are finished in {run.folder}; the same command resumes"
 
 
 class _Scratch:

@@ -29,7 +29,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import files
 
 TIMING, MADE = "timing", b"htcp_jax"
-HELD_OVER = 0.99  # share of the path's length from which a scenario keeps its feed
+FEED_HELD_SHARE = 0.99  # share of the path's length from which a scenario keeps its feed
 LIMITS = "velocity", "acceleration", "jerk"
 SCHEMA = pa.schema(
     [
@@ -84,8 +84,8 @@ class Timing(NamedTuple):
 
     @property
     def held(self) -> int:
-        """Number of scenarios that keep their feed on at least HELD_OVER of their path."""
-        return int((column(self.timed, "feed_held_share") >= HELD_OVER).sum())
+        """Number of scenarios that keep their feed on at least FEED_HELD_SHARE of their path."""
+        return int((column(self.timed, "feed_held_share") >= FEED_HELD_SHARE).sum())
 
 
 def column(rows: pa.Table, name: str) -> np.ndarray:
@@ -122,7 +122,7 @@ def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Tim
         return Timing(float(made["feed_m_s"]), dict(made["limits"]), rows.filter(pa.array(there, pa.bool_())))
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
         what = " ".join(str(error).split())
-        raise InputError(f"{file} is damaged: {what}; without it, htcp program --all makes it again") from None
+        raise InputError(f"{file} is damaged: {what}; without it, htcp program --all creates it again") from None
 
 
 def timing_bytes(timing: Timing, shards: Iterable[ResultShard], method: str) -> bytes:

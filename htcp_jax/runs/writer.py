@@ -14,7 +14,7 @@ from htcp_jax.motion import Plans
 from htcp_jax.runs.identity import identity, identity_differences
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.provenance import planned_by
-from htcp_jax.runs.run_folder import Run, fault, open_run
+from htcp_jax.runs.run_folder import Run, file_fault, open_run
 
 
 def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
@@ -45,7 +45,7 @@ def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     expected = {shard_name(method, span) for method in methods for span in spans(run.manifest)}
     shards = _valid_shards(run, requested.methods)
     for stranger in _unlisted(folder, expected):
-        warnings.warn(f"{stranger} is not of this run; it is left alone", stacklevel=3)
+        warnings.warn(f"{stranger} is not of this run; it stays unchanged", stacklevel=3)
     return _write_manifest(_with_shards(run, shards))
 
 
@@ -105,7 +105,7 @@ def _valid_shards(run: Run, requested: tuple[str, ...]) -> tuple[ShardRecord, ..
         if (shard.first, shard.last) not in known:
             for file, _ in files:
                 file.unlink(missing_ok=True)
-        elif faults := [f"{file} {problem}" for file, record in files if (problem := fault(file, record))]:
+        elif faults := [f"{file} {problem}" for file, record in files if (problem := file_fault(file, record))]:
             damaged[shard.method].append((shard, faults[0]))
         else:
             whole.append(shard)

@@ -1,6 +1,6 @@
 """Solvers of the small problems that a plan consists of.
 
-`step_qp` states the convex program of one step (equation (8) of the paper), `StepQP`, and assembles it at a
+`step_qp` states the convex program of one step (equation (9) of the paper), `StepQP`, and assembles it at a
 configuration. Anything that solves it is a `step_qp.QPSolver`: `active_set` runs inside compiled functions,
 `ClarabelSolver` on the host, `QPSolversSolver` passes it to any solver of the library qpsolvers. All of them return a
 `step_qp.QPSolution` with a `step_qp.QPStatus`, and a method chooses one by the setting `qp`.

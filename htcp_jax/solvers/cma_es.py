@@ -40,7 +40,7 @@ class StrategyParameters(NamedTuple):
     chi_n: float
 
 
-def rates(population: int, n: int) -> StrategyParameters:
+def strategy_parameters(population: int, n: int) -> StrategyParameters:
     """Return the tutorial's default parameters, equations (49) to (58)."""
     parents = population // 2
     raw = np.log((population + 1) / 2) - np.log(np.arange(1, parents + 1))

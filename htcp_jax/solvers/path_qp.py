@@ -25,7 +25,7 @@ class PathQP(NamedTuple):
 
     x: Float[np.ndarray, "P1 N"]  # the start, then the configurations [rad or m]
     weights: Float[np.ndarray, "N"]  # w, of the joints
-    held: Bool[np.ndarray, "P"]  # configurations at which the task is constrained
+    constrained: Bool[np.ndarray, "P"]  # configurations at which the task is constrained
     A: Float[np.ndarray, "P M N"]
     G: Float[np.ndarray, "P R N"]
     h: Float[np.ndarray, "P R"]  # [m]
@@ -69,10 +69,10 @@ def _constraints(qp: PathQP) -> tuple[sparse.csc_matrix, np.ndarray, int]:
     between = 0.5 * (most + np.concatenate([np.zeros((1, joints)), most[:-1]]))
     at = qp.h < np.einsum("prn,pn->pr", np.abs(qp.G), most)
     at_midpoints = qp.c < np.einsum("prn,pn->pr", np.abs(qp.C), between)
-    held, identity = np.flatnonzero(qp.held), sparse.identity(count * joints, format="csc")
+    constrained, identity = np.flatnonzero(qp.constrained), sparse.identity(count * joints, format="csc")
     halves = _sparse_rows(np.nonzero(at_midpoints)[0], 0.5 * qp.C[at_midpoints], count)
     earlier = _sparse_rows(np.nonzero(at_midpoints)[0] - 1, 0.5 * qp.C[at_midpoints], count)
-    task = _sparse_rows(np.repeat(held, qp.A.shape[1]), qp.A[held].reshape(-1, joints), count)
+    task = _sparse_rows(np.repeat(constrained, qp.A.shape[1]), qp.A[constrained].reshape(-1, joints), count)
     rows = [task, _sparse_rows(np.nonzero(at)[0], qp.G[at], count), halves + earlier, identity, -identity]
     bounds = [np.zeros(task.shape[0]), qp.h[at], qp.c[at_midpoints], qp.upper.ravel(), -qp.lower.ravel()]
     return sparse.vstack(rows, format="csc"), np.concatenate(bounds), task.shape[0]

@@ -9,7 +9,7 @@ it where the contacts at w have been seen. The minimisers depend on nothing else
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ from htcp_jax.solvers.interior_point import solve_dense
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 Direction = Float[Array, "D"]
-Observation = PyTree[Array]  # contacts: leaves have a leading axis of all rows, R, or of a multiple of R
+Observation: TypeAlias = PyTree[Array]  # contacts: leaves have a leading axis of all rows, R, or of a multiple of R
 
 
 class Sphere(NamedTuple):
@@ -364,7 +364,7 @@ def cmaes(
         sigma: Initial standard deviation (no unit), which the paper leaves open; 0.5 covers a hemisphere.
         start_key: Random key for the initial direction; None: see `first_direction`.
     """
-    strategy = cma_es.rates(population, sphere.curvature.shape[0])
+    strategy = cma_es.strategy_parameters(population, sphere.curvature.shape[0])
 
     def body(generation, state):
         distribution, best, best_merit = state

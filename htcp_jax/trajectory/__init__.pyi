@@ -4,8 +4,8 @@ from .formats.writers import FORMATS, format_of
 from .joint_torques import PeakTorque
 from .plan_program import PlanProgram
 from .program import Program
+from .run_timing import check_limits, time_run
 from .timed_motion import TimedMotion
-from .whole_run import check_limits, time_run
 
 __all__ = [
     "FORMATS",

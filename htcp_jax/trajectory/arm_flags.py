@@ -29,7 +29,9 @@ def arm_flags(arm: config.RobotConfig, robot: Robot, x: Float[np.ndarray, "n N"]
         InputError: For another arm than the GP50, and if the arm is not in front of its S axis.
     """
     if not arm.is_gp50:
-        raise InputError(f"jbi: which form (RCONF) {robot.name} is in is not known; jbi-pulses needs none")
+        raise InputError(
+            f"jbi: the arm configuration flags (RCONF) of {robot.name} are not known; jbi-pulses needs none"
+        )
     s, r, t = x[:, 0], -x[:, 3], -x[:, 5]
     lower = ~_elbow_is_up(robot, x)
     no_flip = np.cos(r) < 0

@@ -191,13 +191,13 @@ def _blend_lengths(robot: Robot, polyline: _Polyline, curve: Curve, wanted: np.n
     arm, left = polyline.arm, polyline.left
     tries = np.append(wanted * 0.5 ** np.arange(HALVINGS)[:, None], np.zeros((1, len(wanted))), axis=0)
     slopes = np.abs(curve.slopes)
-    beside = np.maximum(np.append(slopes[:1], slopes, axis=0), np.append(slopes, slopes[-1:], axis=0))
-    around, displacement = tries[..., None] * beside, FARTHEST * tries[..., None] * curve.turns
+    steepest = np.maximum(np.append(slopes[:1], slopes, axis=0), np.append(slopes, slopes[-1:], axis=0))
+    around, displacement = tries[..., None] * steepest, FARTHEST * tries[..., None] * curve.turns
     moved = arm.moved(displacement_bound(arm, around, displacement))
     tube = left.tube - _chord_deviation(robot, arm, curve, np.isfinite(left.tube))
     fits = (moved.bodies <= SHARE * _least_of_legs(left.clearance)) & (moved.tcp <= SHARE * _least_of_legs(tube))
     if left.rows:
-        rows = left.rows.beside()
+        rows = left.rows.next_to_legs()
         fits &= (rows.taken(moved.features) <= SHARE * rows.left).all(axis=-1)
     fits[-1] = True
     return tries[np.argmax(fits, axis=0), np.arange(len(wanted))]

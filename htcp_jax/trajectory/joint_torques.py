@@ -83,7 +83,7 @@ def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
 
 
 def peak_torque(timed: TimedMotion, torque: Float[np.ndarray, "n N"], effort: Float[np.ndarray, "N"]) -> PeakTorque:
-    """Return the load of one motion.
+    """Return the largest torque of one motion.
 
     Args:
         timed: Samples of the motion.
@@ -101,7 +101,7 @@ def peak_torque(timed: TimedMotion, torque: Float[np.ndarray, "n N"], effort: Fl
 def peak_torques(
     torque: Callable[..., Float[np.ndarray, "n N"]], motions: Sequence[TimedMotion], effort: Float[np.ndarray, "N"]
 ) -> list[PeakTorque]:
-    """Return the loads of many motions of one arm, AT_ONCE configurations at a time.
+    """Return the largest torques of many motions of one arm, AT_ONCE configurations at a time.
 
     Args:
         torque: From `torques`.

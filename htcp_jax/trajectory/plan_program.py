@@ -49,7 +49,7 @@ class PlanProgram(NamedTuple):
         Args:
             format: Name in `writers.FORMATS`.
             name: Name of the program.
-            step_s: Time between samples; None: see `writers.Format`.
+            step_s: Time between samples; None: see `writers.ProgramFormat`.
 
         Raises:
             InputError: As `program_text` does, for a step that the format does not support, and for tables of another
@@ -140,7 +140,7 @@ def program_of(
         method: None: the first one.
         scenario: Number of the plan.
         retract: Append the motion back.
-        overrides: Changes to the job's section `time_motion`, as on the command line.
+        overrides: Changes to the job's section `program`, as on the command line.
 
     Raises:
         InputError: For a plan that does not exist or is not completely executable, for overrides of other sections, and
@@ -241,7 +241,7 @@ def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
 
 
 def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
-    """Return the job with overrides in section `time_motion`.
+    """Return the job with overrides in section `program`.
 
     Raises:
         InputError: For keys outside it, and for invalid values.
@@ -250,6 +250,6 @@ def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
     for override in overrides:
         key, value = config_file.parse_override(override)
         if not key.startswith(SECTION):
-            raise InputError(f"--set {key}: the plan is on record; keys of {SECTION}* alone can be changed")
+            raise InputError(f"--set {key}: the plan is saved; only keys of {SECTION}* can be changed")
         config_file.put_key(raw, key, value)
     return job.model_copy(update={"program": strict_model.validate_model(raw, PlanConfig, "--set").program})

@@ -22,7 +22,7 @@ from htcp_jax.trajectory.path import path_of_blend
 from htcp_jax.trajectory.time_scaling import TimeScaling, instants, time_scaling
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
-HELD, STANDS = 0.99, 1e-6  # shares of the feed below which a feed drop, and a stop, begins
+HELD, AT_REST = 0.99, 1e-6  # shares of the feed below which a feed drop, and a stop, begins
 
 
 class FeedDrop(NamedTuple):
@@ -144,7 +144,7 @@ def _feed_drops(scaling: TimeScaling, before: float, feed: float, names: tuple[s
 
 def _is_ramp(limit: np.ndarray, share: np.ndarray) -> bool:
     """Return True if a run that starts or ends at a stop has no other cause."""
-    return bool(limit[0] < 0 and share.min() <= STANDS)
+    return bool(limit[0] < 0 and share.min() <= AT_REST)
 
 
 def _split_at(which: np.ndarray, breaks: np.ndarray) -> list[np.ndarray]:

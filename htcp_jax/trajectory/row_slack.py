@@ -55,7 +55,7 @@ class RowSlacks(NamedTuple):
         for k, row in enumerate(self.rows):
             own = moved[..., first : first + len(row.features)]
             first += len(row.features)
-            if row.looks:
+            if row.is_view:
                 axis, eye = own[..., 0], own[..., 1]
                 distance = self.apart[:, k] - eye
                 found.append(axis + np.divide(eye, distance, out=np.full_like(eye, np.inf), where=distance > 0))

@@ -70,8 +70,8 @@ def fastest(
 ) -> SpeedProfile:
     """Return the fastest time scaling within speeds and accelerations, at rest at both ends.
 
-    z^2 grows by at most 2 push ds in both directions: with C the integral of 2 push, z^2 = C + min(cap^2 - C) over the
-    positions before, and likewise backwards.
+    z^2 grows by at most 2 push ds in both directions: with C the integral of 2 push, z^2 = C + min(limit^2 - C) over
+    the positions before, and likewise backwards.
 
     Args:
         place: Grid of positions [m or s].

@@ -23,7 +23,7 @@ from htcp_jax.trajectory.speed import SpeedProfile, fastest
 CURVED = 0.9  # share of a limit that a corner may use at constant speed
 ROUNDS = 12
 CHECKED_EVERY_S, INSTANTS = 0.004, 20_000  # interval of the evenly spaced instants, and their maximum number
-SPARE = 0.995, 0.995, 0.93  # of v, a and j, reserve for values between instants: the jerk jumps
+RESERVE = 0.995, 0.995, 0.93  # of v, a and j, reserve for values between instants: the jerk jumps
 NEAR, CLOSER_S, REACH_S = 0.9, 0.0005, 0.004  # refinement: share of a limit, interval and range around it
 ENOUGH = 1.001  # accepted factor by which a limit is exceeded
 
@@ -78,7 +78,7 @@ def time_scaling(path: PathCurve, limits: MotionLimits, feed: float = np.inf) ->
         feed: Desired and maximum speed [m/s]; if the tool does not feed, 1 is the full speed of the fastest joint.
     """
     whole = limits
-    limits = MotionLimits(*(share * part for share, part in zip(SPARE, limits, strict=True)))
+    limits = MotionLimits(*(share * part for share, part in zip(RESERVE, limits, strict=True)))
     window = float(np.max(limits.acceleration / limits.jerk))
     speed_limits = _speed_limits(path, limits, feed)
     speed_limits = speed_limits._replace(speed=_extended_limits(path, speed_limits.speed, window))

@@ -31,7 +31,7 @@ from htcp_jax.validation.validate import validate_results as check_by_mujoco
 
 COMPLETE = "complete"
 DIGITS = 6  # of millimetres in the file
-HEAD = """# How a run stood, for `htcp gate` to hold later runs to. Written by --update; only `allow` is to be edited.
+HEAD = """# Baseline of a run, with which `htcp gate` compares later runs. Written by --update; edit only `allow`.
 """
 
 WholeNumber = Annotated[int, Field(ge=0)]
@@ -51,7 +51,7 @@ class End(NamedTuple):
 def _read_end(text: Any) -> End:
     count, _, status = str(text).partition(" ")
     if not count.isdecimal() or status not in (COMPLETE, *Status.__members__):
-        raise ValueError(f"{text!r} is no end of a scenario, such as '105 {COMPLETE}' or '73 QP_INFEASIBLE'")
+        raise ValueError(f"{text!r} is not an end of a scenario, such as '105 {COMPLETE}' or '73 QP_INFEASIBLE'")
     return End(int(count), status)
 
 
@@ -88,7 +88,7 @@ class Scores(strict_model.FileSection):
         if self.tracked != sum(end.tracked for end in ends.values()):
             raise ValueError(f"tracked is {self.tracked}, which is not the sum over its scenarios")
         if self.complete != sum(end.status == COMPLETE for end in ends.values()):
-            raise ValueError(f"complete is {self.complete}, which is not what its scenarios say")
+            raise ValueError(f"complete is {self.complete}, which is not the number of its complete scenarios")
         return self
 
 
@@ -192,7 +192,7 @@ def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) 
     found = attempt("not validated", lambda: check_by_mujoco(run.folder, between=0, progress=progress))
     checks = found.methods if found else {}
     methods = {method: attempt(method, lambda m=method: _scores(run, m, checks.get(m))) for method in run.methods}
-    reachability = attempt("what is reachable is not known", lambda: _reachability_scores(run))
+    reachability = attempt("reachability is not known", lambda: _reachability_scores(run))
     refuted = found.refuted if found else ()
     return RunSummary(
         {m: scores for m, scores in methods.items() if scores}, checks, refuted, reachability, tuple(problems)

@@ -37,7 +37,7 @@ ROUNDING = 1e-9  # of percentages and millimetres
 RUN, REACHABILITY = "run", "reachability"  # in place of a method's name
 SCENARIOS, TRACKED, EXECUTABLE, ENDS, SHARE, MUJOCO, TIMES, TCP_ERROR, CLEARANCE = CHECKS = (
     *("scenarios present", "tracked targets", "executable targets", "scenarios ending earlier", "reachable share"),
-    *("validation by MuJoCo", "times", "largest TCP error", "smallest clearance"),
+    *("validation by MuJoCo", "times", "largest TCP error", "minimum clearance"),
 )
 
 

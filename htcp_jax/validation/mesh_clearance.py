@@ -6,6 +6,7 @@ they intersect. Otherwise it is attained at an end of the axis or on an edge of 
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -29,13 +30,13 @@ def read_triangles(path: str | Path) -> Triangles:
     """
     try:
         data, ending = io.BytesIO(files.read_bytes(Path(path))), Path(path).suffix.lower()[1:]
-        mesh = trimesh.load(data, file_type=ending, force="mesh", process=False, skip_materials=True)
+        mesh: Any = trimesh.load(data, file_type=ending, force="mesh", process=False, skip_materials=True)
         return np.asarray(mesh.triangles, float).reshape(-1, 3, 3)
     except Exception as error:  # a foreign parser on foreign bytes
         raise InputError(f"{path}: not a readable mesh ({type(error).__name__})") from None
 
 
-def in_grains(triangles: Triangles) -> Float[np.ndarray, "g 3 3"]:
+def cut_into_grains(triangles: Triangles) -> Float[np.ndarray, "g 3 3"]:
     """Bisect the triangles across their longest edges until no edge is much longer than a grain."""
     area = _size(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])).sum() / 2
     longest, done = 2 * np.sqrt(area / GRAINS), []
@@ -66,10 +67,10 @@ def _triangle_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.
     ends = [_size(trimesh.triangles.closest_point(triangles, end) - end) for end in (p, q)]
     corners = np.moveaxis(triangles, 1, 0)
     edges = [_segment_distance(p, q, corners[k], corners[k - 1]) for k in range(3)]
-    return np.where(goes_through(p, q, triangles), 0.0, np.minimum.reduce([*ends, *edges]))
+    return np.where(crosses(p, q, triangles), 0.0, np.minimum.reduce([*ends, *edges]))
 
 
-def goes_through(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray, "m"]:
+def crosses(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray, "m"]:
     """True if a segment passes through its triangle.
 
     Its ends are then on both sides of the plane, and it turns about all three edges in the same sense.

@@ -30,13 +30,13 @@ from scipy.spatial import ConvexHull, cKDTree
 from htcp_jax.jobs import config
 from htcp_jax.validation.carried import CarriedBody
 from htcp_jax.validation.cloud_discs import CloudDiscs
-from htcp_jax.validation.mesh_clearance import axis_distances, goes_through, in_grains, read_triangles
+from htcp_jax.validation.mesh_clearance import axis_distances, crosses, cut_into_grains, read_triangles
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.scene_rules import WorkpieceData
 
 COARSE = 0.5  # half length of the first pieces, in radii
 FINE_M = 0.01  # half length at which a ball holds few points
-ROOM_M = 1e-9  # for rounding, in every bound
+ROUNDING_M = 1e-9  # for rounding, in every bound
 SOLVER_M = 1e-5  # for mj_geomDistance, which iterates
 FACETS_AT_ONCE = 2_000_000  # heights in memory
 
@@ -71,7 +71,7 @@ class Wall:
         direction: Float[np.ndarray, "3"] | None = None,
         triangles: Float[np.ndarray, "F 3 3"] | None = None,
     ):
-        self.triangles = None if triangles is None else in_grains(triangles)
+        self.triangles = None if triangles is None else cut_into_grains(triangles)
         self.middle = cloud if triangles is None else self.triangles.mean(axis=1)
         corners = cloud if triangles is None else self.triangles
         self.grain = 0.0 if triangles is None else float(np.linalg.norm(corners - self.middle[:, None], axis=2).max())
@@ -110,7 +110,7 @@ def wall_of(part: config.WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
     return wall
 
 
-class AtTargets(NamedTuple):
+class TargetClearances(NamedTuple):
     """Results at n configurations, which `CheckedScene.between` reuses."""
 
     arm_poses: ArmPoses
@@ -119,7 +119,7 @@ class AtTargets(NamedTuple):
     distance: Float[np.ndarray, "n M"]  # of the samples to their nearest points
     ends: Float[np.ndarray, "n E 3"]  # ends of all capsules, world
     outside: Float[np.ndarray, "n E"]  # NaN where the hull is not checked
-    surroundings: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.Beside.distances` [m]
+    surroundings: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.MujocoCell.distances` [m]
     to_wall: Float[np.ndarray, "n"]  # distance to the cloud's points or the mesh's triangles [m]
 
     def less_cover(self, cover_m: float) -> Float[np.ndarray, "n"]:
@@ -162,10 +162,10 @@ class CheckedScene:
         if wall.direction is not None and (arm.base @ self.along > self.interior_from).any():
             self.interior_from = np.inf
 
-    def at(self, x: Float[np.ndarray, "n N"]) -> AtTargets:
+    def at(self, x: Float[np.ndarray, "n N"]) -> TargetClearances:
         """Compute the clearance of every configuration."""
         arm_poses = self.arm.arm_poses(x)
-        pieces = _whole_axes(self.arm, len(x))
+        pieces = _initial_pieces(self.arm, len(x))
         samples = _centres(arm_poses, pieces)
         distance = self.wall.tree.query(self.local(samples), workers=-1)[0]
         upper = _lowered(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
@@ -178,10 +178,10 @@ class CheckedScene:
         each = len(x), len(pieces.row) // len(x)
         clearance = _worse(np.minimum(to_wall, surroundings.min(axis=1, initial=np.inf)), outside)
         samples, distance = samples.reshape(*each, 3), distance.reshape(each)
-        return AtTargets(arm_poses, clearance, samples, distance, ends, outside, surroundings, to_wall)
+        return TargetClearances(arm_poses, clearance, samples, distance, ends, outside, surroundings, to_wall)
 
     def between(
-        self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: AtTargets, below: float
+        self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: TargetClearances, below: float
     ) -> tuple[ArmPoses, Float[np.ndarray, "n"]]:
         """Compute the clearance at configurations between known ones, where it is small.
 
@@ -198,7 +198,7 @@ class CheckedScene:
             The TCP and the capsules, and the clearance where it is at most `below`, inf elsewhere [m].
         """
         arm_poses = self.arm.arm_poses(x)
-        pieces = _whole_axes(self.arm, len(x))
+        pieces = _initial_pieces(self.arm, len(x))
         samples = _centres(arm_poses, pieces).reshape(len(x), -1, 3)
         near = [known.distance[b] - np.linalg.norm(samples - known.samples[b], axis=2) for b in (a, a + 1)]
         distance = np.maximum(0.0, np.maximum(*near)).reshape(-1)
@@ -226,14 +226,14 @@ class CheckedScene:
         for body in self.carried if len(each) else ():
             (centre, radius), (position, axes) = body.ball, body.poses(x)
             middle = self.local(position + axes @ centre)
-            near = np.minimum(np.maximum(upper, 0.0), wall.tree.query(middle)[0]) + radius + wall.grain + ROOM_M
+            near = np.minimum(np.maximum(upper, 0.0), wall.tree.query(middle)[0]) + radius + wall.grain + ROUNDING_M
             for k, points in enumerate(wall.tree.query_ball_point(middle, near)):
                 if points:
                     world = each[points] @ self.rotate.T + self.translate
                     found[k] = min(found[k], body.clearance((world - position[k]) @ axes[k]))
         return found
 
-    def tip_goes_through(self, arm_poses: ArmPoses, contact_m: float) -> Bool[np.ndarray, "n"]:
+    def tip_crosses(self, arm_poses: ArmPoses, contact_m: float) -> Bool[np.ndarray, "n"]:
         """True if the bare tip passes through a triangle of the mesh or a disc of the cloud.
 
         The bare tip is the segment from the last body to the TCP, without its last `contact_m`.
@@ -247,14 +247,14 @@ class CheckedScene:
         last = tcp + (first - tcp) * np.minimum(1.0, contact_m / np.maximum(length, contact_m + 1e-12))[:, None]
         length = np.linalg.norm(last - first, axis=1)
         row, share = _samples(np.maximum(1, np.ceil(length / (2 * grain))).astype(int))
-        reach = grain + ROOM_M + np.minimum(length[row] / 2, grain)  # from a sample's middle
+        reach = grain + ROUNDING_M + np.minimum(length[row] / 2, grain)  # from a sample's middle
         found = self.wall.tree.query_ball_point(
             first[row] + share[:, None] * (last - first)[row], reach, return_sorted=False
         )
         row = np.repeat(row, [len(near) for near in found])
         near = np.concatenate([np.empty(0, int), *(np.array(near, int) for near in found)])
         ends = first[row], last[row]
-        through = self.wall.discs.crossed(*ends, near) if mesh is None else goes_through(*ends, mesh[near])
+        through = self.wall.discs.crossed(*ends, near) if mesh is None else crosses(*ends, mesh[near])
         return np.bincount(row[through], minlength=len(first)) > 0
 
     def _measured(self, x: np.ndarray, arm_poses: ArmPoses, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
@@ -283,7 +283,7 @@ class CheckedScene:
         while len(pieces.row):
             reach = self._reach(pieces, upper)
             centres = self.local(_centres(arm_poses, pieces))
-            distance = self.wall.tree.query(centres, distance_upper_bound=reach.max() + ROOM_M)[0]
+            distance = self.wall.tree.query(centres, distance_upper_bound=reach.max() + ROUNDING_M)[0]
             upper = _lowered(upper, pieces, distance - radius[pieces.capsule])
             kept = self._may_hold(pieces, distance, upper)
             pieces, centres = pieces.only(kept), centres[kept]
@@ -301,12 +301,12 @@ class CheckedScene:
     def _reach(self, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
         """Largest distance from a piece's centre to the nearest point, if the clearance is at most `upper` [m]."""
         reach = np.maximum(0.0, upper[pieces.row] + self.arm.radius[pieces.capsule])
-        return np.hypot(reach, pieces.half) + self.wall.grain + ROOM_M
+        return np.hypot(reach, pieces.half) + self.wall.grain + ROUNDING_M
 
     def _may_hold(self, pieces: AxisPieces, distance: np.ndarray, upper: np.ndarray) -> np.ndarray:
         nearest = np.maximum(0.0, distance - self.wall.grain)
         least = np.sqrt(np.maximum(0.0, nearest**2 - pieces.half**2)) - self.arm.radius[pieces.capsule]
-        return least <= upper[pieces.row] + ROOM_M
+        return least <= upper[pieces.row] + ROUNDING_M
 
     def _outside(self, ends: np.ndarray, requested: np.ndarray) -> np.ndarray:
         found = np.full(requested.shape, np.nan)
@@ -318,7 +318,7 @@ class CheckedScene:
         return (points - self.translate) @ self.rotate
 
 
-def _whole_axes(arm: MujocoArm, n: int) -> AxisPieces:
+def _initial_pieces(arm: MujocoArm, n: int) -> AxisPieces:
     """Divide every capsule's axis into pieces of COARSE radii, and its ends, for each of n configurations.
 
     The number of pieces is computed from the model's lengths, as lengths at a configuration have rounding errors.

@@ -63,4 +63,4 @@ def _workpieces() -> Callable[[PlanConfig], WorkpieceData]:
     def load(part: configs.WorkpieceConfig, arm: tuple[configs.RobotConfig, configs.CellConfig]) -> WorkpieceData:
         return data_of(build.workpiece_of(part, build.robot_of(*arm)))
 
-    return lambda config: load(build.part_of(config), build.arm_of(config))
+    return lambda config: load(build.workpiece_key(config), build.robot_key(config))

@@ -38,7 +38,7 @@ class MethodCheck(NamedTuple):
     target_off_max_mm: float | None
     paths: int  # straight joint paths between consecutive tracked targets, and from the start to the first
     paths_touching: int | None  # None if nothing was checked between the targets
-    paths_blocked_on_record: int
+    paths_blocked: int
     clearance_between_min_mm: float | None  # along the paths, targets included
     clearance_between_min_at: TargetPlace | None
     line_deviation_max_mm: float | None  # of the TCP from the straight line between two targets

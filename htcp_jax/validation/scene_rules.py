@@ -73,7 +73,7 @@ class Results(NamedTuple):
     files: dict[str, str]  # SHA-256 of the files that hold the results
 
 
-def turned_and_moved(part: configs.WorkpieceConfig, pose: parameters.Parameters) -> tuple[np.ndarray, np.ndarray]:
+def part_pose(part: configs.WorkpieceConfig, pose: parameters.Parameters) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) and translation (3,) from the workpiece frame to the world [m].
 
     The neutral pose is rotated about the pivot, first about world x, then y, then z, and then shifted.

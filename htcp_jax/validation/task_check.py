@@ -151,7 +151,7 @@ def holds_tcp(rows: Sequence[task_row_kind.TaskRowKind]) -> bool:
 
 def follows_all(rows: Sequence[task_row_kind.TaskRowKind]) -> bool:
     """True if the point that follows the path is constrained in all directions, exactly."""
-    row = next((row for row in rows if row.on == "path"), None if rows else HELD)
+    row = next((row for row in rows if isinstance(row, TaskRow) and row.on == "path"), None if rows else HELD)
     return row is not None and row.axes == "xyz" and row.within_m is None
 
 

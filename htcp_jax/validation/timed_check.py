@@ -147,4 +147,4 @@ def _measure(
 
 
 def _through(scene: CheckedScene, arm_poses: ArmPoses, contact_m: float | None) -> Bool[np.ndarray, "n"]:
-    return np.zeros(len(arm_poses.tcp), bool) if contact_m is None else scene.tip_goes_through(arm_poses, contact_m)
+    return np.zeros(len(arm_poses.tcp), bool) if contact_m is None else scene.tip_crosses(arm_poses, contact_m)

@@ -9,9 +9,9 @@ from htcp_jax.errors import InputError
 from htcp_jax.runs import parameters
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell
-from htcp_jax.validation.mujoco_clearance import AtTargets, CheckedScene, Wall
+from htcp_jax.validation.mujoco_clearance import CheckedScene, TargetClearances, Wall
 from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refutation
-from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
+from htcp_jax.validation.scene_rules import Results, Track, part_pose, targets_of
 from htcp_jax.validation.task_check import PartPose as RowPlace
 from htcp_jax.validation.task_check import RowCheck, check_rows, follows_all, hold_between, holds_tcp, path_follower
 
@@ -87,7 +87,7 @@ def check(
     tolerance, contact = settings.tolerance_m, track.config.workpiece.tip_contact_m
     through = np.zeros(len(t), bool)
     if mesh and contact is not None and len(t):
-        through = scene.tip_goes_through(ArmPoses(*(values[1:] for values in at.arm_poses)), contact)
+        through = scene.tip_crosses(ArmPoses(*(values[1:] for values in at.arm_poses)), contact)
     paths = _paths(track, rows, targets, t)
     moved, line = np.abs(paths.b - paths.a), paths.line_b - paths.line_a
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
@@ -97,8 +97,8 @@ def check(
     refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
     refuted += _refuted_segments(track, paths, between_rows)
     on = t[t >= on_path]
-    rows_held = _check_task_rows(results, arm, track, scene, on, on_path)
-    refuted += _refuted_rows(track, rows_held, on)
+    rows_hold = _check_task_rows(results, arm, track, scene, on, on_path)
+    refuted += _refuted_rows(track, rows_hold, on)
     refuted += _refuted_between(results, arm, track, scene, paths, between, on_path)
     return TrackCheck(
         method=track.method,
@@ -114,7 +114,7 @@ def check(
         speed=speed,
         in_place=in_place,
         on_path=on,
-        rows=rows_held,
+        rows=rows_hold,
     )
 
 
@@ -137,14 +137,14 @@ def scene_of(
         InputError: If the configuration results in another number of targets than the saved one.
     """
     part, pose, workpiece = track.config.workpiece, parameters.of_job(track.config), results.workpiece(track.config)
-    rotate, translate = turned_and_moved(part, pose)
+    rotate, translate = part_pose(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     start = track.start if track.config.start is None else np.array(track.config.start)
     path = workpiece.path @ rotate.T + translate
     targets = targets_of(track.config, path_follower(track.config.task, arm, start[None])[0], inlet, path)
     if len(targets) != len(track.target):
         raise InputError(
-            f"{results.folder}: scenario {track.scenario} has {len(track.target)} targets on record, "
+            f"{results.folder}: scenario {track.scenario} has {len(track.target)} saved targets, "
             f"{len(targets)} by its configuration"
         )
     on_path = len(targets) - len(path)
@@ -157,7 +157,7 @@ def scene_of(
 def _refuted(
     arm: MujocoArm, track: Track, t: np.ndarray, tolerance_m: float, record_m: float, found: dict[str, np.ndarray]
 ) -> list[Refutation]:
-    reasons = {int(k): ["no configuration on record"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
+    reasons = {int(k): ["no saved configuration"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
     for k, target in enumerate(t.tolist()):
         own = {name: float(values[k]) for name, values in found.items()}
         reasons[target] = _failure_reasons(
@@ -228,10 +228,10 @@ def _failure_reasons(
     if found["through"]:
         reasons.append("the tool's tip goes through the wall")
     if found["clearance_off"] > record_m:
-        reasons.append(f"its clearance is {1e3 * found['clearance']:.3f} mm, {1e3 * recorded:.3f} mm on record")
+        reasons.append(f"its clearance is {1e3 * found['clearance']:.3f} mm, {1e3 * recorded:.3f} mm was saved")
     for name in ("tcp", "target"):
         if found[f"{name}_off"] > RECORD_M:
-            reasons.append(f"the {name} on record is {1e3 * found[f'{name}_off']:.3f} mm off")
+            reasons.append(f"the saved {name} is {1e3 * found[f'{name}_off']:.3f} mm off")
     return reasons
 
 
@@ -265,7 +265,9 @@ def _refuted_segments(track: Track, paths: JointPaths, found: dict[str, Any]) ->
     return [Refutation(track.method, track.scenario, target, reasons[target]) for target in sorted(reasons)]
 
 
-def _check_paths(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, on_path: int) -> dict[str, Any]:
+def _check_paths(
+    scene: CheckedScene, at: TargetClearances, paths: JointPaths, between: int, on_path: int
+) -> dict[str, Any]:
     """Check the joint paths: collisions, minimum clearance where it is less than at all targets, and path deviation.
 
     The deviation is the TCP's distance from its line; it is 0 up to the path's first point, `on_path`, as the approach
@@ -314,7 +316,7 @@ def from_line(
 
 
 def _speed(arm: MujocoArm, moved: np.ndarray, length: np.ndarray, tolerance_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute `speed` and `in_place` of Checked, for joint changes (m, N) along lines of these lengths.
+    """Compute `speed` and `in_place` of `TrackCheck`, for joint changes (m, N) along lines of these lengths.
 
     Targets closer than the tolerance coincide; at the feed rate there is no time for a change of configuration there.
     """

@@ -112,7 +112,7 @@ def write_validation(folder: Path, found: Validation) -> None:
     recorded = validation_record(found)
     if _is_stronger(folder / plan_folder.VALIDATION, recorded):
         warnings.warn(
-            f"{folder / plan_folder.VALIDATION} is kept: of the same results, it looks closer between the targets than "
+            f"{folder / plan_folder.VALIDATION} is kept: it validates the same results with more samples than "
             f"--between {found.between} does",
             stacklevel=2,
         )
@@ -155,7 +155,7 @@ def _arm_with_tool(arms: dict[config.RobotConfig, MujocoArm], results: Results, 
     """The arm with the track's tool. Raises InputError if its number of joints differs from the saved one."""
     arm = _compiled(arms, track.config.robot)
     if len(arm.joints) != track.x.shape[1]:
-        raise InputError(f"{results.folder}: {track.x.shape[1]} joints on record, {len(arm.joints)} in the model")
+        raise InputError(f"{results.folder}: {track.x.shape[1]} joints are saved, the model has {len(arm.joints)}")
     return arm
 
 
@@ -190,8 +190,8 @@ def _cell_of_track(
 def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
     """The track's workpiece; each is loaded once, also for several paths along it."""
     key = (
-        build.shape_of(build.part_of(track.config)),
-        build.arm_of(track.config),
+        build.walls_key(build.workpiece_key(track.config)),
+        build.robot_key(track.config),
     )  # the points on a mesh are as close as the arm needs
     if key not in walls:
         walls[key] = wall_of(track.config.workpiece, results.workpiece(track.config))
@@ -202,7 +202,7 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
     """Combine one method's tracks."""
     targets = [(one.scenario, target) for one in checked for target in one.target.tolist()]
     paths = [(one.scenario, target) for one in checked for target in one.leads_to.tolist()]
-    walked = checked[0].touches is not None
+    checked_between = checked[0].touches is not None
 
     def all_of(name: str) -> np.ndarray:
         return np.concatenate([getattr(one, name) for one in checked])
@@ -210,7 +210,7 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
     clearance = all_of("clearance")
     clearance_min, clearance_at = _worst(np.argmin, clearance, targets)
     between_min = between_at = deviation_max = deviation_at = None
-    if walked:
+    if checked_between:
         along = np.concatenate([clearance, all_of("clearance_between")])
         between_min, between_at = _worst(np.argmin, along, [*targets, *paths])
         deviation_max, deviation_at = _worst(np.argmax, all_of("deviation"), paths)
@@ -231,8 +231,8 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
         tcp_off_max_mm=_worst(np.argmax, all_of("tcp_off"), targets)[0],
         target_off_max_mm=_worst(np.argmax, all_of("target_off"), targets)[0],
         paths=len(paths),
-        paths_touching=int(all_of("touches").sum()) if walked else None,
-        paths_blocked_on_record=sum(one.blocked for one in checked),
+        paths_touching=int(all_of("touches").sum()) if checked_between else None,
+        paths_blocked=sum(one.blocked for one in checked),
         clearance_between_min_mm=between_min,
         clearance_between_min_at=between_at,
         line_deviation_max_mm=deviation_max,

@@ -52,7 +52,7 @@ def _draw_side(
     for b, cover in arm.covers.items():
         at = model.body(robots.body_name(arm.model, b)).id if b else 0
         R, t = data.xmat[at].reshape(3, 3), data.xpos[at]
-        triangles = (np.concatenate([cover.held, cover.drawn]) @ R.T + t)[..., flat]
+        triangles = (np.concatenate([cover.enclosed, cover.drawn]) @ R.T + t)[..., flat]
         axes.add_collection(PolyCollection(triangles, facecolors=DRAWN, linewidths=0, rasterized=True, zorder=2))
         for colour, capsules in ((TOOL if b == arm.tip.body else FITTED, cover.fitted), (OWN, cover.own)):
             moved = [(R @ capsule.p + t, R @ capsule.q + t, capsule.radius) for capsule in capsules.values()]

@@ -25,7 +25,9 @@ def open_side(replay: Replay) -> View:
     return replay.side.view
 
 
-def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] | None = None) -> Bool[np.ndarray, "P"]:
+def kept_points(
+    replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] | None = None
+) -> Bool[np.ndarray, "P"]:
     """Mask of the cloud's points that remain after a cut.
 
     Args:
@@ -37,7 +39,9 @@ def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] |
     return depth <= depth.max() - share * np.ptp(depth)
 
 
-def sight(replay: Replay, arms: kinematics.ArmShape, fovy_rad: float, aspect: float, close: bool = False) -> CameraPose:
+def camera_pose(
+    replay: Replay, arms: kinematics.ArmShape, fovy_rad: float, aspect: float, close: bool = False
+) -> CameraPose:
     """Camera that shows the cloud, the targets and n arms completely.
 
     Args:
@@ -55,10 +59,10 @@ def sight(replay: Replay, arms: kinematics.ArmShape, fovy_rad: float, aspect: fl
     radii = np.broadcast_to(np.asarray(replay.robot.capsule_radius)[bodies], ends.shape[:2])
     points = np.concatenate([replay.cloud, replay.target[replay.path if close else 0 :]])
     centres = np.concatenate([points, ends.reshape(-1, 3)])
-    return fitted(centres, np.append(np.zeros(len(points)), radii.ravel()), azimuth, fovy_rad, aspect)
+    return nearest_camera(centres, np.append(np.zeros(len(points)), radii.ravel()), azimuth, fovy_rad, aspect)
 
 
-def fitted(
+def nearest_camera(
     centres: Float[np.ndarray, "n 3"], radii: Float[np.ndarray, "n"], azimuth: float, fovy_rad: float, aspect: float
 ) -> CameraPose:
     """Nearest camera that shows all spheres.

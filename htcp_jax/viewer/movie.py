@@ -14,7 +14,7 @@ from PIL import Image
 from htcp_jax.errors import InputError
 
 RATE = 20  # frames a second
-HELD = 20  # number of repetitions of the last frame
+LAST_REPEATS = 20  # number of repetitions of the last frame
 COLOURS, PALETTE_FRAMES = 128, 16  # palette of a GIF, and number of frames that it is computed from
 KINDS = "gif", "mp4"
 
@@ -27,11 +27,11 @@ class Film:
     Args:
         count: The number of frames.
         draw: Draws the k-th frame.
-        held: The number of repetitions of the last frame.
+        last_repeats: The number of repetitions of the last frame.
     """
 
-    def __init__(self, count: int, draw: Callable[[int], Frame], held: int = HELD):
-        self._count, self._draw, self.held = count, draw, held
+    def __init__(self, count: int, draw: Callable[[int], Frame], last_repeats: int = LAST_REPEATS):
+        self._count, self._draw, self.last_repeats = count, draw, last_repeats
 
     def __len__(self) -> int:
         return self._count
@@ -43,7 +43,7 @@ class Film:
 
     def over(self, strip: Callable[[int], Frame]) -> "Film":
         """Return the film with `strip(k)`, which has the same width, below the k-th frame."""
-        return Film(self._count, lambda k: np.concatenate([self[k], strip(k)]), self.held)
+        return Film(self._count, lambda k: np.concatenate([self[k], strip(k)]), self.last_repeats)
 
 
 def check_kind(kind: str) -> None:
@@ -88,7 +88,7 @@ def _write_gif(file: Path, film: Film, frames: Iterator[Frame]) -> None:
     mosaic = Image.fromarray(np.concatenate([film[k] for k in few.tolist()]))
     palette = mosaic.quantize(COLOURS, method=Image.Quantize.FASTOCTREE)
     images = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
-    lasts = [1000 // RATE] * (len(film) - 1) + [max(film.held, 1) * 1000 // RATE]
+    lasts = [1000 // RATE] * (len(film) - 1) + [max(film.last_repeats, 1) * 1000 // RATE]
     next(images).save(file, save_all=True, append_images=images, duration=lasts, loop=0, optimize=False)
 
 
@@ -106,7 +106,7 @@ def _write_mp4(file: Path, film: Film, frames: Iterator[Frame]) -> None:
     with subprocess.Popen([*command, *codec, file], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as ffmpeg:
         for frame in frames:
             ffmpeg.stdin.write(frame.tobytes())
-        ffmpeg.stdin.write(film.held * frame.tobytes())
-        _, said = ffmpeg.communicate()
+        ffmpeg.stdin.write(film.last_repeats * frame.tobytes())
+        _, errors = ffmpeg.communicate()
     if ffmpeg.returncode:
-        raise OSError(ffmpeg.returncode, said.decode(errors="replace").strip() or "ffmpeg failed")
+        raise OSError(ffmpeg.returncode, errors.decode(errors="replace").strip() or "ffmpeg failed")

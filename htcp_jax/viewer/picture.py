@@ -244,8 +244,8 @@ def _draw_motion(axes: Axes, motion: motion_summary.MotionSummary) -> None:
     """Draw lines at dwells, at the guaranteed clearance's minimum, and where the motion ends before the plan does."""
     for k, target in enumerate(motion.dwells):
         axes.axvline(target, label="dwell" if k == 0 else None, color=DWELL, linewidth=1.4, zorder=1)
-    if motion.tightest is not None:
-        _draw_line(axes, motion.tightest, f"tightest: {motion.proven}", color=NEAREST, linestyle=":")
+    if motion.clearance_target is not None:
+        _draw_line(axes, motion.clearance_target, f"minimum clearance: {motion.proven}", color=NEAREST, linestyle=":")
     if (end := motion.end).executable < end.tracked:
         _draw_line(
             axes, end.executable, f"target {end.executable}: {end.segment_status.message}", color=INK, linestyle="--"

@@ -11,7 +11,7 @@ from htcp_jax.viewer.replay import Replay
 STRIDE_M = 0.04  # largest displacement of a point from one configuration to the next
 
 
-def at(replay: Replay, target: int) -> ArmPose:
+def pose_at(replay: Replay, target: int) -> ArmPose:
     """The arm at a target."""
     return ArmPose(replay.arm_at(target), target)
 
@@ -23,7 +23,7 @@ def poses_along(replay: Replay) -> list[ArmPose]:
     """
     motion = replay.motion
     if not len(motion.x):
-        return [at(replay, 0)]
+        return [pose_at(replay, 0)]
     leads = motion.target + (motion.kind == Kind.DWELL)
     come = np.where(np.append(np.diff(leads) != 0, True), leads, leads - 1)  # a segment's last row is at its target
     first = int(len(motion.x) > 1 and (motion.x[0] == motion.x[1]).all() and come[1] == 0)  # it starts at target 0

@@ -9,7 +9,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from htcp_jax.trajectory import PlanProgram
 from htcp_jax.viewer.colours import INK, KINDS, PAPER, QUIET, RULE, joint_colour
-from htcp_jax.viewer.timed_play import BOUNDS, Curves, Played
+from htcp_jax.viewer.timed_play import BOUNDS, Curves, PlaybackStates
 
 INCHES, ASPECT = 6.4, 0.38  # of the plot strip, for any number of pixels
 SMALL, WORDS = 7, 8.5  # points
@@ -26,7 +26,7 @@ class PlotStrip:
         speed: Playback rate; 1 is real time.
     """
 
-    def __init__(self, made: PlanProgram, play: Played, width: int, speed: float = 1.0):
+    def __init__(self, made: PlanProgram, play: PlaybackStates, width: int, speed: float = 1.0):
         self._play, height = play, 2 * round(width * ASPECT / 2)
         dpi = width / INCHES
         size = (width + EDGE) / dpi, (height + EDGE) / dpi

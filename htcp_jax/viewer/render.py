@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 
 from htcp_jax.model import surface as surfaces
 from htcp_jax.viewer.arm_pose import ArmPose, together
-from htcp_jax.viewer.camera import kept, open_side, sight
+from htcp_jax.viewer.camera import camera_pose, kept_points, open_side
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -28,9 +28,9 @@ from htcp_jax.viewer.colours import (
     rgb,
     target_styles,
 )
-from htcp_jax.viewer.movie import HELD, Film
+from htcp_jax.viewer.movie import LAST_REPEATS, Film
 from htcp_jax.viewer.offscreen import Camera
-from htcp_jax.viewer.playback import at, poses_along
+from htcp_jax.viewer.playback import pose_at, poses_along
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
@@ -83,15 +83,15 @@ class Studio:
 
     def still(self, target: int) -> UInt8[np.ndarray, "H W 3"]:
         """Render the arm at a target, with all targets in their colours."""
-        pose = at(self._replay, target)
+        pose = pose_at(self._replay, target)
         return self._frame(pose, self._view([pose]), len(self._beads))
 
     def movie(self) -> Film:
         """Film of the motion up to the last tracked target, through all its configurations."""
         poses = poses_along(self._replay)
-        return self.film([*poses, poses[-1]], HELD)
+        return self.film([*poses, poses[-1]], LAST_REPEATS)
 
-    def film(self, poses: Sequence[ArmPose], held: int = 0) -> Film:
+    def film(self, poses: Sequence[ArmPose], last_repeats: int = 0) -> Film:
         """Film with one frame per configuration.
 
         Targets are coloured when they are reached, all of them in the last frame, and the cube at a dwell is lit while
@@ -99,11 +99,11 @@ class Studio:
 
         Args:
             poses: The configurations.
-            held: The number of repetitions of the last frame.
+            last_repeats: The number of repetitions of the last frame.
         """
         met, view = np.maximum.accumulate([pose.target + 1 for pose in poses]), self._view(poses)
         met = [*met.tolist()[:-1], len(self._beads)]
-        return Film(len(poses), lambda k: self._frame(poses[k], view, met[k]), held)
+        return Film(len(poses), lambda k: self._frame(poses[k], view, met[k]), last_repeats)
 
     def _frame(self, pose: ArmPose, view: mujoco.MjvCamera, met: int) -> UInt8[np.ndarray, "H W 3"]:
         ends = pose.arm.axes()
@@ -127,7 +127,7 @@ class Studio:
         size = self._model.vis.global_
         aspect = size.offwidth / size.offheight
         arms = self._replay.shape if self._close and len(poses) > 1 else together(poses)
-        eye, look_at = sight(self._replay, arms, np.radians(FOVY_DEG), aspect, self._close)
+        eye, look_at = camera_pose(self._replay, arms, np.radians(FOVY_DEG), aspect, self._close)
         ahead = look_at - eye
         camera = mujoco.MjvCamera()
         camera.lookat[:], camera.distance = look_at, np.linalg.norm(ahead)
@@ -162,7 +162,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
     _add_cloud(spec, replay, surfaces.CORNERS if fine else FEW_CORNERS)
     _add_fixtures(spec, replay)
     low = min(0.0, replay.cloud[:, 2].min(), (np.minimum(replay.p, replay.q)[..., 2] - radius[:-1]).min())
-    _add_room(spec, replay, low, fine)
+    _add_surroundings(spec, replay, low, fine)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.global_.fovy = FOVY_DEG
     return spec.compile()
@@ -175,7 +175,7 @@ def _add_marks(spec: mujoco.MjSpec, replay: Replay) -> None:
         spec.worldbody.add_geom(name=f"dwell {target}", **cube, material="bead", rgba=_rgba(DWELL), **UNTOUCHED)
     if replay.narrow is not None:
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.narrow.cloud}
-        spec.worldbody.add_geom(name="tightest", **ball, material="bead", rgba=_rgba(NEAREST), **UNTOUCHED)
+        spec.worldbody.add_geom(name="minimum clearance", **ball, material="bead", rgba=_rgba(NEAREST), **UNTOUCHED)
 
 
 def _colliding_geoms(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[float], np.ndarray]]:
@@ -193,7 +193,7 @@ def _colliding_geoms(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, l
 
 def _add_cloud(spec: mujoco.MjSpec, replay: Replay, corners: int) -> None:
     """Add the half of the cloud that the side view shows, as discs: lighter inside than outside."""
-    surface = replay.surface.only(kept(replay))
+    surface = replay.surface.only(kept_points(replay))
     for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
         mesh = surfaces.discs(surface, side, corners)
         arrays = {"uservert": mesh.vertices, "usernormal": mesh.normals, "userface": mesh.faces}
@@ -213,7 +213,7 @@ def _add_fixtures(spec: mujoco.MjSpec, replay: Replay) -> None:
         spec.worldbody.add_geom(type=_Geom.mjGEOM_MESH, meshname="fixtures", **look, **UNTOUCHED)
 
 
-def _add_room(spec: mujoco.MjSpec, replay: Replay, low: float, fine: bool) -> None:
+def _add_surroundings(spec: mujoco.MjSpec, replay: Replay, low: float, fine: bool) -> None:
     """Add floor, sky and light."""
     kind, drawn, mark = mujoco.mjtTexture, mujoco.mjtBuiltin, mujoco.mjtMark
     tiles = {"builtin": drawn.mjBUILTIN_FLAT, "mark": mark.mjMARK_EDGE, "rgb1": FLOOR, "rgb2": FLOOR, "markrgb": EDGE}

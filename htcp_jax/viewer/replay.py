@@ -34,8 +34,8 @@ from htcp_jax.viewer.normal_glyphs import NormalGlyphs, glyphs
 from htcp_jax.viewer.viewpoints import ShownBodies, Viewpoint, camera_view
 from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
 
-LOOKED_AT = 5  # number of configurations by which the viewpoint is chosen
-LOOKED_AT_ON_SEGMENT = 33  # samples of one segment, of which the minimum is taken
+VIEW_SAMPLES = 5  # number of configurations by which the viewpoint is chosen
+SEGMENT_SAMPLES = 33  # samples of one segment, of which the minimum is taken
 
 
 class Witness(NamedTuple):
@@ -55,7 +55,7 @@ class NarrowSegment(NamedTuple):
 
     target: int  # at the end of the segment
     proven_m: float  # D all along it, at least
-    seen_m: float  # minimum of LOOKED_AT_ON_SEGMENT samples
+    seen_m: float  # minimum of SEGMENT_SAMPLES samples
     body: str  # the capsule's name
     arm: Float[np.ndarray, "3"]  # on its surface, world [m]
     cloud: Float[np.ndarray, "3"]
@@ -183,7 +183,7 @@ class Replays:
         robot = robots.lengthen_tool(cell.robot, placement.tool_extension_m)
         alone, on_path = plans.rows([number]), min(cell.approach, len(x))
         summary = motion_summary.summarise_motion(alone, on_path)
-        looked_at = _tightest_segment(alone, summary.tightest)
+        looked_at = _segment_samples(alone, summary.clearance_target)
         witness = _witness(robot, cell.obstacle, placement, np.concatenate([x, looked_at]))
         shape = kinematics.ArmShape(*map(np.asarray, kinematics.capsules_and_tcp(robot, jnp.asarray(x))))
         surface = cell.surface.placed(placement.T_world_workpiece)
@@ -285,28 +285,27 @@ def replays_of(name: str, plan: PlannedJob) -> Replays:
 def _arm_at_targets(shape: kinematics.ArmShape, robot: Robot, tracked: np.ndarray, path: int) -> ShownBodies:
     """The arm at a few tracked targets, on the tool path if possible; else at the first target."""
     shown = tracked[tracked >= path] if (tracked >= path).any() else tracked if tracked.size else np.zeros(1, int)
-    shown = shown[np.linspace(0, len(shown) - 1, LOOKED_AT).round().astype(int)]
+    shown = shown[np.linspace(0, len(shown) - 1, VIEW_SAMPLES).round().astype(int)]
     return ShownBodies(shape.p[shown], shape.q[shown], np.asarray(robot.capsule_radius), is_tool(robot))
 
 
-def _tightest_segment(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:
+def _segment_samples(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:
     """Configurations along the straight joint paths to a target, evenly spaced; the start if the target is None."""
     if target is None:
-        return np.repeat(plans.start, LOOKED_AT_ON_SEGMENT, axis=0)
-    x = [plans.before(0, target)[None], plans.via_points.on_segment(0, target), plans.x[:1, target]]
-    x = np.concatenate(x)
-    place = np.linspace(0, len(x) - 1, LOOKED_AT_ON_SEGMENT)
+        return np.repeat(plans.start, SEGMENT_SAMPLES, axis=0)
+    x = np.concatenate([plans.before(0, target)[None], plans.via_points.on_segment(0, target), plans.x[:1, target]])
+    place = np.linspace(0, len(x) - 1, SEGMENT_SAMPLES)
     return np.stack([np.interp(place, np.arange(len(x)), joint) for joint in x.T], axis=1)
 
 
 def _narrow(summary: motion_summary.MotionSummary, seen: Witness) -> NarrowSegment | None:
     """Minimum distance of the sampled configurations in the segment with the least guaranteed clearance."""
-    if summary.tightest is None:
+    if summary.clearance_target is None:
         return None
     apart = np.linalg.norm(seen.arm - seen.cloud, axis=1)
     k = int(apart.argmin())
     return NarrowSegment(
-        summary.tightest, summary.clearance_m, float(apart[k]), seen.body[k], seen.arm[k], seen.cloud[k]
+        summary.clearance_target, summary.clearance_m, float(apart[k]), seen.body[k], seen.arm[k], seen.cloud[k]
     )
 
 

@@ -12,10 +12,10 @@ from htcp_jax.viewer.movie import RATE
 
 INSTANTS = 600
 BOUNDS = 0.1, 100.0  # of a joint's limit [%]: on the path joints are slower by two orders of magnitude
-ROOM = 1.5  # factor on the required feed rate; elsewhere the TCP may be faster, and its curve leaves the plot
+HEADROOM = 1.5  # factor on the required feed rate; elsewhere the TCP may be faster, and its curve leaves the plot
 
 
-class Played(NamedTuple):
+class PlaybackStates(NamedTuple):
     """States at n instants of a robot program."""
 
     time_s: Float[np.ndarray, "n"]
@@ -41,7 +41,7 @@ class Curves(NamedTuple):
     @classmethod
     def of(cls, made: PlanProgram, instants: int = INSTANTS) -> "Curves":
         """Compute the curves of a robot program."""
-        play = played(made, np.linspace(0, made.program.duration_s, instants))
+        play = sample_program(made, np.linspace(0, made.program.duration_s, instants))
         tcp = {
             kind: np.where(play.kind == kind, 1e3 * play.tcp_m_s, np.nan) for kind in Kind if (play.kind == kind).any()
         }
@@ -51,19 +51,19 @@ class Curves(NamedTuple):
     @property
     def top_mm_s(self) -> float:
         """Upper limit of the plot of the TCP's speed."""
-        return ROOM * self.feed_mm_s
+        return HEADROOM * self.feed_mm_s
 
 
-def played(made: PlanProgram, time_s: Float[np.ndarray, "n"]) -> Played:
+def sample_program(made: PlanProgram, time_s: Float[np.ndarray, "n"]) -> PlaybackStates:
     """Sample a robot program at times that increase from 0; after its end the arm is at rest."""
     timed = made.program.at(time_s)
     _, jacobian = tcp_at(made.robot, timed.x)
     tcp = np.linalg.norm(np.einsum("nij,nj->ni", jacobian, timed.velocity), axis=1)
     share = np.abs(timed.velocity) / made.limits.velocity
-    return Played(time_s, timed.x, timed.kind, _come_to(made.program, time_s), tcp, share)
+    return PlaybackStates(time_s, timed.x, timed.kind, _come_to(made.program, time_s), tcp, share)
 
 
-def arms_of(made: PlanProgram, play: Played) -> list[ArmPose]:
+def arms_of(made: PlanProgram, play: PlaybackStates) -> list[ArmPose]:
     """The arm at each instant."""
     return arm_poses(made.robot, play.x, play.target, play.kind == Kind.DWELL)
 

@@ -107,6 +107,7 @@ class GivenCell:
     def key(self, number: int) -> Hashable:
         """Key of every scenario: None."""
         del number
+        return None
 
     def cell(self, key: Hashable) -> Workcell:
         """The only workcell."""
@@ -135,14 +136,14 @@ def cells_of(found: PlanSet) -> RecordedCells:
         shape = cell.approach + len(cell.workpiece.path), len(cell.robot.joint_names)
         if found.plans(found.methods[0]).x.shape[1:] != shape:
             raise InputError(
-                f"{found.folder / plan_folder.TRAJECTORY} is no plan of the configuration next to it; damaged"
+                f"{found.folder / plan_folder.TRAJECTORY} is not a plan of the configuration next to it; damaged"
             )
     return cells
 
 
 def _shared(job: PlanConfig) -> tuple:
     """Properties that scenarios in one workcell share."""
-    return build.arm_of(job), build.part_of(job), job.approach, job.settings, job.cell
+    return build.robot_key(job), build.workpiece_key(job), job.approach, job.settings, job.cell
 
 
 def _placement(robot: Robot, workpiece: Workpiece, given: parameters.Parameters) -> Placement:

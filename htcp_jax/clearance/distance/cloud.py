@@ -90,7 +90,7 @@ class Cloud(Obstacle):
         own = sweep._replace(p=product(sweep.p, rotate), q=product(sweep.q, rotate))
         return clear_along(self.index, bodies.p_workpiece, bodies.q_workpiece, own, radius, requested, wanted)
 
-    def holds(
+    def any_within(
         self,
         where: HasWorkpiecePose,
         p: Float[jax.Array, "n 3"],
@@ -114,7 +114,7 @@ class Cloud(Obstacle):
         moves: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
         """Return True if a capsule is certainly too near to a point."""
-        return self.holds(where, p, q, radius + margin_m - moves)
+        return self.any_within(where, p, q, radius + margin_m - moves)
 
     def touches_along(
         self,

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.backend import backend
+from htcp_jax.caching import cached_by_values
 from htcp_jax.clearance.distance import branch_and_bound, cloud_tree_gpu, cloud_tree_walk
 from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, squared_distance, with_axes
 from htcp_jax.clearance.distance.branch_and_bound import FAN
@@ -25,6 +26,12 @@ TOP = 31  # clusters at the top, at most: a search keeps them as bits of one num
 
 def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     """Build the index of a cloud of P >= 1 points [m]. Clusters with too few points repeat one of their own."""
+    return jax.device_put(_host_index(points))  # in its types: JAX would compile an executable for every conversion
+
+
+@cached_by_values(2)
+def _host_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
+    """Return the index as numpy arrays."""
     depth = 2
     while len(points) > TOP * FAN**depth:
         depth += 1
@@ -34,12 +41,11 @@ def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     bounds = [bounding_discs(points[rows.reshape(count, -1)]) for count in counts]
     levels = [b.reshape(parents, -1, 8).transpose(0, 2, 1) for b, parents in zip(bounds, [1, *counts], strict=False)]
     leaves = rows.reshape(-1, FAN)
-    index = CloudIndex(
+    return CloudIndex(
         levels=tuple(level.astype(np.float32) for level in levels),
         points=points[leaves].transpose(0, 2, 1),
         rows=leaves.astype(np.int32),
     )
-    return jax.device_put(index)  # in its types: JAX would compile an executable for every array that it converts
 
 
 def _nested_clusters(points, rows, parts: int, levels: int):

@@ -25,10 +25,10 @@ def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = F
     With a shared limit it is returned for the nearest body only.
     """
     bodies, count = p.shape[0], _branch_count(index)
-    walk = partial(_tree_kernel, shared, count, bodies)
+    search = partial(_tree_kernel, shared, count, bodies)
     tables = p, q, radius, limit, _branches(index), index.levels[-1], index.points
     out = jax.ShapeDtypeStruct((bodies,), jnp.int32)
-    return kernel(walk, out, 1 if shared else bodies, interpret)(*tables)
+    return kernel(search, out, 1 if shared else bodies, interpret)(*tables)
 
 
 def least_in_reach(

@@ -18,7 +18,7 @@ from htcp_jax.clearance.distance.half_spaces_gpu import highest
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float, Int
 
-ROOM = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m of the origin
+ROUNDING_M = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m of the origin
 CORE_VERTICES = 96  # at most
 FAN = 16  # facets in a row of the table, as an argmax takes ten times as long as a maximum
 
@@ -77,14 +77,14 @@ def depths(hull: HalfSpaces, points: Float[Array, "n 3"], requested: Bool[Array,
 
 @one_by_one
 def _crossed(hull: HalfSpaces, points, requested):
-    left = requested & jnp.any(_core_heights(hull, points) > -ROOM, axis=1)
+    left = requested & jnp.any(_core_heights(hull, points) > -ROUNDING_M, axis=1)
     nothing = jnp.full(points.shape[0], -1, jnp.int32)
     return _measured(hull, lambda found: jnp.where(found.height > 0, found.facet, -1), left, points, nothing)
 
 
 @one_by_one
 def _depths(hull: HalfSpaces, points, requested):
-    core = -jnp.max(_core_heights(hull, points), axis=1).astype(float) - ROOM
+    core = -jnp.max(_core_heights(hull, points), axis=1).astype(float) - ROUNDING_M
     exact = _measured(hull, lambda found: -found.height, requested & (core <= 0), points, core)
     return jnp.maximum(exact, 0.0)
 

@@ -43,7 +43,7 @@ class HalfSpace(NamedTuple):
     normal: Float[Array, "*n 3"]
     offset: Float[Array, "*n"]
 
-    def seen(self, p: Vector3, q: Vector3) -> SolidContact:
+    def contact(self, p: Vector3, q: Vector3) -> SolidContact:
         """Return the contact with a segment, at its lower end, see `SolidContact`."""
         heights = jnp.stack([product(p, self.normal), product(q, self.normal)]) - self.offset
         return SolidContact(
@@ -58,7 +58,7 @@ class Rod(NamedTuple):
     q: Float[Array, "*n 3"]
     radius: Float[Array, "*n"]
 
-    def seen(self, p: Vector3, q: Vector3) -> SolidContact:
+    def contact(self, p: Vector3, q: Vector3) -> SolidContact:
         """Return the contact with a segment, see `SolidContact`; where the axes cross, there is no normal."""
         t, _, on, other = nearest_points(p, q, self.p, self.q)
         length = safe_norm(on - other)
@@ -73,7 +73,7 @@ class Box(NamedTuple):
     centre: Float[Array, "*n 3"]
     half: Float[Array, "*n 3"]
 
-    def seen(self, p: Vector3, q: Vector3) -> SolidContact:
+    def contact(self, p: Vector3, q: Vector3) -> SolidContact:
         """Return the contact with a segment, see `SolidContact`."""
         p, q = _within(self, p), _within(self, q)
         d = q - p
@@ -104,7 +104,7 @@ class Cylinder(NamedTuple):
     radius: Float[Array, "*n"]
     half: Float[Array, "*n"]
 
-    def seen(self, p: Vector3, q: Vector3) -> SolidContact:
+    def contact(self, p: Vector3, q: Vector3) -> SolidContact:
         """Return the contact with a segment, see `SolidContact`."""
         p, q = _within(self, p), _within(self, q)
         d = q - p
@@ -169,7 +169,7 @@ class Polyhedron(NamedTuple):
     edges: Float[Array, "*n E 2 3"]
     adjacent: Int[Array, "*n E 2"]  # the faces on both sides of an edge
 
-    def seen(self, p: Vector3, q: Vector3) -> SolidContact:
+    def contact(self, p: Vector3, q: Vector3) -> SolidContact:
         """Return the contact with a segment, see `SolidContact`."""
         many = jnp.broadcast_to(p, (len(self.edges), 3)), jnp.broadcast_to(q, (len(self.edges), 3))
         along, _, on, witness = nearest_points(*many, self.edges[:, 0], self.edges[:, 1])

@@ -60,7 +60,7 @@ class Fixtures(Obstacle):
         found = jnp.concatenate([_each_seen(kind, p, q).distance for kind in kinds])
         return found - robot.capsule_radius[None]
 
-    def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
+    def nearest_name(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """Return the name of the solid nearest to a body, for messages."""
         distance = np.where(self.is_checked, _solid_distances(self, robot, p, q), np.inf)[:, row]
         return f"the fixture {self.names[distance.argmin()]!r}"
@@ -135,7 +135,7 @@ def _ball(piece: Polyhedron) -> np.ndarray:
 
 def _each_seen(stack: Solid, p: Ends, q: Ends) -> SolidContact:
     """Return the contact of every solid with every segment (n, K)."""
-    return jax.vmap(lambda solid: jax.vmap(solid.seen)(p, q))(stack)
+    return jax.vmap(lambda solid: jax.vmap(solid.contact)(p, q))(stack)
 
 
 def _nothing(bodies: int) -> SolidContact:
@@ -168,7 +168,7 @@ def _with_pieces(search, is_checked, p, q, radius, seen):
         lower, seen = state
         nearest = jnp.argmin(jnp.where(open_(state), lower - radius[None], jnp.inf))
         k, body = jnp.unravel_index(nearest, lower.shape)
-        found = jax.tree.map(lambda leaf: leaf[k], pieces).seen(p[body], q[body])
+        found = jax.tree.map(lambda leaf: leaf[k], pieces).contact(p[body], q[body])
         nearer = found.distance < seen.distance[body]
         seen = jax.tree.map(lambda old, new: old.at[body].set(jnp.where(nearer, new, old[body])), seen, found)
         return lower.at[k, body].set(jnp.inf), seen

@@ -59,7 +59,7 @@ class Interior(Obstacle):
         depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), requested)
         return jnp.min(jnp.where(requested, jnp.maximum(depth, -beyond), -beyond).reshape(2, -1), axis=0)
 
-    def holds(
+    def any_outside(
         self,
         where: HasWorkpiecePose,
         p: Float[jax.Array, "n 3"],
@@ -85,7 +85,7 @@ class Interior(Obstacle):
         moves: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
         """Return True if an end of a capsule is certainly outside, and deep."""
-        return self.holds(where, p, q, moves)
+        return self.any_outside(where, p, q, moves)
 
     def touches_along(
         self,

@@ -172,7 +172,7 @@ class Obstacle:
         """
         return jnp.zeros((), bool)
 
-    def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+    def nearest_name(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
         """Return the name of its part nearest to the body of a row, for messages."""
         return f"the obstacle {type(self).__name__!r}"
 

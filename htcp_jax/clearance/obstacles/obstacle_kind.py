@@ -20,7 +20,7 @@ import numpy as np
 
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles, bodies_at
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import ExtensionKind, Template, fault_of, numbers_of, template_of
+from htcp_jax.kinds import ExtensionKind, Template, kind_fault, numbers_of, template_of
 from htcp_jax.model import Robot, Scenario, tool
 from htcp_jax.numerics import safe_norm
 from htcp_jax.pytree import register_pytree
@@ -65,7 +65,9 @@ class ObstacleKind(ExtensionKind):
         return ()
 
 
-OBSTACLES = Registry("htcp_jax.obstacles", "kind of obstacle", lambda kind: fault_of(kind, ObstacleKind, ["distance"]))
+OBSTACLES = Registry(
+    "htcp_jax.obstacles", "kind of obstacle", lambda kind: kind_fault(kind, ObstacleKind, ["distance"])
+)
 
 
 @register_pytree
@@ -77,7 +79,7 @@ class GivenObstacle(Obstacle):
     first: int = field(metadata={"static": True})
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]  # nobody sets an obstacle's names
         """The kind's name, as a tuple."""
         return (self.template.kind.name,)
 
@@ -89,33 +91,34 @@ class GivenObstacle(Obstacle):
         """Return lower bounds on the distances."""
         return self._measured(robot, where, bodies)[1]
 
-    def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+    def nearest_name(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
         """Return the kind's name, for messages."""
         return f"the obstacle {self.template.kind.name!r}"
 
     def _measured(
         self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes
     ) -> tuple[Contacts, Float[jax.Array, "K"]]:
-        own = self.template.with_numbers(where.obstacle_numbers[self.first : self.first + self.template.size])
+        numbers: Float[jax.Array, "P"] = where.obstacle_numbers  # type: ignore[attr-defined]  # as `Scenario` has them
+        own = self.template.with_numbers(numbers[self.first : self.first + self.template.size])
         radius = robot.capsule_radius
         point, distance, least = jax.vmap(lambda p, q: _nearest(own, p, q))(bodies.p, bodies.q)
         normal = jax.vmap(jax.grad(lambda point: own.distance(point).reshape(())))(point)
         length = safe_norm(normal)[:, None]
         normal = jnp.where(length > 1e-9, normal / jnp.maximum(length, 1e-9), jnp.array([0.0, 0.0, 1.0]))
-        heeds = self._heeds(own, robot, where)
-        far = jnp.where(heeds, 0.0, jnp.inf)
+        is_checked = self._checked_bodies(own, robot, where)
+        far = jnp.where(is_checked, 0.0, jnp.inf)
         return Contacts(distance - radius + far, point, normal, radius, distance <= 0), least - radius + far
 
-    def _heeds(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
+    def _checked_bodies(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
         """True for bodies that are checked."""
         links = np.array(robot.capsule_link)
         first = np.setdiff1d(np.flatnonzero(links == 0), robot.attached)
-        heeds = jnp.asarray(links >= 0)
+        is_checked = jnp.asarray(links >= 0)
         if not len(first):
-            return heeds
+            return is_checked
         drawn = bodies_at(robot, where, jnp.zeros(len(robot.slides)))
         at_zero = jax.vmap(lambda p, q: _nearest(own, p, q)[1])(drawn.p[first], drawn.q[first])
-        return heeds.at[first].set(at_zero > robot.capsule_radius[first])
+        return is_checked.at[first].set(at_zero > robot.capsule_radius[first])
 
 
 def _nearest(own: ObstacleKind, p: Vector3, q: Vector3) -> tuple[Vector3, Scalar, Scalar]:
@@ -130,7 +133,8 @@ def _nearest(own: ObstacleKind, p: Vector3, q: Vector3) -> tuple[Vector3, Scalar
         left = at(a) < at(b)
         return jnp.where(left, low, a), jnp.where(left, b, high)
 
-    low, high, bound = jnp.zeros(()), jnp.ones(()), jnp.inf
+    low, high = jnp.zeros(()), jnp.ones(())
+    bound: Scalar | float = jnp.inf
     if not own.convex:
         t = jnp.linspace(0.0, 1.0, PIECES + 1)
         d = jax.vmap(at)(t)
@@ -157,10 +161,10 @@ def with_given(obstacles: Sequence[Obstacle | ObstacleKind], scenarios: Scenario
     Raises InputError if the scenarios have such numbers already.
     """
     kinds = [each for each in obstacles if isinstance(each, ObstacleKind)]
+    others = tuple(each for each in obstacles if not isinstance(each, ObstacleKind))
     if not kinds:
-        return tuple(obstacles), scenarios
+        return others, scenarios
     if scenarios.obstacle_numbers is not None:
         raise InputError("the scenarios have obstacles of a job; add these there, to cell.obstacles")
     numbers = np.tile(numbers_of(kinds), (len(scenarios.number), 1))
-    others = tuple(each for each in obstacles if not isinstance(each, ObstacleKind))
     return (*others, *given_obstacles(kinds)), replace(scenarios, obstacle_numbers=numbers)

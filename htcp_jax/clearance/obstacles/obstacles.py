@@ -44,8 +44,8 @@ def contacts(
     `Obstacle.closest`.
     """
     bodies = bodies_at(robot, where, x)
-    ask = lambda each: each.closest if smallest else each.contacts  # noqa: E731
-    groups = [[ask(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
+    query = lambda each: each.closest if smallest else each.contacts  # noqa: E731
+    groups = [[query(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
     return _one_after_another([_nearest_contacts(own) for own in groups])
 
 
@@ -180,7 +180,7 @@ def nearest_to(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: J
     if not named or distance.index(min(distance)) == len(named):
         return "the workpiece"
     bodies = _bodies_at(robot, where, x)
-    return named[distance.index(min(distance))].hit(robot, row - rows, bodies.p, bodies.q)
+    return named[distance.index(min(distance))].nearest_name(robot, row - rows, bodies.p, bodies.q)
 
 
 def _nearest_contacts(parts: list[Contacts]) -> Contacts:

@@ -92,7 +92,7 @@ class PlacedCloud(Obstacle):
         """The cloud's name, as a tuple."""
         return (self.name,)
 
-    def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+    def nearest_name(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
         """Return the cloud's name, for messages."""
         return f"the fixture {self.name!r}"
 
@@ -152,7 +152,7 @@ def placed_cloud(
         excluded: Links that it is not tested against.
 
     Raises:
-        InputError: As `mesh_points.cover` does.
+        InputError: As `mesh_points.cover_mesh` does.
     """
     found = _covered(robot, triangles, source) if len(triangles) else mesh_points.PointCover(points, 0.0)
     return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name, tuple(excluded))
@@ -186,10 +186,10 @@ def convex_piece(points: HostFloat[np.ndarray, "V 3"]) -> Polyhedron:
     corners, normal = points[hull.simplices], hull.equations[:, :3]
     backwards = np.einsum("fi,fi->f", np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), normal) < 0
     corners[backwards] = corners[backwards, ::-1]
-    edges, beside = [], []
+    edges, adjacent = [], []
     for face, neighbours in enumerate(hull.neighbors):
         for side, other in enumerate(neighbours):  # the neighbour is opposite of the corner
             if face < other:
                 edges.append(points[np.delete(hull.simplices[face], side)])
-                beside.append((face, other))
-    return Polyhedron(corners, normal, np.array(edges), np.array(beside))
+                adjacent.append((face, other))
+    return Polyhedron(corners, normal, np.array(edges), np.array(adjacent))

@@ -2,7 +2,8 @@
 
 Each module begins with the inequality that it implements. `motion_proof` proves or refutes that a straight joint path
 is clear; its `Tube` bounds where the TCP may be meanwhile. `motion_bound` bounds how far points of the arm move, and
-`bisection` is the search that both use: a `Proof` with a `Verdict` for each path, and `Bisection` for one in progress.
+`bisection` is the search that both use: a `Proof` with a `PathVerdict` for each path, and `Bisection` for one in
+progress.
 
 `row_proof` proves that a path stays within the task's rows. `arm_exclusion` proves that no configuration in a cell of
 tool orientations reaches a target.

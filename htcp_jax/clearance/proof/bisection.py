@@ -58,17 +58,17 @@ class Bisection(NamedTuple):
         return (self.proof.verdict == PathVerdict.VALID) & (self.place < self.end)
 
 
-def begun() -> Bisection:
+def initial_state() -> Bisection:
     """Return the initial state for a complete path."""
     proof = Proof(np.int32(PathVerdict.VALID), np.float64(1), np.float64(np.inf), np.int32(0), np.int32(0))
     return Bisection(np.int64(0), np.int64(0), np.int64(WHOLE), proof)
 
 
-def of_proven(proof: Proof) -> Proof:
+def proven_result(proof: Proof) -> Proof:
     """Return the proof; for a path that is not proven only its verdict and place, and initial values otherwise.
 
     The other values would depend on the order of the checks.
     """
     proven = proof.verdict == PathVerdict.VALID
-    reported = jax.tree.map(partial(jnp.where, proven), proof, begun().proof)
+    reported = jax.tree.map(partial(jnp.where, proven), proof, initial_state().proof)
     return reported._replace(verdict=proof.verdict, place=proof.place)

@@ -25,7 +25,7 @@ from jax.typing import ArrayLike
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose
 from htcp_jax.clearance.obstacles.obstacles import all_clear
 from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, begun
+from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, initial_state
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.proof.row_proof import between, rows_hold
@@ -49,7 +49,7 @@ class Tube(NamedTuple):
     end: Vector3
     radius: Scalar  # [m]
     goals: Float[Array, "2 G"] | None = None  # of the task, at the previous target and at this one; None: the paper's
-    held: Bool[Array, ""] | None = None  # True: these are required on the segment
+    required: Bool[Array, ""] | None = None  # True: these are required on the segment
 
 
 def prove(
@@ -76,7 +76,7 @@ def prove(
             KEPT_DEPTH times. With 0, the proven clearance may be almost 0 where D is not.
     """
     look = query_on(scene, where, a, b, tube, resolution_m, deepest, kept)
-    return jax.lax.while_loop(lambda far: far.going, look, begun()).proof
+    return jax.lax.while_loop(lambda far: far.going, look, initial_state()).proof
 
 
 def query_on(
@@ -105,8 +105,8 @@ def query_on(
             stays, broken = _in_tube(scene, tube, forwards, x, b - a, half)
         if requested is not None:
             inside, out = rows_hold(scene.robot, scene.task.parts, requested, x, b - a, half)
-            stays &= jnp.all(inside) | ~tube.held
-            out = jnp.any(out) & tube.held
+            stays &= jnp.all(inside) | ~tube.required
+            out = jnp.any(out) & tube.required
             broken = jnp.where((broken == PathVerdict.VALID) & out, int(PathVerdict.OFF_PATH), broken)
         keeps, going_on = depth < KEPT_DEPTH, stays & (broken == PathVerdict.VALID)
         there = on_interval(scene.robot, scene.obstacles, where, x, b - a, half, -resolution_m, kept, keeps, going_on)

@@ -18,7 +18,7 @@ from htcp_jax.model import Robot, Task, row_bounds, task_rows
 from htcp_jax.model import task as tasks
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
-HELD_ELSEWHERE = task_rows.TaskPoint()  # the TCP at a place, which its tube constrains
+IN_TUBE = task_rows.TaskPoint()  # the TCP at a place, which its tube constrains
 
 
 def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region | None, ...]:
@@ -30,7 +30,7 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region |
     """
     return tuple(
         None
-        if part == HELD_ELSEWHERE
+        if part == IN_TUBE
         else part.between(goals[:, start : start + part.numbers], task.tolerance_m, task.tolerance_rad)
         for start, part in zip(task.starts, task.parts, strict=True)
     )
@@ -38,7 +38,7 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region |
 
 def checked(parts: tuple[task_rows.Row, ...]) -> tuple[task_rows.Row, ...]:
     """Return the parts of a task that `row_slack` covers."""
-    return tuple(part for part in parts if part != HELD_ELSEWHERE)
+    return tuple(part for part in parts if part != IN_TUBE)
 
 
 def rows_left(
@@ -60,7 +60,7 @@ def rows_left(
         half: Largest |s|.
     """
     given = [(part, own) for part, own in zip(parts, requested, strict=True) if own is not None]
-    found = [own.left(_Moving(robot, part.features, x, rates, half)) for part, own in given]
+    found = [own.left(_FeatureSweep(robot, part.features, x, rates, half)) for part, own in given]
     return row_bounds.RowSlack(*(jnp.stack(each) for each in zip(*found, strict=True)))
 
 
@@ -78,7 +78,7 @@ def rows_hold(
 
 
 @dataclass(frozen=True)
-class _Moving(row_bounds.FeatureMotion):
+class _FeatureSweep(row_bounds.FeatureMotion):
     """Features on the joint path x + s rates with |s| <= half."""
 
     robot: Robot

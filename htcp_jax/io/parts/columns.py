@@ -41,7 +41,7 @@ class ColumnIndices(NamedTuple):
         """
         normals = None if normals is None else _normalised(normals, certain=self.named)
         if not self.named and self.width > 3:
-            rest = "and the others left out" if normals is None else "the others as normals"
+            rest = "and the others ignored" if normals is None else "the others as normals"
             text = f"{self.width} columns; the first three are taken as x, y, z, {rest}"
             warnings.warn(f"{source}: {text}", Note, stacklevel=4)
         return TablePoints(xyz, normals)

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-SAG_MM = 0.05  # largest distance of the triangles from a curved STEP face
+CHORD_DEVIATION_MM = 0.05  # largest distance of the triangles from a curved STEP face
 TURN_RAD = 0.2
 MOST_COLUMNS = 1000  # of a PCD cloud
 # Limit of the points' size: [bytes], and times the file's size; LZF reaches 88.
-LEAST_ROOM, GROWTH = 2**26, 100
+LEAST_LIMIT, GROWTH = 2**26, 100
 
 
 def pcd(file: Path) -> dict[str, np.ndarray]:
@@ -26,7 +26,7 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
     from pypcd4 import MetaData, PointCloud
 
     lines = []
-    with file.open("rb") as stream:  # the header, as pypcd4 reads it, which would allocate any promised size
+    with file.open("rb") as stream:  # the header, as pypcd4 reads it, which would allocate any declared size
         for line in stream:
             if (words := line.decode().strip()) and not words.startswith("#"):
                 lines.append(words)
@@ -34,12 +34,12 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
                 break
     about, size = MetaData.parse_header(lines), file.stat().st_size
     columns, row = sum(about.count), sum(map(math.prod, zip(about.size, about.count, strict=True)))
-    if columns > MOST_COLUMNS or about.points * row > max(LEAST_ROOM, GROWTH * size):
+    if columns > MOST_COLUMNS or about.points * row > max(LEAST_LIMIT, GROWTH * size):
         raise ValueError(f"{columns:,} columns and {about.points:,} points do not fit into {size:,} bytes")
     cloud = PointCloud.from_path(file)
     data = cloud.pc_data
     if len(data) != cloud.metadata.points:
-        raise ValueError(f"{cloud.metadata.points} points were promised, there are {len(data)}")
+        raise ValueError(f"{cloud.metadata.points} points are declared, there are {len(data)}")
     normals = ["normal_x", "normal_y", "normal_z"]
     arrays = {"points": np.stack([data[name].astype(np.float64) for name in "xyz"], axis=-1)}
     if all(name in data.dtype.names for name in normals):
@@ -54,10 +54,10 @@ def las(file: Path) -> dict[str, np.ndarray]:
     with file.open("rb") as stream:
         head = stream.read(104)
     if int.from_bytes(head[100:104], "little") * 54 > file.stat().st_size:  # laspy would try to read them all
-        raise ValueError("more variable length records than the file has room for")
+        raise ValueError("more variable length records than fit into the file")
     cloud = laspy.read(file)
     if len(cloud.points) != cloud.header.point_count:
-        raise ValueError(f"{cloud.header.point_count} points were promised, there are {len(cloud.points)}")
+        raise ValueError(f"{cloud.header.point_count} points are declared, there are {len(cloud.points)}")
     return {"points": np.array(cloud.xyz, dtype=np.float64)}
 
 
@@ -77,7 +77,7 @@ def step(file: Path) -> dict[str, np.ndarray]:
     import cascadio
     import trimesh
 
-    glb = cascadio.load(file.read_bytes(), tol_linear=SAG_MM, tol_angular=TURN_RAD, use_parallel=False)
+    glb = cascadio.load(file.read_bytes(), tol_linear=CHORD_DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False)
     if not glb:
         raise ValueError("no shapes in it")
     scene = trimesh.load_scene(io.BytesIO(glb), file_type="glb", process=False)

@@ -59,11 +59,11 @@ def load_geometry(path: str | Path) -> Geometry:
 def load_cloud(
     path: str | Path, *, spacing: float | None = None, thinnest_m: float = np.inf
 ) -> Float[np.ndarray, "P 3"]:
-    """Read the points [m] of a cloud file, or return points that cover a mesh, see `mesh_points.cover`.
+    """Read the points [m] of a cloud file, or return points that cover a mesh, see `mesh_points.cover_mesh`.
 
     Args:
         path: The file.
-        spacing: Widest gap between the points on a mesh [m]; None: see `mesh_points.cover`.
+        spacing: Widest gap between the points on a mesh [m]; None: see `mesh_points.cover_mesh`.
         thinnest_m: Radius of the arm's thinnest body.
 
     Raises:
@@ -128,11 +128,11 @@ def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[
     geometry = np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3, 3)), *triangles])
     if ending == ".ply":
         raw = [part.metadata.get("_ply_raw", {}).get("face", {}).get("data") for part in meshes]
-        _check_ply_is_whole(path, data, *map(len, geometry), raw)
+        _check_ply_is_complete(path, data, *map(len, geometry), raw)
     return geometry
 
 
-def _check_ply_is_whole(path: Path, data: bytes, vertices: int, triangles: int, raw: list) -> None:
+def _check_ply_is_complete(path: Path, data: bytes, vertices: int, triangles: int, raw: list) -> None:
     """Check that a PLY file is complete; trimesh accepts truncated ones. `raw` are the faces as trimesh has read them.
 
     Raises:

@@ -43,7 +43,7 @@ MEMORY = 4 * 2**30  # and 40 times the file's size
 def read_scan(path: Path, ending: str) -> TablePoints:
     """Read the points [m] of a scan, and its normals if it has any.
 
-    NaN points, which PCD files contain where the scanner saw nothing, are excluded with a Note.
+    NaN points, which PCD files contain where the scanner measured nothing, are excluded with a Note.
 
     Raises:
         InputError: For an invalid file.
@@ -51,7 +51,7 @@ def read_scan(path: Path, ending: str) -> TablePoints:
     arrays = parsed(path, SCANS[ending])
     points, normals = arrays["points"], arrays.get("normals")
     if ending == ".pcd" and (empty := np.isnan(points).any(axis=1)).any():
-        warnings.warn(f"{path}: {empty.sum()} of {len(points)} points are NaN and left out", Note, stacklevel=3)
+        warnings.warn(f"{path}: {empty.sum()} of {len(points)} points are NaN and excluded", Note, stacklevel=3)
         points, normals = points[~empty], None if normals is None else normals[~empty]
     return ColumnIndices(3, (0, 1, 2), None, named=True).points(points, normals, str(path))
 
@@ -93,8 +93,8 @@ def parsed(path: Path, kind: ScanFormat) -> dict[str, np.ndarray]:
 
 
 def _reason(code: int, folder: Path) -> str:
-    said = folder / "error.txt"
-    if said.exists():
-        words = "".join(letter if letter.isprintable() else " " for letter in said.read_text()[:120]).split()
+    error_file = folder / "error.txt"
+    if error_file.exists():
+        words = "".join(letter if letter.isprintable() else " " for letter in error_file.read_text()[:120]).split()
         return " ".join(words)
     return f"its parser ended with {signal.Signals(-code).name if code < 0 else code}"

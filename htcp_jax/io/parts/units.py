@@ -1,8 +1,8 @@
 """Plausibility checks that a workpiece, its path and the robot are all in metres, by their sizes and distances.
 
 A reachable part is not much larger than the arm, and not much smaller than the arm's thinnest body, and a path is near
-its part. Sizes off by more than a factor of 5 are refused, smaller deviations cause a warning; both name the unit that
-would make the sizes plausible.
+its part. Sizes that differ by more than a factor of 5 are refused, smaller deviations cause a warning; both
+name the unit that would make the sizes plausible.
 """
 
 import warnings
@@ -38,10 +38,10 @@ def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.nd
     fitting = [unit for unit, metres in METRES.items() if 2.0 * thinnest <= metres * extent <= LARGE * longest]
     if extent > LARGE * longest:
         text = f"{name} extends over {extent:.3g} m, {robot.name} reaches {longest:.3g} m"
-        _report(f"{text}; {_part_in(part, path, fitting)}", extent > ABSURD * longest)
+        _report(f"{text}; {_part_hint(part, path, fitting)}", extent > ABSURD * longest)
     elif extent < thinnest:
         text = f"{name} extends over {extent:.3g} m, the thinnest body of {robot.name} over {thinnest:.3g} m"
-        _report(f"{text}; {_part_in(part, path, fitting)}", extent < thinnest / ABSURD)
+        _report(f"{text}; {_part_hint(part, path, fitting)}", extent < thinnest / ABSURD)
 
 
 def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
@@ -75,7 +75,7 @@ def check_path_unit(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 
         InputError: For a median distance from the cloud that is too large.
     """
     if (distance := _median_distance(cloud, path)) > _stand_off(cloud):
-        raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_in(cloud, path)}")
+        raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_hint(cloud, path)}")
 
 
 def _report(text: str, absurd: bool) -> None:
@@ -84,8 +84,8 @@ def _report(text: str, absurd: bool) -> None:
     warnings.warn(text, UserWarning, stacklevel=3)
 
 
-def _part_in(part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], units: list[str]) -> str:
-    """Return a guess at the unit of a part that is too large or too small, and of its path."""
+def _part_hint(part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], units: list[str]) -> str:
+    """Return a hint at the length unit of a part that is too large or too small, and of its path."""
     if not units:
         return "give it in metres, and no more of it than the arm reaches"
     metres = METRES[units[0]]
@@ -93,8 +93,8 @@ def _part_in(part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], uni
     return f"{whose} to be in {units[0]}, metres are needed (factor {metres:g})"
 
 
-def _path_in(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> str:
-    """Return a guess at the unit of a path that is far from its part."""
+def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> str:
+    """Return a hint at the length unit of a path that is far from its part."""
     extent = _extent(cloud)
     for unit, metres in sorted(METRES.items(), key=lambda item: -item[1]):
         # With too small a unit any path is at the origin, but too short.

@@ -87,7 +87,7 @@ class TriangleMesh(NamedTuple):
 
     triangles: Float[np.ndarray, "F 3 3"]  # [m]
     label: str = "mesh"  # its file, for messages; the stem is the part's name
-    spacing_m: float | None = None  # None: see `mesh_points.cover`
+    spacing_m: float | None = None  # None: see `mesh_points.cover_mesh`
 
     @property
     def points(self) -> Float[np.ndarray, "P 3"]:
@@ -104,7 +104,7 @@ class TriangleMesh(NamedTuple):
         """Return points that cover the mesh [m].
 
         Raises:
-            InputError: If the thinnest body fits between them; see `mesh_points.cover` for others.
+            InputError: If the thinnest body fits between them; see `mesh_points.cover_mesh` for others.
         """
         surface = mesh_points.cover_mesh(self.triangles, self.label, self.spacing_m, thinnest_m)
         if surface.radius_m >= thinnest_m:
@@ -137,7 +137,7 @@ def read_source(file: str | Path, spacing_m: float | None = None) -> PointCloud 
 
     Args:
         file: The file.
-        spacing_m: Widest gap between the points on a mesh, see `mesh_points.cover`.
+        spacing_m: Widest gap between the points on a mesh, see `mesh_points.cover_mesh`.
 
     Raises:
         InputError: For an unreadable file.

@@ -23,7 +23,7 @@ MOST = 3  # capsules per body
 MORE = 20  # points added to the working set in each round
 FINE = 28  # points per side of the grid on which volumes are compared
 TINY = 1e-9  # of a mesh's size: smaller lengths count as 0
-LOOKS = np.stack(np.meshgrid(*3 * [[-1.0, 0, 1]]), axis=-1).reshape(-1, 3)  # directions of the first points
+FIRST_DIRECTIONS = np.stack(np.meshgrid(*3 * [[-1.0, 0, 1]]), axis=-1).reshape(-1, 3)  # directions of the first points
 
 
 class Effort(NamedTuple):
@@ -56,7 +56,7 @@ class Capsule(NamedTuple):
 
     def depth(self, points: Points) -> Float[np.ndarray, "P"]:
         """Return the depth of points inside the capsule [m]; negative outside."""
-        return self.radius - _from_segment(points, self.p, self.q)[0]
+        return self.radius - _distance(points, self.p, self.q)
 
 
 class Cut(NamedTuple):
@@ -72,6 +72,9 @@ class MeshPiece(NamedTuple):
     triangles: Triangles
     capsule: Capsule
     cuts: tuple[Cut, ...] = ()
+
+
+_Marked = tuple[MeshPiece, Bool[np.ndarray, "G"]]  # with the points of a grid that are in its capsule
 
 
 def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
@@ -105,14 +108,23 @@ def cover_with_capsules(triangles: Triangles, most: int = MOST) -> list[MeshPiec
         most: Maximum number of pieces.
     """
     whole = fit_capsule(triangles.reshape(-1, 3))
-    pieces, filled = [MeshPiece(triangles, whole)], partial(_filled, _grid(whole))
+    grid = _grid(whole)
+
+    def marked(piece: MeshPiece) -> _Marked:
+        return piece, piece.capsule.depth(grid) >= 0
+
+    pieces = [marked(MeshPiece(triangles, whole))]
     while len(pieces) < most and whole.volume > SNUG * hull_volume(triangles.reshape(-1, 3)):
-        tried = [pieces[:k] + halves + pieces[k + 1 :] for k, piece in enumerate(pieces) for halves in _splits(piece)]
-        best = min(tried, key=filled, default=pieces)
-        if filled(best) > (1 - WORTH) * filled(pieces):
+        tried = [
+            pieces[:k] + [marked(half) for half in halves] + pieces[k + 1 :]
+            for k, (piece, _) in enumerate(pieces)
+            for halves in _splits(piece)
+        ]
+        best = min(tried, key=_filled, default=pieces)
+        if _filled(best) > (1 - WORTH) * _filled(pieces):
             break
         pieces = best
-    return [piece._replace(capsule=fit_capsule(piece.triangles.reshape(-1, 3))) for piece in pieces]
+    return [piece._replace(capsule=fit_capsule(piece.triangles.reshape(-1, 3))) for piece, _ in pieces]
 
 
 def hull_volume(points: Points) -> float:
@@ -167,9 +179,9 @@ def _grid(capsule: Capsule) -> Points:
     return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _filled(grid: Points, pieces: list[MeshPiece]) -> int:
+def _filled(pieces: list[_Marked]) -> int:
     """Return the number of grid points in the union of the capsules."""
-    return int(np.any([piece.capsule.depth(grid) >= 0 for piece in pieces], axis=0).sum())
+    return int(np.any([inside for _, inside in pieces], axis=0).sum())
 
 
 def _corners(points: Points) -> Float[np.ndarray, "V 3"]:
@@ -190,23 +202,23 @@ def _capsule_volume(length: float, radius: float) -> float:
     return float(np.pi * radius**2 * (length + 4 / 3 * radius))
 
 
-def _from_segment(x: Points, p: Vector, q: Vector) -> tuple[Float[np.ndarray, "P"], Points, Float[np.ndarray, "P"]]:
-    """Return the points' distances from a segment, the directions away from it, and the closest points.
-
-    Closest points are shares of the segment's length.
-    """
+def _to_segment(x: Points, p: Vector, q: Vector) -> tuple[Points, Float[np.ndarray, "P"]]:
+    """Return the vectors from a segment's closest points to the points, and these as shares of its length."""
     ahead = q - p
     length2 = float(ahead @ ahead)
     share = np.clip((x - p) @ ahead / length2, 0, 1) if length2 > 0 else np.zeros(len(x))
-    away = x - p - share[:, None] * ahead
-    distance = np.linalg.norm(away, axis=1)
-    return distance, away / np.maximum(distance, TINY)[:, None], share
+    return x - p - share[:, None] * ahead, share
+
+
+def _distance(x: Points, p: Vector, q: Vector) -> Float[np.ndarray, "P"]:
+    """Return the points' distances from a segment."""
+    return np.linalg.norm(_to_segment(x, p, q)[0], axis=1)
 
 
 def _around(points: Points, p: Vector, q: Vector) -> Capsule:
     """Return the thinnest capsule about all points whose ends are p and q, rounded to GRID_M."""
     p, q = (np.round(end / GRID_M) * GRID_M for end in (p, q))
-    widest = max(float(_from_segment(points, p, q)[0].max()), THINNEST_M)
+    widest = max(float(_distance(points, p, q).max()), THINNEST_M)
     return Capsule(p, q, float(np.ceil(widest / GRID_M + 1e-3) * GRID_M))
 
 
@@ -223,10 +235,10 @@ def _initial_segment(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:
 
 def _minimum_capsule(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
     """Minimise the capsule about points of size 1, starting from z."""
-    work = np.unique(np.argmax(x @ LOOKS.T, axis=0))
+    work = np.unique(np.argmax(x @ FIRST_DIRECTIONS.T, axis=0))
     for _ in range(effort.rounds):
         z = _minimise_volume(x[work], z, effort)
-        distance = _from_segment(x, z[:3], z[3:6])[0]
+        distance = _distance(x, z[:3], z[3:6])
         outside = np.flatnonzero(distance > z[6] + 1e-6)
         if not outside.size:
             break
@@ -248,10 +260,11 @@ def _minimise_volume(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Fl
         return np.concatenate([-pull, pull, [4 * np.pi * z[6] * (_half(z) + z[6])]])
 
     def depth(z):
-        return z[6] - _from_segment(x, z[:3], z[3:6])[0]
+        return z[6] - _distance(x, z[:3], z[3:6])
 
     def depth_slopes(z):
-        _, away, share = _from_segment(x, z[:3], z[3:6])
+        away, share = _to_segment(x, z[:3], z[3:6])
+        away /= np.maximum(np.linalg.norm(away, axis=1), TINY)[:, None]
         return np.column_stack([(1 - share)[:, None] * away, share[:, None] * away, np.ones(len(x))])
 
     held = {"type": "ineq", "fun": depth, "jac": depth_slopes}

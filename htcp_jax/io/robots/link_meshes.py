@@ -17,7 +17,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Triangles, clip
 from htcp_jax.io.robots.model_file import compile_spec, link_frames, no_log
 from htcp_jax.io.robots.safe_xml import read_spec
-from htcp_jax.io.robots.vendor_import import ImportedArm, held_triangles
+from htcp_jax.io.robots.vendor_import import ImportedArm, enclosed_triangles
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 
@@ -25,7 +25,7 @@ MADE_FROM, CUTS = "made from", "cuts of "  # names of an arm's <text>s: the vend
 VISUAL = " --visual"  # suffix of the first if the capsules enclose visual geometry
 PROBE_M = 1e-9  # radius of the sphere that represents a point
 MOST_CONTACTS = 1000  # between two pieces; the deepest is used
-LOOKED_AT, NEAREST, STEPS = 200, 6, 60  # samples; nearest samples that start a search; steps of a search
+SAMPLES, NEAREST, STEPS = 200, 6, 60  # samples; nearest samples that start a search; steps of a search
 FIRST_STEP, LESS = 0.05, 0.94  # first step, as a share of a joint's range; ratio of successive steps
 FIRST = np.array([0])
 _LIST = fcl.CollisionRequest(num_max_contacts=MOST_CONTACTS, enable_contact=True)
@@ -84,7 +84,7 @@ class LinkMeshes:
             spec.delete(each)
         model, held = compile_spec(spec, arm), {}
         try:
-            triangles = held_triangles(arm.parent / source, bool(visual))
+            triangles = enclosed_triangles(arm.parent / source, bool(visual))
         except InputError:  # its meshes are gone
             return None
         for geom in range(model.ngeom):
@@ -96,9 +96,14 @@ class LinkMeshes:
             held[name] = body, _capsule_of_geom(model, geom) if piece is None or not len(piece) else piece
         return cls(model, list(range(model.nq)), held)
 
-    def poses(self, x: Float[np.ndarray, "n N"]) -> Poses:
-        """Return the bodies' poses at configurations x [rad or m]."""
-        model, data = self._model, mujoco.MjData(self._model)
+    def poses(self, x: Float[np.ndarray, "n N"], data: mujoco.MjData | None = None) -> Poses:
+        """Return the bodies' poses at configurations x [rad or m].
+
+        Args:
+            x: The configurations.
+            data: Data of the model to work in: making them takes longer than a pose. None: new ones.
+        """
+        model, data = self._model, data or mujoco.MjData(self._model)
         found = Poses(np.empty((len(x), model.nbody, 3, 3)), np.empty((len(x), model.nbody, 3)))
         for k, row in enumerate(x):
             data.qpos[self._addresses] = row
@@ -115,7 +120,7 @@ class LinkMeshes:
             one: Name of a capsule.
             other: Name of another one.
             at: Poses of the bodies.
-            rows: Rows of `at` to look at; by default the first.
+            rows: Rows of `at` to check; by default the first.
             enough_m: The search ends at a deeper contact.
         """
         deepest = 0.0
@@ -138,19 +143,20 @@ class LinkMeshes:
             other: Name of another one.
             x: Configurations [rad or m].
             at: Poses of the bodies at x.
-            rows: Rows of x to look at.
+            rows: Rows of x to check.
         """
         if self.deepest_m(one, other, at, rows, robots.TOUCHING_M) > robots.TOUCHING_M:
             return True
-        some = rows[:: max(1, len(rows) // LOOKED_AT)]
+        some = rows[:: max(1, len(rows) // SAMPLES)]
         order = np.argsort([self._distance_m(one, other, at, k) for k in some], kind="stable")
         rng, lower, upper = np.random.default_rng(0), x.min(axis=0), x.max(axis=0)
+        data = mujoco.MjData(self._model)
         for k in some[order[:NEAREST]]:
             best, now = self._distance_m(one, other, at, k), x[k]
             for step in range(STEPS):
                 spread = FIRST_STEP * (upper - lower) * LESS**step
                 tried = np.clip(now + spread * rng.normal(size=len(now)), lower, upper)
-                there = self.poses(tried[None])
+                there = self.poses(tried[None], data)
                 if (found := self._distance_m(one, other, there, 0)) < best:
                     best, now = found, tried
                     if best < -robots.TOUCHING_M:

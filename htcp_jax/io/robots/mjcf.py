@@ -42,6 +42,7 @@ def arm_xml(
     """
     model = arm.model
     frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""
+    frozen += f"\n  Frozen at a value: {', '.join(fixed_text(arm))}." if arm.fixed else ""
     root = Element("mujoco", model=arm.name)
     root.append(_comment(HEAD.format(source=source, tip=arm.tip.name or "its only site", frozen=frozen)))
     light = {"boundmass": "1e-6", "boundinertia": "1e-6"}  # else MuJoCo refuses a link without a capsule
@@ -63,6 +64,11 @@ def arm_xml(
     _add_exclusions(root, arm)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def fixed_text(arm: ImportedArm) -> tuple[str, ...]:
+    """Format the joints with a given value: ("torso=0.2", ...)."""
+    return tuple(f"{name}={value:.6g}" for name, value in arm.fixed.items())
 
 
 def _body_element(parent: Element, arm: ImportedArm, b: int) -> Element:
@@ -127,7 +133,7 @@ def _add_capsules(body: Element, cover: BodyCover | None) -> None:
     for name, capsule in cover.own.items():
         _add_capsule_element(body, name, capsule)
     if cover.fitted:
-        body.append(_comment(f" about {in_words(cover)}, {cover.ratio:.2f} times its hull "))
+        body.append(_comment(f" about {shapes_label(cover)}, {cover.ratio:.2f} times its hull "))
     for name, capsule in cover.fitted.items():
         _add_capsule_element(body, name, capsule)
 
@@ -140,7 +146,7 @@ def _add_capsule_element(body: Element, name: str, capsule: Capsule) -> None:
         SubElement(body, "geom", name=name, type="capsule", fromto=_numbers_text([*capsule.p, *capsule.q]), size=size)
 
 
-def in_words(cover: BodyCover) -> str:
+def shapes_label(cover: BodyCover) -> str:
     """Describe the shapes in the fitted capsules: "mesh", "2 meshes, box"; "" if nothing was fitted."""
     count = {kind: cover.kinds.count(kind) for kind in dict.fromkeys(cover.kinds)}
     return ", ".join(kind if n == 1 else f"{n} {MANY[kind]}" for kind, n in count.items())

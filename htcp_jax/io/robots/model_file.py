@@ -1,6 +1,6 @@
 """Reading of a robot's model file, on the host: MuJoCo compiles it, and the chain to the TCP is extracted.
 
-Every error in a file is an InputError, one line that starts with its path. `robot_file` makes the Robot.
+Every error in a file is an InputError, one line that starts with its path. `loading` makes the Robot.
 """
 
 import itertools
@@ -23,6 +23,7 @@ from htcp_jax.model import tool as tools
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _DESCRIBED_ELSEWHERE = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF
+FEWEST_JOINTS = 3
 # Names of the <text> before an arm's list, and of a pair's <tuple>.
 LIST, EXCLUDED = "self_collision", "excluded {}, rule {}"
 
@@ -57,14 +58,14 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     """Read the serial chain from the world to the TCP.
 
     Args:
-        path: See `robot_file.load_robot`, as for `tcp_site`, `limits` and `tool`.
+        path: See `loading.load_robot`, as for `tcp_site`, `limits` and `tool`.
         tcp_site: Site or body of the TCP.
         limits: Profile of the joint limits.
         T_world_base: Pose of the model's own frame in the world (4, 4) [m].
         tool: Mounted on the TCP's frame; None: none.
 
     Raises:
-        InputError: See `robot_file.load_robot`.
+        InputError: See `loading.load_robot`.
     """
     model, geom_types, pairs = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
@@ -245,13 +246,15 @@ def frame(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     return pose
 
 
-def _turned_frame(axis: np.ndarray, angle: float) -> np.ndarray:
+def turned_frame(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Return the pose (4, 4) of a frame that is turned about an axis (3,) by an angle [rad]."""
     quaternion = np.zeros(4)
     mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
     return frame(np.zeros(3), quaternion)
 
 
-def _shifted(offset: np.ndarray) -> np.ndarray:
+def shifted_frame(offset: np.ndarray) -> np.ndarray:
+    """Return the pose (4, 4) of a frame that is shifted by (3,) [m]."""
     pose = np.eye(4)
     pose[:3, 3] = offset
     return pose
@@ -300,17 +303,18 @@ def _chain_joints(model: mujoco.MjModel, path: Path, tcp_body: int) -> tuple[str
     return check_joints(model, path, range(model.njnt))
 
 
-def check_joints(model: mujoco.MjModel, path: Path, joints: Sequence[int]) -> tuple[str, ...]:
+def check_joints(model: mujoco.MjModel, path: Path, joints: Sequence[int], hint: str = "") -> tuple[str, ...]:
     """Return the names of a chain's joints, given by their indices in the model.
 
     Raises:
-        InputError: For ball and free joints, and for fewer than three.
+        InputError: For ball and free joints, and, with the hint, for fewer than FEWEST_JOINTS.
     """
     odd = [joint_name(model, j) for j in joints if model.jnt_type[j] not in (_HINGE, _SLIDE)]
     if odd:
         raise InputError(f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints can be used")
-    if len(joints) < 3:
-        raise InputError(f"{path}: {len(joints) or 'no'} joints from the world to the TCP; at least 3 are needed")
+    if len(joints) < FEWEST_JOINTS:
+        few = f"{len(joints) or 'no'} joints from the world to the TCP; at least {FEWEST_JOINTS} are needed"
+        raise InputError(f"{path}: {few}{hint}")
     return tuple(joint_name(model, j) for j in joints)
 
 
@@ -332,15 +336,15 @@ def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.nda
         first = model.body_jntadr[body]
         for j in range(first, first + model.body_jntnum[body]):
             axis, drawn_at = model.jnt_axis[j], model.qpos0[j]
-            back = _turned_frame(axis, -drawn_at) if model.jnt_type[j] == _HINGE else _shifted(-drawn_at * axis)
-            T_parent_joint[j] = T_link_body @ _shifted(model.jnt_pos[j]) @ back
-            link, T_link_body = j, _shifted(-model.jnt_pos[j])
+            back = turned_frame(axis, -drawn_at) if model.jnt_type[j] == _HINGE else shifted_frame(-drawn_at * axis)
+            T_parent_joint[j] = T_link_body @ shifted_frame(model.jnt_pos[j]) @ back
+            link, T_link_body = j, shifted_frame(-model.jnt_pos[j])
         frames.append((link, T_link_body))
     return T_parent_joint, frames
 
 
 def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and upper joint limits of a profile, see robot_file.load_robot."""
+    """Return the lower and upper joint limits of a profile, see loading.load_robot."""
     ranges = np.where(model.jnt_limited[:, None], model.jnt_range, [-math.inf, math.inf])
     hinges = model.jnt_type[:, None] == _HINGE
     profiles = {"model": ranges, "simulation": np.where(hinges, [-math.pi, math.pi], ranges)}

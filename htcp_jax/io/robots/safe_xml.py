@@ -9,6 +9,8 @@ MuJoCo would open them.
 
 import math
 import re
+import shlex
+from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -32,6 +34,7 @@ MESHES = "asset", "mesh"  # kept if meshes are requested
 CONTACTS = "contact", "text", "tuple"  # kept with excluded pairs, and an arm's own list
 OWN = re.compile(r"self_collision|made from|cuts of .*|excluded .*")  # names of texts and tuples in that list
 ONLY = {"asset": ("mesh",), "contact": ("exclude",)}  # children to keep in some kept elements
+WORLD = "world"  # MuJoCo's own body, which a URDF's link without a parent may stand for
 # Elements that generate bodies and joints.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
 
@@ -70,10 +73,14 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
         contacts: Keep an MJCF file's contact exclusions, and the list in an arm by `htcp robot`.
 
     Raises:
-        InputError: For a file that cannot be read or is too large, and for an included file outside its folder.
+        InputError: For a file that cannot be read or is too large, for an included file outside its folder, for a xacro
+            file, and for repeated names of links and joints.
     """
     root = parse(path)
+    refuse_xacro(root, path)
     _put_includes_in_place(root, path, {path.resolve()})
+    _rename_world(root)
+    _refuse_repeated_names(root, path)
     if root.tag == "mujoco":
         kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ())}
         _leave_out(root, path, LEFT_OUT - kept)
@@ -101,6 +108,56 @@ def model_files(path: Path) -> set[Path]:
     seen = {path.resolve()}
     _put_includes_in_place(parse(path), path, seen)
     return seen
+
+
+def refuse_xacro(root: ElementTree.Element, path: Path, ending: str = ".urdf") -> None:
+    """Refuse a file that xacro has not expanded yet; an expanded one may still declare the prefix.
+
+    Args:
+        root: Root of the file.
+        path: The file.
+        ending: Ending of the expanded file, for the message.
+
+    Raises:
+        InputError: With the command that expands it.
+    """
+    if path.suffix.lower() == ".xacro" or any(each.tag.startswith("xacro:") for each in root.iter()):
+        made = next(f"{stem}{ending}" for stem in ("arm", "expanded") if path.name != f"{stem}{ending}")
+        raise InputError(f"{path}: a xacro file; first expand it: xacro {shlex.quote(str(path))} > {made}")
+
+
+def _rename_world(root: ElementTree.Element) -> None:
+    """Rename a link or body called world, except a URDF's root, which MuJoCo merges with its own world.
+
+    Repeated empty links of this name are removed: the macros of a robot and of its stand often state one each.
+    """
+    worlds = [each for each in root.findall("link") if each.get("name") == WORLD]
+    for link in [each for each in worlds if not len(each)][: len(worlds) - 1]:
+        root.remove(link)
+    children = {each.get("link") for each in root.findall("joint/child")}
+    moved = [each for each in root.iter("body") if each.get("name") == WORLD]
+    if WORLD in children:
+        moved += [each for each in root.findall("link") if each.get("name") == WORLD]
+    name, taken = "world_link", {each.get("name") for each in root.iter()}
+    while name in taken:
+        name += "_"
+    for each in moved:
+        each.set("name", name)
+    for end in [*root.findall("joint/parent"), *root.findall("joint/child")] if moved else ():
+        if end.get("link") == WORLD:
+            end.set("link", name)
+
+
+def _refuse_repeated_names(root: ElementTree.Element, path: Path) -> None:
+    """Refuse a URDF with repeated names of links or of moving joints; MuJoCo names those of an MJCF file itself.
+
+    Raises:
+        InputError: With the names.
+    """
+    moving = [each for each in root.findall("joint") if each.get("type") != "fixed"]
+    counts = Counter((each.tag, each.get("name", "")) for each in [*root.findall("link"), *moving])
+    if repeated := [f"{kind} {name!r}" for (kind, name), count in counts.items() if count > 1]:
+        raise InputError(f"{path}: repeated names: {', '.join(repeated)}; each link and joint needs a name of its own")
 
 
 def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, float]]:
@@ -141,7 +198,9 @@ def _limit_number(joint: ElementTree.Element, name: str, path: Path) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"{path}: joint {joint.get('name')!r} has the {name} {text!r}, which is no number") from None
+        raise InputError(
+            f"{path}: joint {joint.get('name')!r} has the {name} {text!r}, which is not a number"
+        ) from None
 
 
 def unreadable_model(path: Path, error: Exception) -> InputError:

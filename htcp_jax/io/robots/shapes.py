@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.point_cloud import load_geometry
+from htcp_jax.io.robots import collada_mesh
 from htcp_jax.io.robots.capsule_fit import Capsule, Triangles
 from htcp_jax.io.robots.model_file import frame
 
@@ -110,11 +111,12 @@ class Shapes:
         mesh = self._meshes[name]
         if mesh.file:
             file = _find(mesh.file, self._path, self._folders)
-            if file.suffix.lower() not in ENDINGS:
+            is_collada = file.suffix.lower() == collada_mesh.ENDING
+            if not is_collada and file.suffix.lower() not in ENDINGS:
                 raise InputError(
                     f"{file}: no mesh that is read; save it as {' or '.join(ENDINGS)} and name that in {self._path}"
                 )
-            triangles = load_geometry(file).triangles
+            triangles = collada_mesh.read_triangles(file) if is_collada else load_geometry(file).triangles
         else:
             triangles = mesh.corners[mesh.faces] if len(mesh.faces) else _hull_triangles(mesh.corners)
         if not len(triangles):

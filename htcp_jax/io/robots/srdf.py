@@ -4,7 +4,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots.safe_xml import parse
+from htcp_jax.io.robots.safe_xml import parse, refuse_xacro
 
 
 def disabled_pairs(path: Path, robot: str, bodies: Collection[str]) -> list[tuple[str, str]]:
@@ -20,6 +20,7 @@ def disabled_pairs(path: Path, robot: str, bodies: Collection[str]) -> list[tupl
             lacks, and if there are no pairs.
     """
     root = parse(path, "an SRDF file")
+    refuse_xacro(root, path, ".srdf")
     if root.tag != "robot":
         raise InputError(f"{path}: the root is <{root.tag}>; an SRDF has <robot>")
     if (name := root.get("name", "")) != robot:

@@ -1,5 +1,7 @@
-"""Selection of the frame of a model that is its TCP, or of candidates if that is ambiguous."""
+"""Selection of the frame of a model that is its TCP, or of candidates if that is ambiguous or a poor choice."""
 
+import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -9,10 +11,15 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots.model_file import frame, upwards
+from htcp_jax.io.robots.fixed_joints import followers
+from htcp_jax.io.robots.model_file import FEWEST_JOINTS, frame, joint_name, upwards
 
 SURE = "tcp", "tool0"  # names of the TCP or the flange that take precedence
 MOST_NAMED = 12  # candidates
+# Names of a gripper's joints and of the bodies that they move. A wrist often moves a body called "gripper".
+JAW_JOINT = re.compile("finger|jaw|gripper|knuckle|thumb", re.IGNORECASE)
+JAW_BODY = re.compile("finger|jaw|knuckle|thumb", re.IGNORECASE)
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 class Tip(NamedTuple):
@@ -51,7 +58,7 @@ def find_tip(model: mujoco.MjModel, path: Path, name: str | None, bodies: Sequen
         sure = [Tip(model.body(outermost[0]).name, outermost[0], np.eye(4))]
     if not sure:
         candidates = ", ".join(_tcp_candidates(model, bodies, outermost))
-        raise InputError(f"{path}: it is not clear where the TCP is: {candidates}; say --tcp NAME")
+        raise InputError(f"{path}: it is not clear where the TCP is: {candidates}; name it by --tcp NAME")
     return sure[0]
 
 
@@ -88,3 +95,57 @@ def _tcp_candidates(model: mujoco.MjModel, bodies: Sequence[int], outermost: lis
         near = outermost
     sites = [model.site(k).name for k in range(model.nsite) if model.site_bodyid[k] in bodies]
     return [name for name in (*sites, *(model.body(b).name for b in near)) if name]
+
+
+def other_frames(model: mujoco.MjModel, bodies: Sequence[int], tip: Tip) -> str:
+    """Return a hint at `--tcp` for a TCP with too few joints: frames with enough; empty if there are none.
+
+    Args:
+        model: The compiled model.
+        bodies: Indices of the robot's bodies.
+        tip: The TCP.
+    """
+    tips, names = _tips(model, bodies), _tcp_candidates(model, bodies, _outermost(model, bodies))
+    tips.pop(tip.name, None)
+    far = [name for name in names if name in tips and len(_joints_to(model, tips[name].body)) >= FEWEST_JOINTS]
+    return f"; --tcp may name another frame: {_listed(far)}" if far else ""
+
+
+def warn_of_jaw(model: mujoco.MjModel, path: Path, tip: Tip, joints: Sequence[int]) -> None:
+    """Warn if the TCP is on a moving jaw of a gripper, and list the frames that the gripper is mounted on.
+
+    Args:
+        model: The compiled model.
+        path: Its file, for the message.
+        tip: The TCP.
+        joints: The moving joints from the world to the TCP.
+    """
+    arm = list(joints)
+    while arm and _moves_jaw(model, arm[-1]):
+        arm.pop()
+    jaw = joints[len(arm) :]
+    if not jaw or len(arm) < FEWEST_JOINTS:  # no gripper, or a robot that is a finger
+        return
+    base = model.body_parentid[model.jnt_bodyid[jaw[0]]]
+    tips = _tips(model, range(model.nbody)).values()
+    names = [each.name for each in tips if model.body_weldid[each.body] == model.body_weldid[base]]
+    moved = [joint_name(model, j) for j in jaw]
+    fix = " ".join(f"--fix {name}=VALUE" for name in moved)
+    warnings.warn(
+        f"{path}: the TCP {tip.name!r} is on a jaw that {', '.join(moved)} moves as a part of the arm; "
+        f"say --tcp with a frame before it ({_listed(names)}), or freeze it by {fix}",
+        stacklevel=3,
+    )
+
+
+def _moves_jaw(model: mujoco.MjModel, joint: int) -> bool:
+    """Return True for a gripper's joint: by its name, or if another one follows it or slides on the same body."""
+    body, pairs = int(model.jnt_bodyid[joint]), followers(model)
+    named = JAW_JOINT.search(model.joint(joint).name) or JAW_BODY.search(model.body(body).name)
+    slides = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == _SLIDE}
+    beside = {each for each in slides - {body} if model.body_parentid[each] == model.body_parentid[body]}
+    return bool(named or joint in {*pairs, *pairs.values()} or (body in slides and beside))
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join([*names[:MOST_NAMED], *(["..."] if len(names) > MOST_NAMED else [])])

@@ -3,7 +3,7 @@
 The joints of the chain to the TCP move, all others are frozen, and capsules enclose the shapes of each body.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,11 +13,12 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import MOST, Capsule, MeshPiece, Triangles, cover_with_capsules, hull_volume
+from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.model_file import check_joints, compile_spec, joint_name, joint_numbers, no_log, upwards
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
 from htcp_jax.io.robots.srdf import disabled_pairs
-from htcp_jax.io.robots.tcp import Tip, find_tip
+from htcp_jax.io.robots.tcp import Tip, find_tip, other_frames, warn_of_jaw
 
 PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s that an arm keeps
 NOT_OF_AN_ARM = "plane", "hfield", "sdf"
@@ -29,9 +30,9 @@ class BodyCover(NamedTuple):
     """Capsules of one body, and the shapes that they represent."""
 
     own: dict[str, Capsule]  # the model's own, by name
-    pieces: dict[str, MeshPiece]  # of `held`, with the fitted capsules
+    pieces: dict[str, MeshPiece]  # of `enclosed`, with the fitted capsules
     drawn: Triangles  # of the meshes to which MuJoCo fitted the model's own capsules [m]
-    held: Triangles  # of all other shapes [m]; the fitted capsules enclose them
+    enclosed: Triangles  # of all other shapes [m]; the fitted capsules enclose them
     kinds: tuple[str, ...]  # types of these shapes: box, mesh, ...
 
     @property
@@ -41,12 +42,12 @@ class BodyCover(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Sum of the fitted capsules' volumes (overlaps count twice), relative to the convex hull's of `held`.
+        """Sum of the fitted capsules' volumes (overlaps count twice), relative to the convex hull's of `enclosed`.
 
         nan if nothing was fitted.
         """
         volume = sum(capsule.volume for capsule in self.fitted.values())
-        return volume / hull_volume(self.held.reshape(-1, 3)) if self.fitted else np.nan
+        return volume / hull_volume(self.enclosed.reshape(-1, 3)) if self.fitted else np.nan
 
     @property
     def outside_m(self) -> float:
@@ -64,12 +65,13 @@ class ImportedArm(NamedTuple):
     tip: Tip
     joints: tuple[int, ...]  # from the world to the TCP; indices in the model, as below
     joint_names: tuple[str, ...]
-    frozen: tuple[str, ...]  # names of the other joints
+    frozen: tuple[str, ...]  # names of the other joints, frozen as drawn
+    fixed: dict[str, float]  # values at which further joints are frozen [rad or m]
     bodies: tuple[int, ...]  # of the robot, see `_robot_bodies`
     covers: dict[int, BodyCover]  # by body
     massive: tuple[int, ...]  # bodies with an inertia in the file
     numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, for `joints`
-    left_out: tuple[str, ...]  # excluded shapes, which no capsule represents
+    excluded: tuple[str, ...]  # excluded shapes, which no capsule represents
     visual: bool  # True if the capsules enclose visual geometry
     shapeless: tuple[str, ...]  # bodies with visual but no collision geometry
     disabled: tuple[tuple[str, str], ...]  # bodies that an SRDF excludes from self-collision checks
@@ -87,37 +89,43 @@ def import_robot(
     most: int = MOST,
     visual: bool = False,
     srdf: Path | None = None,
+    fixed: Mapping[str, float] | None = None,
     progress: Callable[[int, int], None] = lambda done, count: None,
 ) -> ImportedArm:
     """Read a URDF or MJCF file with its meshes.
 
     Args:
         path: The file.
-        tcp: See `robot_tcp.find_tip`.
+        tcp: See `tcp.find_tip`.
         most: Maximum number of fitted capsules per body.
         visual: Enclose the visual geometry; else the collision geometry, or the visual geometry if the model has no
             other.
         srdf: See `disabled_pairs`.
+        fixed: Values of joints to freeze, on the chain to the TCP or off it, by their names [rad or m].
         progress: Called with the number of bodies done and their total.
 
     Raises:
         InputError: For a file or a mesh that cannot be read, for a missing or ambiguous TCP, ball and free joints on
-            the chain to it, fewer than three joints, a model without shapes, and the SRDF of another robot.
+            the chain to it, fewer than three joints, a model without shapes, the SRDF of another robot, and an unknown
+            joint or a value beyond its limits in `fixed`.
     """
     spec, shapes, model = _read_model(path, visual)
+    values = fix_joints(model, path, fixed or {})
     tip = find_tip(model, path, tcp, _robot_bodies(model, ()))
     on_chain = tuple(upwards(model, tip.body))
     bodies = _robot_bodies(model, on_chain)
     disabled = disabled_pairs(srdf, model_name(model), [body_name(model, b) for b in bodies]) if srdf else ()
-    joints = tuple(j for j in range(model.njnt) if model.jnt_bodyid[j] in on_chain)
+    moving = [j for j in range(model.njnt) if j not in values]
+    joints = tuple(j for j in moving if model.jnt_bodyid[j] in on_chain)
     geoms = [geom for geom in shapes.geoms if _body_of(model, geom) in bodies]
     chosen = _chosen_geoms(geoms, model, visual)
-    own = [geom for geom in chosen if not _is_left_out(geom, model)]
+    own = [geom for geom in chosen if not _is_excluded(geom, model)]
     if not own:
         raise InputError(
             f"{path}: no shapes that capsules could hold; geoms of the model: {_geom_kinds(geoms) or 'none'}"
         )
-    joint_names = check_joints(model, path, joints)
+    joint_names = check_joints(model, path, joints, other_frames(model, bodies, tip))
+    warn_of_jaw(model, path, tip, joints)
     # whatever is unreadable
     found = {b: [shapes.shape(g, model) for g in own if _body_of(model, g) == b] for b in bodies}
     names = _Names({model.geom(geom.at).name for geom in own})
@@ -125,32 +133,33 @@ def import_robot(
     for done, b in enumerate(shaped):
         progress(done, len(shaped))
         covers[b] = _cover(found[b], body_name(model, b), names, most)
-    left_out = [geom for geom in chosen if geom not in own]
+    excluded = [geom for geom in chosen if geom not in own]
     return ImportedArm(
         model,
         tip,
         joints,
         joint_names,
-        tuple(joint_name(model, j) for j in range(model.njnt) if j not in joints and model.jnt_bodyid[j] in bodies),
+        tuple(joint_name(model, j) for j in moving if j not in joints and model.jnt_bodyid[j] in bodies),
+        {joint_name(model, j): value for j, value in sorted(values.items())},
         bodies,
         covers,
         tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
         {name: joint_numbers(model, path, name, np.inf)[list(joints)] for name in PER_JOINT if _has(model, name)},
-        tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body_of(model, g))}" for g in left_out),
+        tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body_of(model, g))}" for g in excluded),
         visual,
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
         tuple(disabled),
     )
 
 
-def held_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
+def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
     """Return the triangles to which `import_robot` fits capsules, by the name of the body, in its frame [m].
 
     Raises:
         InputError: For a file or a mesh that cannot be read.
     """
     _, shapes, model = _read_model(path, visual)
-    chosen = [geom for geom in _chosen_geoms(shapes.geoms, model, visual) if not _is_left_out(geom, model)]
+    chosen = [geom for geom in _chosen_geoms(shapes.geoms, model, visual) if not _is_excluded(geom, model)]
     found: dict[str, list[Shape]] = {}
     for geom in chosen:
         found.setdefault(body_name(model, _body_of(model, geom)), []).append(shapes.shape(geom, model))
@@ -211,7 +220,7 @@ def _shapeless(geoms: list[Geom], chosen: list[Geom], model: mujoco.MjModel) -> 
     return sorted({_body_of(model, geom) for geom in geoms} - with_shape)
 
 
-def _is_left_out(geom: Geom, model: mujoco.MjModel) -> bool:
+def _is_excluded(geom: Geom, model: mujoco.MjModel) -> bool:
     """Return True for a floor, a height field, an SDF, and a shape fixed to the world that is no capsule or sphere."""
     return geom.kind in NOT_OF_AN_ARM or (_body_of(model, geom) == 0 and geom.kind not in ROUND)
 

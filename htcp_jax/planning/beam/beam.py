@@ -29,7 +29,6 @@ from htcp_jax.motion import (
     Problem,
     ViaPoints,
     collision_checker,
-    configuration_tree,
     lane_inputs,
     motion_check,
     step_functions,
@@ -38,6 +37,7 @@ from htcp_jax.motion import (
 from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
+from htcp_jax.planning.beam.tree import BeamTree
 from htcp_jax.planning.method import Method
 from htcp_jax.status import SegmentStatus, Status
 
@@ -52,7 +52,7 @@ class BeamSearchMethod(Method):
     name: str
     title: str
     description: str
-    smooth = True  # unless the settings say otherwise
+    smooth = True  # unless the settings disable it
 
     def first_calls(self, problem: Problem) -> list[tuple]:
         """Return the first calls of lane functions, see `Executor.preparing`."""
@@ -88,7 +88,7 @@ class BeamSearch:
 
     def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker):
         self._problem, self._checker = problem, checker
-        self._tree = configuration_tree.BeamTree(plans.x.shape[2])
+        self._tree = BeamTree(plans.x.shape[2])
         self._searches = Searches(problem.settings, self._tree, checker.executor.freedom > 0)
         self._record = BeamRecord(problem, plans, checker, self._searches)
 
@@ -103,7 +103,7 @@ class BeamSearch:
             self._extend()
             self._spread()
             tracked, target = searches.tracked - before, searches.columns.target
-            finished = [search for search in searches.take_ended() if not self._begin_elsewhere(search)]
+            finished = [search for search in searches.pop_ended() if not self._begin_elsewhere(search)]
             for last in finished:
                 search, *path = self._record.chosen(last)
                 via_points += self._record.write(search, *path)
@@ -160,8 +160,8 @@ class BeamSearch:
             proven[good] = edges.verdict == SegmentStatus.VALID
         new = self._tree.grow(*tables.gather((pending.node, extended.at, target, extended.step_qps), proven))
         arrived = Members(pending.search[proven], new)
-        self._say_why(searches.has(pending), searches.has(arrived), searches.has(tables.gather(pending, good)))
-        searches.take_extended(arrived)
+        self._set_failures(searches.has(pending), searches.has(arrived), searches.has(tables.gather(pending, good)))
+        searches.store_extended(arrived)
 
     def _spread(self) -> None:
         """Spread searches without configurations to extend, by self-motions, as far as every step is proven."""
@@ -187,9 +187,9 @@ class BeamSearch:
             on = np.flatnonzero(good & (steps > k))
             at = jax.tree.map(lambda leaf, on=on, k=k: leaf[on, k], moved.path)
             node[on] = self._tree.grow(node[on], at, target[on], by_self_motion=True, dwells=dwells[on] * (k == 0))
-        searches.take_self_motions(origins, Members(origins.search[good], node[good]))
+        searches.store_self_motions(origins, Members(origins.search[good], node[good]))
 
-    def _say_why(self, extended: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
+    def _set_failures(self, extended: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
         """Set the status of the extended searches in case no more configurations arrive at the next target.
 
         If some did, the start is clear, as the motion from there is proven.

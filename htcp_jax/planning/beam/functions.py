@@ -78,7 +78,7 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
 
     straight, _ = inverse_kinematics.reanchor(robot, x, lane.target, task.fine_m, task=task)
     zero = jnp.zeros((), jnp.int32)
-    start = step_functions.nothing_known(look, scene, lane, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
+    start = step_functions.empty_result(look, scene, lane, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
     return Loop((start, straight, zero, zero - 1), going, step, extended)
 
 

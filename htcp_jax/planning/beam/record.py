@@ -5,8 +5,9 @@ from itertools import pairwise
 import numpy as np
 
 from htcp_jax.device import tables
-from htcp_jax.motion import CollisionChecker, Plans, Problem, configuration_tree, transfers
+from htcp_jax.motion import CollisionChecker, Plans, Problem, transfers
 from htcp_jax.planning.beam.searches import NONE, Searches
+from htcp_jax.planning.beam.tree import Nodes
 from htcp_jax.status import Status
 
 TRANSFERRED = 1  # `Plans.recovery` of a first target that is reached by a transfer
@@ -80,7 +81,7 @@ class BeamRecord:
         nodes = self._tree.nodes(path)
         return int(path[(nodes.target == 0) & ~nodes.by_self_motion][0])
 
-    def _write_rows(self, s: int, target: np.ndarray, nodes: configuration_tree.Nodes) -> None:
+    def _write_rows(self, s: int, target: np.ndarray, nodes: Nodes) -> None:
         """Write one row per node, at its target; the start has none."""
         plans, (target, nodes) = self._plans, tables.gather((target, nodes), target >= 0)
         plans.x[s, target], plans.tcp[s, target] = nodes.at.x, nodes.at.tcp

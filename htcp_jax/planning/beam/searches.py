@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from htcp_jax.device import tables
-from htcp_jax.motion import configuration_tree, selection
+from htcp_jax.motion import selection
+from htcp_jax.planning.beam.tree import BeamTree, best_first
 from htcp_jax.settings import Settings
 
 NONE = -1  # no status yet; no earlier search
@@ -30,7 +31,7 @@ class Members(NamedTuple):
         """Select the rows of some searches."""
         return tables.gather(self, which[self.search])
 
-    def and_(self, others: "Members") -> "Members":
+    def appended(self, others: "Members") -> "Members":
         """Append the rows of `others` to those of the same searches."""
         both = tables.concatenate([self, others])
         return tables.gather(both, np.argsort(both.search, kind="stable"))
@@ -56,7 +57,7 @@ class Searches:
     next target, and `arrived` the configurations already there while the search spreads.
     """
 
-    def __init__(self, settings: Settings, tree: configuration_tree.BeamTree, has_self_motions: bool):
+    def __init__(self, settings: Settings, tree: BeamTree, has_self_motions: bool):
         self._settings, self._has_self_motions, self.tree = settings, has_self_motions, tree
         self.columns = SearchColumns(*(np.zeros(0, int) for _ in SearchColumns._fields))
         self.going = np.zeros(0, bool)
@@ -102,16 +103,16 @@ class Searches:
     def beam_of(self, search: int) -> list[int]:
         """Return the beam of a search when it ended, the best first."""
         rows = self._ended[search]
-        return rows[selection.best_first(self.tree.nodes(rows))].tolist()
+        return rows[best_first(self.tree.nodes(rows))].tolist()
 
-    def take_extended(self, arrived: Members) -> None:
+    def store_extended(self, arrived: Members) -> None:
         """Store the results of extending all `pending` rows."""
         now, count, extended = self.columns, self._count(arrived), self.has(self.pending)
         last = now.target == now.targets - 2
         thin = extended & (count > 0) & (count < self._settings.min_beam_width) & ~last & self._has_self_motions
         self.pending, self.arrived = Members.none(), arrived.of(thin)
         self._lose(extended & (count == 0) & ((now.target < 0) | (not self._has_self_motions) | self._rounds_spent))
-        self._go_on(arrived.of(~thin))
+        self._select_beams(arrived.of(~thin))
 
     def origins(self) -> tuple[Members, Int[np.ndarray, "n"]]:
         """Return the configurations from which to move in the null space, and the self-motions' numbers.
@@ -119,26 +120,26 @@ class Searches:
         One row per self-motion; numbers count from 0 in every search.
         """
         resting = self.going & ~self._done & ~self.has(self.pending)
-        among = self.arrived.and_(self.beam.of(resting & ~self.has(self.arrived)))
+        among = self.arrived.appended(self.beam.of(resting & ~self.has(self.arrived)))
         rows, count = np.flatnonzero(resting), self._count(among)
         motion_number = np.arange(self._settings.self_motions)
         first, nth = np.cumsum(count) - count, motion_number + len(motion_number) * self.columns.rounds[rows][:, None]
         node = among.node[first[rows][:, None] + nth % count[rows][:, None]]
         return Members(np.repeat(rows, len(motion_number)), node.ravel()), np.tile(motion_number, len(rows))
 
-    def take_self_motions(self, origins: Members, found: Members) -> None:
+    def store_self_motions(self, origins: Members, found: Members) -> None:
         """Store the results of one round of self-motions."""
         moved, wide = self.has(origins), self.has(self.arrived)
         self.columns.draws[moved] += 1
-        arrived, self.arrived = self.arrived.and_(found.of(wide)), Members.none()
-        self._go_on(arrived)
+        arrived, self.arrived = self.arrived.appended(found.of(wide)), Members.none()
+        self._select_beams(arrived)
         stuck = moved & ~wide
         self.columns.rounds[stuck] += 1
         new = self._dispersed(found.of(stuck), known=self.beam.of(stuck))
-        self.beam, self.pending = self.beam.and_(new), self.pending.and_(new)
+        self.beam, self.pending = self.beam.appended(new), self.pending.appended(new)
         self._lose(stuck & ~self.has(new) & self._rounds_spent)
 
-    def take_ended(self) -> list[int]:
+    def pop_ended(self) -> list[int]:
         """Stop and return the searches that have ended, by success or failure."""
         ended = self.going & self._done
         held = self.beam.of(ended)
@@ -175,17 +176,17 @@ class Searches:
     def _lose(self, which: Bool[np.ndarray, "searches"]) -> None:
         self.columns.status[which] = self.columns.failure[which]
 
-    def _go_on(self, arrived: Members) -> None:
+    def _select_beams(self, arrived: Members) -> None:
         """Make the best of the configurations at the next target the new beams."""
         which = self.has(arrived)
         new = self._dispersed(arrived, most=self._settings.beam_width)
-        self.beam, self.pending = self.beam.of(~which).and_(new), self.pending.and_(new)
+        self.beam, self.pending = self.beam.of(~which).appended(new), self.pending.appended(new)
         self.columns.target[which] += 1
         self.columns.rounds[which] = 0
 
     def _dispersed(self, members: Members, most: int | None = None, known: Members | None = None) -> Members:
         """Return the best members that are far apart, and far from the known ones."""
-        members = tables.gather(members, selection.best_first(self.tree.nodes(members.node), members.search))
+        members = tables.gather(members, best_first(self.tree.nodes(members.node), members.search))
         most = len(members.node) if most is None else most
         where = None if known is None else (self.tree.x[known.node], known.search)
         x, apart = self.tree.x[members.node], self._settings.beam_separation_rad

@@ -153,9 +153,9 @@ class Engine:
         """Record the target and continue with the next one, or finish."""
         if lanes.size:
             self._record.track(lanes, now, status, recovery, clear)
-            self._go_on(lanes, now)
+            self._continue_path(lanes, now)
 
-    def _go_on(self, lanes: Lanes, now: step_functions.State) -> None:
+    def _continue_path(self, lanes: Lanes, now: step_functions.State) -> None:
         zero = np.zeros_like(lanes.target)
         lanes = lanes._replace(
             x_previous=now.x,
@@ -243,4 +243,4 @@ class Engine:
         self._table.keep(replanned.going)
         self._record.finished += replanned.lost
         if replanned.now is not None:
-            self._go_on(replanned.found, replanned.now)
+            self._continue_path(replanned.found, replanned.now)

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from htcp_jax.motion import Problem, collision_checker, lane_inputs
-from htcp_jax.motion import step_functions as motion_kernels
+from htcp_jax.motion import Problem, collision_checker, lane_inputs, step_functions
 from htcp_jax.planning.tracking.lanes import new_lanes
 
 
@@ -13,8 +12,8 @@ def first_calls(problem: Problem) -> list[tuple]:
     x, inputs = problem.scenarios.x_start[one], lane_inputs.lane_inputs(problem.scenarios, one, zero)
     lanes = new_lanes(executor.sizes, one, zero, x, x)
     state = inputs, lanes.x_ref, lanes.x_previous, lanes.linear
-    advance = motion_kernels.advance_of(problem.settings), inputs, x, x
+    advance = step_functions.advance_of(problem.settings), inputs, x, x
     proof = [collision_checker.prove_call(problem.task, inputs, x, x)] if problem.check_paths else []
     if problem.settings.qp == "device":
-        return [advance, (motion_kernels.TRACK_CHUNK, *state, lanes.iteration), *proof]
-    return [advance, *proof, (motion_kernels.PREPARE, *state)]
+        return [advance, (step_functions.TRACK_CHUNK, *state, lanes.iteration), *proof]
+    return [advance, *proof, (step_functions.PREPARE, *state)]

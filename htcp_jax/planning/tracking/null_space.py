@@ -15,7 +15,7 @@ from htcp_jax.clearance.obstacles import contact_model
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, inverse_kinematics, kinematics
 from htcp_jax.motion import lane_inputs, step_functions
-from htcp_jax.numerics import fold_keys, null_basis, of_shape, product, with_gradient
+from htcp_jax.numerics import checked_shape, fold_keys, null_basis, product, with_gradient
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers import sphere
 from htcp_jax.types import Array, Float, Int, Joints, Scalar
@@ -144,7 +144,7 @@ def null_space_objective(
     """
     x_ref = kinematics.checked_configuration(robot, x_ref, "x_ref")
     joints = x_ref.shape[0]
-    w = of_shape(w, (joints - 3,), "w")
+    w = checked_shape(w, (joints - 3,), "w")
     settings = Settings(q_weights=(1.0,) * joints) if settings is None else settings_of(settings)
     if len(settings.q_weights) != joints:
         raise InputError(f"q_weights has {len(settings.q_weights)} values, the robot {robot.name} has {joints} joints")
@@ -172,10 +172,12 @@ def anchor(
         target: The task's goal [m].
     """
     robot, obstacles, task = scene
-    off = task.off(robot, x, target)
+    off = task.residual_at(robot, x, target)
     anchored, _ = inverse_kinematics.reanchor(robot, x, target, task.fine_m, task=task)
     x = jnp.where(task.reached(off), x, anchored)
-    return step_functions.State(x, clearance=clearance(robot, obstacles, where, x), residual=task.off(robot, x, target))
+    return step_functions.State(
+        x, clearance=clearance(robot, obstacles, where, x), residual=task.residual_at(robot, x, target)
+    )
 
 
 Minimise = Callable[[sphere.Sphere, contact_model.ContactModel, jax.Array, Settings], sphere.Best]

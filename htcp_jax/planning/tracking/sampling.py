@@ -76,7 +76,7 @@ def nspace_samples(
             v = v / jnp.maximum(safe_norm(v), 1e-12)
             x = jnp.clip(x + length * v, robot.lower, robot.upper)
             anchored, _ = inverse_kinematics.reanchor(robot, x, stuck.target, task.fine_m, iterations=3, task=task)
-            return jnp.where(task.reached(task.off(robot, x, stuck.target)), x, anchored), v
+            return jnp.where(task.reached(task.residual_at(robot, x, stuck.target)), x, anchored), v
 
         x, _ = jax.lax.fori_loop(0, settings.sample_steps, step, (origin, direction))
         return x

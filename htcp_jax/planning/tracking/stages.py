@@ -8,11 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance import Scene
-from htcp_jax.device import Loop
-from htcp_jax.device import lane_function as executor
+from htcp_jax.device import Loop, lane_function
 from htcp_jax.model import inverse_kinematics
-from htcp_jax.motion import lane_inputs
-from htcp_jax.motion import step_functions as motion_kernels
+from htcp_jax.motion import lane_inputs, step_functions
 from htcp_jax.planning.tracking.null_space import (
     READS,
     Minimise,
@@ -39,11 +37,11 @@ class NullSpace:
 
     in_null_space = True
 
-    def lane_function(self, index: int) -> executor.LaneFunction:
+    def lane_function(self, index: int) -> lane_function.LaneFunction:
         """Return the lane function for a chunk of null-space steps, as stage `index` of a method."""
-        reads = (*READS, *motion_kernels.MEASURED, *self.settings)
-        return executor.LaneFunction(
-            f"null space {index}", take_null_space_steps, executor.DEEP_LOOP, reads, (self.minimise, index)
+        reads = (*READS, *step_functions.MEASURED, *self.settings)
+        return lane_function.LaneFunction(
+            f"null space {index}", take_null_space_steps, lane_function.DEEP_LOOP, reads, (self.minimise, index)
         )
 
 
@@ -55,9 +53,11 @@ class Sample:
     settings: tuple[str, ...] = ()  # read by `propose`
     in_null_space: bool = True  # True if it proposes nothing without a null space
 
-    def lane_function(self, index: int) -> executor.LaneFunction:
+    def lane_function(self, index: int) -> lane_function.LaneFunction:
         """Return the lane function that proposes a lane's candidates, as stage `index` of a method."""
-        return executor.LaneFunction(f"sample {index}", propose, executor.SAMPLED, self.settings, (self.propose, index))
+        return lane_function.LaneFunction(
+            f"sample {index}", propose, lane_function.SAMPLED, self.settings, (self.propose, index)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,7 @@ class Recoveries:
 class NullSpaceState(NamedTuple):
     """A lane after a chunk of null-space steps: its state, and the number of steps so far."""
 
-    now: motion_kernels.State
+    now: step_functions.State
     null_space_steps: jax.Array
 
 
@@ -117,9 +117,9 @@ def take_null_space_steps(
 
     def step(here: Scene, there: NullSpaceState) -> NullSpaceState:
         new = null_space_step(minimise, scene, settings, lane, stuck, there.now.x, there.null_space_steps)
-        return NullSpaceState(motion_kernels.measured(settings, here, lane, new.x), there.null_space_steps + 1)
+        return NullSpaceState(step_functions.measured(settings, here, lane, new.x), there.null_space_steps + 1)
 
-    now = motion_kernels.nothing_known(partial(motion_kernels.measured, settings, scene, lane), x_ref)._replace(x=x_ref)
+    now = step_functions.empty_result(partial(step_functions.measured, settings, scene, lane), x_ref)._replace(x=x_ref)
     return Loop(NullSpaceState(now, null_space_steps), going, step)
 
 
@@ -141,7 +141,7 @@ def propose(
 
 def enter_null_space(
     settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x_previous: Joints
-) -> motion_kernels.State:
+) -> step_functions.State:
     """Bring x_{t-1} onto the stuck target by inverse kinematics (5b), Algorithm 1, line 9.
 
     Args:
@@ -151,15 +151,15 @@ def enter_null_space(
         x_previous: x_{t-1} [rad or m].
     """
     x, _ = inverse_kinematics.reanchor(scene.robot, x_previous, lane.target, scene.task.fine_m, task=scene.task)
-    return motion_kernels.measured(settings, scene, lane, anchor(scene, settings, lane, x, lane.target).x)
+    return step_functions.measured(settings, scene, lane, anchor(scene, settings, lane, x, lane.target).x)
 
 
-def push(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> motion_kernels.State:
+def push(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> step_functions.State:
     """Bring x (N,) [rad or m] onto the lane's target and push it clear."""
     return push_clear(scene, settings, lane, x, lane.target)
 
 
-def draw(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs) -> motion_kernels.State:
+def draw(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs) -> step_functions.State:
     """Return the best of a round of draws at the lane's target; the lane has the round's number."""
     stuck = stuck_at(lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
     return draw_clear(scene, settings, lane, stuck, lane.round % SPREAD_EVERY == SPREAD_EVERY - 1)
@@ -170,7 +170,7 @@ def ascend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x):
     return keep_clear_ascent(scene, settings, lane, x, lane.target)
 
 
-ENTER = executor.LaneFunction("enter", enter_null_space, executor.DEEP, motion_kernels.MEASURED)
-ASCEND = executor.LaneFunction("ascend", ascend, executor.DEEP, (*READS, "keep_clear_m", "keep_clear_steps"))
-PUSH = executor.LaneFunction("push", push, executor.DEEP, READS)
-DRAW = executor.LaneFunction("draw", draw, executor.SAMPLED, READS)
+ENTER = lane_function.LaneFunction("enter", enter_null_space, lane_function.DEEP, step_functions.MEASURED)
+ASCEND = lane_function.LaneFunction("ascend", ascend, lane_function.DEEP, (*READS, "keep_clear_m", "keep_clear_steps"))
+PUSH = lane_function.LaneFunction("push", push, lane_function.DEEP, READS)
+DRAW = lane_function.LaneFunction("draw", draw, lane_function.SAMPLED, READS)

@@ -46,7 +46,7 @@ def survival(
     status: Mapping[str, Int8[np.ndarray, "S T"]],
     *,
     reachability: Int[np.ndarray, "S"] | None = None,
-    title: str = "How far the scenarios get",
+    title: str = "Survival: scenarios that track each target",
 ) -> Figure:
     """Draw the number of scenarios that track each target, over the target's index.
 
@@ -59,7 +59,7 @@ def survival(
     """
     note = "Scenarios that track the target; a scenario ends at its first failure."
     figure = new_figure(
-        4.6, title, note + (" Dashed: what is known to be reachable." if reachability is not None else "")
+        4.6, title, note + (" Dashed: targets known to be reachable." if reachability is not None else "")
     )
     axes = figure.subplots()
     scenarios, targets = next(iter(status.values())).shape
@@ -137,7 +137,7 @@ def clearance_along(
     """
     across = min(3, len(clearance_m))
     down = -(-len(clearance_m) // across)
-    note = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: the smallest."
+    note = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: minimum."
     figure = new_figure(2.35 * down + 1.1, title, note)
     panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     for axes, (method, values) in zip(panels.flat, clearance_m.items(), strict=False):

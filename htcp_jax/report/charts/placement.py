@@ -20,8 +20,8 @@ from matplotlib.ticker import MaxNLocator
 from htcp_jax.report.charts.style import INK, PAPER, QUIET, new_figure, plain_axes
 from htcp_jax.report.place_tables import SearchTable, ShownParameter
 
-SPARE = LinearSegmentedColormap.from_list("objective", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
-SPARE = SPARE.with_extremes(bad=SPARE(0.6))  # for unknown values, such as the cycle time without a motion
+OBJECTIVE = LinearSegmentedColormap.from_list("objective", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
+OBJECTIVE = OBJECTIVE.with_extremes(bad=OBJECTIVE(0.6))  # for unknown values, such as the cycle time without a motion
 SHARE = LinearSegmentedColormap.from_list("share", ["#dfe3e6", "#c3cad0", "#6f7c88"])
 NEARLY, LOST, RANK = "#e69f00", "#b9c0c6", "#c2185b"
 NEAR = 0.9  # share of the targets of a nearly complete mounting
@@ -54,7 +54,7 @@ def place_map(found: SearchTable, colliding_bodies: Mapping[str, int] | None = N
     shown = found.parameters[:MOST_PARAMETERS]
     d, m = len(shown), max(1, min(len(shown), MOST_PARAMETERS) - 1)
     wide, half = (2, 1) if m == 1 else (m, m // 2)
-    figure = new_figure(5.2 if m == 1 else 8.8, f"Where to mount it: {found.name}", _note(found))
+    figure = new_figure(5.2 if m == 1 else 8.8, f"Placement search: {found.name}", _note(found))
     grid = figure.add_gridspec(m, wide)
     ticks = 3 if m > 3 else 5
     for row in range(m):
@@ -108,7 +108,7 @@ def _panel(axes: Axes, found: SearchTable, column: int, row: int | None) -> None
         axes.scatter(*points[which].T, **look, s=size, linewidths=0.8, zorder=1)
     axes.scatter(*points[nearly].T, facecolors="none", edgecolors=NEARLY, s=size, linewidths=0.8, zorder=2)
     order = np.flatnonzero(found.complete)[np.argsort(found.left[found.complete, 0], kind="stable")]
-    look = {"c": found.left[order, 0], "cmap": SPARE, "norm": _norm(found), "plotnonfinite": True}
+    look = {"c": found.left[order, 0], "cmap": OBJECTIVE, "norm": _norm(found), "plotnonfinite": True}
     axes.scatter(*points[order].T, **look, s=size, linewidths=0, zorder=3)
     axes.scatter(*ranked.T, facecolors="none", edgecolors=RANK, s=2.2 * size + 8, linewidths=1.0, zorder=4)
     _number_ranks(axes, ranked, points)
@@ -137,7 +137,7 @@ def _label_axis(
         axis.set_major_locator(MaxNLocator(ticks))
     axes.margins(0.04)
     for label in (axes.xaxis.label, axes.yaxis.label):
-        label.set_size(10 if ticks > 3 else 9)
+        label.set_fontsize(10 if ticks > 3 else 9)
     axes.set_xlabel(below.label if lowest else "")
     axes.set_ylabel(("targets [%]" if left is None else left.label) if first else "")
 
@@ -148,9 +148,9 @@ def _draw_lists(
     """Draw the counts of results, of complete seams and of colliding bodies, and the colour scale."""
     lists = {"mountings": _result_counts(found)}
     if len(found.seams) > 1:
-        lists["each seam alone"] = [Ending(name, count, "s", SPARE(0.6)) for name, count in found.seams.items()]
+        lists["each seam alone"] = [Ending(name, count, "s", OBJECTIVE(0.6)) for name, count in found.seams.items()]
     if colliding_bodies:
-        reported = f"colliding, in {sum(colliding_bodies.values())} of the lost"
+        reported = f"colliding body, in {sum(colliding_bodies.values())} failed mountings"
         lists[reported] = [Ending(body, count, "s", LOST) for body, count in colliding_bodies.items()]
     inner = place.subgridspec(len(lists) + 1, 1, height_ratios=(*(len(each) + 0.6 for each in lists.values()), 0.35))
     for number, (head, endings) in enumerate(lists.items()):
@@ -164,7 +164,7 @@ def _draw_scale(figure: Figure, axes: Axes, found: SearchTable) -> None:
     if works and not np.isfinite(found.left[:, 0]).any():
         axes.axis("off")
         return
-    colours = ScalarMappable(_norm(found), SPARE) if works else ScalarMappable(Normalize(0, 100 * NEAR), SHARE)
+    colours = ScalarMappable(_norm(found), OBJECTIVE) if works else ScalarMappable(Normalize(0, 100 * NEAR), SHARE)
     bar = figure.colorbar(colours, cax=axes, orientation="horizontal")
     bar.outline.set_visible(False)
     axes.tick_params(colors=QUIET, labelsize=8.5, length=0)
@@ -188,8 +188,8 @@ def _draw_bars(axes: Axes, head: str, endings: Sequence[Ending]) -> None:
 def _result_counts(found: SearchTable) -> list[Ending]:
     """Counts of complete and of nearly complete mountings, and of the failed by reason."""
     nearly = _nearly(found)
-    ends = [Ending("everything works", int(found.complete.sum()), "o", SPARE(0.6))]
-    ends.append(Ending(f"nearly: {100 * NEAR:.0f} % of the targets", int(nearly.sum()), HOLLOW, NEARLY))
+    ends = [Ending("complete", int(found.complete.sum()), "o", OBJECTIVE(0.6))]
+    ends.append(Ending(f"nearly complete: {100 * NEAR:.0f} % of the targets", int(nearly.sum()), HOLLOW, NEARLY))
     counts = Counter(words for words, near in zip(found.lost, nearly.tolist(), strict=True) if words and not near)
     return ends + [Ending(words, counts[words], mark, LOST) for words, mark in _marks(found).items() if counts[words]]
 

@@ -295,4 +295,4 @@ def _success_note(paper: Mapping[str, float] | None, reachability: int | None, c
 
 
 def _dashed(reachability: object) -> list[str]:
-    return [] if reachability is None else ["Dashed: what is known to be reachable."]
+    return [] if reachability is None else ["Dashed: targets known to be reachable."]

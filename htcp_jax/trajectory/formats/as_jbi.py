@@ -82,7 +82,7 @@ def _job(
     format: str, controller: ControllerData, positions: list[str], attributes: list[str], instructions: list[str]
 ) -> str:
     if not NAME.fullmatch(controller.name):
-        raise InputError(f"{format}: {controller.name!r} is no name of a job; up to 32 of A to Z, 0 to 9, - and _")
+        raise InputError(f"{format}: {controller.name!r} is not a name of a job; up to 32 of A to Z, 0 to 9, - and _")
     if (lines := len(instructions) + 2) > MOST_LINES:
         raise InputError(f"{format}: {lines:,} lines, a job holds {MOST_LINES:,}; the path has too many points for it")
     count = sum(line.startswith("C") for line in positions)

@@ -38,7 +38,7 @@ def urscript_text(timed: TimedMotion, controller: ControllerData) -> str:
         raise InputError(f"urscript: {_arm_description(controller)}; these arms have {JOINTS} turning joints")
     if not NAME.fullmatch(controller.name):
         raise InputError(
-            f"urscript: {controller.name!r} is no name of a function; letters, digits and _, a letter first"
+            f"urscript: {controller.name!r} is not a name of a function; letters, digits and _, a letter first"
         )
     hold_s = _controller_steps(timed, controller.control_step_s) * controller.control_step_s
     configurations = [", ".join(f"{value:.6f}" for value in row) for row in (np.round(timed.x, 6) + 0.0).tolist()]

@@ -40,7 +40,7 @@ def format_of(name: str) -> ProgramFormat:
         InputError: For another name.
     """
     if name not in FORMATS:
-        raise InputError(f"{name!r} is no format of a program; valid: {', '.join(FORMATS)}")
+        raise InputError(f"{name!r} is not a format of a program; valid: {', '.join(FORMATS)}")
     return FORMATS[name]
 
 
@@ -54,8 +54,7 @@ def program_text(format: str, timed: TimedMotion, controller: ControllerData) ->
 
     Raises:
         InputError: For an unknown format, for controller data that the format needs and `controller` lacks, for a
-        motion
-            without configurations, and for times that do not increase.
+            motion without configurations, and for times that do not increase.
     """
     write = format_of(format).write
     if len(timed.x) == 0:

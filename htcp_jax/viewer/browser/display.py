@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from htcp_jax.model import kinematics
 from htcp_jax.viewer.browser.scene import BrowserScene
-from htcp_jax.viewer.camera import kept, open_side, sight
+from htcp_jax.viewer.camera import camera_pose, kept_points, open_side
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.viewpoints import View
 
@@ -29,7 +29,7 @@ class DisplayOptions:
     def __init__(self, server: viser.ViserServer, stage: BrowserScene, lock: threading.RLock):
         self._server, self._stage, self._lock = server, stage, lock
         gui = server.gui
-        closer = gui.add_button("Look at the smallest distance", icon=viser.Icon.ZOOM_IN)
+        closer = gui.add_button("Look at the minimum distance", icon=viser.Icon.ZOOM_IN)
         closer.on_click(self._look_closer)
         back = gui.add_button("Show everything", icon=viser.Icon.ZOOM_OUT)
         back.on_click(self._look_back)
@@ -41,7 +41,7 @@ class DisplayOptions:
             element.on_update(lambda _: self._cut())
         with gui.add_folder("Arm"):
             self._opacity = gui.add_slider("Opacity [%]", 5, 100, 5, 100)
-            self._pair = gui.add_checkbox("Smallest distance", True)
+            self._pair = gui.add_checkbox("Minimum distance", True)
             self._marks = gui.add_checkbox("Dwells, minimum clearance", True)
         self._opacity.on_update(lambda _: self._stage.fade(self._opacity.value / 100))
         self._marks.on_update(lambda _: self._stage.show_marks(self._marks.value))
@@ -57,7 +57,7 @@ class DisplayOptions:
         self._stage.show_smallest_distance(self._pair.value)
         self._stage.show_marks(self._marks.value)
         self._cut()
-        eye, look_at = sight(replay, arms, FOVY_RAD, ASPECT)
+        eye, look_at = camera_pose(replay, arms, FOVY_RAD, ASPECT)
         camera = self._server.initial_camera
         camera.position, camera.look_at, camera.fov = eye, look_at, FOVY_RAD
 
@@ -66,7 +66,7 @@ class DisplayOptions:
             replay, directions = self._replay, {"above": np.array([0.0, 0, 1]), "front": -ahead(self._replay)}
             near = directions.get(self._side.value, open_side(replay).near)
             share = 0.0 if self._side.value == "nothing" else self._share.value / 100
-            self._stage.cut(replay.surface.only(kept(replay, share, near)), near, self._size.value / 1e3)
+            self._stage.cut(replay.surface.only(kept_points(replay, share, near)), near, self._size.value / 1e3)
 
     def _look_closer(self, event: viser.GuiEvent) -> None:
         with self._lock:

@@ -41,7 +41,7 @@ class Viewer:
         programs: Function for the robot program of a scenario and method, which is played in time.
 
     Raises:
-        InputError: For an unknown scenario or method, for an address that is not available, and as `executor` for the
+        InputError: For an unknown scenario or method, for an address that is not available, and as `programs` for the
             first scenario.
     """
 
@@ -111,10 +111,10 @@ class Viewer:
         self._method = gui.add_dropdown("Method", self._replays.methods, initial_value=replay.method)
         names = self._names(replay.method)
         self._scenario = gui.add_dropdown("Scenario", tuple(names), initial_value=name_of(names, replay.number))
-        self._slider = None
+        self._slider: viser.GuiSliderHandle | None = None
         self._facts = gui.add_markdown("")
         self._playing = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
-        self._rate = None
+        self._rate: viser.GuiDropdownHandle | None = None
         self._plots = Plots(gui, self._playing.order + 0.2)
         self._display = DisplayOptions(self._server, self._stage, self._lock)
         self._method.on_update(lambda _: self._pick_method())

@@ -32,8 +32,8 @@ from htcp_jax.viewer.colours import (
 )
 from htcp_jax.viewer.replay import Replay
 
-BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, TIGHTEST_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
-BESIDE = 4  # difference of targets whose labels would overlap
+BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, MINIMUM_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
+LABEL_GAP = 4  # difference of targets whose labels would overlap
 LEADER_M = 0.12  # length of the line from the clearance's minimum up to its label
 DWELL_M = 0.018  # side of the cube at a dwell
 LIT = 0.72  # factor on a colour that compensates viser's lights
@@ -68,16 +68,16 @@ class BrowserScene:
             self._add_floor()
             self._add_fixtures()
             points = np.zeros((2, 3), np.float32)
-            self._pair = self._add_balls("/smallest distance/points", points, WITNESS_M, NEAREST)
+            self._pair = self._add_balls("/minimum distance/points", points, WITNESS_M, NEAREST)
             self._line = self._scene.add_line_segments(
-                "/smallest distance/line", points[None], rgb(NEAREST), thickness=4, thickness_units="screen"
+                "/minimum distance/line", points[None], rgb(NEAREST), thickness=4, thickness_units="screen"
             )
             look = {"point_size": AROUND_SIZE_M, "point_shape": "circle", "precision": "float32"}
-            self._around = self._scene.add_point_cloud("/smallest distance/around", points, rgb(OUTSIDE), **look)
-            self._label = self._scene.add_label("/smallest distance/label", "", anchor="bottom-left")
+            self._around = self._scene.add_point_cloud("/minimum distance/around", points, rgb(OUTSIDE), **look)
+            self._label = self._scene.add_label("/minimum distance/label", "", anchor="bottom-left")
             here = trimesh.creation.icosphere(subdivisions=3, radius=HERE_M)
             self._here = self._scene.add_mesh_simple(
-                "/targets/here", here.vertices, here.faces, color=lit(HERE), opacity=0.55, cast_shadow=False
+                "/targets/here", here.vertices, here.faces, color=compensated(HERE), opacity=0.55, cast_shadow=False
             )
             self.pose(0)
 
@@ -85,7 +85,7 @@ class BrowserScene:
         triangles, clouds = self._replay.fixtures
         if len(triangles):
             faces = np.arange(3 * len(triangles)).reshape(-1, 3)
-            look = {"color": lit(FIXTURE), "opacity": 0.5, "flat_shading": True, "side": "double"}
+            look = {"color": compensated(FIXTURE), "opacity": 0.5, "flat_shading": True, "side": "double"}
             self._scene.add_mesh_simple("/fixtures", triangles.reshape(-1, 3), faces, **look)
         if len(clouds.points):
             look = {"point_size": float(np.median(clouds.radius)), "point_shape": "circle", "precision": "float32"}
@@ -98,7 +98,7 @@ class BrowserScene:
             blocked = replay.obstruction if target == replay.failed else None
             self.move(replay.arm_at(target))
             for k, node in enumerate(self._arm):
-                if tuple(node.color) != (colour := tuple(lit(self._colour(k, blocked)).tolist())):
+                if tuple(node.color) != (colour := tuple(compensated(self._colour(k, blocked)).tolist())):
                     node.color = colour
             self._here.position = replay.target[target]
             pair = np.stack([replay.witness.arm[target], replay.witness.cloud[target]]).astype(np.float32)
@@ -115,7 +115,7 @@ class BrowserScene:
         """Move the arm only, to any configuration."""
         p, q = arm.axes()
         with self._server.atomic():
-            for node, wxyz, middle in zip(self._arm, turned_to(q - p), (p + q) / 2, strict=True):
+            for node, wxyz, middle in zip(self._arm, rotations_to(q - p), (p + q) / 2, strict=True):
                 node.wxyz, node.position = wxyz, middle
 
     @property
@@ -162,7 +162,7 @@ class BrowserScene:
         last = k == len(robot.capsule_link)
         radius = TIP_M if last else float(robot.capsule_radius[k])
         mesh = trimesh.creation.capsule(height=float(np.linalg.norm(q - p)), radius=radius, count=ROUND)
-        name, colour = f"/arm/{'tip' if last else f'{k + 1} {robot.capsule_names[k]}'}", lit(self._colour(k))
+        name, colour = f"/arm/{'tip' if last else f'{k + 1} {robot.capsule_names[k]}'}", compensated(self._colour(k))
         return self._scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, opacity=opacity)
 
     def _colour(self, k: int, blocked: Obstruction | None = None) -> str:
@@ -179,7 +179,7 @@ class BrowserScene:
     ) -> viser.BatchedMeshHandle:
         ball = trimesh.creation.icosphere(subdivisions=2, radius=radius)
         upright = np.tile([1.0, 0, 0, 0], (len(places), 1))
-        look = {"batched_colors": lit(colour), "lod": "off", "cast_shadow": False}
+        look = {"batched_colors": compensated(colour), "lod": "off", "cast_shadow": False}
         return self._scene.add_batched_meshes_simple(name, ball.vertices, ball.faces, upright, places, **look)
 
     def _add_targets(self) -> None:
@@ -202,22 +202,22 @@ class BrowserScene:
         """
         replay, marks = self._replay, []
         for target in replay.summary.dwells:
-            cube = {"dimensions": (DWELL_M,) * 3, "color": lit(DWELL), "cast_shadow": False}
+            cube = {"dimensions": (DWELL_M,) * 3, "color": compensated(DWELL), "cast_shadow": False}
             marks.append(self._scene.add_box(f"/motion/dwell {target}", position=replay.target[target], **cube))
-        for group in side_by_side(replay.summary.dwells):
+        for group in label_groups(replay.summary.dwells):
             words, place = f"dwell at {', '.join(map(str, group))}", replay.target[group[0]]
             look = {"position": place, "anchor": "bottom-left"}
             marks.append(self._scene.add_label(f"/motion/dwells from {group[0]}", words, **look))
         if (narrow := replay.narrow) is not None:
-            words = f"tightest, on the segment to target {narrow.target}: {replay.summary.proven} proven, "
+            words = f"minimum clearance, on the segment to target {narrow.target}: {replay.summary.proven} proven, "
             words += f"{1e3 * narrow.seen_m:.3g} mm seen"
             label_at = narrow.cloud + np.array([0.0, 0.0, LEADER_M])
-            ball = {"radius": TIGHTEST_M, "color": lit(NEAREST), "cast_shadow": False}
+            ball = {"radius": MINIMUM_M, "color": compensated(NEAREST), "cast_shadow": False}
             marks += [
-                self._scene.add_icosphere("/motion/tightest", position=narrow.cloud, **ball),
-                self._scene.add_label("/motion/tightest in words", words, position=label_at, anchor="bottom-left"),
+                self._scene.add_icosphere("/motion/minimum", position=narrow.cloud, **ball),
+                self._scene.add_label("/motion/minimum label", words, position=label_at, anchor="bottom-left"),
                 self._scene.add_line_segments(
-                    "/motion/tightest leader",
+                    "/motion/minimum leader",
                     np.stack([narrow.cloud, label_at])[None],
                     rgb(NEAREST),
                     thickness=1,
@@ -237,18 +237,18 @@ class BrowserScene:
         )  # fmt: skip
 
 
-def side_by_side(targets: Sequence[int]) -> list[list[int]]:
+def label_groups(targets: Sequence[int]) -> list[list[int]]:
     """Group targets, given in order, whose labels would overlap."""
     groups: list[list[int]] = []
     for target in targets:
-        if groups and target - groups[-1][-1] <= BESIDE:
+        if groups and target - groups[-1][-1] <= LABEL_GAP:
             groups[-1].append(target)
         else:
             groups.append([target])
     return groups
 
 
-def turned_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
+def rotations_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
     """Quaternions wxyz of the shortest rotations from z to the axes; the identity for an axis of no length."""
     quaternions = np.empty((len(axes), 4))
     for quaternion, axis in zip(quaternions, axes, strict=True):
@@ -256,6 +256,6 @@ def turned_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
     return quaternions
 
 
-def lit(colour: str) -> np.ndarray:
+def compensated(colour: str) -> np.ndarray:
     """Darken a colour, as the light brightens it."""
     return (LIT * np.array(rgb(colour))).astype(np.uint8)

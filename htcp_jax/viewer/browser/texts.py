@@ -47,6 +47,6 @@ def _segment_text(replay: Replay, target: int) -> str:
             f"The segment to this target is {known.words}: {1e3 * replay.segment_clearance[target]:.3g} mm "
             "clear at least"
         )
-    tightest = " It is the tightest of the proof." if target == replay.summary.tightest else ""
+    minimum = " It is the minimum of the motion." if target == replay.summary.clearance_target else ""
     dwells = " **The arm changes its configuration here.**" if target in replay.summary.dwells else ""
-    return f"{text}.{tightest}{dwells}"
+    return f"{text}.{minimum}{dwells}"

@@ -8,9 +8,9 @@ import numpy as np
 
 from htcp_jax.trajectory import PlanProgram
 from htcp_jax.viewer.arm_pose import ArmPose
-from htcp_jax.viewer.playback import at, poses_along
+from htcp_jax.viewer.playback import pose_at, poses_along
 from htcp_jax.viewer.replay import Replay
-from htcp_jax.viewer.timed_play import Curves, arms_of, played
+from htcp_jax.viewer.timed_play import Curves, arms_of, sample_program
 
 MOST_BETWEEN = 4  # configurations that share the time of a target; more of them, as in a dwell, take longer
 TICK_S = 0.05  # between frames of a robot program
@@ -34,7 +34,7 @@ class ByTarget:
     def __init__(self, replay: Replay, note: str = ""):
         self._note, row = note, poses_along(replay)
         self.end = row[-1].target
-        row += [at(replay, target) for target in range(row[-1].target + 1, len(replay.target))]
+        row += [pose_at(replay, target) for target in range(row[-1].target + 1, len(replay.target))]
         targets = np.array([pose.target for pose in row])
         first = np.searchsorted(targets, targets)
         self._count = np.searchsorted(targets, targets, side="right") - first
@@ -77,11 +77,11 @@ class ByTime:
     def __init__(self, made: PlanProgram):
         self._made, self.curves = made, Curves.of(made)
         self.last = self.end = np.ceil(made.program.duration_s / self.step) * self.step
-        self.passed = arms_of(made, played(made, np.linspace(0, self.last, SHOWN_PER_SECOND)))
+        self.passed = arms_of(made, sample_program(made, np.linspace(0, self.last, SHOWN_PER_SECOND)))
 
     def look(self, place: float) -> tuple[ArmPose, str]:
         """The arm at a time, and a description of its motion."""
-        play = played(self._made, np.array([float(place)]))
+        play = sample_program(self._made, np.array([float(place)]))
         return arms_of(self._made, play)[0], f"**{play.words(0)}**"
 
     def on_slider(self, place: float) -> float:

@@ -85,7 +85,7 @@ def time_run(
     timer = _Timer(plan_sets.plans_of_run(run), requested)
     chosen = _chosen_methods(timer.found, methods)
     check_limits(timer.jobs)
-    stopped = f"stopped; what is timed is kept in {run.folder}; the same command goes on"
+    stopped = f"stopped; finished times are kept in {run.folder}; the same command resumes"
     with stop_message(lambda: stopped), lock.locked(run.folder), lock.signals() as came:
         find = _finder(timer, chosen, workers)
         for method in chosen:
@@ -99,7 +99,7 @@ def check_limits(jobs: Iterable[PlanConfig]) -> None:
     Raises:
         InputError: For an arm without velocity limits, and for limits of another number of joints.
     """
-    for job in {repr((build.arm_of(job), job.program)): job for job in jobs}.values():
+    for job in {repr((build.robot_key(job), job.program)): job for job in jobs}.values():
         joint_limits(build.robot_of(job.robot), job.program)
 
 
@@ -174,7 +174,7 @@ class _Timer:
         arms: dict[str, dict[int, _TimedScenario]] = {}
         for number, one in zip(block, found, strict=True):
             if one is not None and one.timed is not None:
-                arms.setdefault(repr(build.arm_of(self.jobs[number])), {})[number] = one
+                arms.setdefault(repr(build.robot_key(self.jobs[number])), {})[number] = one
         loads: dict[int, PeakTorque] = {}
         for arm, own in arms.items():
             motions, effort = [one.timed for one in own.values()], next(iter(own.values())).effort
@@ -188,21 +188,21 @@ class _Timer:
 
     def _model(self, job: PlanConfig) -> mujoco.MjModel | None:
         """Return the arm of a job with its inertias, None without any."""
-        key = repr(build.arm_of(job))
+        key = repr(build.robot_key(job))
         if key not in self._models:
             self._models[key] = model_of(job.robot)
         return self._models[key]
 
     def _arm(self, job: PlanConfig) -> Robot:
-        key = repr(build.arm_of(job))
+        key = repr(build.robot_key(job))
         if key not in self._arms:
             self._arms[key] = build.robot_of(job.robot, job.cell)
         return self._arms[key]
 
     def _part(self, job: PlanConfig, arm: Robot) -> Workpiece:
-        key = repr((build.arm_of(job), build.part_of(job)))
+        key = repr((build.robot_key(job), build.workpiece_key(job)))
         if key not in self._parts:
-            self._parts[key] = build.workpiece_of(build.part_of(job), arm)
+            self._parts[key] = build.workpiece_of(build.workpiece_key(job), arm)
         return self._parts[key]
 
 
@@ -229,7 +229,7 @@ def _time_method(timer: _Timer, method: str, find: Callable, progress: Callable 
 
 
 def _stop_text(timer: _Timer, method: str, done: int, of: int) -> str:
-    return f"stopped; {done} of {of} scenarios of {method} are timed in {timer.found.folder}; the same command goes on"
+    return f"stopped; {done} of {of} scenarios of {method} are timed in {timer.found.folder}; the same command resumes"
 
 
 def _write(run: Run, method: str, timing: timing_file.Timing) -> None:

@@ -1,0 +1,77 @@
+"""Freezing of a model's joints at given values: their displacement becomes part of the body's pose in its parent."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.robots.model_file import frame, joint_name, shifted_frame, turned_frame
+
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_FOLLOWS = int(mujoco.mjtEq.mjEQ_JOINT)
+_UNITS = {_HINGE: "rad", _SLIDE: "m"}
+
+
+def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float]) -> dict[int, float]:
+    """Freeze hinges and slides of a compiled model, which is modified.
+
+    A joint that follows a frozen one, by <mimic> in a URDF, is frozen where it follows, unless it has a value itself.
+
+    Args:
+        model: The compiled model.
+        path: Its file, for messages.
+        values: Values by the names of the joints [rad or m].
+
+    Returns:
+        Values of the frozen joints, by their indices in the model [rad or m].
+
+    Raises:
+        InputError: For an unknown joint, and a value beyond its limits.
+    """
+    known = {joint_name(model, j): j for j in range(model.njnt) if model.jnt_type[j] in _UNITS}
+    for name, value in values.items():
+        if name not in known:
+            raise InputError(f"{path}: no hinge or slide {name!r} to fix; there are {', '.join(known) or 'none'}")
+        j = known[name]
+        lower, upper = model.jnt_range[j]
+        if model.jnt_limited[j] and not lower <= value <= upper:
+            limits = f"{lower:g} to {upper:g} {_UNITS[int(model.jnt_type[j])]}"
+            raise InputError(f"{path}: {name}={value:g} is beyond the limits of the joint, {limits}")
+    given = {known[name]: value for name, value in values.items()}
+    fixed = {j: value for one in given for j, value in _followers(model, one, given[one])} | given
+    for j in sorted(fixed):
+        _fix(model, j, fixed[j])
+    return fixed
+
+
+def followers(model: mujoco.MjModel) -> dict[int, int]:
+    """Return the joint that each follower follows, by their indices in the model."""
+    rows = np.flatnonzero(model.eq_type == _FOLLOWS)
+    return {int(model.eq_obj1id[k]): int(model.eq_obj2id[k]) for k in rows if model.eq_obj2id[k] >= 0}
+
+
+def _followers(model: mujoco.MjModel, joint: int, value: float) -> Iterator[tuple[int, float]]:
+    """Yield the joints that follow a joint, and their values where it has the given value."""
+    moved = value - model.qpos0[model.jnt_qposadr[joint]]
+    for k in np.flatnonzero((model.eq_type == _FOLLOWS) & (model.eq_obj2id == joint)):
+        follower = int(model.eq_obj1id[k])
+        drawn_at = model.qpos0[model.jnt_qposadr[follower]]
+        yield follower, float(drawn_at + np.polynomial.polynomial.polyval(moved, model.eq_data[k, :5]))
+
+
+def _fix(model: mujoco.MjModel, joint: int, value: float) -> None:
+    body, axis, anchor = int(model.jnt_bodyid[joint]), model.jnt_axis[joint], model.jnt_pos[joint]
+    moved = value - model.qpos0[model.jnt_qposadr[joint]]
+    if model.jnt_type[joint] == _HINGE:
+        T = shifted_frame(anchor) @ turned_frame(axis, moved) @ shifted_frame(-anchor)
+    else:
+        T = shifted_frame(moved * axis)
+    pose = frame(model.body_pos[body], model.body_quat[body]) @ T
+    model.body_pos[body] = pose[:3, 3]
+    mujoco.mju_mat2Quat(model.body_quat[body], pose[:3, :3].ravel())
+    back = np.linalg.inv(T)
+    for before in range(model.body_jntadr[body], joint):  # joints of the same body that move it first
+        model.jnt_axis[before] = back[:3, :3] @ model.jnt_axis[before]
+        model.jnt_pos[before] = (back @ [*model.jnt_pos[before], 1.0])[:3]
