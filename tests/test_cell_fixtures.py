@@ -64,9 +64,9 @@ def random_configurations(robot, count: int) -> np.ndarray:
 
 def test_the_clearance_of_a_box_on_a_link_is_a_close_lower_bound_on_mujocos(arm, cell):
     """Compare 200 random configurations with a box that MuJoCo moves itself; capsules stand out of it by 21 mm."""
-    beside = cell({"name": "camera", "parent": "elbow"})
-    robot = build.robot_of(arm, beside)
-    (posts,) = build.obstacles_of(beside, robot)
+    surroundings = cell({"name": "camera", "parent": "elbow"})
+    robot = build.robot_of(arm, surroundings)
+    (posts,) = build.obstacles_of(surroundings, robot)
     assert posts.names == ("post",) and {robot.capsule_link[k] for k in robot.attached} == {2}
     light = '<compiler boundmass="1e-6" boundinertia="1e-6"/><worldbody>'
     text = ARM.replace('<geom name="forearm"', CAMERA + '<geom name="forearm"').replace("<worldbody>", light + POST)
@@ -88,20 +88,20 @@ def test_a_fixture_is_not_tested_against_links_that_it_excludes(arm, cell):
     assert is_checked == {"post": [False, True, False], "camera": [False, True, True]}
 
 
-def test_a_mesh_that_is_not_convex_and_a_cloud_heed_links_alike(arm, cell, tmp_path):
+def test_a_mesh_that_is_not_convex_is_not_tested_against_links_that_it_excludes(arm, cell, tmp_path):
     trimesh.creation.annulus(0.2, 0.3, 0.1).export(tmp_path / "ring.stl")
     rules = {"name": "ring", "exclude": ["hand"]}
     clouds = [{"cloud": str(tmp_path / "ring.stl")}]
-    beside = CellConfig(clouds=clouds, fixtures=[rules])
+    surroundings = CellConfig(clouds=clouds, fixtures=[rules])
     robot = build.robot_of(arm)
-    (ring,) = build.obstacles_of(beside, robot)
-    (heeded,) = build.obstacles_of(CellConfig(clouds=clouds), robot)
+    (ring,) = build.obstacles_of(surroundings, robot)
+    (checked,) = build.obstacles_of(CellConfig(clouds=clouds), robot)
     x, where = jnp.array([0.0, 1.6, 0.8, 0.0]), toy.scenario()
-    by_body = [np.asarray(htcp_jax.clearances(robot, (each,), where, x)) for each in (ring, heeded)]
+    by_body = [np.asarray(htcp_jax.clearances(robot, (each,), where, x)) for each in (ring, checked)]
     assert (by_body[0][:2] == by_body[1][:2]).all() and by_body[0][2] > 1e3 > by_body[1][2]
 
 
-def test_a_box_on_a_link_heeds_other_links_but_those_that_it_excludes(arm, cell):
+def test_a_box_on_a_link_is_tested_against_other_links_except_those_that_it_excludes(arm, cell):
     def pairs(*excluded) -> set[tuple[str, str]]:
         robot = build.robot_of(arm, cell({"name": "camera", "parent": "elbow", "exclude": excluded}))
         return {tuple(robot.capsule_names[k] for k in pair) for pair in self_collision(robot).pairs}
@@ -121,18 +121,18 @@ def test_validation_measures_boxes_and_meshes_on_links_exactly_in_every_place_of
     np.savetxt(tmp_path / "dust.xyz", np.random.default_rng(1).uniform(-0.8, 0.8, (40, 3)), delimiter=",")
     places = {"scanner.stl": [0.08, 0.0, 0.1], "ring.stl": [0.0, 0.0, 0.2], "dust.xyz": [0.0, 0.0, 0.6]}
     clouds = [{"cloud": str(tmp_path / name), "base_m": place} for name, place in places.items()]
-    beside = cell(
+    surroundings = cell(
         *({"name": name, "parent": parent} for name, parent in (("scanner", "elbow"), ("camera", "hand"))),
         *({"name": name, "exclude": ["hand"]} for name in ("ring", "post")),
         clouds=clouds,
         self_collision=True,
     )
-    robot = build.robot_of(arm, beside)
-    obstacles = build.obstacles_of(beside, robot)
+    robot = build.robot_of(arm, surroundings)
+    obstacles = build.obstacles_of(surroundings, robot)
     x = random_configurations(robot, 100)
     bound = np.asarray(jax.jit(jax.vmap(partial(clearance, robot, obstacles, toy.scenario())))(x))
     own = MujocoArm(tmp_path / "arm.xml")
-    measured = MujocoCell(beside, own, own).distances(x, own.arm_poses(x)).min(axis=1)
+    measured = MujocoCell(surroundings, own, own).distances(x, own.arm_poses(x)).min(axis=1)
     clear = measured > 0
     assert 20 < clear.sum() < 95 and (bound[clear] <= measured[clear] + 1e-6).all()
     assert (bound[clear] >= measured[clear] - 0.03).all() and (bound[~clear] < 0).all()
@@ -143,11 +143,11 @@ def job(arm, cell, tmp_path):
     """Job of the toy arm below its shelf, with a camera on its forearm."""
     for name, points in (("shelf.xyz", toy.workpiece().cloud), ("path.csv", toy.workpiece().path[:6])):
         np.savetxt(tmp_path / name, points, delimiter=",")
-    beside = cell({"name": "camera", "parent": "elbow"}, shapes=CAMERA, self_collision=True)
+    surroundings = cell({"name": "camera", "parent": "elbow"}, shapes=CAMERA, self_collision=True)
     part = {"cloud": str(tmp_path / "shelf.xyz"), "path": str(tmp_path / "path.csv"), "interior": "none"}
     part |= {"approach_to_inlet": 2, "approach_to_path": 2, "tip_contact_m": None}
     more = {"start_rad": toy.START, "settings": toy.SETTINGS}
-    return {"robot": arm.model_dump(), "workpiece": part, "cell": beside.model_dump(), **more}
+    return {"robot": arm.model_dump(), "workpiece": part, "cell": surroundings.model_dump(), **more}
 
 
 @pytest.mark.slow
@@ -200,21 +200,21 @@ def test_a_box_is_as_far_from_triangles_and_points_as_fcl_finds():
     ],
 )
 def test_a_wrong_name_in_a_fixture_is_named_with_the_valid_ones(rule, message, arm, cell):
-    beside = cell(rule)
+    surroundings = cell(rule)
     with pytest.raises(InputError) as error:
-        build.obstacles_of(beside, build.robot_of(arm, beside))
+        build.obstacles_of(surroundings, build.robot_of(arm, surroundings))
     assert message in str(error.value) and "\n" not in str(error.value)
 
 
 def test_the_proof_of_a_motion_knows_the_box_on_a_link(arm, cell):
-    """The turret turns the camera through a thin rod; the arm's own capsules pass beside it."""
+    """The turret turns the camera through a thin rod; the arm's own capsules pass next to it."""
     rod = '<geom name="post" type="capsule" size="0.003" fromto="0.1 0 0.9 0.2 0 0.9"/>'
     verdicts, where = [], toy.scenario()
     for rules in ([], [{"name": "camera", "parent": "elbow"}]):
-        beside = cell(*rules, shapes=rod + (CAMERA if rules else ""))
-        robot = build.robot_of(arm, beside)
+        surroundings = cell(*rules, shapes=rod + (CAMERA if rules else ""))
+        robot = build.robot_of(arm, surroundings)
         a, b = jnp.array([-0.4, 0.0, 0.0, 0.0]), jnp.array([0.4, 0.0, 0.0, 0.0])
-        verdicts.append(int(prove(Scene(robot, build.obstacles_of(beside, robot)), where, a, b).verdict))
+        verdicts.append(int(prove(Scene(robot, build.obstacles_of(surroundings, robot)), where, a, b).verdict))
     assert verdicts == [PathVerdict.VALID, PathVerdict.IN_COLLISION]
 
 
@@ -227,9 +227,9 @@ def test_the_tip_begins_at_the_tool_and_not_at_a_box_next_to_the_tcp(arm, cell):
 
 def test_a_fixture_on_the_base_stands_in_the_frame_of_the_base(arm, cell):
     moved = arm.model_copy(update={"base_m": (0.0, 0.0, 1.0)})
-    beside = cell({"name": "post", "parent": "plinth"}, shift_m=(5.0, 0.0, 0.0))
-    robot = build.robot_of(moved, beside)
-    (found,) = build.obstacles_of(beside, robot)
+    surroundings = cell({"name": "post", "parent": "plinth"}, shift_m=(5.0, 0.0, 0.0))
+    robot = build.robot_of(moved, surroundings)
+    (found,) = build.obstacles_of(surroundings, robot)
     heights = {kind.centre[0, 0].item(): kind.centre[0, 2].item() for kind in found.simple}
     assert heights == pytest.approx({0.3: 1.5, 5.07: 0.2})
 

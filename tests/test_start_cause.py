@@ -81,17 +81,17 @@ def job(tmp_path):
 def test_a_standing_body_in_the_part_is_named_before_planning(job, start):
     with pytest.raises(InputError) as error:
         htcp_jax.plan({**job, "start_rad": start})
-    whole = {
+    messages = {
         "auto": "there is no start: the workpiece and capsule foot overlap by 30 mm in every configuration",
         toy.START: "start is in collision: capsule foot is 30.000 mm inside the workpiece, in every configuration, "
         "as neither moves",
     }
-    assert str(error.value) == whole[start]
+    assert str(error.value) == messages[start]
 
 
 @pytest.mark.slow
 def test_a_sweep_and_its_report_name_what_a_start_collides_with(job, tmp_path, capsys):
-    """Another scenario's start is clear: the point in the foot is left out."""
+    """Another scenario's start is clear: the part has no point in the foot."""
     np.savetxt(tmp_path / "part.xyz", around(POINT, 0.15), delimiter=",")
     clear = [2.5, *toy.START[1:]]
     grid = {"grid": [{"start_rad": [clear, list(toy.START)]}]}
@@ -105,7 +105,7 @@ def test_a_sweep_and_its_report_name_what_a_start_collides_with(job, tmp_path, c
     assert f"{rows[1]['colliding_body']} with the workpiece (1)" in stops.read_text()
 
 
-def test_runs_of_before_have_no_causes():
+def test_runs_from_older_versions_have_no_causes():
     rows = scenario_table("", (), Plans.empty(np.zeros((0, 4)), np.zeros((0, 1, 3))), ("j",) * 0)
     before = rows.drop_columns(list(CAUSE))
     assert with_causes(before).schema.equals(rows.schema) and with_causes(rows) is rows

@@ -90,9 +90,7 @@ class Robot:
     exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that the model states
     listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # True: complete, except pairs of `mounted`
     mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job: tool, fixtures
-    attached: tuple[int, ...] = dataclasses.field(
-        default=(), metadata=_STATIC
-    )  # those of fixtures that move with links
+    attached: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # those of fixtures on moving links
     meshes: VendorMeshes | None = dataclasses.field(default=None, metadata=_STATIC)  # None if its file refers to none
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
     base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # fixed in the world: link -1

@@ -215,7 +215,8 @@ def tables(batch: grids.Batch, method: str, span: Span, plans: Plans) -> dict[st
 
 def _causes(batch: grids.Batch, span: Span, plans: Plans) -> dict[int, start_cause.StartCause]:
     """Return the reasons of a shard's scenarios that could not begin, by their places in it."""
-    (cell, scenarios), status, found = scenarios_of(batch, span), plans.status[:, 0], {}
+    found: dict[int, start_cause.StartCause] = {}
+    (cell, scenarios), status = scenarios_of(batch, span), plans.status[:, 0]
     for number in np.unique(cell[np.isin(status, start_cause.CAUSES)]).tolist():
         own, rows = batch.cells[number], np.flatnonzero(cell == number)
         known = own.settings, own.task, own.obstacles

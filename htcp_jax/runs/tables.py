@@ -170,7 +170,7 @@ def scenario_table(
 
 
 def with_causes(rows: pa.Table) -> pa.Table:
-    """Return rows of scenarios with the columns of CAUSE, which runs of before do not have."""
+    """Return rows of scenarios with the columns of CAUSE, which runs from older versions lack."""
     if CAUSE[0] not in rows.column_names:
         for name in CAUSE:
             rows = rows.append_column(name, pa.nulls(len(rows), pa.string()))
