@@ -47,7 +47,7 @@ class LadderGraph(Method):
             cell = Cell(problem, scenario)
             rungs, edges = _ladder(cell)
             x = cell.start
-            for target, vertex in enumerate(_shortest(rungs, edges)):
+            for target, vertex in enumerate(shortest_path(rungs, edges)):
                 here = rungs[target].of(vertex)
                 cell.record(plans, target, x, here)
                 x = here.x
@@ -177,7 +177,7 @@ class _Profile(descartes.DescartesMoveProfileD):
         return self._anything
 
 
-def _shortest(rungs: list[Brought], edges: list[Edges]) -> list[int]:
+def shortest_path(rungs: list[Brought], edges: list[Edges]) -> list[int]:
     """Find the vertices of the shortest path, one per rung, by Descartes."""
     if len(rungs) < 2:
         return [0] * len(rungs)

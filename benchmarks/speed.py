@@ -60,10 +60,10 @@ def measure(requested: argparse.Namespace, here: Checkout, there: Checkout | Non
     """Run all cases one after the other, and print a part of the table for each.
 
     Raises:
-        InputError: As `_cases`.
+        InputError: As `cases_to_run`.
     """
     facts = json.loads(here.python("-m", "benchmarks.hardware"))
-    names, job, machine = _cases(requested, facts["gpus"]), job_of(here.part, requested), facts["machine"]
+    names, job, machine = cases_to_run(requested, facts["gpus"]), job_of(here.part, requested), facts["machine"]
     known, now = committed(requested.figures), commit(ROOT)
     print(f"{machine}; {facts['versions']}\nhere: {now}")
     if there:
@@ -213,7 +213,7 @@ def _other(requested: argparse.Namespace) -> Checkout | None:
     return Checkout("there", requested.against.resolve(), part, tuple(requested.changes))
 
 
-def _cases(requested: argparse.Namespace, gpus: int) -> list[str]:
+def cases_to_run(requested: argparse.Namespace, gpus: int) -> list[str]:
     """Return the cases to run, and print the reason if peers are excluded.
 
     Raises:

@@ -11,7 +11,12 @@ from typing import NamedTuple
 
 import jax
 
-from htcp_jax.pallas import HAS_KERNEL
+try:
+    from jax.experimental.pallas import triton
+except ImportError:  # JAX plans to remove it
+    triton = None
+
+HAS_KERNEL = triton is not None
 
 
 class Backend(NamedTuple):
@@ -19,6 +24,7 @@ class Backend(NamedTuple):
 
     platform: str  # of JAX: "cpu", "gpu", ...
     has_kernels: bool = False  # True if it runs the kernels of `pallas`
+    interprets: bool = False  # True: these run in Pallas' interpreter, on any machine
 
     @classmethod
     def of(cls, platform: str) -> "Backend":

@@ -61,6 +61,25 @@ def screenless():
         pytest.skip(str(missing))
 
 
+@pytest.fixture
+def opengl(tmp_path_factory, monkeypatch):
+    """Function that leaves only these platforms of off-screen OpenGL, in every process that tries one."""
+    from htcp_jax.viewer import offscreen  # here, as few tests draw
+
+    def only(*platforms: str) -> None:
+        folder = tmp_path_factory.mktemp("opengl") / "mujoco"
+        folder.mkdir()
+        (folder / "__init__.py").write_text("from unittest.mock import Mock\nMjrContext = MjModel = Mock()\n")
+        for name in platforms:
+            (folder / f"{name}.py").write_text("from unittest.mock import Mock\nGLContext = Mock()\n")
+        monkeypatch.setenv("PYTHONPATH", str(folder.parent))
+        monkeypatch.delenv("MUJOCO_GL", raising=False)
+        offscreen.platform.cache_clear()
+
+    yield only
+    offscreen.platform.cache_clear()
+
+
 @pytest.fixture(scope="module")
 def browser():
     """Headless browser; skips the test where none is installed."""

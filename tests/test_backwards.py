@@ -1,19 +1,21 @@
 """Backward planning: choice of the chain, its rows in the plan, and no delay for other scenarios."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import made_once
 import numpy as np
 import pytest
 
+from htcp_jax.clearance import Scene
 from htcp_jax.device import Executor
 from htcp_jax.device.tables import concatenate, gather
 from htcp_jax.model.scenario import make_scenario
-from htcp_jax.motion import Plans
+from htcp_jax.motion import Plans, Problem
 from htcp_jax.motion.motion import transfers
 from htcp_jax.motion.plans import is_tracked
 from htcp_jax.motion.step_functions import State
 from htcp_jax.planning.batch import plan
+from htcp_jax.planning.method import Method
 from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.tracking.backwards import BackwardPlans
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
@@ -150,18 +152,33 @@ def crossed():
     return arm, duct, [make_scenario(arm, duct, made_once.START, rotation=at, number=k) for k, at in poses.items()]
 
 
+class Followed(Executor):
+    """An executor that notes the name of every lane function that it runs, and the scenarios' numbers."""
+
+    calls: ClassVar[list] = []
+
+    def __call__(self, lane_function, inputs, *tables):
+        self.calls.append((lane_function.name, set(np.asarray(inputs.number).tolist())))
+        return super().__call__(lane_function, inputs, *tables)
+
+
+class FollowedHybrid(Method):
+    """The method hybrid, followed."""
+
+    name, title, description = "followed-hybrid", HYBRID.title, HYBRID.description
+
+    def plan(self, problem: Problem) -> Plans:
+        scene = Scene(problem.robot, problem.obstacles, problem.task)
+        for checker in problem.checkers:
+            checker.executor = Followed(scene, problem.settings, checker.executor.device)
+        return HYBRID.plan(problem)
+
+
 @pytest.mark.slow
-def test_a_plan_made_backwards_says_so_and_holds_up_nobody(crossed, monkeypatch):
+def test_a_plan_made_backwards_says_so_and_holds_up_nobody(crossed):
     """Check status and counts of a backward chain in real plans, and step QPs of other scenarios between its pushes."""
-    run, calls = Executor.__call__, []
-
-    def followed(self, lane_function, inputs, *tables):
-        calls.append((lane_function.name, set(np.asarray(inputs.number).tolist())))
-        return run(self, lane_function, inputs, *tables)
-
-    monkeypatch.setattr(Executor, "__call__", followed)
     *scene, scenarios = crossed
-    plans = plan(*scene, scenarios, "hybrid", threads=1)
+    plans, calls = plan(*scene, scenarios, FollowedHybrid(), threads=1), Followed.calls
     back = plans.recovery == HYBRID.backwards
     assert back[0].sum() > 50 and not back[1].any() and HYBRID.backwards == 3
     last = np.flatnonzero(back[0])[-1]

@@ -11,7 +11,7 @@ import pytest
 from test_motion_proof import motions
 
 from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, initial_state, proven_result
-from htcp_jax.clearance.proof.motion_proof import Tube, _next_interval
+from htcp_jax.clearance.proof.motion_proof import Tube, next_interval
 from htcp_jax.device import Executor, Loop, by_chunks
 from htcp_jax.device.batching import chunked
 from htcp_jax.device.executor import ExecutableCache
@@ -20,7 +20,7 @@ from htcp_jax.device.tables import gather
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.step_functions import ProofResolution
+from htcp_jax.motion.step_functions import PROVE, ProofResolution
 from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus
 
@@ -53,7 +53,7 @@ def unbroken():
 
 
 @pytest.mark.parametrize("table", [BatchSize(16, 1, True), BatchSize(64, 8, True), BatchSize(512, 300, True)])
-def test_proofs_in_chunks_are_unbroken_ones(table, monkeypatch):
+def test_proofs_in_chunks_are_unbroken_ones(table):
     """Proofs in chunks, equal to unbroken ones.
 
     Verdicts, places, queries and depths are equal; clearances up to rounding, as lanes computed in parallel round
@@ -67,11 +67,11 @@ def test_proofs_in_chunks_are_unbroken_ones(table, monkeypatch):
         SegmentStatus.REVERSES,
         SegmentStatus.UNDECIDED,
     ]
-    monkeypatch.setattr(DeviceSizes, "on", lambda load, device: table)
-    in_chunks = CollisionChecker(Executor(made_once.scene(), Settings(), executables=ExecutableCache()), Settings())
+    in_chunks = replace(PROVE, sizes=DeviceSizes(table, table))
+    executor = Executor(made_once.scene(), Settings(), executables=ExecutableCache())
     for rows in (slice(None), slice(7, None, 20), [int(np.argmax(expected.queries))]):
         (segments, closely), own = gather(requested(), rows), gather(expected, rows)
-        found = in_chunks.edges(*segments, **closely._asdict())
+        found = executor(in_chunks, *segments, closely)
         for name, value in found._asdict().items():
             rounds = 1e-14 * (name == "clearance")
             np.testing.assert_allclose(value, getattr(own, name), rtol=0, atol=rounds, err_msg=name)
@@ -109,7 +109,7 @@ def made_up(scene, free_radius, place, bad, kind) -> Loop:
             far.proof.queries + 1,
             jnp.maximum(far.proof.depth, far.depth.astype(jnp.int32)),
         )
-        moved = _next_interval(far.index, far.depth), (2 * far.index, far.depth + 1)
+        moved = next_interval(far.index, far.depth), (2 * far.index, far.depth + 1)
         index, depth = jax.tree.map(lambda *segment_status: jnp.where(left >= 0, *segment_status), *moved)
         return Bisection(index, depth, far.end, proof)
 

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from htcp_jax.cli import main
-from htcp_jax.planning import batch
+from htcp_jax.motion import Plans, Problem
+from htcp_jax.planning import registry
+from htcp_jax.planning.method import Method
 from htcp_jax.process_exit import INTERRUPTED
 
 SHORT = ["--set", "workpiece.path=path.csv"]
@@ -98,12 +100,21 @@ def test_a_cloud_of_an_odd_size_is_warned_of_in_one_line(here, capsys):
     assert capsys.readouterr().err.startswith("htcp: warning: hall extends over 9 m, gp50 reaches 3.07 m; ")
 
 
-def test_ctrl_c_leaves_nothing_behind(here, capsys, monkeypatch):
-    def interrupt(*_, **__):
+class InterruptedMethod(Method):
+    """A planner during which Ctrl-C is pressed."""
+
+    name, title, description = "interrupted", "Interrupted", "interrupted at once"
+
+    def plan(self, problem: Problem) -> Plans:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(batch, "plan", interrupt)
-    assert main(["plan", *SHORT, "--out", "out"]) == 130
+
+def test_ctrl_c_leaves_nothing_behind(here, capsys):
+    registry.register(InterruptedMethod())
+    try:
+        assert main(["plan", *SHORT, "--method", "interrupted", "--out", "out"]) == 130
+    finally:
+        registry.METHODS.unregister("interrupted")
     assert capsys.readouterr().err == f"htcp: {INTERRUPTED}\n"
     assert not (here / "out").exists()
 

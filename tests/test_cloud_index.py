@@ -8,11 +8,11 @@ import made_once
 import numpy as np
 import pytest
 
+from htcp_jax.backend import HAS_KERNEL, Backend, compiled_for
 from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, lower_bounds, single, with_axes
 from htcp_jax.clearance.distance.branch_and_bound import FAN
 from htcp_jax.clearance.distance.cloud_tree import TOP, build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.distance.cloud_tree_gpu import nearest_leaves
-from htcp_jax.pallas import HAS_KERNEL
 
 LANES = 8  # segments per search, as the capsules of a configuration
 EPS = np.finfo(float).eps
@@ -249,8 +249,9 @@ def test_the_kernel_for_gpus_finds_the_same_leaves(name, shared):
     p, q = (a.reshape(-1, LANES, 3) for a in segments(cloud(name), 5 * LANES, seed=5))
     limit = np.where(rng.random((5, LANES)) < 0.7, 1e150, 0.01)
     limit = np.broadcast_to(limit[:, :1], limit.shape) if shared else limit
-    search = partial(nearest_leaves, index, shared=shared, interpret=True)
-    leaves = np.asarray(jax.jit(jax.vmap(lambda p, q, limit: search(p, q, radius, limit)))(p, q, limit))
+    search = jax.jit(jax.vmap(lambda p, q, limit: nearest_leaves(index, p, q, radius, limit, shared)))
+    with compiled_for(Backend("gpu", has_kernels=True, interprets=True)):
+        leaves = np.asarray(search(p, q, limit))
     clearance = smallest_distances(p.reshape(-1, 3), q.reshape(-1, 3), cloud(name)).reshape(-1, LANES) - radius
     expected = clearance < limit
     if shared:

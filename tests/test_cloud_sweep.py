@@ -1,6 +1,7 @@
 """Clearance bound of moving bodies to a cloud: valid, and tight for bodies that slide along the points."""
 
 import contextlib
+from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -12,19 +13,17 @@ from sphere_references import Where
 from test_cloud_index import cloud
 from test_motion_proof import motions
 
-from htcp_jax.backend import Backend, compiled_for
+from htcp_jax.backend import HAS_KERNEL, Backend, compiled_for
 from htcp_jax.clearance import Scene, clearance
-from htcp_jax.clearance.distance import cloud_sweep, cloud_tree_gpu, half_spaces
-from htcp_jax.clearance.distance.cloud import cloud_of
+from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
-from htcp_jax.clearance.proof import interval
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import travel_bound
 from htcp_jax.clearance.proof.motion_proof import prove
-from htcp_jax.pallas import HAS_KERNEL
+from htcp_jax.pytree import register_pytree
 
 BODIES = 6
 STEP = 0.005  # between points on a circle [rad]
@@ -86,13 +85,10 @@ def test_the_search_ends_at_the_first_body_that_will_not_do_and_leaves_out_what_
 
 
 @pytest.fixture
-def as_on_a_gpu(monkeypatch):
+def as_on_a_gpu():
     """Use the GPU kernels, interpreted, as there is no GPU here; `close` ends that."""
-    places = (cloud_sweep, "least_in_reach"), (cloud_tree_gpu, "nearest_leaves"), (half_spaces, "highest")
-    for module, kernel in places:
-        monkeypatch.setattr(module, kernel, partial(getattr(module, kernel), interpret=True))
     with contextlib.ExitStack() as on_gpu:
-        on_gpu.enter_context(compiled_for(Backend.of("gpu")))
+        on_gpu.enter_context(compiled_for(Backend("gpu", has_kernels=True, interprets=True)))
         yield on_gpu
 
 
@@ -172,12 +168,19 @@ def floor_below(robot, where, x, gap_m):
     return cloud_of(points, 0.0)
 
 
-def test_a_segment_along_a_wall_takes_few_looks(monkeypatch):
+@register_pytree
+@dataclass(frozen=True)
+class TravelOnly(Cloud):
+    """A cloud without a bound of its own for moving bodies: the bodies' travel decides."""
+
+    sweeps = False
+
+
+def test_a_segment_along_a_wall_takes_few_looks():
     """A turn about the vertical, 1 um above a floor: by travel alone it needs over 20 times as many queries."""
     robot, where, x = made_once.robot(), Where(jnp.eye(4), jnp.zeros(4)), jnp.array([0.0, 0.6, -0.3, 0.0, -0.6, 0.0])
-    scene, turned = Scene(robot, (floor_below(robot, where, x, 1e-6),)), x.at[0].set(0.02)
-    proof = jax.jit(prove)(scene, where, x, turned)
+    floor, turned = floor_below(robot, where, x, 1e-6), x.at[0].set(0.02)
+    proof = jax.jit(prove)(Scene(robot, (floor,)), where, x, turned)
     assert proof.verdict == PathVerdict.VALID and proof.queries < 100
-    monkeypatch.setattr(interval, "_closer", lambda kind, *about: about[4] - about[3].travel)
-    again = jax.jit(lambda a, b: prove(scene, where, a, b))(x, turned)
+    again = jax.jit(prove)(Scene(robot, (TravelOnly(**vars(floor)),)), where, x, turned)
     assert again.verdict == PathVerdict.VALID and again.queries > 20 * proof.queries

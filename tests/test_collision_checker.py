@@ -196,7 +196,9 @@ class Spy(registry.Method):
     def plan(self, problem):
         self.problem = problem
         self._act(problem)
-        return problem.empty_plans()
+        plans = problem.empty_plans()
+        plans.status[problem.to_plan, 0] = Status.NO_SOLUTION
+        return plans
 
 
 def planned_by(spy, scenarios):
@@ -225,7 +227,7 @@ def test_a_method_gets_chosen_starts_and_known_refusals():
     plans = planned_by(spy := Spy(), scenarios)
     final = spy.problem.scenarios
     assert spy.problem.to_plan.tolist() == [0, 1]
-    assert plans.status[:, 0].tolist() == [Status.NOT_ATTEMPTED, Status.NOT_ATTEMPTED, Status.HOME_IN_COLLISION]
+    assert plans.status[:, 0].tolist() == [Status.NO_SOLUTION, Status.NO_SOLUTION, Status.HOME_IN_COLLISION]
     inputs = lane_inputs(final, np.arange(2), np.zeros(2, int))
     own = spy.problem.checkers[0]
     assert own.valid(inputs, own.states(inputs, final.x_start[:2])).all()

@@ -10,9 +10,7 @@ import pytest
 from htcp_jax.cli import main, self_test
 from htcp_jax.cli.main import app
 from htcp_jax.cli.methods import complete_methods
-from htcp_jax.errors import InputError
 from htcp_jax.planning.registry import METHODS
-from htcp_jax.viewer import offscreen
 
 SHORT = ["--set", "workpiece.path=path.csv", "--set", "method=baseline"]
 COLOUR = re.compile(r"\x1b\[[0-9;]*(?:3[0-7]|9[0-7])[0-9;]*m")
@@ -90,12 +88,12 @@ def test_sweep_and_reachability_print_what_they_found_as_json(here, capsys):
     assert found == json.loads((here / "c" / "reachability.json").read_text())
 
 
-def test_the_doctor_tells_what_is_there(capsys, monkeypatch, tmp_path):
+def test_the_doctor_tells_what_is_there(capsys, opengl, tmp_path):
     before = jax.config.jax_compilation_cache_dir
+    self_test.self_test()  # what it needs is compiled then, and not written into the other cache
     (tmp_path / "program").write_bytes(b"12345")
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    monkeypatch.setattr(self_test, "self_test", lambda: self_test.SelfTest(True, "planned before", 0.0, 0.0))
-    monkeypatch.setattr(offscreen, "platform", lambda: "osmesa")
+    opengl("osmesa")
     try:
         found = json_of(capsys, ["doctor"])
         assert main(["doctor"]) == 0
@@ -106,15 +104,11 @@ def test_the_doctor_tells_what_is_there(capsys, monkeypatch, tmp_path):
     assert found["rendering"] == {"platform": "osmesa", "lacks": None}
     assert found["cache"] == {"folder": str(tmp_path), "files": 1, "bytes": 5}
     shown = capsys.readouterr().out
-    assert str(tmp_path) in shown and "planned before" in shown and shown.endswith("sound\n")
+    assert str(tmp_path) in shown and "from the known answer" in shown and shown.endswith("sound\n")
 
 
-def test_a_machine_that_cannot_draw_is_sound_and_told_what_it_lacks(capsys, monkeypatch):
-    def none():
-        raise InputError("no off-screen OpenGL: install libegl1")
-
-    monkeypatch.setattr(offscreen, "platform", none)
-    monkeypatch.setattr(self_test, "self_test", lambda: self_test.SelfTest(True, "planned before", 0.0, 0.0))
+def test_a_machine_that_cannot_draw_is_sound_and_told_what_it_lacks(capsys, opengl):
+    opengl()
     assert json_of(capsys, ["doctor"])["rendering"]["platform"] is None
     assert main(["doctor"]) == 0
     assert "install libegl1" in capsys.readouterr().out
@@ -122,6 +116,7 @@ def test_a_machine_that_cannot_draw_is_sound_and_told_what_it_lacks(capsys, monk
 
 def test_the_self_test_passes_here_and_fails_on_another_answer(capsys, monkeypatch):
     assert json_of(capsys, ["doctor"])["self_test"]["passed"]
+    # No input changes the answer, and no installation at hand gives a wrong one.
     monkeypatch.setattr(self_test, "KNOWN_RAD", np.add(self_test.KNOWN_RAD, 1e-5))
     assert main(["doctor"]) == 1
     assert "the self-test failed" in capsys.readouterr().out

@@ -194,7 +194,7 @@ def test_a_stopped_reachability_keeps_what_it_found_marked_as_incomplete(here, m
     monkeypatch.chdir(here)
     words = ["reachability", "grid.yaml", "--out", "run"]
     with monkeypatch.context() as patch:
-        patch.setattr(Progress, "update", interrupt)
+        patch.setattr(Progress, "update", interrupt)  # of rich: only its bars say when three are finished
         assert main(words) == 130
     assert capsys.readouterr().err == "htcp: stopped; run/reachability.json has what was found, and is incomplete\n"
     record = json.loads(Path("run/reachability.json").read_text())
@@ -229,9 +229,8 @@ def test_the_call_from_python_leaves_signal_handlers_as_they_are(capsys):
     assert [signal.getsignal(number) for number in numbers] == before
 
 
-def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, monkeypatch):
-    monkeypatch.setattr(output, "LINE_S", 0.01)
-    with output.progress_bar("plans") as progress:
+def test_progress_without_a_terminal_is_a_line_now_and_then(capsys):
+    with output.progress_bar("plans", line_s=0.01) as progress:
         progress(3, 1200)
         time.sleep(0.5)
     lines = capsys.readouterr().err.splitlines()

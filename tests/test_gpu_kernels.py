@@ -13,16 +13,17 @@ import pytest
 import qpsolvers
 from test_qp import ORACLE, dense_answer
 
-from htcp_jax.backend import Backend, compiled_for
-from htcp_jax.pallas import HAS_KERNEL
+from htcp_jax.backend import HAS_KERNEL, Backend, compiled_for
 from htcp_jax.solvers import cma_es, interior_point_gpu, square_roots_gpu
 from htcp_jax.solvers.interior_point import DenseSolution, solve_dense
 
 pytestmark = pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+INTERPRETED = Backend("gpu", has_kernels=True, interprets=True)
 
 
 def one_by_kernel(H, c, G, h, tolerance=1e-11, iterations=30) -> DenseSolution:
-    return DenseSolution(*interior_point_gpu.solve(H, c, G, h, tolerance, iterations, interpret=True))
+    with compiled_for(INTERPRETED):
+        return DenseSolution(*interior_point_gpu.solve(H, c, G, h, tolerance, iterations))
 
 
 by_kernel = jax.jit(jax.vmap(one_by_kernel))
@@ -117,10 +118,11 @@ def test_a_lane_of_the_interior_point_kernel_does_not_notice_the_others():
 def test_a_gpu_gets_the_kernels_and_a_cpu_what_it_had():
     """Count the kernels in the traced program, as the choice is made when tracing."""
     qp = [part[0] for part in random_qps(3, 20)]
+    state, key = cma_es.start(jnp.zeros(3), 0.3), jax.random.PRNGKey(0)
 
     def kernels(backend):
         with compiled_for(backend):
-            made = jax.make_jaxpr(solve_dense)(*qp), jax.make_jaxpr(cma_es._square_roots_of)(np.eye(3))
+            made = jax.make_jaxpr(solve_dense)(*qp), jax.make_jaxpr(partial(cma_es.ask, population=4))(state, key)
         return [str(program).count("pallas_call") for program in made]
 
     assert kernels(Backend.of("cpu")) == kernels(Backend("gpu")) == [0, 0]
@@ -132,7 +134,8 @@ def test_a_gpu_gets_the_kernels_and_a_cpu_what_it_had():
 
 @jax.jit
 def square_roots(C):
-    return jax.vmap(partial(square_roots_gpu.square_roots, interpret=True))(C)
+    with compiled_for(INTERPRETED):
+        return jax.vmap(square_roots_gpu.square_roots)(C)
 
 
 def covariances(n, count=50):
@@ -175,14 +178,13 @@ def test_a_covariance_that_is_none_gives_finite_axes():
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_generation_by_the_gpus_formulas_is_that_of_the_cpu_but_for_signs(monkeypatch, seed):
+def test_a_generation_by_the_gpus_formulas_is_that_of_the_cpu_but_for_signs(seed):
     """Compare mean, step size, covariance and paths from the same samples, to rounding."""
     rng, r = np.random.default_rng(seed), cma_es.strategy_parameters(20, 3)
     state = cma_es.start(jnp.array([1.0, -2.0, 0.5]), 0.3)._replace(C=jnp.asarray(covariances(3)[seed + 5]))
     samples, cost = rng.normal(size=(20, 3)), rng.normal(size=20)
     cpu = jax.jit(lambda *a: cma_es.tell(*a, r))(state, samples, cost)
-    monkeypatch.setattr(square_roots_gpu, "square_roots", partial(square_roots_gpu.square_roots, interpret=True))
-    with compiled_for(Backend.of("gpu")):
+    with compiled_for(INTERPRETED):
         gpu = jax.jit(lambda *a: cma_es.tell(*a, r))(state, samples, cost)
     for ours, theirs in zip(gpu, cpu, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)

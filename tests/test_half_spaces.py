@@ -1,19 +1,14 @@
 """Facets that points lie beyond: the same by brute force, in a batch, and for any core of the hull."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.backend import Backend, compiled_for
-from htcp_jax.clearance.distance import half_spaces as module
+from htcp_jax.backend import HAS_KERNEL, Backend, compiled_for
 from htcp_jax.clearance.distance.half_spaces import ROUNDING_M, crossed_facets, depths, half_spaces
-from htcp_jax.clearance.distance.half_spaces_gpu import highest
 from htcp_jax.model.convex_hull import convex_hull
-from htcp_jax.pallas import HAS_KERNEL
 
 NEEDS_KERNEL = pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 RNG = np.random.default_rng(0)
@@ -139,14 +134,13 @@ def test_a_depth_is_never_more_than_the_true_one():
 
 @pytest.mark.parametrize("kernel", [pytest.param(True, marks=NEEDS_KERNEL), False])
 @pytest.mark.parametrize("ask", [crossed_facets, depths])
-def test_a_gpu_finds_the_same_with_a_kernel_and_without(ask, kernel, monkeypatch):
+def test_a_gpu_finds_the_same_with_a_kernel_and_without(ask, kernel):
     """Compare a batch of points, some requested; the kernel is interpreted, as there is no GPU here."""
     normal, offset = duct_hull()
     hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
     points = jnp.asarray(points_about(normal, offset, 200)).reshape(25, 16, 3)
     requested = jnp.asarray(RNG.random((25, 16)) < 0.7)
     expected = jax.jit(jax.vmap(ask, in_axes=(None, 0, 0)))(hull, points, requested)
-    monkeypatch.setattr(module, "highest", partial(highest, interpret=True))
-    with compiled_for(Backend("gpu", kernel)):
+    with compiled_for(Backend("gpu", kernel, interprets=True)):
         found = jax.jit(jax.vmap(ask, in_axes=(None, 0, 0)))(hull, points, requested)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)  # the kernel uses 32-bit values

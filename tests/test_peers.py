@@ -110,7 +110,7 @@ def test_descartes_finds_the_shortest_path_through_a_ladder():
         return sum(found.get(pair, np.inf) for found, pair in zip(edges, itertools.pairwise(path), strict=True))
 
     shortest = min(itertools.product(*(range(len(x)) for x in configurations)), key=length)
-    assert np.isfinite(length(shortest)) and descartes._shortest(rungs, edges) == list(shortest)
+    assert np.isfinite(length(shortest)) and descartes.shortest_path(rungs, edges) == list(shortest)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.placement.place import _is_on_pareto_front
+from htcp_jax.placement.place import is_on_pareto_front
 from htcp_jax.placement.place_file import load_search
 from htcp_jax.placement.ranges import Ranges, read_ranges
 from htcp_jax.placement.search import APART, FROM, POPULATION, Evolution, SearchResults, best_apart, even, score
@@ -201,4 +201,4 @@ def test_chosen_mountings_keep_apart_and_none_that_could_be_chosen_is_passed_ove
 @given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=1, max_size=12))
 def test_the_pareto_front_is_what_no_other_beats(objective):
     beaten = [any(a >= x and b >= y and (a, b) != (x, y) for a, b in objective) for x, y in objective]
-    assert _is_on_pareto_front(np.array(objective, float)).tolist() == [not b for b in beaten]
+    assert is_on_pareto_front(np.array(objective, float)).tolist() == [not b for b in beaten]

@@ -116,7 +116,9 @@ class Here(Method):
 
     def plan(self, problem):
         Here.seen = (*Here.seen, os.getpid())
-        return problem.empty_plans()
+        plans = problem.empty_plans()
+        plans.status[problem.to_plan, 0] = Status.NO_SOLUTION
+        return plans
 
 
 def test_a_method_of_this_process_plans_here():

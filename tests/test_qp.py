@@ -183,32 +183,38 @@ def test_a_panic_of_the_core_fails_one_qp_and_the_solver_is_built_anew():
 
     Such a panic is no subclass of Exception; a keyboard interrupt must still get through.
     """
-    solver, (qps, _) = ClarabelSolver(WEIGHTS, 8), random_batch(3, 8, seed=0)
+    qps, _ = random_batch(3, 8, seed=0)
     clean = ClarabelSolver(WEIGHTS, 8).solve(qps)
-    working = solver._solver
 
     class Breaking:
-        def __init__(self, breakage):
-            self.breakage, self.calls = breakage, 0
+        def __init__(self, working, breakage):
+            self.working, self.breakage, self.calls = working, breakage, 0
 
         def update(self, **data):
             self.calls += 1
             if self.calls == 2:
                 raise self.breakage
-            working.update(**data)
+            self.working.update(**data)
 
         def solve(self):
-            return working.solve()
+            return self.working.solve()
 
-    solver._solver = Breaking(type("PanicException", (BaseException,), {})("index out of bounds"))
-    y, status = solver.solve(qps)
+    class FirstBreaks(ClarabelSolver):
+        def __init__(self, breakage):
+            self.breakage = breakage
+            super().__init__(WEIGHTS, 8)
+
+        def build(self):
+            breakage, self.breakage = self.breakage, None
+            return Breaking(super().build(), breakage) if breakage else super().build()
+
+    y, status = FirstBreaks(type("PanicException", (BaseException,), {})("index out of bounds")).solve(qps)
     np.testing.assert_array_equal(status, [QPStatus.SOLVED, QPStatus.FAILED, QPStatus.SOLVED])
     np.testing.assert_array_equal(y[[0, 2]], clean.y[[0, 2]])
     np.testing.assert_array_equal(y[1], 0.0)
 
-    solver._solver = Breaking(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
-        solver.solve(qps)
+        FirstBreaks(KeyboardInterrupt()).solve(qps)
 
 
 @pytest.mark.parametrize("rows", ["per-body", "smallest"])

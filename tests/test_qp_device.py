@@ -5,21 +5,27 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from test_qp import WEIGHTS, batch, infeasible, random_batch
+from test_qp import WEIGHTS, N, batch, infeasible, random_batch
 
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.motion import Plans, Problem
 from htcp_jax.planning.batch import plan
-from htcp_jax.planning.tracking import step_qps
+from htcp_jax.planning.method import Method
+from htcp_jax.planning.methods import BUILT_IN
+from htcp_jax.planning.tracking.candidates import PendingScenarios
+from htcp_jax.planning.tracking.engine import Engine
 from htcp_jax.planning.tracking.step_qps import make_solver
+from htcp_jax.planning.tracking.work import Work
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import ClarabelSolver
 from htcp_jax.solvers.active_set import solve_step
-from htcp_jax.solvers.step_qp import QPStatus, StepQP
+from htcp_jax.solvers.step_qp import QPSolver, QPStatus, StepQP, row_count
 from htcp_jax.status import Status
 
 solve = jax.jit(jax.vmap(solve_step))
+[BASELINE] = [method for method in BUILT_IN if method.name == "baseline"]
 START = np.array([0.0, -2.3, 0.5, 0.0, 0.5, -2.0])
 
 
@@ -84,30 +90,47 @@ def test_a_qp_with_a_nan_fails_and_the_others_do_not_notice(field):
 class Recorder:
     """Clarabel, with a record of every QP it was given."""
 
-    def __init__(self, *sizes):
-        self._solver, self.seen = make_solver(*sizes), []
+    def __init__(self, solver: QPSolver):
+        self._solver, self.seen = solver, []
 
     def solve(self, qps):
         self.seen.append(qps)
         return self._solver.solve(qps)
 
 
-def recorded(monkeypatch, settings, margin_m) -> StepQP:
+class Recorded(Method):
+    """The baseline with one engine, whose step QPs are recorded."""
+
+    name, title, description = "recorded", "Recorded", "a record of the step QPs"
+
+    def __init__(self):
+        self.seen = []
+
+    def plan(self, problem: Problem) -> Plans:
+        [checker] = problem.checkers
+        rows = row_count(problem.settings, checker.executor.sizes[1])
+        solver = Recorder(make_solver(problem.settings, N, rows))
+        plans, work = problem.empty_plans(), Work(problem.to_plan.tolist(), 1)
+        Engine(problem, checker, solver, BASELINE, plans, work, PendingScenarios()).run()
+        self.seen = solver.seen
+        return plans
+
+
+def recorded(settings, margin_m) -> StepQP:
     """Step QPs of a few hard poses."""
-    made = []
-    monkeypatch.setattr(step_qps, "make_solver", lambda *a: made.append(Recorder(*a)) or made[-1])
     scene = gp50(), load_workpiece()
     hard = [(0.8, -0.3), (0.7, 0.3), (0.6, 0.0), (0.2, -0.3)]
-    plan(*scene, [make_scenario(*scene, START, rotation=r, margin_m=margin_m) for r in hard], "baseline", settings)
-    return jax.tree.map(lambda *part: np.concatenate(part), *[qps for recorder in made for qps in recorder.seen])
+    method = Recorded()
+    plan(*scene, [make_scenario(*scene, START, rotation=r, margin_m=margin_m) for r in hard], method, settings)
+    return jax.tree.map(lambda *part: np.concatenate(part), *method.seen)
 
 
 @pytest.mark.parametrize(
     ("settings", "margin_m", "least"),
     [(Settings(), 5e-4, 30), (Settings(**made_once.PAPER_CHOICES), 0.0, 0)],
 )
-def test_it_agrees_with_clarabel_on_the_step_qps_of_real_plans(monkeypatch, settings, margin_m, least):
-    qps = recorded(monkeypatch, settings, margin_m)
+def test_it_agrees_with_clarabel_on_the_step_qps_of_real_plans(settings, margin_m, least):
+    qps = recorded(settings, margin_m)
     assert len(qps.b) > 200
     tighter = qps._replace(h=qps.h - 0.05)  # as if the wall were 5 cm nearer: then many are infeasible
     qps = jax.tree.map(lambda a, b: np.concatenate([a, b]), qps, tighter)

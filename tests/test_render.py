@@ -270,22 +270,22 @@ def test_no_such_run_is_one_line(screenless, tmp_path, capsys):
     assert "nowhere holds neither a run of htcp sweep" in capsys.readouterr().err
 
 
-def test_without_opengl_the_packages_are_named(made, tmp_path, monkeypatch, capsys):
+def test_without_opengl_the_packages_are_named(made, opengl, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(offscreen, "TRIAL", "import no_such_library_of_opengl")
-    monkeypatch.setattr(offscreen, "platform", offscreen.platform.__wrapped__)  # without its cache
+    opengl()
     assert main(["render", str(made[1])]) == 2
     error = capsys.readouterr().err
     assert "libegl1 and libgl1-mesa-dri (EGL), or libosmesa6 (OSMesa)" in error and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
-def test_osmesa_stands_in_where_egl_fails(monkeypatch):
-    monkeypatch.setattr(offscreen, "_works", lambda name: name == "osmesa")
-    assert offscreen.platform.__wrapped__() == "osmesa"
+def test_osmesa_stands_in_where_egl_fails(opengl, monkeypatch):
+    opengl("osmesa")
+    assert offscreen.platform() == "osmesa"
     monkeypatch.setenv("MUJOCO_GL", "egl")
+    offscreen.platform.cache_clear()
     with pytest.raises(InputError, match=r"no off-screen OpenGL \(egl\)"):
-        offscreen.platform.__wrapped__()
+        offscreen.platform()
 
 
 def test_the_statuses_are_all_distinguished():

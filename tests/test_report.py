@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from markdown_it import MarkdownIt
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.examples import examples
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.model import Scenario
+from htcp_jax.motion import Plans
 from htcp_jax.motion.motion import MotionFigures
-from htcp_jax.planning import batch
 from htcp_jax.reachability import Obstruction
 from htcp_jax.report import Column, Table, make_report, paper, tables, write_report
 from htcp_jax.report.best import best_scenarios
@@ -26,9 +29,10 @@ from htcp_jax.report.document import Heading, html, markdown
 from htcp_jax.report.groups import read_parts
 from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.report import overview
-from htcp_jax.runs import open_run
+from htcp_jax.runs import Run, open_run
+from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.reachability_file import REACHABILITY
-from htcp_jax.runs.sweep import sweep
+from htcp_jax.runs.sweep import keep_plans
 from htcp_jax.status import SegmentStatus, Status
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*a gap of")  # a cloud of eight points
@@ -42,7 +46,7 @@ SHELF = "\n".join(f"{0.18 + 0.02 * k:.2f} -0.17 0.1" for k in range(20))  # unde
 BOX = "\n".join(f"{1.3 * x} {y} {z}" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
 
 
-def by_hand(robot, workpiece, scenarios, method, settings, *, progress=None, **how):
+def by_hand(scenarios: Scenario, method: str) -> Plans:
     """Plans made by hand, as returned by the planner.
 
     The baseline loses scenario k's last k % 4 targets, the others none; each second target of the baseline lies behind
@@ -60,13 +64,19 @@ def by_hand(robot, workpiece, scenarios, method, settings, *, progress=None, **h
     )
 
 
+def kept(file: str | Path, methods: str, out: Path, **how) -> Run:
+    """The run of a sweep file, with plans made by hand."""
+    spec = load_sweep(file)
+    scenarios = spec.batch().scenarios
+    return keep_plans(spec, {method: by_hand(scenarios, method) for method in methods.split(",")}, out, **how)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with runs: the paper's two grids, with the paper's choices; and a list of smaller ones."""
     with pytest.MonkeyPatch.context() as patch:
         place = tmp_path_factory.mktemp("runs")
         patch.chdir(place)
-        patch.setattr(batch, "plan", by_hand)
         (place / "box.xyz").write_text(f"{BOX}\n{SHELF}")
         choices = yaml.safe_load(examples()["paper"].read_text())
         del choices["config"]
@@ -87,7 +97,7 @@ def folder(tmp_path_factory):
         }
         for name, (config, text) in grids.items():
             (place / f"{name}.yaml").write_text(f"config: {config}.yaml\n{text}\n")
-            sweep(f"{name}.yaml", "baseline,hybrid", place / name)
+            kept(f"{name}.yaml", "baseline,hybrid", place / name)
     return place
 
 
@@ -342,15 +352,10 @@ def test_groups_are_parts_with_tables_of_their_own(folder):
     assert [row["run"] for row in scenarios].count("groups: second") == 6
 
 
-def test_an_unfinished_run_is_reported_as_far_as_it_is(folder, monkeypatch, tmp_path):
-    def gives_up(robot, workpiece, scenarios, method, settings, **how):
-        if method == "hybrid" and scenarios.number[0] > 0:
-            raise InputError("stopped")
-        return by_hand(robot, workpiece, scenarios, method, settings, **how)
-
-    monkeypatch.setattr(batch, "plan", gives_up)
-    with pytest.raises(InputError, match="stopped"):
-        sweep(folder / "groups.yaml", "baseline,hybrid,keep-clear", tmp_path / "half", shard_scenarios=1)
+def test_an_unfinished_run_is_reported_as_far_as_it_is(folder, tmp_path):
+    run = kept(folder / "groups.yaml", "baseline,hybrid,keep-clear", tmp_path / "half", shard_scenarios=1)
+    unfinished = run.manifest.model_copy(update={"shards": run.manifest.shards[:6]})  # five of baseline, one of hybrid
+    (run.folder / MANIFEST).write_text(unfinished.model_dump_json())
     report = make_report([tmp_path / "half"])
     first, second = report.parts
     assert rows_of(tables.results(first))["hybrid"]["scenarios"] == 1

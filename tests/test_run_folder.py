@@ -56,11 +56,11 @@ def rows(method: str, span: Span) -> tuple:
     return written, plans
 
 
-def completed(folder: Path) -> Run:
+def completed(folder: Path, by: dict = BY) -> Run:
     folder.mkdir(exist_ok=True)
     run = writer.begin(folder, manifest())
     for span in run.missing("baseline"):
-        run = writer.add(run, "baseline", span, *rows("baseline", span), BY)
+        run = writer.add(run, "baseline", span, *rows("baseline", span), by)
     return run
 
 
@@ -232,10 +232,9 @@ def test_a_full_or_read_only_disk_is_one_line_and_leaves_the_run_as_it_was(tmp_p
     assert open_run(tmp_path).missing("baseline") == list(SPANS)
 
 
-def test_other_software_is_warned_of(tmp_path, monkeypatch):
-    completed(tmp_path)
-    monkeypatch.setattr(writer, "planned_by", lambda: BY | {"commit": "another"})
-    with pytest.warns(UserWarning, match="was planned by other software: commit is .* there, another here"):
+def test_other_software_is_warned_of(tmp_path):
+    completed(tmp_path, BY | {"commit": "another"})
+    with pytest.warns(UserWarning, match="was planned by other software: commit is another there, .* here"):
         writer.begin(tmp_path, manifest())
 
 

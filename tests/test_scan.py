@@ -1,5 +1,6 @@
 """Scans and STEP parts, read by optional libraries; a damaged file gives one line at most."""
 
+import importlib.util
 import os
 import pickle
 from pathlib import Path
@@ -9,9 +10,8 @@ import pytest
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.parts import scan
 from htcp_jax.io.parts.point_cloud import load_cloud, read_points
-from htcp_jax.io.parts.scan import PARTS, SCANS, read_part
+from htcp_jax.io.parts.scan import PARTS, SCANS, parsed, read_part
 
 laspy, pye57 = pytest.importorskip("laspy"), pytest.importorskip("pye57")
 pypcd4, _ = pytest.importorskip("pypcd4"), pytest.importorskip("cascadio")
@@ -130,12 +130,11 @@ def test_a_step_part_is_a_mesh_like_any_other(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new"), [(b"COUNT 1 1 1", b"COUNT 1 1 1000000000"), (b"POINTS 40", b"POINTS 4000000000")]
 )
-def test_a_pcd_that_promises_more_than_it_can_hold_is_refused_before_it_is_laid_out(tmp_path, monkeypatch, old, new):
+def test_a_pcd_that_promises_more_than_it_can_hold_is_refused_before_it_is_laid_out(tmp_path, old, new):
     """PCD headers that announce too much: refused before memory is allocated (regression: 3.9 GB and 53 s)."""
     file = pcd(tmp_path / "scan.pcd")
     assert old in file.read_bytes()
     file.write_bytes(file.read_bytes().replace(old, new).replace(b"WIDTH 40", b"WIDTH 4000000000"))
-    monkeypatch.setattr(scan, "MEMORY", 2**30)
     assert "do not fit into" in refusal(file)
 
 
@@ -145,7 +144,7 @@ def test_without_the_extra_one_line_says_how_to_get_it(tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     WRITE[ending](Path(f"part{ending}"))
     Path("seam.csv").write_text("0,0,0\n")
-    monkeypatch.setattr(scan.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert main(["plan", "--set", f"workpiece.cloud=part{ending}", "--set", "workpiece.path=seam.csv"]) == 2
     extra = "cad" if ending in PARTS else "scan"
     assert capsys.readouterr().err == (
@@ -177,16 +176,22 @@ PRINT = "print('a parser that talks')\nraise BaseException('a panic\\nin two lin
 
 @pytest.mark.parametrize("parser, words", [
     (CRASH, "not a readable .las file (its parser ended with SIGSEGV)"),
-    (HANG, "not read within"),
     (PRINT, "not a readable .las file (BaseException: a panic in two lines)"),
 ])  # fmt: skip
-def test_a_parser_may_crash_hang_and_talk(tmp_path, monkeypatch, capfd, parser, words):
+def test_a_parser_may_crash_and_talk(tmp_path, monkeypatch, capfd, parser, words):
     (tmp_path / "laspy.py").write_text(parser)
     file = las(tmp_path / "scan.las")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(scan, "LONGEST_S", 2)
     assert words in refusal(file)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_parser_that_hangs_is_ended(tmp_path, monkeypatch):
+    (tmp_path / "laspy.py").write_text(HANG)
+    file = las(tmp_path / "scan.las")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(InputError, match="not read within"):
+        parsed(file, SCANS[".las"], longest_s=2)
 
 
 def test_a_header_that_promises_too_much_takes_neither_time_nor_memory(tmp_path):

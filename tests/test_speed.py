@@ -144,7 +144,7 @@ def test_bad_input_is_one_line_and_exit_code_2(ran, words, message):
 
 def test_cases_on_gpus_need_some():
     def cases(gpus, *only):
-        return speed._cases(argparse.Namespace(only=only, peers=False), gpus)
+        return speed.cases_to_run(argparse.Namespace(only=only, peers=False), gpus)
 
     assert {*cases(1)} - {*cases(0)} == {"cross-gpu", "cross-gpu-engines"} and cases(1, "cross-gpu") == ["cross-gpu"]
     with pytest.raises(InputError, match=r"^--only cross-gpu: JAX finds no GPU here$"):

@@ -30,10 +30,9 @@ def test_the_discs_leave_few_gaps_in_a_tube():
     assert (apart < surface.radius[None]).any(axis=1).mean() > 0.99
 
 
-def test_a_big_cloud_is_thinned_and_the_same_each_time(monkeypatch):
-    monkeypatch.setattr("htcp_jax.model.surface.MOST", 400)
+def test_a_big_cloud_is_thinned_and_the_same_each_time():
     points, _ = tube(500)
-    first, second = surface_of(points), surface_of(points)
+    first, second = surface_of(points, most=400), surface_of(points, most=400)
     assert len(first.points) == 400 and (first.points == second.points).all()
 
 

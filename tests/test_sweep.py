@@ -13,8 +13,10 @@ from sweep_process import JOB, PLATE
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.planning import batch
-from htcp_jax.runs import Run, RunningSummary, open_run, run_folder
+from htcp_jax.motion import Plans, Problem
+from htcp_jax.planning import batch, registry
+from htcp_jax.planning.method import Method
+from htcp_jax.runs import Run, RunningSummary, open_run
 from htcp_jax.runs.summary import Summary, summarise
 from htcp_jax.runs.sweep import sweep
 
@@ -37,17 +39,17 @@ def here(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def planned(here, monkeypatch):
-    """List of the planned (method, scenarios), in the folder with a plate, which is quicker to plan."""
+def plate(here):
+    """The folder with a plate, which is quicker to plan."""
     (here / "job.yaml").write_text(JOB)
-    calls, plan = [], batch.plan
+    return here
 
-    def noted(robot, workpiece, scenarios, method, *arguments, **options):
-        calls.append((method, scenarios.number.tolist()))
-        return plan(robot, workpiece, scenarios, method, *arguments, **options)
 
-    monkeypatch.setattr(batch, "plan", noted)
-    return calls
+@pytest.fixture
+def shards():
+    """List of the finished (method, first scenario, last scenario), and the callback of `sweep` that fills it."""
+    found = []
+    return found, lambda shard: found.append((shard.method, *shard.span))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -81,18 +83,20 @@ def test_the_command_prints_a_table_that_lines_up_and_nothing_else_when_piped(he
     assert lines[-1] == "Tracked: reached with the required clearance of 0.5 mm or more."
 
 
-def test_what_is_finished_is_not_planned_again(planned):
-    sweep("grid.yaml", "baseline", "run", shard_scenarios=2)
-    assert planned == [("baseline", [0, 1]), ("baseline", [2])]
-    run = sweep("grid.yaml", "baseline,keep-clear", "run")
-    assert planned[2:] == [("keep-clear", [0, 1]), ("keep-clear", [2])]  # same shards as at first
+def test_what_is_finished_is_not_planned_again(plate, shards):
+    planned, note = shards
+    sweep("grid.yaml", "baseline", "run", shard_scenarios=2, finished=note)
+    assert planned == [("baseline", 0, 1), ("baseline", 2, 2)]
+    run = sweep("grid.yaml", "baseline,keep-clear", "run", finished=note)
+    assert planned[2:] == [("keep-clear", 0, 1), ("keep-clear", 2, 2)]  # same shards as at first
     assert run.methods == ("baseline", "keep-clear") and run.complete
 
 
-def test_a_limit_may_grow_but_not_shrink(planned):
-    sweep("grid.yaml", "baseline", "run", limit=1)
-    run = sweep("grid.yaml", "baseline", "run", limit=3)
-    assert planned == [("baseline", [0]), ("baseline", [0, 1, 2])]
+def test_a_limit_may_grow_but_not_shrink(plate, shards):
+    planned, note = shards
+    sweep("grid.yaml", "baseline", "run", limit=1, finished=note)
+    run = sweep("grid.yaml", "baseline", "run", limit=3, finished=note)
+    assert planned == [("baseline", 0, 0), ("baseline", 0, 2)]
     assert [file.name for file in Path("run/targets").iterdir()] == ["baseline-000000-000002.parquet"]
     assert run.manifest.count == 3 and run.complete
     with pytest.raises(InputError, match="run holds this sweep with 3 scenarios, more than 2; choose another --out"):
@@ -109,7 +113,7 @@ def test_a_limit_may_grow_but_not_shrink(planned):
         ({"overrides": ["workpiece.cloud=moved.xyz"]}, "workpiece.cloud is plate.xyz, SHA-256 "),
     ],
 )
-def test_another_sweep_never_mixes_with_the_old_rows(here, planned, change, line):
+def test_another_sweep_never_mixes_with_the_old_rows(here, plate, change, line):
     (here / "other.yaml").write_text(GRID.replace("-0.1", "-0.2"))
     (here / "moved.xyz").write_text(PLATE + "\n0.45 0 0")
     sweep("grid.yaml", "baseline", "run")
@@ -120,15 +124,16 @@ def test_another_sweep_never_mixes_with_the_old_rows(here, planned, change, line
     assert (contents(here / "run"), (here / "run" / "manifest.json").read_bytes()) == before
 
 
-def test_the_same_files_elsewhere_are_the_same_sweep(here, planned, tmp_path):
-    sweep("grid.yaml", "baseline", "run")
-    os.rename(here / "grid.yaml", here / "renamed.yaml")
+def test_the_same_files_elsewhere_are_the_same_sweep(plate, shards):
+    planned, note = shards
+    sweep("grid.yaml", "baseline", "run", finished=note)
+    os.rename(plate / "grid.yaml", plate / "renamed.yaml")
     os.chdir("/")
-    assert sweep(here / "renamed.yaml", "baseline", here / "run").complete and len(planned) == 1
+    assert sweep(plate / "renamed.yaml", "baseline", plate / "run", finished=note).complete and len(planned) == 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_sweep_that_the_same_call_completes(here, planned, number):
+def test_a_signal_ends_a_sweep_that_the_same_call_completes(here, plate, number):
     sweep("grid.yaml", "baseline", "undisturbed", shard_scenarios=1)
     handler = signal.getsignal(number)
 
@@ -144,7 +149,7 @@ def test_a_signal_ends_a_sweep_that_the_same_call_completes(here, planned, numbe
     assert contents(here / "run") == contents(here / "undisturbed")
 
 
-def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_left(here, planned, capsys):
+def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_left(here, plate, capsys):
     """Sweep resumed with fewer methods: its output lists the planned ones and the remaining ones (regression)."""
 
     def interrupt(now):
@@ -161,7 +166,7 @@ def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_
     assert main([*words, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert (list(record["methods"]), record["unfinished"], record["complete"]) == (["baseline"], {"hybrid": 3}, False)
-    assert {method for method, _ in planned} == {"baseline"}
+    assert {shard.method for shard in open_run("run").manifest.shards} == {"baseline"}
 
 
 def test_a_signal_stops_the_planner_in_the_middle_of_a_shard_and_leaves_nothing(here):
@@ -176,20 +181,34 @@ def test_a_signal_stops_the_planner_in_the_middle_of_a_shard_and_leaves_nothing(
     assert reported[-1].targets_tracked < reported[-1].targets and not (here / "run").exists()
 
 
-def test_the_command_says_how_to_go_on_after_a_signal(here, capsys, monkeypatch):
-    def interrupted(*_, **__):
-        raise Interrupted("stopped; 1 of 2 shards", signal.SIGTERM)
+class Stopped(Method):
+    """The baseline, during whose second shard a SIGTERM arrives."""
 
-    monkeypatch.setattr("htcp_jax.runs.sweep.sweep", interrupted)
-    assert main(["sweep", "grid.yaml"]) == 143
-    assert capsys.readouterr().err == "htcp: stopped; 1 of 2 shards\n"
+    name, title, description = "stopped", "Stopped", "stopped in its second shard"
+    shards = 0
+
+    def plan(self, problem: Problem) -> Plans:
+        self.shards += 1
+        if self.shards == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return registry.find("baseline").plan(problem)
+
+
+def test_the_command_says_how_to_go_on_after_a_signal(plate, capsys):
+    registry.register(Stopped())
+    try:
+        assert main(["sweep", "grid.yaml", "--methods", "stopped", "--shard", "1", "--out", "run"]) == 143
+    finally:
+        registry.METHODS.unregister("stopped")
+    reported = "htcp: stopped; 1 of 3 shards are finished in run; the same command resumes\n"
+    assert capsys.readouterr().err == reported
 
 
 class Killed(BaseException):
     """Stand-in for kill -9: no cleanup may run after it."""
 
 
-def test_killed_at_any_write_a_sweep_continues_to_the_same_bytes(here, planned, monkeypatch):
+def test_killed_at_any_write_a_sweep_continues_to_the_same_bytes(here, plate, monkeypatch):
     sweep("grid.yaml", "baseline", "undisturbed", shard_scenarios=2)
     replace, calls = os.replace, []
 
@@ -213,14 +232,14 @@ def test_killed_at_any_write_a_sweep_continues_to_the_same_bytes(here, planned, 
         assert not list(folder.glob(".part-*"))
 
 
-def test_progress_counts_what_was_kept(planned):
+def test_progress_counts_what_was_kept(plate):
     sweep("grid.yaml", "baseline", "run", limit=2, shard_scenarios=2)
     reported = []
     sweep("grid.yaml", "baseline", "run", progress=reported.append)
     assert reported[0] == ("baseline", 2, 3, 26, 39) and reported[-1] == ("baseline", 3, 3, 39, 39)
 
 
-def test_without_a_folder_the_results_live_as_long_as_the_run(planned):
+def test_without_a_folder_the_results_live_as_long_as_the_run(plate):
     run = sweep("grid.yaml", "baseline")
     folder = run.folder
     assert isinstance(run, Run) and run.scenarios().num_rows == 3
@@ -229,7 +248,7 @@ def test_without_a_folder_the_results_live_as_long_as_the_run(planned):
     assert not folder.exists()
 
 
-def test_a_run_can_be_read_while_it_is_planned(planned):
+def test_a_run_can_be_read_while_it_is_planned(plate):
     seen = []
 
     def look(now):
@@ -275,18 +294,19 @@ def same(a: Summary, b: Summary) -> bool:
     return all(one == other or (one != one and other != other) for one, other in zip(a, b, strict=True))
 
 
-def test_what_was_just_planned_is_summed_up_without_reading_it_again(planned, monkeypatch):
+def test_what_was_just_planned_is_summed_up_without_reading_it_again(plate):
     running = RunningSummary()
     run = sweep("grid.yaml", "baseline,keep-clear", "out", shard_scenarios=2, finished=running.add)
     read = {method: summarise(run.plans(method)) for method in run.methods}
     margins = np.unique(run.scenarios()["margin_m"].to_numpy())
-    monkeypatch.setattr(run_folder, "_read_parquet", lambda *_: pytest.fail("a file was read"))
+    for file in Path("out").glob("*/*.parquet"):
+        file.unlink()
     fresh = open_run("out")
     assert all(same(summarise(running.plans(fresh, method)), read[method]) for method in run.methods)
     np.testing.assert_array_equal(running.margins_m(fresh, *run.methods), margins)
 
 
-def test_what_was_planned_before_is_read_from_the_folder(planned):
+def test_what_was_planned_before_is_read_from_the_folder(plate):
     sweep("grid.yaml", "baseline", "out", limit=2, shard_scenarios=1)
     running = RunningSummary()
     run = sweep("grid.yaml", "baseline", "out", shard_scenarios=1, finished=running.add)
@@ -294,7 +314,12 @@ def test_what_was_planned_before_is_read_from_the_folder(planned):
     np.testing.assert_array_equal(running.margins_m(run, "baseline"), [load_sweep("grid.yaml").config.margin_m])
 
 
-def test_the_command_s_table_needs_none_of_the_files_that_it_wrote(planned, monkeypatch, capsys):
-    monkeypatch.setattr(run_folder, "_read_parquet", lambda *_: pytest.fail("a file was read"))
+def test_the_command_s_table_needs_none_of_the_files_that_it_wrote(plate, monkeypatch, capsys):
+    def damaging(source, target, replace=os.replace):
+        replace(source, target)
+        if target.suffix == ".parquet":
+            target.write_bytes(b"")
+
+    monkeypatch.setattr(os, "replace", damaging)
     assert main(["sweep", "grid.yaml", "--methods", "baseline", "--out", "out"]) == 0
     assert "39" in capsys.readouterr().out  # targets: three scenarios of 13

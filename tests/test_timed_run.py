@@ -17,7 +17,7 @@ from htcp_jax.report import make_report
 from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.runs.timing_file import COLUMNS, timing_file
-from htcp_jax.trajectory import run_timing, time_run
+from htcp_jax.trajectory import time_run
 from htcp_jax.trajectory.figures import program_figures
 from htcp_jax.trajectory.plan_program import program_of
 
@@ -108,14 +108,12 @@ def test_a_sweep_with_a_feed_leaves_the_same_file_as_timing_it_afterwards(timed,
 
 
 @pytest.mark.slow
-def test_neither_the_number_of_processes_nor_what_is_timed_together_has_any_influence(timed, run, monkeypatch):
-    monkeypatch.setattr(run_timing, "BLOCK", 2)
-    time_run(open_run(run), "20mm/s", workers=2)
+def test_neither_the_number_of_processes_nor_what_is_timed_together_has_any_influence(timed, run):
+    time_run(open_run(run), "20mm/s", workers=2, block=2)
     assert pq.read_table(timing_file(run, METHOD)).equals(pq.read_table(timing_file(timed, METHOD)))
 
 
-def test_what_a_signal_leaves_is_whole_and_the_same_call_does_the_rest(timed, run, monkeypatch):
-    monkeypatch.setattr(run_timing, "BLOCK", 1)
+def test_what_a_signal_leaves_is_whole_and_the_same_call_does_the_rest(timed, run):
     done = []
 
     def interrupt(method, finished, of):
@@ -124,10 +122,10 @@ def test_what_a_signal_leaves_is_whole_and_the_same_call_does_the_rest(timed, ru
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(Interrupted, match="2 of 4 scenarios of baseline are timed"):
-        time_run(open_run(run), "20mm/s", progress=interrupt)
+        time_run(open_run(run), "20mm/s", progress=interrupt, block=1)
     assert [row["cycle_time_s"] is not None for row in rows(run)] == [True, True, False, False]
     done.clear()
-    time_run(open_run(run), "20mm/s", progress=lambda method, finished, of: done.append(finished))
+    time_run(open_run(run), "20mm/s", progress=lambda method, finished, of: done.append(finished), block=1)
     assert done == [2, 3, 4]
     assert content(run) == content(timed)
 

@@ -3,9 +3,9 @@
 Needs a Chromium of the system and Playwright (of the extra `test`); without either, the tests in the browser skip.
 """
 
-import contextlib
 import http.server
 import io
+import os
 import re
 import signal
 import socket
@@ -44,9 +44,9 @@ import websockets.sync.client
 import websockets.sync.server
 
 from htcp_jax.viewer import Viewer
-from htcp_jax.viewer.browser import access
 from htcp_jax.viewer.browser.display import grazing
 from htcp_jax.viewer.browser.scene import compensated, label_groups, rotations_to
+from htcp_jax.viewer.browser.texts import describe
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +142,7 @@ def test_the_slider_moves_the_arm_in_the_browser(page, viewer, replays):
     page.get_by_text("tracked after a recovery.").wait_for()
     clearance = f"{1e3 * replay.clearance[6]:.4g} mm"
     page.get_by_text(clearance, exact=True).wait_for()
-    assert viewer.stage._label.text == f"{clearance} at target 6"
+    assert viewer.stage.label == f"{clearance} at target 6"
     after = seen(page)
     assert (np.abs(after - before).max(axis=2) > 40).mean() > 0.01  # the arm, and not a pixel here and there
 
@@ -162,10 +162,8 @@ def test_the_pickers_show_failed_scenarios_first_and_other_methods(page, viewer)
 def test_the_picker_names_scenarios_by_what_sets_them_apart(replays):
     """Scenarios in the picker, named by the parameters that vary (regression)."""
     labels = {0: "rotation y 0.2 rad", 1: "rotation y 0.4 rad"}
-    named = Replays("two", replays.methods, replays.plans, replays._cells, labels)
-    viewer = Viewer(named, port=0)
-    names = list(viewer._names("baseline"))
-    viewer.stop()
+    named = Replays("two", replays.methods, replays.plans, replays.cells, labels)
+    names = [describe(outcome, named) for outcome in named.outcomes("baseline")]
     assert names == ["1: failed at 8 of 10; rotation y 0.4 rad", "0: all 10 tracked; rotation y 0.2 rad"]
 
 
@@ -174,11 +172,11 @@ def test_at_the_failed_target_the_body_in_collision_is_red_and_named(viewer, rep
     replay = replays.replay(*viewer.shown)
     body = replay.robot.capsule_names.index(replay.obstruction.body)
     viewer.go_to(replay.failed)
-    colours = [tuple(node.color) for node in viewer.stage._arm]
+    colours = viewer.stage.arm_colours
     assert colours[body] == tuple(compensated(FAILED).tolist()) and colours.count(colours[body]) == 1
-    assert viewer.stage._label.text == replay.obstruction.description in viewer._facts.content
+    assert viewer.stage.label == replay.obstruction.description in viewer.facts
     viewer.go_to(replay.failed - 1)
-    assert tuple(compensated(FAILED).tolist()) not in [tuple(node.color) for node in viewer.stage._arm]
+    assert tuple(compensated(FAILED).tolist()) not in viewer.stage.arm_colours
 
 
 def test_play_stops_at_the_last_target_that_is_tracked(page, viewer, replays):
@@ -194,7 +192,7 @@ def test_play_stops_at_the_last_target_that_is_tracked(page, viewer, replays):
     until(lambda: play.locator("svg").inner_html() == icon)
 
 
-def test_play_passes_the_configurations_between_targets(page, viewer):
+def test_play_passes_the_configurations_between_targets(page, viewer, replays):
     """Playback through a dwell: the arm is shown between targets, and the dwell is marked at target 4."""
     seen_at: list[np.ndarray] = []
     move = viewer.stage.move
@@ -202,13 +200,13 @@ def test_play_passes_the_configurations_between_targets(page, viewer):
     page.get_by_role("combobox").nth(0).click()
     page.get_by_role("option", name="beam").click()
     until(lambda: viewer.shown == (1, "beam"))
-    reported = " ".join(getattr(node, "text", "") for node in viewer.stage._marks)
+    reported = " ".join(viewer.stage.mark_labels)
     assert (
         "dwell at 4" in reported and "minimum clearance, on the segment to target 5: at least 0.2 mm proven" in reported
     )
     page.get_by_role("button", name="Play").click()
     until(lambda: viewer.target == 6)
-    replay = viewer._replays.replay(1, "beam")
+    replay = replays.replay(1, "beam")
     turning = [pose.arm.tcp for pose in poses_along(replay) if pose.dwells]
     assert turning and all(np.abs(np.array(seen_at) - tcp).max(axis=1).min() < 1e-12 for tcp in turning)
 
@@ -262,7 +260,7 @@ def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, t
 def test_the_page_holds_the_times_and_the_speeds_of_the_program(timed):
     replays, programs = timed
     viewer, made = Viewer(replays, port=0, programs=programs), programs(0, "baseline")
-    curves, tcp, joints = Curves.of(made), viewer._plots.tcp, viewer._plots.joints
+    curves, tcp, joints = Curves.of(made), viewer.plots.tcp, viewer.plots.joints
     viewer.go_to(1.5)
     assert tcp.data[0][0] == 0 and tcp.data[0][-1] == pytest.approx(made.program.duration_s)
     for plot, own in ((tcp, curves.tcp_mm_s.values()), (joints, curves.share_percent.values())):
@@ -283,11 +281,11 @@ def test_dwells_side_by_side_share_a_label():
 def test_the_facts_of_a_target_tell_of_the_segment_there(replays):
     viewer = Viewer(replays, port=0, scenario=0, method="beam")
     viewer.go_to(4)
-    assert "The arm changes its configuration here." in viewer._facts.content
+    assert "The arm changes its configuration here." in viewer.facts
     viewer.go_to(5)
-    assert "proven: 0.2 mm clear at least. It is the minimum of the motion." in viewer._facts.content
+    assert "proven: 0.2 mm clear at least. It is the minimum of the motion." in viewer.facts
     viewer.go_to(7)
-    assert SegmentStatus.NOT_CHECKED.message in viewer._facts.content
+    assert SegmentStatus.NOT_CHECKED.message in viewer.facts
     viewer.stop()
 
 
@@ -332,9 +330,9 @@ def test_no_script_in_a_name_runs(browser, tmp_path):
     page.get_by_role("combobox").nth(1).click()
     page.get_by_role("option", name="1: ").click()
     page.get_by_text(f"Not timed: {name}.").wait_for()
+    replay = replays.replay(*viewer.shown)
     for target in range(9):  # near each a body, for the last the blocking obstacle
         viewer.go_to(target)
-        replay = viewer._replay
         known = replay.obstruction.body if target == 8 else replay.witness.body[target]
         page.locator("p", has_text=known).first.wait_for()
     assert page.locator("[src=x], [src*=hostname], iframe, [onload], [onerror], a[href], p script").count() == 0
@@ -385,7 +383,7 @@ def test_a_page_of_somebody_else_gets_nothing(browser, viewer, elsewhere):
     page.wait_for_function("window.got.length >= 2")
     assert page.evaluate("window.got") == [None, None]
     page.close()
-    assert viewer._server.get_clients() == {}
+    assert viewer.server.get_clients() == {}
 
 
 def test_a_name_that_was_pointed_to_this_machine_gets_nothing(browser, viewer):
@@ -490,9 +488,19 @@ def test_a_viser_that_cannot_be_guarded_is_not_served(replays, monkeypatch):
 
     An update of viser may serve by another function; then there is no page rather than an open one.
     """
-    monkeypatch.setattr(access, "_guarded", lambda _: contextlib.nullcontext([]))
+    stopped = []
+
+    class AnotherServer:
+        def __init__(self, **_):
+            pass
+
+        def stop(self):
+            stopped.append(self)
+
+    monkeypatch.setattr(viser, "ViserServer", AnotherServer)  # the library itself, as no such version exists
     with pytest.raises(InputError, match="cannot protect the page of viser"):
         Viewer(replays, port=0)
+    assert len(stopped) == 1
 
 
 def test_only_this_machine_can_connect(viewer):
@@ -520,12 +528,10 @@ def test_bad_input_is_one_line_and_exit_2(folder, capsys, arguments, line):
     assert line in output.err and output.err.count("\n") == 1 and output.out == ""
 
 
-def test_a_port_in_use_is_refused_and_not_replaced_by_another(folder, viewer, capsys, monkeypatch):
-    monkeypatch.setattr(Viewer, "wait", lambda _: None)  # serving would be a failure, and must not block
+def test_a_port_in_use_is_refused_and_not_replaced_by_another(viewer, replays):
     port = viewer.address.rpartition(":")[2]
-    assert main(["view", str(folder), "--port", port]) == 2
-    output = capsys.readouterr()
-    assert f"cannot listen on 127.0.0.1, port {port}: Address already in use" in output.err and output.out == ""
+    with pytest.raises(InputError, match=f"cannot listen on 127.0.0.1, port {port}: Address already in use"):
+        Viewer(replays, port=int(port))
 
 
 @pytest.mark.slow
@@ -542,16 +548,22 @@ def test_the_command_serves_a_job_that_it_plans_until_it_is_reported_to_stop(tmp
 
 
 def test_ctrl_c_before_the_page_is_up_ends_with_the_code_of_one_after_it(folder, capsys, monkeypatch):
+    def interrupted(name, *rest, open_file=os.open):
+        if str(name).endswith("summary.json"):
+            raise KeyboardInterrupt
+        return open_file(name, *rest)
 
-    def interrupt(_):
-        raise KeyboardInterrupt
+    class Terminal(io.StringIO):
+        def write(self, text: str) -> int:
+            if "http://" in text:  # the page is up
+                raise KeyboardInterrupt
+            return super().write(text)
 
-    ends = {"htcp_jax.cli.view.open_plans": INTERRUPTED, "htcp_jax.viewer.browser.page.Viewer.wait": "closed"}
-    for place, line in ends.items():
+    for module, name, other, line in ((os, "open", interrupted, INTERRUPTED), (sys, "stdout", Terminal(), "closed")):
         with monkeypatch.context() as patch:
-            patch.setattr(place, interrupt)
+            patch.setattr(module, name, other)
             assert main(["view", str(folder), "--port", "0"]) == 130
-            assert capsys.readouterr().err == f"htcp: {line}\n"
+        assert capsys.readouterr().err == f"htcp: {line}\n"
 
 
 def test_capsules_are_turned_to_their_axes():
@@ -583,7 +595,7 @@ def test_what_plays_shows_nothing_once_it_is_stopped(replays):
             late.set()
 
     viewer.stage.move = slow
-    viewer._toggle()
+    viewer.toggle()
     shown.clear()
     assert shown.wait(60)
     viewer.stop()

@@ -84,26 +84,27 @@ def print_facts(title: str, facts: Mapping[str, str]) -> None:
 
 
 @contextmanager
-def progress_bars(*columns: ProgressColumn, **how: Any) -> Iterator[Progress]:
-    """Show progress bars on a terminal until the block ends; elsewhere print one of them every `LINE_S` seconds.
+def progress_bars(*columns: ProgressColumn, line_s: float | None = None, **how: Any) -> Iterator[Progress]:
+    """Show progress bars on a terminal until the block ends; elsewhere print one of them as a line now and then.
 
     Args:
         *columns: Columns of a bar; by default description, counts and elapsed time.
+        line_s: Time between lines [s]; by default LINE_S.
         **how: Further arguments of `rich.progress.Progress`.
     """
     columns = columns or (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     console, ended = Console(stderr=True), threading.Event()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal, **how) as bars:
         if not console.is_terminal:
-            threading.Thread(target=_print_lines, args=(bars, ended), daemon=True).start()
+            threading.Thread(target=_print_lines, args=(bars, ended, line_s or LINE_S), daemon=True).start()
         try:
             yield bars
         finally:
             ended.set()
 
 
-def _print_lines(bars: Progress, ended: threading.Event) -> None:
-    while not ended.wait(LINE_S):
+def _print_lines(bars: Progress, ended: threading.Event, line_s: float) -> None:
+    while not ended.wait(line_s):
         for task in [each for each in bars.tasks if not each.finished][:1] or bars.tasks[-1:]:
             cells = [column(task) for column in bars.columns if not isinstance(column, BarColumn)]
             with contextlib.suppress(OSError, ValueError):  # stderr is closed
@@ -111,15 +112,19 @@ def _print_lines(bars: Progress, ended: threading.Event) -> None:
 
 
 @contextmanager
-def progress_bar(what: str, *, time_left: bool = False) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(
+    what: str, *, time_left: bool = False, line_s: float | None = None
+) -> Iterator[Callable[[int, int], None]]:
     """Show one progress bar, and yield a function to be called with the number of finished steps and of all.
 
     Args:
         what: Name of the steps, in the plural.
         time_left: True to show the remaining instead of the elapsed time.
+        line_s: See `progress_bars`.
     """
     time = TimeRemainingColumn() if time_left else TimeElapsedColumn()
-    with progress_bars(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time) as bars:
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time
+    with progress_bars(*columns, line_s=line_s) as bars:
         task = bars.add_task(what, total=None)
         yield lambda done, count: bars.update(task, completed=done, total=count)
 

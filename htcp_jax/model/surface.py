@@ -46,10 +46,10 @@ class Mesh(NamedTuple):
     faces: Int[np.ndarray, "F 3"]
 
 
-def surface_of(cloud: Float[np.ndarray, "P 3"]) -> Surface:
-    """Return the surface of a cloud: all of its points, or a random choice of MOST, the same each time."""
-    if len(cloud) > MOST:
-        cloud = cloud[np.sort(np.random.default_rng(0).choice(len(cloud), MOST, replace=False))]
+def surface_of(cloud: Float[np.ndarray, "P 3"], most: int = MOST) -> Surface:
+    """Return the surface of a cloud: all of its points, or a random choice of `most`, the same each time."""
+    if len(cloud) > most:
+        cloud = cloud[np.sort(np.random.default_rng(0).choice(len(cloud), most, replace=False))]
     count = min(NEIGHBOURS, len(cloud) - 1)
     distance, near = cKDTree(cloud).query(cloud, k=count + 1)
     reach = 1.1 * distance[:, min(REACHED, count)]

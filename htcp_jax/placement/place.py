@@ -274,7 +274,7 @@ def _rankings(
     values, objective, pareto_front = (
         confirmed.values[rows],
         confirmed.objective[rows],
-        _is_on_pareto_front(confirmed.objective[rows]),
+        is_on_pareto_front(confirmed.objective[rows]),
     )
     margin = _planned_margins(confirmed)[rows]
 
@@ -334,7 +334,7 @@ def _best_rows(confirmed: MountingScores) -> list[int]:
     return list(best.values())
 
 
-def _is_on_pareto_front(objective: Float[np.ndarray, "n A"]) -> np.ndarray:
+def is_on_pareto_front(objective: Float[np.ndarray, "n A"]) -> np.ndarray:
     """Mask of the Pareto front: rows that no other row dominates."""
     beaten = (objective[None] >= objective[:, None]).all(axis=2) & (objective[None] > objective[:, None]).any(axis=2)
     return ~beaten.any(axis=1)
@@ -351,4 +351,4 @@ def _save_motions(
     scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
     plans: Plans = confirmed.plans.rows(scenarios)
     spec = sweep_of(search, confirmed.values[rows], margins)
-    return sweeps.keep_plans(spec, confirmed.method, plans, folder / plan_sets.MOTIONS).folder
+    return sweeps.keep_plans(spec, {confirmed.method: plans}, folder / plan_sets.MOTIONS).folder

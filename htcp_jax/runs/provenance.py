@@ -51,8 +51,12 @@ def planned_by() -> dict:
 
 @functools.cache  # of the running code, even if another commit is checked out later
 def commit() -> str | None:
-    """Return the commit of this package's source, with "+changes" if it was edited since; None without git."""
-    package = Path(htcp_jax.__file__).parent
+    """Return the commit of this package's source, see `commit_of`."""
+    return commit_of(Path(htcp_jax.__file__).parent)
+
+
+def commit_of(package: Path) -> str | None:
+    """Return the commit of a package's folder, with "+changes" if it was edited since; None without git."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
 
     def git(*words: str) -> str:
@@ -60,7 +64,7 @@ def commit() -> str | None:
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=20).stdout
 
     try:
-        git("ls-files", "--error-unmatch", Path(htcp_jax.__file__).name)
+        git("ls-files", "--error-unmatch", "__init__.py")
         return git("rev-parse", "HEAD").strip() + ("+changes" if git("status", "--porcelain", "--", ".") else "")
     except (OSError, subprocess.SubprocessError):
         return None

@@ -149,14 +149,16 @@ def device_of(on: str, device: str | None) -> str | None:
     return "cpu"
 
 
-def keep_plans(spec: grids.Sweep, method: str, plans: Plans, out: str | Path) -> Run:
+def keep_plans(
+    spec: grids.Sweep, plans: Mapping[str, Plans], out: str | Path, shard_scenarios: int = SHARD_SCENARIOS
+) -> Run:
     """Write existing plans as a run; the content of `out` is replaced.
 
     Args:
         spec: The sweep.
-        method: Name of the plans' method.
-        plans: One row per scenario of the grid.
+        plans: By the names of their methods; one row per scenario of the grid.
         out: The run folder.
+        shard_scenarios: Scenarios per shard.
 
     Raises:
         InputError: If it cannot be written.
@@ -164,10 +166,11 @@ def keep_plans(spec: grids.Sweep, method: str, plans: Plans, out: str | Path) ->
     batch, folder = spec.batch(), Path(out)
     shutil.rmtree(folder, ignore_errors=True)
     with made_folder(folder):
-        run = writer.begin(folder, _manifest(spec, batch, (method,), None, SHARD_SCENARIOS))
-        for span in spans(run.manifest):
-            own = plans.rows(slice(span.first, span.last + 1))
-            run = writer.add(run, method, span, tables(batch, method, span, own), own, planned_by())
+        run = writer.begin(folder, _manifest(spec, batch, tuple(plans), None, shard_scenarios))
+        for method, found in plans.items():
+            for span in spans(run.manifest):
+                own = found.rows(slice(span.first, span.last + 1))
+                run = writer.add(run, method, span, tables(batch, method, span, own), own, planned_by())
     return run
 
 

@@ -40,9 +40,10 @@ class ClarabelSolver:
         self._settings.max_threads = 1
         for name in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
             setattr(self._settings, name, tolerance)
-        self._solver = self._build()
+        self._solver = self.build()
 
-    def _build(self) -> clarabel.DefaultSolver:
+    def build(self) -> clarabel.DefaultSolver:
+        """Return a new solver of Clarabel with the fixed pattern."""
         n, m, rows = len(self._P), self._task_rows, self._rows
         identity = np.eye(n)
         pattern = sparse.csc_matrix(np.concatenate([np.ones((m + rows, n)), identity, -identity]))
@@ -83,7 +84,7 @@ class ClarabelSolver:
             # A panic of the Rust core arrives outside Exception and leaves the solver in an unknown state.
             if type(panic).__name__ != "PanicException":
                 raise
-            self._solver = self._build()
+            self._solver = self.build()
             return None, QPStatus.FAILED
         verdict = _VERDICT.get(solution.status, QPStatus.FAILED)
         return solution.x if verdict == QPStatus.SOLVED else None, verdict

@@ -16,7 +16,7 @@ from htcp_jax.pallas import kernel
 ROWS_OF_A_WARP = 64  # two rows per thread: with fewer threads, less synchronisation, but more divisions by each
 
 
-def solve(H, c, G, h, tolerance: float, iterations: int, interpret: bool = False):
+def solve(H, c, G, h, tolerance: float, iterations: int):
     """Return (y, multipliers, error) as `solve_dense` does.
 
     Arrays have 2^k rows in Triton: the padding is 0 y <= 1 with multiplier 0, which stays constant.
@@ -26,7 +26,7 @@ def solve(H, c, G, h, tolerance: float, iterations: int, interpret: bool = False
     rows = jnp.pad(G.T, ((0, 0), (0, size - m)))
     limits = jnp.pad(h, (0, size - m), constant_values=1.0)
     out = [jax.ShapeDtypeStruct((k,), c.dtype) for k in (n, size, 1)]
-    run = kernel(partial(_solve_kernel, m, tolerance, iterations), out, 1, interpret, max(1, size // ROWS_OF_A_WARP))
+    run = kernel(partial(_solve_kernel, m, tolerance, iterations), out, 1, max(1, size // ROWS_OF_A_WARP))
     y, multipliers, error = run(H, c, rows, limits)
     return y, multipliers[:m], error[0]
 

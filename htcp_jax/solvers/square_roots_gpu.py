@@ -12,13 +12,13 @@ from htcp_jax.pallas import kernel
 SWEEPS = 8  # quadratic convergence: 3 x 3 matrices need four, 7 x 7 six
 
 
-def square_roots(C, interpret: bool = False):
+def square_roots(C):
     """Return B D with B D^2 B' = C, and C^(-1/2).
 
     Eigenvalues are in ascending order; each axis is positive in its largest component.
     """
     shape = jax.ShapeDtypeStruct(C.shape, C.dtype)
-    return kernel(_square_roots_kernel, (shape, shape), 1, interpret)(C)
+    return kernel(_square_roots_kernel, (shape, shape), 1)(C)
 
 
 def _square_roots_kernel(C, axes, whiten):

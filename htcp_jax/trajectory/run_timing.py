@@ -62,6 +62,7 @@ def time_run(
     overrides: Sequence[str] = (),
     progress: Callable[[str, int, int], None] | None = None,
     workers: int | None = 1,
+    block: int = BLOCK,
 ) -> Run:
     """Time every scenario of a run whose motion leads to its last target.
 
@@ -72,6 +73,7 @@ def time_run(
         overrides: Changes to the job's section `program`, as on the command line.
         progress: Called with a method, the number of its finished scenarios, and their total.
         workers: Number of processes; None: chosen by the number of scenarios.
+        block: Scenarios that are computed together, and then written.
 
     Returns:
         The run, whose `scenarios()` have the times.
@@ -89,7 +91,7 @@ def time_run(
     with stop_message(lambda: stopped), lock.locked(run.folder), lock.signals() as came:
         find = _finder(timer, chosen, workers)
         for method in chosen:
-            _time_method(timer, method, find, progress, came)
+            _time_method(timer, method, find, block, progress, came)
     return run
 
 
@@ -206,21 +208,23 @@ class _Timer:
         return self._parts[key]
 
 
-def _time_method(timer: _Timer, method: str, find: Callable, progress: Callable | None, came: list[int]) -> None:
+def _time_method(
+    timer: _Timer, method: str, find: Callable, block: int, progress: Callable | None, came: list[int]
+) -> None:
     """Time the missing scenarios, block by block; every block is written."""
     missing, known = timer.missing(method), timer.known(method)
     everything = len(missing) + len(known.rows)
-    for first in range(0, len(missing), BLOCK):
+    for first in range(0, len(missing), block):
         if progress is not None:
             progress(method, everything - len(missing) + first, everything)
         if came:
             raise Interrupted(_stop_text(timer, method, everything - len(missing) + first, everything), came[0])
-        block = missing[first : first + BLOCK]
-        found = find(method, block)
-        loads = timer.loads(block, found)
+        numbers = missing[first : first + block]
+        found = find(method, numbers)
+        loads = timer.loads(numbers, found)
         rows = [
             _timing_row(number, known.feed_m_s, one, loads.get(number))
-            for number, one in zip(block, found, strict=True)
+            for number, one in zip(numbers, found, strict=True)
         ]
         known = known._replace(rows=pa.concat_tables([known.rows, pa.Table.from_pylist(rows, timing_file.SCHEMA)]))
         _write(timer.found.run, method, known)

@@ -277,12 +277,8 @@ def _check_paths(
         return dict.fromkeys(("touches", "clearance_between", "deviation"))
     count = len(paths.target)
     least, deviation = np.full(count, np.inf), np.zeros(count)
-    move = paths.b - paths.a
-    furthest = abs(move).max(axis=1, initial=0.0)
-    steps = np.where(furthest > 0, np.maximum(between, np.ceil(furthest / STEP_RAD)), 1).astype(int)
-    path, fraction = _sampled_fractions(steps)
+    path, x = samples_between(paths.a, paths.b, between)
     if len(path):
-        x = paths.a[path] + fraction[:, None] * move[path]
         arm_poses, clearance = scene.between(x, paths.row[path], at, max(0.0, float(at.clearance.min())))
         np.minimum.at(least, path, clearance)
         off = np.where(
@@ -290,6 +286,26 @@ def _check_paths(
         )
         np.maximum.at(deviation, path, off)
     return {"touches": least <= 0, "clearance_between": least, "deviation": deviation}
+
+
+def samples_between(
+    a: Float[np.ndarray, "m N"], b: Float[np.ndarray, "m N"], between: int
+) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n N"]]:
+    """Sample straight joint paths between their ends; no joint moves by more than STEP_RAD per step.
+
+    Args:
+        a: Starts of the paths [rad or m].
+        b: Ends of the paths [rad or m].
+        between: Minimum number of steps of a path that moves.
+
+    Returns:
+        The path and the configuration of every sample.
+    """
+    move = b - a
+    furthest = abs(move).max(axis=1, initial=0.0)
+    steps = np.where(furthest > 0, np.maximum(between, np.ceil(furthest / STEP_RAD)), 1).astype(int)
+    path, fraction = _sampled_fractions(steps)
+    return path, a[path] + fraction[:, None] * move[path]
 
 
 def _sampled_fractions(steps: Int[np.ndarray, "m"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:

@@ -151,7 +151,7 @@ class Replays:
         labels: dict[int, str] | None = None,
     ):
         self.name, self.methods, self.labels = name, methods, labels or {}
-        self.plans, self._cells = lru_cache(maxsize=None)(plans), cells
+        self.plans, self.cells = lru_cache(maxsize=None)(plans), cells
 
     def outcomes(self, method: str) -> list[plan_arrays.Outcome]:
         """Outcomes of all scenarios that the method has planned; failed ones first, each group in order.
@@ -174,8 +174,8 @@ class Replays:
         numbers = sorted(outcome.scenario for outcome in self.outcomes(method))
         if number not in numbers:
             raise InputError(f"{self.name} has no scenario {number} by {method}; it has {_spans(numbers)}")
-        plans, placement = self.plans(method), self._cells.placement(number)
-        cell, there = self._cells.cell(self._cells.key(number)), plans.exists[number]
+        plans, placement = self.plans(method), self.cells.placement(number)
+        cell, there = self.cells.cell(self.cells.key(number)), plans.exists[number]
         x = _without_gaps(plans.x[number, there], plans.start[number])
         blocked = self.obstructions(method, [number]).get(number)
         if blocked is not None:
@@ -224,10 +224,10 @@ class Replays:
         plans, together = self.plans(method), dict[Hashable, dict[int, int]]()
         for number in range(len(plans.status)) if numbers is None else numbers:
             if (target := obstruction_module.blocked_target(plans, number)) is not None:
-                together.setdefault(self._cells.key(number), {})[number] = target
+                together.setdefault(self.cells.key(number), {})[number] = target
         found = {}
         for key, targets in together.items():
-            found |= self._colliding_bodies(self._cells.cell(key), plans, targets)
+            found |= self._colliding_bodies(self.cells.cell(key), plans, targets)
         return {number: found[number] for number in sorted(found)}
 
     def _colliding_bodies(self, cell: Workcell, plans: Plans, targets: dict[int, int]) -> dict[int, Obstruction]:
@@ -237,7 +237,7 @@ class Replays:
         """
         if cell.config.task:
             return {}
-        where = jax.tree.map(lambda *leaves: np.stack(leaves), *map(self._cells.placement, targets))
+        where = jax.tree.map(lambda *leaves: np.stack(leaves), *map(self.cells.placement, targets))
         s, t = np.array(list(targets)), np.array(list(targets.values()))
         how = plans.before(s, t), plans.target[s, t], cell.config.settings
         return dict(zip(targets, obstruction_module.obstructions(cell.robot, cell.obstacle, where, *how), strict=True))

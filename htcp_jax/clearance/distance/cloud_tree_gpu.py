@@ -19,7 +19,7 @@ from htcp_jax.pallas import kernel
 from htcp_jax.types import Array, Float, Int
 
 
-def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = False) -> Int[Array, "K"]:
+def nearest_leaves(index, p, q, radius, limit, shared: bool) -> Int[Array, "K"]:
     """Return the leaf of each body's nearest point, -1 for none below the body's limit.
 
     With a shared limit it is returned for the nearest body only.
@@ -28,12 +28,10 @@ def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = F
     search = partial(_tree_kernel, shared, count, bodies)
     tables = p, q, radius, limit, _branches(index), index.levels[-1], index.points
     out = jax.ShapeDtypeStruct((bodies,), jnp.int32)
-    return kernel(search, out, 1 if shared else bodies, interpret)(*tables)
+    return kernel(search, out, 1 if shared else bodies)(*tables)
 
 
-def least_in_reach(
-    index: CloudIndex, p, q, reach, start, measure: Callable, *rows, interpret: bool = False
-) -> Float[Array, "K"]:
+def least_in_reach(index: CloudIndex, p, q, reach, start, measure: Callable, *rows) -> Float[Array, "K"]:
     """Return each body's smallest measure(segment, *the body's rows, points) over points (3, n) of the cloud.
 
     Args:
@@ -45,11 +43,10 @@ def least_in_reach(
         start (Array): Largest result of each body (K,).
         measure: The function to minimise.
         *rows (Array): Tables (K,), or (K, 3), from which a body's row is a list.
-        interpret: True: run on any machine.
     """
     least = partial(_least_of_branch, measure, _branch_count(index), len(rows))
     tables = p, q, reach, start, *rows, _branches(index), index.points
-    return kernel(least, jax.ShapeDtypeStruct(start.shape, start.dtype), start.shape[0], interpret)(*tables)
+    return kernel(least, jax.ShapeDtypeStruct(start.shape, start.dtype), start.shape[0])(*tables)
 
 
 def _branch_count(index: CloudIndex) -> int:

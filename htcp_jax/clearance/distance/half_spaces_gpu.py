@@ -14,7 +14,7 @@ BLOCK = 256  # facets at a time
 
 
 def highest(
-    table: Float[Array, "4 rows FAN"], points: Float[Array, "n 3"], left: Bool[Array, "n"], interpret: bool = False
+    table: Float[Array, "4 rows FAN"], points: Float[Array, "n 3"], left: Bool[Array, "n"]
 ) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
     """Return, for each point in `left`, the first of the facets that it is highest above, and the height [m].
 
@@ -22,14 +22,13 @@ def highest(
         table: The facets: normal xyz, offset; it repeats the last one.
         points: The points [m].
         left: True for the points to measure.
-        interpret: True: run on any machine.
     """
     facets = table.reshape(4, -1)
     blocks = -(-facets.shape[1] // BLOCK)
     filled = jnp.pad(facets, ((0, 0), (0, blocks * BLOCK - facets.shape[1])), mode="edge")
     out = [jax.ShapeDtypeStruct(left.shape, dtype) for dtype in (jnp.int32, points.dtype)]
     own_blocks = jnp.where(left, jnp.int32(blocks), jnp.int32(0))
-    return tuple(kernel(_height_kernel, out, len(left), interpret)(points, own_blocks, filled))
+    return tuple(kernel(_height_kernel, out, len(left))(points, own_blocks, filled))
 
 
 def _height_kernel(points, blocks, table, facet, height):

@@ -122,7 +122,7 @@ def query_on(
             proof.queries + 1,
             jnp.maximum(proof.depth, depth.astype(jnp.int32)),
         )
-        index, depth = jax.tree.map(partial(jnp.where, proven), _next_interval(index, depth), (2 * index, depth + 1))
+        index, depth = jax.tree.map(partial(jnp.where, proven), next_interval(index, depth), (2 * index, depth + 1))
         return Bisection(index, depth, end, found)
 
     return look
@@ -172,7 +172,7 @@ def _off_line(tube: Tube, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
     return capsule_point_distance(start, end, 0.0, points)
 
 
-def _next_interval(index, depth):
+def next_interval(index, depth):
     """Return the interval after number `index` of those of length 2^-depth: the longest that begins there."""
     index = index + 1
     up = jnp.minimum(jax.lax.population_count((index & -index) - 1), depth)

@@ -65,11 +65,16 @@ def read_part(path: Path, ending: str) -> Float[np.ndarray, "F 3 3"]:
     return parsed(path, PARTS[ending])["triangles"]
 
 
-def parsed(path: Path, kind: ScanFormat) -> dict[str, np.ndarray]:
+def parsed(path: Path, kind: ScanFormat, longest_s: int = LONGEST_S) -> dict[str, np.ndarray]:
     """Return the arrays of a file, see `parsers`.
 
+    Args:
+        path: The file.
+        kind: Its format.
+        longest_s: Time limit.
+
     Raises:
-        InputError: If the extra is missing and for an invalid file.
+        InputError: If the extra is missing, for an invalid file, and for one that takes longer.
     """
     ending = path.suffix.lower()
     if any(importlib.util.find_spec(library) is None for library in kind.libraries):
@@ -83,9 +88,9 @@ def parsed(path: Path, kind: ScanFormat) -> dict[str, np.ndarray]:
         # -P: modules next to the script must not shadow Python's own
         command = [sys.executable, "-P", str(script), kind.parser, str(path), str(folder), memory]
         try:
-            done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=LONGEST_S)
+            done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=longest_s)
         except subprocess.TimeoutExpired:
-            raise InputError(f"{path}: not read within {LONGEST_S // 60} minutes") from None
+            raise InputError(f"{path}: not read within {longest_s // 60} minutes") from None
         if done.returncode:
             raise InputError(f"{path}: not a readable {ending} file ({_reason(done.returncode, folder)})")
         with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:

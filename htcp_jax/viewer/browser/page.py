@@ -90,6 +90,22 @@ class Viewer:
         """The 3D scene."""
         return self._stage
 
+    @property
+    def plots(self) -> Plots:
+        """The plots of the panel."""
+        return self._plots
+
+    @property
+    def facts(self) -> str:
+        """Text about the displayed target, in Markdown."""
+        with self._lock:
+            return self._facts.content
+
+    @property
+    def server(self) -> viser.ViserServer:
+        """The viser server, for additions to its scene and panel."""
+        return self._server
+
     def wait(self) -> None:
         """Block until the viewer is stopped."""
         self._ended.wait()
@@ -119,7 +135,7 @@ class Viewer:
         self._display = DisplayOptions(self._server, self._stage, self._lock)
         self._method.on_update(lambda _: self._pick_method())
         self._scenario.on_update(lambda _: self._pick_scenario())
-        self._playing.on_click(lambda _: self._toggle())
+        self._playing.on_click(lambda _: self.toggle())
         self._running = False
 
     def _names(self, method: str) -> dict[str, int]:
@@ -192,7 +208,8 @@ class Viewer:
             self._facts.content = "\n\n".join(filter(None, (reported, target_facts(self._replay, target))))
             self._slider.value = self._timeline.on_slider(self._place)
 
-    def _toggle(self) -> None:
+    def toggle(self) -> None:
+        """Play or pause; at the end, play from the beginning."""
         with self._lock:
             self._play_or_pause(not self._running)
             if self._running and (self._place == 0 or self._place >= self._timeline.end):
@@ -218,7 +235,7 @@ class Viewer:
         now, rate = time.monotonic(), float(self._rate.value)
         passed, self._looked_s = now - self._looked_s, now
         if self._place >= self._timeline.end:
-            self._toggle()
+            self.toggle()
         else:
             self.go_to(self._timeline.after(self._place, passed, rate))
         return self._timeline.pause_s(self._place, rate)

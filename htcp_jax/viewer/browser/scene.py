@@ -97,8 +97,8 @@ class BrowserScene:
         with self._server.atomic():
             blocked = replay.obstruction if target == replay.failed else None
             self.move(replay.arm_at(target))
-            for k, node in enumerate(self._arm):
-                if tuple(node.color) != (colour := tuple(compensated(self._colour(k, blocked)).tolist())):
+            for k, (node, shown) in enumerate(zip(self._arm, self.arm_colours, strict=True)):
+                if shown != (colour := tuple(compensated(self._colour(k, blocked)).tolist())):
                     node.color = colour
             self._here.position = replay.target[target]
             pair = np.stack([replay.witness.arm[target], replay.witness.cloud[target]]).astype(np.float32)
@@ -122,6 +122,21 @@ class BrowserScene:
     def arm_positions(self) -> Float[np.ndarray, "K1 3"]:
         """Centres of the capsules, and of the tip."""
         return np.array([node.position for node in self._arm])
+
+    @property
+    def arm_colours(self) -> list[tuple[int, int, int]]:
+        """Colours of the capsules, and of the tip, as `compensated`."""
+        return [tuple(node.color) for node in self._arm]
+
+    @property
+    def label(self) -> str:
+        """Text at the minimum distance."""
+        return self._label.text
+
+    @property
+    def mark_labels(self) -> list[str]:
+        """Texts at the dwells and at the place of the guaranteed clearance's minimum."""
+        return [node.text for node in self._marks if isinstance(node, viser.LabelHandle)]
 
     def cut(self, surface: surfaces.Surface, near: Vector, size_m: float) -> None:
         """Show the points of the cloud that remain after the cut.
