@@ -161,7 +161,7 @@ def test_a_plan_with_a_box_on_a_link_is_confirmed_by_mujoco_and_refuted_with_the
     summary["config"]["cell"]["fixtures"][0]["parent"] = "hand"
     (tmp_path / "plan/summary.json").write_text(json.dumps(summary))
     found = validate_results(tmp_path / "plan")
-    assert not found.validated and "mm on record" in found.refuted[0].reason
+    assert not found.validated and "mm was saved" in found.refuted[0].reason
 
 
 def test_a_box_is_as_far_from_triangles_and_points_as_fcl_finds():
