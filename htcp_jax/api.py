@@ -19,6 +19,7 @@ from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Motion, Plans
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
+from htcp_jax.motion import start_cause as start_causes
 from htcp_jax.notebook import html_facts
 from htcp_jax.planning import batch, registry
 from htcp_jax.reachability import Obstruction
@@ -103,9 +104,10 @@ class Plan:
         return {"motion length": f"{joints:.3g} rad in the joints; {1e3 * path:.4g} mm of the tool's path"}
 
     def _checked(self) -> dict[str, str]:
-        """Return the self-collision pairs and the fixtures that are checked, as labelled text."""
+        """Return the self-collision pairs and the fixtures that are checked, as labelled text; first those on links."""
         own = [each.described(self.robot) for each in self.obstacles if isinstance(each, self_collision.SelfCollision)]
-        names = [name for each in self.obstacles for name in each.names]
+        names = [self.robot.capsule_names[k] for k in self.robot.attached]
+        names += [name for each in self.obstacles for name in each.names]
         facts = {"self-collision": own[0]} if own else {}
         return facts | ({"fixtures": ", ".join(names)} if names else {})
 
@@ -147,11 +149,24 @@ class Plan:
             task = build.task_of_job(self.job, self.robot)
             return obstructions.obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
 
+    @cached_property
+    def start_cause(self) -> start_causes.StartCause | None:
+        """The reason why the plan could not begin; None if it could, see `start_cause.CAUSES`."""
+        with devices.on(devices.choose(self.device)[0]):
+            known = self.job.settings, build.task_of_job(self.job, self.robot), self.obstacles
+            status = self.plans.status[:, 0]
+            found = start_causes.start_causes(
+                self.robot, self.workpiece, scenarios.stack([self.scenario]), status, *known
+            )
+        return found.get(0)
+
     def failure(self) -> dict[str, str]:
         """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
         end = self.outcome
         facts = {} if end.status is None else {f"failed at target {end.failed}": end.status.message}
-        if self.obstruction is not None:
+        if self.start_cause is not None:
+            facts["cause"] = self.start_cause.description
+        elif self.obstruction is not None:
             facts[self.obstruction.heading] = self.obstruction.description
         if end.executable < end.tracked:
             facts[f"no segment to target {end.executable}"] = end.segment_status.message
@@ -172,7 +187,7 @@ class Plan:
             self.plans,
             title=f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets",
             obstruction=self.obstruction,
-            fixtures=build.drawn_of(self.job.cell),
+            fixtures=build.drawn_of(self.job.cell, self.robot),
             normals=glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece)),
         )
 
@@ -185,6 +200,7 @@ class Plan:
         known = {"method": self.job.method, "validated": None, **plan_folder.summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
         known["colliding_body"] = self.obstruction and self.obstruction.record()
+        known["cause"] = self.start_cause and self.start_cause.description
         config = self.job.model_dump()
         files = input_files.file_hashes(input_files.anchor_files(config))
         with devices.on(devices.choose(self.device)[0]):

@@ -75,7 +75,7 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
         "LinkMeshes": "meshes to which an arm's file refers, placed by MuJoCo and measured by FCL",
     },
     "jobs": {
-        "CellConfig PlanConfig RobotConfig WorkpieceConfig": "what a job's file states",
+        "CellConfig FixtureConfig PlanConfig RobotConfig WorkpieceConfig WORLD": "what a job's file states",
         "robot_key workpiece_key walls_key": "keys of a job, to load each part once",
         "shapes_in_world": "MuJoCo shapes that a job's obstacle of another package states",
         "robot_of workpiece_of": "loading of a workpiece; points on a mesh, which only normals are fitted to, are as "

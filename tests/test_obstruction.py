@@ -105,10 +105,9 @@ def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece
     known = found._replace(body="spindle", body_label="capsule spindle", **where)
     inside = known._replace(depth_m=0.0032).description
     assert inside == "capsule spindle is 3.2 mm inside the workpiece at (0.81, 0.10, 0.42) m there"
-    assert (
-        "capsule spindle is nearest to the workpiece, 3.2 mm clear of it at"
-        in known._replace(depth_m=-0.0032).description
-    )
+    clear = known._replace(depth_m=-0.0032)
+    assert clear.heading == "closest approach"
+    assert clear.description.startswith("no body collides; capsule spindle comes within 3.2 mm of the workpiece at")
     off = known._replace(reached=False, residual_m=0.054)
     assert off.description == "the arm comes only to within 54 mm of it"
     turned = off._replace(angle_rad=0.1, within_bands=False).description

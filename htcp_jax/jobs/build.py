@@ -10,22 +10,24 @@ from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import obstacle_kind, of_cell, self_collision
-from htcp_jax.errors import InputError, Note
-from htcp_jax.io import cell as cells
+from htcp_jax.errors import Note
 from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot
+from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.given_kinds import shapes_in_world
 from htcp_jax.kinds import numbers_of, template_of
-from htcp_jax.model import Fixture, Robot, Scenario, Task, Workpiece, goals, surface, tool
+from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, surface
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model import workpiece as workpieces
 
+NO_CELL = CellConfig()
+
 
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     """Build the robot, the workpiece and the scenario of a job."""
-    robot = robot_of(job.robot)
+    robot = robot_of(job.robot, job.cell)
     workpiece = workpiece_of(job.workpiece, robot)
     return robot, workpiece, scenario_of(job, robot, workpiece)
 
@@ -35,11 +37,15 @@ def task_of_job(job: PlanConfig, robot: Robot) -> Task:
     return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
-def robot_of(arm: RobotConfig) -> Robot:
+def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL) -> Robot:
     """Load the robot, without the tool's extension, which belongs to the scenario.
 
+    Args:
+        arm: The arm.
+        cell: Its fixtures on links become bodies of the robot.
+
     Raises:
-        InputError: As `load_robot` does, and for a tool that is longer than the arm.
+        InputError: As `load_robot` and `with_carried` do, and for a tool that is longer than the arm.
     """
     robot = load_robot(
         arm.file,
@@ -50,7 +56,7 @@ def robot_of(arm: RobotConfig) -> Robot:
         tool=arm.tool,
     )
     parts.check_tool(robot, arm.tool_extension_m)
-    return robot
+    return cell_shapes.with_carried(robot, cell)
 
 
 def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
@@ -145,28 +151,18 @@ def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] 
     )
 
 
-def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
-    """Load the shapes of a cell's model, at their poses in the world."""
-    if cell.model is None:
-        for key in ("moved", "shift_m", "rpy_rad"):
-            if getattr(cell, key) != getattr(CellConfig(), key):
-                raise InputError(f"cell.{key} is given, but no cell.model")
-        return ()
-    return cells.load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
-
-
-def drawn_of(cell: CellConfig) -> surface.WorldGeometry:
-    """Load the triangles and clouds of the cell, for drawing."""
+def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:
+    """Load the triangles and clouds of the cell that stand still, for drawing; the others are bodies of the robot."""
     given = [shapes_in_world(kind) for kind in cell.obstacles]
     for kind, shapes in zip(cell.obstacles, given, strict=True):
         if not shapes:
             warnings.warn(f"the obstacle {kind.name!r} is not drawn: it has no shapes", Note, stacklevel=2)
-    shapes = *shapes_of(cell), *(shape for own in given for shape in own)
+    standing = cell_shapes.standing_cell(cell, robot)
+    shapes = *standing.shapes, *(shape for own in given for shape in own)
     triangles = [surface.NOTHING.triangles, *(each.surface for each in shapes)]
     surfaces = [surface.NOTHING.clouds]
-    for each in cell.clouds:
+    for each, T in standing.clouds:
         points, mesh = parts.load_geometry(each.cloud)
-        T = tool.pose(each.base_m, each.base_rpy_rad)
         if len(mesh):
             triangles.append(mesh @ T[:3, :3].T + T[:3, 3])
         else:
@@ -178,28 +174,37 @@ def drawn_of(cell: CellConfig) -> surface.WorldGeometry:
 
 def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
     """Build the collision objects in addition to the workpiece."""
+    standing = cell_shapes.standing_cell(cell, robot)
     clouds = tuple(
         of_cell.placed_cloud(
             robot,
             *parts.load_geometry(each.cloud),
-            tool.pose(each.base_m, each.base_rpy_rad),
+            T,
             source=each.cloud,
-            name=Path(each.cloud).stem,
+            name=(name := cell_shapes.name_of(each)),
+            excluded=standing.excluded.get(name, ()),
         )
-        for each in cell.clouds
+        for each, T in standing.clouds
     )
     own = self_collision.self_collision(robot) if cell.self_collision else None
     given = obstacle_kind.given_obstacles(cell.obstacles)
-    return (*of_cell.make_fixtures(robot, shapes_of(cell)), *clouds, *given, *(() if own is None else (own,)))
+    return (
+        *of_cell.make_fixtures(robot, standing.shapes, standing.excluded),
+        *clouds,
+        *given,
+        *(() if own is None else (own,)),
+    )
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}
 _APPROACH = {"approach_to_inlet": 0, "approach_to_path": 0}
 
 
-def robot_key(job: PlanConfig) -> RobotConfig:
-    """Return the keys that determine the robot; equal for scenarios that share it."""
-    return job.robot.model_copy(update={"tool_extension_m": 0.0})
+def robot_key(job: PlanConfig) -> tuple[RobotConfig, CellConfig]:
+    """Return the keys that determine the robot, `robot_of`'s arguments; equal for scenarios that share it."""
+    cell = job.cell
+    carried = cell.is_carried and CellConfig(model=cell.model, clouds=cell.clouds, fixtures=cell.fixtures)
+    return job.robot.model_copy(update={"tool_extension_m": 0.0}), carried or NO_CELL
 
 
 def workpiece_key(job: PlanConfig) -> WorkpieceConfig:

@@ -31,6 +31,7 @@ FASTEST = 1e9  # of any rate or count
 JointRates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # of the joints, in both directions
 Moment = Annotated[float, Field(gt=0, le=100)]  # [s]
 AUTO = "auto"  # a start that the planner chooses
+WORLD = "world"  # the carrier of fixtures that stand still
 
 
 def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
@@ -137,6 +138,14 @@ class CloudConfig(strict_model.FileSection):
     base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
 
 
+class FixtureConfig(strict_model.FileSection):
+    """The carrier of a shape or cloud of the cell, and links that it may touch."""
+
+    name: str  # of a shape of `model`: its geom's, or else its body's; or of one of the `clouds`: its file's stem
+    parent: str = WORLD  # or a link of the arm: its pose is then in the link's frame, and it moves with the link
+    exclude: tuple[str, ...] = ()  # links that it is not tested against
+
+
 class CellConfig(strict_model.FileSection):
     """Collision objects in addition to the workpiece: the arm itself, and the work cell."""
 
@@ -146,7 +155,13 @@ class CellConfig(strict_model.FileSection):
     shift_m: PointM = (0.0, 0.0, 0.0)
     rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
     clouds: tuple[CloudConfig, ...] = ()
+    fixtures: tuple[FixtureConfig, ...] = ()  # those not carried by the world, or with links that they may touch
     obstacles: tuple[Obstacle, ...] = ()  # of other packages
+
+    @property
+    def is_carried(self) -> bool:
+        """True if any fixture is carried by a link."""
+        return any(each.parent != WORLD for each in self.fixtures)
 
 
 class UserFrameConfig(strict_model.FileSection):

@@ -36,7 +36,7 @@ from htcp_jax.jobs.build import (
     workpiece_key,
     workpiece_of,
 )
-from htcp_jax.jobs.config import DEPENDENT, PlanConfig, RobotConfig, WorkpieceConfig
+from htcp_jax.jobs.config import DEPENDENT, PlanConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import put_key
 from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
 from htcp_jax.jobs.examples import read_mapping
@@ -128,15 +128,15 @@ class Sweep:
         """
         points = self.points(limit)
         arms = {robot_key(self.config): self.robot}
-        parts: dict[tuple[RobotConfig, WorkpieceConfig], Workpiece] = {}
-        obstacles: dict[tuple[RobotConfig, tuple], Obstacles] = {}
+        parts: dict[tuple[tuple, WorkpieceConfig], Workpiece] = {}
+        obstacles: dict[tuple[tuple, tuple], Obstacles] = {}
         follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # position at a start, see `make_scenario`
         cells: dict[tuple, tuple[int, PlannerInputs]] = {}
         scenarios, whose = [], []
         for point in points:
             arm, part, settings = robot_key(point.config), workpiece_key(point.config), point.config.settings
             if arm not in arms:
-                arms[arm] = _like(self.robot, robot_of(arm), f"{self.name}: scenario {point.number}")
+                arms[arm] = _like(self.robot, robot_of(*arm), f"{self.name}: scenario {point.number}")
             if (arm, part) not in parts:
                 parts[arm, part] = workpiece_of(part, arms[arm])
             task, surroundings = _task(point, arms[arm]), obstacles_key(point.config.cell)
@@ -187,7 +187,7 @@ def load_sweep(
         put_key(raw, key, value)
     fill_in(raw, keys_of(raw), source)
     base: PlanConfig = strict_model.validate_model(raw, PlanConfig, source)
-    robot = robot_of(base.robot)
+    robot = robot_of(base.robot, base.cell)
     groups = []
     for name, axes in grids.items():
         where = f"{path}: grid" if name is None else f"{path}: groups.{name}"

@@ -42,7 +42,8 @@ def _varied_keys() -> dict[str, Any]:
             found |= {f"task.{k}.{key}": default for k in range(1, MOST_ROWS + 1) for key, default in OF_A_ROW.items()}
         elif name not in NO_AXIS:
             found |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
-    del found["cell.clouds"], found["cell.obstacles"]  # lists
+    for name in ("clouds", "fixtures", "obstacles"):  # lists
+        del found[f"cell.{name}"]
     return found
 
 

@@ -46,10 +46,11 @@ def capsule_segments(robot: Robot, x: Joints) -> tuple[Float[Array, "K 3"], Floa
 def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
     """Return the bare tip in the world [m]: from the capsule end nearest to the TCP, to the TCP.
 
-    Only capsules on the last link that has any are considered. The end is the nearest one at x = 0, so that it is the
-    same in every configuration.
+    Only capsules on the last link that has any are considered, without those of fixtures. The end is the nearest one at
+    x = 0, so that it is the same in every configuration.
     """
-    last = np.flatnonzero(np.array(robot.capsule_link) == max(robot.capsule_link))
+    links = np.delete(robot.capsule_link, robot.attached)  # fixtures come last
+    last = np.flatnonzero(links == max(links))
     zero, here = (jnp.concatenate([e[last] for e in capsule_segments(robot, at)]) for at in (jnp.zeros_like(x), x))
     away = zero - tcp_position(robot, jnp.zeros_like(x))[None]
     return jnp.stack([here[jnp.argmin(jnp.sum(away * away, axis=1))], tcp_position(robot, x)])

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.errors import InputError
 from htcp_jax.notebook import html_facts
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
@@ -35,7 +36,7 @@ class Exclusion(NamedTuple):
 
     first: int  # farther from the base than the second
     second: int
-    rule: str  # of `clearance.obstacles.self_exclusions`: a, b or c
+    rule: str  # of `clearance.obstacles.self_exclusions`: a, b, c or d
     share: float  # of the sampled configurations, in which the capsules overlap or nearly so [1]; 0 by rule a
 
 
@@ -88,9 +89,11 @@ class Robot:
     ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=_STATIC)  # neither capsule nor sphere
     exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that the model states
     listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # True: complete, except pairs of `mounted`
-    mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job's own tool
+    mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job: tool, fixtures
+    attached: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # those of fixtures on moving links
     meshes: VendorMeshes | None = dataclasses.field(default=None, metadata=_STATIC)  # None if its file refers to none
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
+    base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # fixed in the world: link -1
 
     def _repr_html_(self) -> str:
         limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)
@@ -100,6 +103,17 @@ class Robot:
         if self.ignored_geoms:
             facts["ignored geoms"] = ", ".join(self.ignored_geoms)
         return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
+
+
+WORLD = ArmFrame("world", -1, (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+
+
+def carrier_of(robot: Robot, name: str) -> ArmFrame:
+    """Return the frame that may carry a fixture: the world's, or that of a link. Raises InputError for another name."""
+    known = {frame.name: frame for frame in (*robot.base_frames, *robot.frames, WORLD)}
+    if name not in known:
+        raise InputError(f"no link {name!r} on {robot.name}; valid: {', '.join(sorted(known))}")
+    return known[name]
 
 
 def capsule_label(robot: Robot, name: str) -> str:

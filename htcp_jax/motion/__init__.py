@@ -5,11 +5,11 @@ configurations that a plan passes between two targets, where the segment is not 
 that an arm follows, from its start to its last target. `CollisionChecker` checks configurations and the joint paths
 between them, on one device; `collision_checker` has its calls.
 
-`motion_check` verifies each segment, `home` leads from and to the home configuration, `smoothing` shortens a motion
-within its margin. `configuration_tree` keeps configurations with their parents, `selection` chooses some that lie
-apart, `transfers` joins a plan to its start. `lane_inputs` and `step_functions` are the rows that compiled functions
-take, and those functions. `plans` and `motion` compute outcomes and figures: complete or not, cost, curvature,
-clearance.
+`motion_check` verifies each segment, `home` leads from and to the home configuration, `start_cause` finds the reason
+for a start that fails, `smoothing` shortens a motion within its margin. `configuration_tree` keeps configurations with
+their parents, `selection` chooses some that lie apart, `transfers` joins a plan to its start. `lane_inputs` and
+`step_functions` are the rows that compiled functions take, and those functions. `plans` and `motion` compute outcomes
+and figures: complete or not, cost, curvature, clearance.
 """
 
 import lazy_loader

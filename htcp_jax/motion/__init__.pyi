@@ -8,6 +8,7 @@ from . import (
     plans,
     selection,
     smoothing,
+    start_cause,
     step_functions,
     transfers,
 )
@@ -32,6 +33,7 @@ __all__ = [
     "plans",
     "selection",
     "smoothing",
+    "start_cause",
     "step_functions",
     "transfers",
 ]

@@ -35,17 +35,36 @@ def other_configurations(problem: Problem, checker: CollisionChecker, s: int, ro
         target: The target.
     """
     scenarios, settings = problem.scenarios, problem.settings
-    rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
     inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
-    about = scenarios.x_start[s] if problem.begins_anywhere[s] else scenarios.x_home[s]
-    limits = checker.executor.limits
     x = _unwound(
-        checker.project(inputs, _sampled_configurations(problem.robot.slides, limits, about, rng)), limits, about
+        checker.project(inputs, drawn_configurations(problem, checker, s, round_)),
+        checker.executor.limits,
+        _about(problem, s),
     )
     here = checker.states(inputs, x)._replace(x=x, linear=None)
     found = tables.gather(here, checker.valid(inputs, here))
     one = np.zeros(len(found.x), int)
     return tables.gather(found, dispersed(found.x, one, settings.beam_width, settings.beam_separation_rad))
+
+
+def drawn_configurations(
+    problem: Problem, checker: CollisionChecker, s: int, round_: int
+) -> Float[np.ndarray, "DRAWS N"]:
+    """Return random configurations of one scenario within the joint limits [rad or m], new ones in every round.
+
+    Args:
+        problem: The problem.
+        checker: Collision checker of the scene.
+        s: Row of the scenario.
+        round_: Number of the round.
+    """
+    rng = np.random.default_rng([problem.settings.seed, int(problem.scenarios.number[s]), STREAM + round_])
+    return _sampled_configurations(problem.robot.slides, checker.executor.limits, _about(problem, s), rng)
+
+
+def _about(problem: Problem, s: int) -> Float[np.ndarray, "N"]:
+    """Return the configuration about which unlimited joints are sampled."""
+    return problem.scenarios.x_start[s] if problem.begins_anywhere[s] else problem.scenarios.x_home[s]
 
 
 def _sampled_configurations(

@@ -22,7 +22,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenario_functions
-from htcp_jax.motion import Plans, Problem, lane_inputs
+from htcp_jax.motion import Plans, Problem, lane_inputs, start_cause
 from htcp_jax.planning import registry
 from htcp_jax.planning.method import Method
 from htcp_jax.planning.registry import find
@@ -151,6 +151,8 @@ def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obst
         if check_starts:
             _check_starts(problem, obstacles)
         problem, from_home = home_motion.leave_home(problem)
+        if check_starts:
+            _refuse_standing_overlaps(problem)
         plans = _of_these(chosen.plan(problem), problem, method)
         problem = problem.as_planned(plans)
         if check_paths:
@@ -212,18 +214,37 @@ def start_clearance(
         x: Another configuration than the start [rad or m].
         obstacles: In addition to the workpiece.
     """
+    return _start_contact(robot, workpiece, scenario, x, obstacles)[:3]
+
+
+def _start_contact(
+    robot: Robot,
+    workpiece: Workpiece,
+    scenario: Scenario,
+    x: Float[np.ndarray, "N"] | None,
+    obstacles: Obstacles,
+    fixed_first: bool = False,
+) -> tuple[float, str, str, bool]:
+    """Return `start_clearance`, and True if the body is fixed in the world.
+
+    With `fixed_first` it is that of the deepest such body, if any of them overlaps.
+    """
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
     scene = Scene(
         robots.lengthen_tool(robot, scenario.tool_extension_m), of_workpiece.all_obstacles(workpiece, obstacles)
     )
     touch = jax.jit(contacts)(scene.robot, scene.obstacles, scenario, x)
-    row = int(touch.distance.argmin())
+    distance, fixed = np.asarray(touch.distance), np.array(robot.capsule_link)[np.array(scene.rows.body)] < 0
+    if fixed_first and (fixed & (distance <= 0)).any():
+        distance = np.where(fixed, distance, np.inf)
+    row = int(distance.argmin())
     body = scene.rows.body[row]
     surface = touch.point[row] - scene.robot.capsule_radius[body] * touch.normal[row]
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
     note = robots.mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
-    return float(touch.distance[row]), robots.capsule_label(robot, robot.capsule_names[body]), other + note
+    label = robots.capsule_label(robot, robot.capsule_names[body])
+    return float(touch.distance[row]), label, other + note, bool(fixed[row])
 
 
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
@@ -239,9 +260,10 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacle
         InputError: If one is in collision; names the body, the obstacle and the depth.
     """
     for what, x in _begins_at(scenario).items():
-        D, body, other = start_clearance(robot, workpiece, scenario, x, obstacles)
+        D, body, other, fixed = _start_contact(robot, workpiece, scenario, x, obstacles, fixed_first=True)
         if D <= 0:
-            raise InputError(f"{what} is in collision: {body} is {-1e3 * D:.3f} mm inside {other}")
+            always = ", in every configuration, as neither moves" if fixed else ""
+            raise InputError(f"{what} is in collision: {body} is {-1e3 * D:.3f} mm inside {other}{always}")
 
 
 def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
@@ -274,23 +296,34 @@ def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
                 check_start(problem.robot, problem.workpiece, one, obstacles)
 
 
+def _refuse_standing_overlaps(problem: Problem) -> None:
+    """Check that no scenario without a start has an overlap in every configuration.
+
+    Raises:
+        InputError: If one has; names the bodies and the depth.
+    """
+    for s in np.flatnonzero(problem.scenarios.refused == Status.NO_START).tolist():
+        if (found := start_cause.standing_overlap(problem, s)) is not None:
+            raise InputError(f"there is no start: {found.description}")
+
+
 def _with_refused(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raises: bool) -> Scenario:
-    """Mark the scenarios that begin with an overlap of capsules that self-collision excludes, see `refused_overlap`.
+    """Mark the scenarios that begin with an overlap of capsules that self-collision excludes, see `refused_pair`.
 
     Raises:
         InputError: If there is one and `raises` is set.
     """
     refused = scenarios.refused.copy()
     for own in (each for each in obstacles if isinstance(each, self_collision.SelfCollision)):
-        known: dict[bytes, str | None] = {}
+        known: dict[bytes, self_collision.RefusedPair | None] = {}
         for s in np.flatnonzero(refused == scenario_functions.NOT_REFUSED):
             for what, x in _begins_at(jax.tree.map(lambda leaf, s=s: leaf[s], scenarios)).items():
                 if x.tobytes() not in known:
-                    known[x.tobytes()] = self_collision.refused_overlap(own, robot, x)
-                if (reason := known[x.tobytes()]) is None:
+                    known[x.tobytes()] = self_collision.refused_pair(own, robot, x)
+                if (pair := known[x.tobytes()]) is None:
                     continue
                 if raises:
-                    raise InputError(f"{what} is in collision: {reason}")
+                    raise InputError(f"{what} is in collision: {pair.reason}")
                 home = what == "home"
                 refused[s] = Status.HOME_IN_COLLISION if home else Status.START_IN_COLLISION
     return replace(scenarios, refused=refused)

@@ -53,7 +53,7 @@ class Obstruction(NamedTuple):
     @property
     def heading(self) -> str:
         """Label of the description."""
-        return "colliding body" if self.collides else "nearest body" if self.reached else "reach"
+        return "colliding body" if self.collides else "closest approach" if self.reached else "reach"
 
     @property
     def description(self) -> str:
@@ -66,7 +66,7 @@ class Obstruction(NamedTuple):
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
         if self.depth_m > 0:
             return f"{body} is {_mm(self.depth_m)} inside {self.other} {where}{self.from_mesh}"
-        return f"no body collides; {body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
+        return f"no body collides; {body} comes within {_mm(-self.depth_m)} of {self.other} {where}"
 
     def record(self) -> dict[str, Any]:
         """Return the entry of a result file, as JSON values."""

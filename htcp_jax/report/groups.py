@@ -15,6 +15,7 @@ from htcp_jax.report import paper
 from htcp_jax.report.validation import read_validation
 from htcp_jax.runs import Run, reachability_file
 from htcp_jax.runs import labels as scenario_labels
+from htcp_jax.runs import tables as scenario_tables
 
 
 @runtime_checkable
@@ -68,6 +69,11 @@ class Part:
     def axes(self) -> dict[str, np.ndarray]:
         """Parameters that vary, each with its values in order, without those that another one determines."""
         return {name: np.unique(values) for name, values in scenario_labels.varying(self.parameters).items()}
+
+    def causes(self, method: str) -> dict[int, dict[str, str | None]]:
+        """Columns `tables.CAUSE` of the scenarios that could not begin, by their numbers."""
+        rows = self.run.scenarios(method).select(["scenario", *scenario_tables.CAUSE]).to_pylist()
+        return {row["scenario"]: row for row in rows if row["cause"] is not None}
 
     @cached_property
     def labels(self) -> dict[int, str]:

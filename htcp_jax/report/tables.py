@@ -211,6 +211,11 @@ def _colliding_bodies(part: Part, method: str, reason: Status, numbers: Sequence
     """
     if reason == Status.TIP_BLOCKED:
         return f"bare tip ({len(numbers)})"
+    causes = [cause for k in numbers if (cause := part.causes(method).get(k)) is not None]
+    if causes:
+        names = ("{colliding_body} with {colliding_with}" if each["colliding_body"] else "{cause}" for each in causes)
+        counts = Counter(name.format(**each) for name, each in zip(names, causes, strict=True))
+        return ", ".join(f"{name} ({count})" for name, count in counts.most_common())
     found = [known for k in numbers if (known := part.scene.colliding_bodies(method).get(k)) is not None]
     counts = Counter(each.cause(f"none: {reason.ended}") for each in found)
     return ", ".join(f"{body} ({count})" for body, count in counts.most_common()) or None
@@ -243,19 +248,20 @@ def scenarios(part: Part) -> Table:
     columns += [Column("end", "end"), Column("motion_end", "motion ends"), Column("colliding_body", "colliding body")]
     columns += [Column("reachable", "reachable", "", "d")]
     times = {method: {row["scenario"]: row for row in rows.to_pylist()} for method, rows in part.timing.items() if rows}
-    rows = []
+    rows, causes = [], {method: part.causes(method) for method in part.plans}
     for s, number in enumerate(part.numbers.tolist()):
         given = {name: values[s].item() for name, values in part.parameters.items()}
         for method, plans in part.plans.items():
             if (end := plans.outcome(s)).targets:
                 count = {"tracked": end.tracked, "targets": end.targets, "executable": end.executable}
                 blocked = part.scene.colliding_bodies(method).get(number)
+                cause = causes[method].get(number, {}).get("cause")
                 reachable = None if part.reachability is None else int(part.reachability[s])
                 row = {"scenario": number, **given, "method": method, **count}
                 what = {
                     "end": "complete" if end.status is None else end.status.words,
                     "motion_end": end.segment_status.words if end.executable < end.tracked else None,
-                    "colliding_body": blocked and blocked.description,
+                    "colliding_body": cause or (blocked and blocked.description),
                     "reachable": reachable,
                 }
                 figures = {name: values[s].item() for name, values in part.motions[method]._asdict().items()}

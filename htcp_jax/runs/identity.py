@@ -85,6 +85,8 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
     if config.get("task") == []:  # then the tolerance of angles has no effect
         del config["task"]
         config["settings"] = {key: value for key, value in config["settings"].items() if key != "tolerance_rad"}
+    if "cell" in config and not config["cell"].get("fixtures"):  # as in runs from older versions
+        config["cell"] = {key: value for key, value in config["cell"].items() if key != "fixtures"}
     same = plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
     parts = {}
     for file in sorted(set(files) - named, key=lambda file: (Path(file).name, files[file])):

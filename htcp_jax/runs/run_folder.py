@@ -26,6 +26,7 @@ from htcp_jax.io import files as io_files
 from htcp_jax.jobs import PlanConfig, grid_axes, grid_points
 from htcp_jax.motion import Plans
 from htcp_jax.notebook import html_facts
+from htcp_jax.runs import tables
 from htcp_jax.runs.identity import other_format, recorded_config
 from htcp_jax.runs.labels import labels_of
 from htcp_jax.runs.manifest import (
@@ -277,6 +278,8 @@ def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table
         raise InputError(f"{file} {problem}; the same sweep plans its scenarios again")
     with io_files.opened(file, file.parents[1]) as stream:
         rows = io_files.read_parquet(stream, file, record.rows, exact=True)
+    if tables.CAUSE[0] in schema.names:
+        rows = tables.with_causes(rows)
     if not rows.schema.equals(schema):
         raise other_format(file.parents[1], f"{file.parent.name}/{file.name} has other columns")
     if len(rows) != record.rows:

@@ -21,18 +21,19 @@ import pyarrow as pa
 
 from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.device import devices
+from htcp_jax.device import tables as device_tables
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs import grid as grids
 from htcp_jax.jobs import grid_axes
 from htcp_jax.model import task_row_kind
-from htcp_jax.motion import Plans
+from htcp_jax.motion import Plans, start_cause
 from htcp_jax.planning import Progress as ShardProgress
 from htcp_jax.planning import registry
 from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.input_files import anchor_files, file_hashes
-from htcp_jax.runs.local import Shard, plan_here
+from htcp_jax.runs.local import Shard, plan_here, scenarios_of
 from htcp_jax.runs.lock import SignalReceived, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans
 from htcp_jax.runs.plan_folder import made_folder
@@ -211,8 +212,22 @@ def tables(batch: grids.Batch, method: str, span: Span, plans: Plans) -> dict[st
     numbers = np.array([point.number for point in points])
     return {
         "targets": target_table(method, numbers, plans, joints),
-        "scenarios": scenario_table(method, points, plans, joints, varied),
+        "scenarios": scenario_table(method, points, plans, joints, varied, _causes(batch, span, plans)),
     }
+
+
+def _causes(batch: grids.Batch, span: Span, plans: Plans) -> dict[int, start_cause.StartCause]:
+    """Return the reasons of a shard's scenarios that could not begin, by their places in it."""
+    found: dict[int, start_cause.StartCause] = {}
+    (cell, scenarios), status = scenarios_of(batch, span), plans.status[:, 0]
+    for number in np.unique(cell[np.isin(status, start_cause.CAUSES)]).tolist():
+        own, rows = batch.cells[number], np.flatnonzero(cell == number)
+        known = own.settings, own.task, own.obstacles
+        some = start_cause.start_causes(
+            own.robot, own.workpiece, device_tables.gather(scenarios, rows), status[rows], *known, rounds=1
+        )
+        found |= {int(rows[s]): cause for s, cause in some.items()}
+    return found
 
 
 def _manifest(

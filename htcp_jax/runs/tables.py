@@ -49,12 +49,16 @@
     shift_x_m ..., tool_extension_m, margin_m    double
     path           string   the tool path: a seam of the duct, such as "weld", or the name of its file
     robot.model, settings.alpha_rad ...    string   any other key in which the sweep's scenarios may differ, as JSON
+    colliding_body string   if no start was possible: the arm's body that collides; null if none does, as is the next
+    colliding_with string   the obstacle that it collides with
+    cause          string   the reason in words
 
 The tables contain no run times: the same seed writes the same bytes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,7 +68,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import files
 from htcp_jax.jobs import grid_axes
 from htcp_jax.model import Robot
-from htcp_jax.motion import Plans, ViaPoints, motion
+from htcp_jax.motion import Plans, ViaPoints, motion, start_cause
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs import parameters
 from htcp_jax.status import SegmentStatus, Status
@@ -77,6 +81,7 @@ SEGMENT_STATUSES: dict[str | None, int] = {None: int(SegmentStatus.NOT_CHECKED)}
     x.name: int(x) for x in SegmentStatus
 }
 XYZ = "xyz"
+CAUSE = "colliding_body", "colliding_with", "cause"  # columns of scenarios that could not begin
 
 LEAST_CELLS = 1_000_000  # scenarios times targets that any file may expand to; or GROWTH times its rows
 
@@ -129,6 +134,7 @@ def scenario_table(
     plans: Plans,
     joints: Sequence[str],
     varied: Sequence[str] = (),
+    causes: Mapping[int, start_cause.StartCause] = MappingProxyType({}),
 ) -> pa.Table:
     """Return the rows of scenarios, in the order of `points`.
 
@@ -138,6 +144,7 @@ def scenario_table(
         plans: Their plans.
         joints: Names of the columns of x, see `joint_columns`.
         varied: Keys that vary and are no column of every run.
+        causes: Reasons of scenarios that could not begin, by their place in `points`.
     """
     tracked, ends = plans.tracked, plans.outcomes
     columns = {
@@ -156,7 +163,18 @@ def scenario_table(
         "joint_motion_rad": pa.array(np.where(tracked, plans.joint_step, 0.0).sum(axis=1)),
     }
     columns |= _parameter_columns(points, plans.start, joints)
-    return pa.table(columns | {key: pa.array([point.varied[key] for point in points], pa.string()) for key in varied})
+    columns |= {key: pa.array([point.varied[key] for point in points], pa.string()) for key in varied}
+    found = [causes.get(row) for row in range(len(points))]
+    texts = [(each.body, each.other, each.description) if each else (None,) * len(CAUSE) for each in found]
+    return pa.table(columns | {name: pa.array([t[k] for t in texts], pa.string()) for k, name in enumerate(CAUSE)})
+
+
+def with_causes(rows: pa.Table) -> pa.Table:
+    """Return rows of scenarios with the columns of CAUSE, which runs from older versions lack."""
+    if CAUSE[0] not in rows.column_names:
+        for name in CAUSE:
+            rows = rows.append_column(name, pa.nulls(len(rows), pa.string()))
+    return rows
 
 
 def _end_columns(ends: plan_arrays.Outcomes) -> dict[str, pa.Array]:

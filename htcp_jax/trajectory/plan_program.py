@@ -173,7 +173,7 @@ def program_of_plans(
     if not end.can_be_driven:
         why = end.segment_status.message if end.executable < end.tracked else "the next one is not tracked"
         raise InputError(f"{name}: a motion leads to {end.executable} of {end.targets} targets; {why}")
-    robot = robots.lengthen_tool(build.robot_of(job.robot), job.robot.tool_extension_m)
+    robot = robots.lengthen_tool(build.robot_of(job.robot, job.cell), job.robot.tool_extension_m)
     goals = build.scene(job)[2].goals if job.task else None
     return timed_plan(plans, scenario, job, robot, goals, feed_m_s, method, retract=retract)
 

@@ -198,7 +198,7 @@ class _Timer:
     def _arm(self, job: PlanConfig) -> Robot:
         key = repr(build.robot_key(job))
         if key not in self._arms:
-            self._arms[key] = build.robot_of(job.robot)
+            self._arms[key] = build.robot_of(job.robot, job.cell)
         return self._arms[key]
 
     def _part(self, job: PlanConfig, arm: Robot) -> Workpiece:

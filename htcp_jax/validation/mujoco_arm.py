@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import LinkMeshes, safe_xml
@@ -147,10 +147,9 @@ class MujocoArm:
         """True if two pairs belong to the same links."""
         return all(self.links[a] == self.links[b] for a, b in zip(pair, other, strict=True))
 
-    @property
-    def moving(self) -> "MujocoArm":
-        """The arm without the capsules that are fixed to the world."""
-        own, which = copy.copy(self), self.links > 0
+    def only(self, which: Bool[np.ndarray, "K"]) -> "MujocoArm":
+        """Return the arm with some of its capsules."""
+        own = copy.copy(self)
         own._geoms, own._half, own.links = self._geoms[which], self._half[which], self.links[which]
         own.radius, own.length = self.radius[which], self.length[which]
         own.names = tuple(np.array(self.names)[which].tolist())
@@ -165,19 +164,28 @@ class MujocoArm:
             ends[:, k] = self._ends()
         return ArmPoses(tcp, *ends)
 
+    def link_of(self, name: str) -> int:
+        """Number of joints between the world and a site or body of the model; 0 for the world."""
+        site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
+        body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
+        if site < 0 and body < 0:
+            raise InputError(f"no site or body {name!r} in the model")
+        return _joints_below(self._model, int(self._model.site_bodyid[site]) if site >= 0 else body)
+
     def frames(
-        self, x: Float[np.ndarray, "n N"], name: str
+        self, x: Float[np.ndarray, "n N"], name: str, tip: bool = True
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
         """Origins [m] and axes of a frame, world.
 
         Args:
             x: Configurations [rad or m].
             name: "tcp" for the TCP's frame, or the name of a site or body of the model.
+            tip: False: "tcp" is the model's site or body, too.
 
         Raises:
             InputError: For another name.
         """
-        site = self._site if name == "tcp" else mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
+        site = self._site if name == "tcp" and tip else mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
         body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
         if site < 0 and body < 0:
             raise InputError(f"no site or body {name!r} in the model")

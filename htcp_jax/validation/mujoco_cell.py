@@ -3,9 +3,10 @@
 The cell's file is read a second time; the poses of its shapes, and the pairs of bodies to check, are determined
 independently. Capsules represent the arm's bodies in the cell's own model, placed by MuJoCo's kinematics; distances are
 by mj_geomDistance. MuJoCo represents a non-convex mesh by its hull, so the mesh's triangles are measured, like a
-workpiece's.
+workpiece's. A fixture that moves with a link is placed with it, exactly, not as the planner's capsules.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,10 +21,12 @@ from htcp_jax.io.parts import load_geometry
 from htcp_jax.io.robots import safe_xml
 from htcp_jax.jobs import config, given_kinds
 from htcp_jax.model import fixture
+from htcp_jax.validation.carried import CarriedBody
 from htcp_jax.validation.mujoco_arm import FAR_M, ArmPoses, MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
-from htcp_jax.validation.own_pairs import OwnPairs, own_pairs, touch_m
+from htcp_jax.validation.own_pairs import ALWAYS, NEAR_M, SEED, OwnPairs, own_pairs, touch_m
 
+SAMPLES = 2_000  # configurations for the pairs that nearly always overlap
 MOST_FACES = 400  # of a mesh that is treated as convex
 _TYPES = {kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}") for kind in fixture.PRIMITIVES}
 _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
@@ -49,6 +52,15 @@ class MujocoCell:
         for k, shape in enumerate(shapes):
             size = [0, 0, 1] if shape.kind == "plane" else shape.size  # MuJoCo needs a grid
             spec.worldbody.add_geom(name=f"shape {k} of the job", type=_TYPES[shape.kind], size=size)
+        rules = {each.name: each for each in cell.fixtures}
+        carriers = {name: arm.link_of(each.parent) for name, each in rules.items()}
+        stems = {f"cloud {k} of the job": Path(cloud.cloud).stem for k, cloud in enumerate(cell.clouds)}
+        for (name, stem), cloud in zip(stems.items(), cell.clouds, strict=True):
+            if carriers.get(stem):
+                R, t = _pose_of(cloud.base_m, cloud.base_rpy_rad)
+                corners = load_geometry(cloud.cloud).triangles.reshape(-1, 3) @ R.T + t
+                spec.add_mesh(name=name, uservert=corners.ravel())
+                spec.worldbody.add_geom(name=name, type=_MESH, meshname=name)
         try:
             self._model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
@@ -56,24 +68,52 @@ class MujocoCell:
         self._bodies = [self._model.geom(f"body {k} of the arm").id for k in range(len(arm.radius))]
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
+        names = [_name(self._model, g) for g in range(self._model.ngeom)]
+        own = {g: rules[stem] for g, name in enumerate(names) if (stem := stems.get(name, name)) in rules}
+        known = {each.name for each in own.values()} | set(stems.values())
+        if unnamed := [name for name in rules if name not in known]:
+            raise InputError(f"{cell.model}: {unnamed[0]!r} is neither a geom's name nor a body's; name the geom")
+        excluded = {g: frozenset(map(arm.link_of, each.exclude)) for g, each in own.items()}
+        self.carried = [self._carried(g, each, excluded[g]) for g, each in own.items() if carriers[each.name]]
+        drawn = self._data.geom_xpos.copy(), self._data.geom_xmat.copy()
         if cell.model is not None:
             _move(self._model, self._data, cell)
+        for g, each in own.items():
+            if each.parent != config.WORLD:
+                self._place(g, each.parent, drawn[0][g], drawn[1][g].reshape(3, 3))
         for k, shape in enumerate(shapes):
             geom = self._model.geom(f"shape {k} of the job").id
             self._data.geom_xpos[geom], self._data.geom_xmat[geom] = shape.T_world[:3, 3], shape.T_world[:3, :3].ravel()
-        solids = [g for g in range(self._model.ngeom) if g not in self._bodies and not self._is_hollow(g)]
-        moving = arm.moving
+        others = {*self._bodies, *(body.geom for body in self.carried)}
+        solids = [
+            g
+            for g in range(self._model.ngeom)
+            if g not in others and not self._is_hollow(g, excluded.get(g, frozenset()))
+        ]
         for cloud in cell.clouds:
             R, t = _pose_of(cloud.base_m, cloud.base_rpy_rad)
-            found = load_geometry(cloud.cloud)
-            self._add_wall(moving, found.points, found.triangles, R, t)
+            name = Path(cloud.cloud).stem
+            if name in rules and rules[name].parent != config.WORLD:
+                (origin,), (rotation,) = arm.frames(np.zeros((1, len(arm.joints))), rules[name].parent, tip=False)
+                R, t = rotation @ R, rotation @ t + origin
+            if not carriers.get(name):
+                found = load_geometry(cloud.cloud)
+                apart = frozenset(map(arm.link_of, rules[name].exclude if name in rules else ()))
+                self._add_wall(found.points, found.triangles, R, t, apart)
         self._own = own_pairs(plain, self._apart) if cell.self_collision else OwnPairs([], [], [])
         self.deepest = 0.0, ""  # overlap of capsules that are not checked [m], and which
         self._pairs = [(self._bodies[a], self._bodies[b]) for a, b in self._own.checked]
-        checked = [(body, g) for body, link in zip(self._bodies, arm.links, strict=True) for g in solids if link > 0]
+        checked = [
+            (body, g)
+            for body, link in zip(self._bodies, arm.links, strict=True)
+            for g in solids
+            if link > 0 and link not in excluded.get(g, ())
+        ]
         first = {self._bodies[k] for k in range(len(arm.links)) if arm.links[k] == 1}
         at_zero = self._distances(plain.arm_poses(np.zeros((1, len(plain.joints)))), checked).min(axis=0)
         self._pairs += [pair for pair, D in zip(checked, at_zero, strict=True) if D > 0 or pair[0] not in first]
+        self._carried_pairs = self._pairs_of_carried(solids, excluded, cell.self_collision)
+        self.bound |= bool(self.carried)
 
     def distances(
         self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses, may: Bool[np.ndarray, "n R"] | None = None
@@ -86,15 +126,16 @@ class MujocoCell:
             may: False for distances that are not needed, which are inf; None: all are.
 
         Returns:
-            The distances of pairs of shapes, then those to walls; the last one is below zero if meshes touch inside
-            capsules that are not checked.
+            The distances of pairs of shapes, then those to walls; the last one is that of fixtures that move with
+            links, and below zero if meshes touch inside capsules that are not checked.
         """
         may = np.ones((len(x), len(self._pairs) + len(self.walls) + 1), bool) if may is None else may
         to_walls = np.full((len(x), len(self.walls)), np.inf)
         for column, rows, wall in zip(to_walls.T, may[:, len(self._pairs) : -1].T, self.walls, strict=True):
             column[rows] = wall.at(x[rows]).clearance
-        excluded = self._of_excluded(x, arm_poses)[:, None]  # always: meshes are measured nowhere else
-        return np.hstack([self._distances(arm_poses, self._pairs, may[:, : len(self._pairs)]), to_walls, excluded])
+        # These always: meshes, and fixtures that move with a link, are measured nowhere else.
+        last = np.minimum(self._of_excluded(x, arm_poses), self._of_carried(x, arm_poses))[:, None]
+        return np.hstack([self._distances(arm_poses, self._pairs, may[:, : len(self._pairs)]), to_walls, last])
 
     def _of_excluded(self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses) -> Float[np.ndarray, "n"]:
         """Negative penetration depth [m] of meshes that touch inside capsules that are not checked; inf elsewhere."""
@@ -108,6 +149,66 @@ class MujocoCell:
                 if (deep := touch_m(self._arm, pair, x[row])) > 0:
                     found[row] = min(found[row], -deep)
         return found
+
+    def _of_carried(self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses) -> Float[np.ndarray, "n"]:
+        """Distance of the fixtures that move with links to everything but the workpiece [m]."""
+        if not self.carried:
+            return np.full(len(x), np.inf)
+        found = self._carried_distances(x, arm_poses, self._carried_pairs).min(axis=1, initial=np.inf)
+        for wall in self.walls:
+            found = np.minimum(found, wall.carried_clearance(x, found))
+        return found
+
+    def _carried_distances(
+        self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses, pairs: Sequence[tuple[int, int]]
+    ) -> Float[np.ndarray, "n R"]:
+        found, places = np.empty((len(x), len(pairs))), {body.geom: body.poses(x) for body in self.carried if pairs}
+        for k in range(len(x)):
+            for geom, (position, axes) in places.items():
+                self._data.geom_xpos[geom], self._data.geom_xmat[geom] = position[k], axes[k].ravel()
+            one = ArmPoses(*(values[k : k + 1] for values in arm_poses))
+            found[k] = self._distances(one, pairs)[0]
+        return found
+
+    def _pairs_of_carried(
+        self, solids: Sequence[int], excluded: dict[int, frozenset[int]], self_collision: bool
+    ) -> list[tuple[int, int]]:
+        """Pairs of a fixture that moves with a link, and of another fixture or a body of the arm.
+
+        As for the job's tool, a pair with the arm is not checked if it nearly always overlaps.
+        """
+        arm, carried = self._arm, self.carried
+        found = [(body.geom, g) for body in carried for g in solids if body.link not in excluded.get(g, ())]
+        if not (self_collision and carried):
+            return found
+        bodies = [(g, link, frozenset()) for g, link in zip(self._bodies, arm.links, strict=True)]
+        apart = []
+        for k, body in enumerate(carried):
+            others = [*bodies, *((other.geom, other.link, other.excluded) for other in carried[k + 1 :])]
+            apart += [
+                (body.geom, g)
+                for g, link, theirs in others
+                if link != body.link and link not in body.excluded and body.link not in theirs
+            ]
+        x = arm.random(SAMPLES, SEED)
+        near = (self._carried_distances(x, arm.arm_poses(x), apart) <= NEAR_M).mean(axis=0)
+        return found + [pair for pair, share in zip(apart, near.tolist(), strict=True) if share < ALWAYS]
+
+    def _carried(self, geom: int, rule: config.FixtureConfig, excluded: frozenset[int]) -> CarriedBody:
+        """The body of a geom as drawn, in the frame of its parent."""
+        model, data = self._model, self._data
+        if model.geom_type[geom] == _MESH:
+            mesh = model.mesh(model.geom_dataid[geom])
+            corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]].astype(float)
+        else:
+            corners = np.array(list(itertools.product((-1, 1), repeat=3))) * model.geom_size[geom]
+        R, t = data.geom_xmat[geom].reshape(3, 3).copy(), data.geom_xpos[geom].copy()
+        return CarriedBody(geom, rule.parent, self._arm.link_of(rule.parent), excluded, R, t, corners, self._arm)
+
+    def _place(self, geom: int, parent: str, t: np.ndarray, R: np.ndarray) -> None:
+        """Place a geom in the frame of a parent at zero joint values."""
+        (origin,), (rotation,) = self._arm.frames(np.zeros((1, len(self._arm.joints))), parent, tip=False)
+        self._data.geom_xpos[geom], self._data.geom_xmat[geom] = rotation @ t + origin, (rotation @ R).ravel()
 
     def _apart(self, arm_poses: ArmPoses, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
         return self._distances(arm_poses, [(self._bodies[a], self._bodies[b]) for a, b in pairs])
@@ -134,7 +235,7 @@ class MujocoCell:
             mujoco.mju_quatZ2Vec(turn, axis / length)
             mujoco.mju_quat2Mat(self._data.geom_xmat[geom], turn)
 
-    def _is_hollow(self, geom: int) -> bool:
+    def _is_hollow(self, geom: int, excluded: frozenset[int]) -> bool:
         """Return True if a geom is a non-convex mesh, and add it as a wall of triangles."""
         model = self._model
         if model.geom_type[geom] != _MESH:
@@ -146,15 +247,23 @@ class MujocoCell:
         if solid.is_convex and len(triangles) <= MOST_FACES:
             return False
         R, t = self._data.geom_xmat[geom].reshape(3, 3), self._data.geom_xpos[geom]
-        self._add_wall(self._arm.moving, triangles.reshape(-1, 3), triangles, R.copy(), t.copy())
+        self._add_wall(triangles.reshape(-1, 3), triangles, R.copy(), t.copy(), excluded)
         return True
 
     def _add_wall(
-        self, arm: MujocoArm, points: np.ndarray, triangles: np.ndarray, R: np.ndarray, t: np.ndarray
+        self, points: np.ndarray, triangles: np.ndarray, R: np.ndarray, t: np.ndarray, excluded: frozenset[int]
     ) -> None:
+        arm = self._arm.only(~np.isin(self._arm.links, [0, *excluded]))
+        carried = [body for body in self.carried if body.link not in excluded]
         self.bound |= len(triangles) > 0
         wall = Wall(points, "none", None, triangles if len(triangles) else None)
-        self.walls.append(CheckedScene(arm, wall, R, t, 0.0))
+        self.walls.append(CheckedScene(arm, wall, R, t, 0.0, carried=carried))
+
+
+def _name(model: mujoco.MjModel, geom: int) -> str:
+    """The geom's name, or else its body's."""
+    body = int(model.geom_bodyid[geom])
+    return model.geom(geom).name or (model.body(body).name if body else "")
 
 
 def _spec(path: Path) -> mujoco.MjSpec:

@@ -19,7 +19,7 @@ that may hold it only the points within sqrt((U + radius)^2 + h^2) of m can be t
 cut finer until that ball holds few points, and all of these are measured.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -28,6 +28,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, cKDTree
 
 from htcp_jax.jobs import config
+from htcp_jax.validation.carried import CarriedBody
 from htcp_jax.validation.cloud_discs import CloudDiscs
 from htcp_jax.validation.mesh_clearance import axis_distances, crosses, cut_into_grains, read_triangles
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
@@ -140,6 +141,7 @@ class CheckedScene:
         interior_depth_m: Distance from the start of the wall at which the rule begins.
         surroundings: Function (x, arm poses, may) for the distances (n, R) to everything else that must not touch [m],
             inf where `may` (n, R) is False, None: all are measured. See `mujoco_cell.MujocoCell.distances`.
+        carried: Fixtures that move with links; of the interior rule they are no part.
     """
 
     def __init__(
@@ -150,7 +152,9 @@ class CheckedScene:
         translate: np.ndarray,
         interior_depth_m: float,
         surroundings: Callable[[np.ndarray, ArmPoses, np.ndarray | None], np.ndarray] | None = None,
+        carried: Sequence[CarriedBody] = (),
     ):
+        self.carried = carried
         self.surroundings = surroundings or (lambda x, arm_poses, may: np.empty((len(x), 0)))
         self.arm, self.wall, self.rotate, self.translate = arm, wall, rotate, translate
         self.along = np.array([1.0, 0.0, 0.0]) if wall.direction is None else rotate @ wall.direction
@@ -168,6 +172,7 @@ class CheckedScene:
         kept = pieces.only(self._may_hold(pieces, distance, upper))
         surroundings = self.surroundings(x, arm_poses, None)
         to_wall = self._measured(x, arm_poses, kept, upper)
+        to_wall = np.minimum(to_wall, self.carried_clearance(x, to_wall))
         ends = np.concatenate([arm_poses.p, arm_poses.q], axis=1)
         outside = self._outside(ends, ends @ self.along > self.interior_from)
         each = len(x), len(pieces.row) // len(x)
@@ -208,10 +213,25 @@ class CheckedScene:
         )
         surroundings = self.surroundings(x, arm_poses, may).min(axis=1, initial=np.inf)
         clearance = np.minimum(self._measured(x, arm_poses, kept, upper), surroundings)
+        clearance = np.minimum(clearance, self.carried_clearance(x, np.minimum(upper, clearance)))
         proven = [known.outside[b] + each < 0 for b, each in zip((a, a + 1), moved, strict=True)]
         outside = self._outside(ends, (ends @ self.along > self.interior_from) & ~proven[0] & ~proven[1])
         clearance = _worse(clearance, outside)
         return arm_poses, np.where(clearance <= below, clearance, np.inf)
+
+    def carried_clearance(self, x: Float[np.ndarray, "n N"], upper: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Clearance of the fixtures that move with links to the wall [m]; arbitrary, but larger, above `upper` [m]."""
+        found, wall = np.full(len(x), np.inf), self.wall
+        each = wall.middle[:, None] if wall.triangles is None else wall.triangles
+        for body in self.carried if len(each) else ():
+            (centre, radius), (position, axes) = body.ball, body.poses(x)
+            middle = self.local(position + axes @ centre)
+            near = np.minimum(np.maximum(upper, 0.0), wall.tree.query(middle)[0]) + radius + wall.grain + ROUNDING_M
+            for k, points in enumerate(wall.tree.query_ball_point(middle, near)):
+                if points:
+                    world = each[points] @ self.rotate.T + self.translate
+                    found[k] = min(found[k], body.clearance((world - position[k]) @ axes[k]))
+        return found
 
     def tip_crosses(self, arm_poses: ArmPoses, contact_m: float) -> Bool[np.ndarray, "n"]:
         """True if the bare tip passes through a triangle of the mesh or a disc of the cloud.

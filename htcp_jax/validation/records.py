@@ -60,7 +60,7 @@ def _workpieces() -> Callable[[PlanConfig], WorkpieceData]:
     """Return a cached loader of workpieces; the points on a mesh are as close as the arm needs."""
 
     @lru_cache(maxsize=MOST_WORKPIECES)
-    def load(part: configs.WorkpieceConfig, arm: configs.RobotConfig) -> WorkpieceData:
-        return data_of(build.workpiece_of(part, build.robot_of(arm)))
+    def load(part: configs.WorkpieceConfig, arm: tuple[configs.RobotConfig, configs.CellConfig]) -> WorkpieceData:
+        return data_of(build.workpiece_of(part, build.robot_of(*arm)))
 
     return lambda config: load(build.workpiece_key(config), build.robot_key(config))

@@ -150,8 +150,8 @@ def scene_of(
     on_path = len(targets) - len(path)
     if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach deviates from its lines
         targets[1:on_path] = path[0]
-    surroundings = None if surroundings is None else surroundings.distances
-    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m, surroundings), targets, on_path
+    others = () if surroundings is None else (surroundings.distances, surroundings.carried)
+    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m, *others), targets, on_path
 
 
 def _refuted(

@@ -111,7 +111,7 @@ def _draw_scene(
         _draw_fixtures(axes, view, fixtures)
         _draw_arm(axes, view, robot, arm)
         _draw_targets(axes, view, plans, row)
-        if obstruction is not None:
+        if obstruction is not None and obstruction.collides:
             _draw_obstruction(axes, view, robot, obstruction)
         _set_limits(axes, view.flat(cloud) if column else None)
         _heading(axes, heading)

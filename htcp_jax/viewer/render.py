@@ -155,7 +155,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
     for foot, tip in replay.normals:
         glyph = {"type": _Geom.mjGEOM_CAPSULE, "fromto": [*foot, *tip], "size": [GLYPH_M, 0, 0]}
         spec.worldbody.add_geom(**glyph, material="bead", rgba=_rgba(NORMAL), **UNTOUCHED)
-    if replay.obstruction is not None:
+    if replay.obstruction is not None and replay.obstruction.collides:
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
         spec.worldbody.add_geom(name="colliding body", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
     _add_marks(spec, replay)
@@ -183,7 +183,7 @@ def _colliding_geoms(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, l
 
     They are the colliding body and the contact point.
     """
-    if replay.obstruction is None:
+    if replay.obstruction is None or not replay.obstruction.collides:
         return []
     names = f"body {replay.robot.capsule_names.index(replay.obstruction.body)}", "colliding body"
     colours = _rgba(FAILED), _rgba(NEAREST)

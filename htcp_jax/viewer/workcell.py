@@ -49,7 +49,7 @@ class Workcell:
     @cached_property
     def fixtures(self) -> surfaces.WorldGeometry:
         """The other obstacles, for drawing."""
-        return build.drawn_of(self.config.cell)
+        return build.drawn_of(self.config.cell, self.robot)
 
     @cached_property
     def surface(self) -> surfaces.Surface:
@@ -90,7 +90,7 @@ class RecordedCells:
         found = self._found
         first = next(number for number in found.parameters if self.key(number) == key)
         config = found.jobs[first] if found.mixed else found.config
-        robot = build.robot_of(config.robot)
+        robot = build.robot_of(config.robot, config.cell)
         return Workcell(config, robot, build.workpiece_of(config.workpiece, robot))
 
 

@@ -1,14 +1,16 @@
 """Solids of the work cell as an obstacle, fixed in the world.
 
 A body that is fixed in the world, such as the arm's base, is not checked. Nor are bodies of the first link against a
-solid that they touch at x = 0: an arm stands on its pedestal.
+solid that they touch at x = 0: an arm stands on its pedestal; nor those of links that a solid's fixture excludes.
 
 Half-spaces, capsules, boxes and cylinders are all measured. Convex pieces are measured only if their bounding ball is
 nearer than the smallest distance so far: one after the other, the nearest ball first.
 """
 
 import dataclasses
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -80,8 +82,16 @@ class Fixtures(Obstacle):
         return jax.tree.map(lambda each: each[best, body], seen._replace(distance=distance))
 
 
-def fixtures(robot: Robot, named: list[tuple[str, Solid]]) -> Fixtures:
-    """Return the obstacle of at least one named solid for a robot."""
+def fixtures(
+    robot: Robot, named: list[tuple[str, Solid]], excluded: Mapping[str, Collection[int]] = MappingProxyType({})
+) -> Fixtures:
+    """Return the obstacle of at least one named solid for a robot.
+
+    Args:
+        robot: The robot.
+        named: The solids with their names.
+        excluded: By name the links that a solid is not tested against; none for other names.
+    """
     order = (HalfSpace, Rod, Box, Cylinder, Polyhedron)
     named = sorted(named, key=lambda each: order.index(type(each[1])))
     stacks = [[solid for _, solid in named if isinstance(solid, kind)] for kind in order]
@@ -91,8 +101,14 @@ def fixtures(robot: Robot, named: list[tuple[str, Solid]]) -> Fixtures:
     is_checked = jnp.broadcast_to(jnp.asarray(links >= 0)[None], (len(named), len(links)))
     found = Fixtures(tuple(simple), pieces, jnp.asarray(balls), is_checked, tuple(name for name, _ in named))
     drawn = kinematics.capsule_segments(robot, jnp.zeros(len(robot.slides)))
-    stands = (np.asarray(_solid_distances(found, robot, *drawn)) <= 0) & (links == 0)[None]
+    stands = (np.asarray(_solid_distances(found, robot, *drawn)) <= 0) & _may_stand(robot)[None]
+    stands |= np.array([np.isin(links, [*excluded.get(name, ())]) for name, _ in named])
     return dataclasses.replace(found, is_checked=is_checked & ~stands)
+
+
+def _may_stand(robot: Robot) -> Bool[np.ndarray, "K"]:
+    """Return True for the bodies of the first link."""
+    return (np.array(robot.capsule_link) == 0) & ~np.isin(np.arange(len(robot.capsule_link)), robot.attached)
 
 
 _solid_distances = jax.jit(Fixtures.distances)

@@ -112,7 +112,7 @@ class GivenObstacle(Obstacle):
     def _checked_bodies(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
         """True for bodies that are checked."""
         links = np.array(robot.capsule_link)
-        first = np.flatnonzero(links == 0)
+        first = np.setdiff1d(np.flatnonzero(links == 0), robot.attached)
         is_checked = jnp.asarray(links >= 0)
         if not len(first):
             return is_checked

@@ -5,8 +5,9 @@ thickened by their covering radius.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import NamedTuple
 
 import jax
@@ -38,11 +39,12 @@ class _PlacedFrame(NamedTuple):
 @register_pytree
 @dataclass(frozen=True)
 class PlacedCloud(Obstacle):
-    """A cloud fixed in the world. Bodies that are fixed in the world are not checked."""
+    """A cloud fixed in the world. Bodies that are fixed in the world, and those of excluded links, are not checked."""
 
     cloud: Cloud
     T_world: Pose
     name: str = field(metadata={"static": True})
+    excluded: tuple[int, ...] = field(default=(), metadata={"static": True})  # links
 
     sweeps = True
 
@@ -97,16 +99,25 @@ class PlacedCloud(Obstacle):
     def _seen(self, robot: Robot, bodies: BodyAxes) -> tuple[Robot, _PlacedFrame, BodyAxes]:
         """Return robot, pose and bodies for the cloud's own methods, with the bodies in the cloud's frame.
 
-        Bodies that are fixed in the world become infinitely thin.
+        Bodies that are not checked become infinitely thin.
         """
         R, t = self.T_world[:3, :3], self.T_world[:3, 3].reshape((1,) * (bodies.p.ndim - 1) + (3,))
         own = bodies._replace(p_workpiece=product(bodies.p - t, R), q_workpiece=product(bodies.q - t, R))
-        radius = jnp.where(np.array(robot.capsule_link) >= 0, robot.capsule_radius, -FAR_M)
+        links = np.array(robot.capsule_link)
+        is_checked = (links >= 0) & ~np.isin(links, self.excluded)
+        radius = jnp.where(is_checked, robot.capsule_radius, -FAR_M)
         return dataclasses.replace(robot, capsule_radius=radius), _PlacedFrame(self.T_world, jnp.zeros(4)), own
 
 
-def make_fixtures(robot: Robot, shapes: Sequence[Fixture]) -> Obstacles:
+def make_fixtures(
+    robot: Robot, shapes: Sequence[Fixture], excluded: Mapping[str, Collection[int]] = MappingProxyType({})
+) -> Obstacles:
     """Return the obstacles of a cell's shapes for a robot.
+
+    Args:
+        robot: The robot.
+        shapes: The shapes.
+        excluded: By name the links that a shape is not tested against; none for other names.
 
     Raises:
         InputError: For a mesh without an area, which the message names.
@@ -116,8 +127,8 @@ def make_fixtures(robot: Robot, shapes: Sequence[Fixture]) -> Obstacles:
     clouds = []
     for mesh in meshes:
         points = _covered(robot, mesh.triangles, f"fixture {mesh.name!r}")
-        clouds.append(PlacedCloud(cloud_of(*points), jnp.eye(4), mesh.name))
-    return ((fixtures(robot, solids),) if solids else ()) + tuple(clouds)
+        clouds.append(PlacedCloud(cloud_of(*points), jnp.eye(4), mesh.name, tuple(excluded.get(mesh.name, ()))))
+    return ((fixtures(robot, solids, excluded),) if solids else ()) + tuple(clouds)
 
 
 def placed_cloud(
@@ -127,6 +138,7 @@ def placed_cloud(
     T_world: HostFloat[np.ndarray, "4 4"],
     source: str,
     name: str,
+    excluded: Collection[int] = (),
 ) -> PlacedCloud:
     """Return a cloud at a pose: the given points, or if there are triangles, points on their mesh.
 
@@ -137,12 +149,13 @@ def placed_cloud(
         T_world: The pose [m].
         source: Name of the mesh in messages.
         name: Name of the obstacle.
+        excluded: Links that it is not tested against.
 
     Raises:
         InputError: As `mesh_points.cover_mesh` does.
     """
     found = _covered(robot, triangles, source) if len(triangles) else mesh_points.PointCover(points, 0.0)
-    return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name)
+    return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name, tuple(excluded))
 
 
 def _covered(robot: Robot, triangles: HostFloat[np.ndarray, "F 3 3"], source: str) -> mesh_points.PointCover:

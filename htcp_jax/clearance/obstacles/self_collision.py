@@ -9,6 +9,7 @@ import warnings
 from collections import Counter
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +32,12 @@ from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Float, Int
 
 USUAL = 0.99  # a start is refused where an excluded pair is deeper than in this share of random configurations
-RULES = {"a": "by the model", "b": "that nearly always overlap", "c": "whose links do not touch where they overlap"}
+RULES = {
+    "a": "by the model",
+    "b": "that nearly always overlap",
+    "c": "whose links do not touch where they overlap",
+    "d": "by the job",
+}
 Ends = Float[jax.Array, "K 3"]
 
 
@@ -110,11 +116,20 @@ def self_collision(robot: Robot) -> SelfCollision | None:
     return SelfCollision(pairs, excluded) if pairs else None
 
 
-def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) -> str | None:
-    """Describe an excluded pair that nevertheless collides at a start x [rad or m], with its depth; None without one.
+class RefusedPair(NamedTuple):
+    """An excluded pair that collides all the same, by the numbers of its capsules."""
+
+    first: int
+    second: int
+    depth_m: float
+    reason: str
+
+
+def refused_pair(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) -> RefusedPair | None:
+    """Return an excluded pair that nevertheless collides at a start x [rad or m]; None without one.
 
     A pair of rule c collides if the meshes in it touch. One of rule a or b does if its links are not adjacent and it is
-    deeper than in USUAL of the `samples`.
+    deeper than in USUAL of the `samples`. One of rule d never does.
     """
     link, names = robot.capsule_link, robot.capsule_names
     pairs = [each for each in own.excluded if link[each.first] != link[each.second]]
@@ -127,9 +142,11 @@ def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"])
         if each.rule == "c" and robot.meshes and d > 0:
             touch_m = robot.meshes.deepest_m(names[each.first], names[each.second], x)
             if touch_m > robots.TOUCHING_M:
-                return f"the meshes in {pair} touch by {1e3 * touch_m:.3g} mm"
-        elif each.rule != "c" and link[each.first] > link[each.second] + 1 and d > max(usual, 0.0):
-            return f"{pair} overlap by {1e3 * d:.3g} mm, more than in {USUAL:.0%} of random configurations"
+                reason = f"the meshes in {pair} touch by {1e3 * touch_m:.3g} mm"
+                return RefusedPair(each.first, each.second, touch_m, reason)
+        elif each.rule in "ab" and link[each.first] > link[each.second] + 1 and d > max(usual, 0.0):
+            reason = f"{pair} overlap by {1e3 * d:.3g} mm, more than in {USUAL:.0%} of random configurations"
+            return RefusedPair(each.first, each.second, float(d), reason)
     return None
 
 

@@ -8,7 +8,9 @@ b  it overlaps, or is within NEAR_M, in at least 95 % of 10,000 random configura
 c  it overlaps in some of them, although the parts of the vendor's meshes in the two capsules touch by more than 1 mm in
    none. Without meshes this applies to adjacent links only.
 
-A pair with a capsule of the job's own tool is excluded by b alone.
+A pair with a capsule of the job's own tool, or of a fixture on a link, is excluded by b alone, or if
+
+d  the job excludes the fixture from tests against the link.
 """
 
 from collections.abc import Callable, Sequence

@@ -5,7 +5,7 @@ with MuJoCo and extracts the chain to the TCP. `safe_xml` refuses harmful files 
 
 `import_robot` turns a vendor's model into an `ImportedArm`: `capsule_fit` encloses the mesh of each link in capsules.
 `mjcf` writes such an arm as a file for `load_robot`. `LinkMeshes` are the vendor's meshes within the capsules, for
-contacts and distances between them.
+contacts and distances between them. `attached` adds fixtures that move with a link to an arm.
 """
 
 import lazy_loader

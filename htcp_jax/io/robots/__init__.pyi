@@ -1,4 +1,4 @@
-from . import capsule_fit, mjcf, model_file, safe_xml
+from . import attached, capsule_fit, mjcf, model_file, safe_xml
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot
 from .vendor_import import ImportedArm, body_name, import_robot
@@ -6,6 +6,7 @@ from .vendor_import import ImportedArm, body_name, import_robot
 __all__ = [
     "ImportedArm",
     "LinkMeshes",
+    "attached",
     "body_name",
     "capsule_fit",
     "gp50",

@@ -115,7 +115,8 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         "exclusions": tuple(each for each in exclusions if listed or each.rule == "a"),
         "listed": listed,
         "mounted": tuple(range(len(capsules) - len(mounted), len(capsules))),
-        "frames": _named_frames(model, frames),
+        "frames": _named_frames(model, frames, moving=True),
+        "base_frames": _named_frames(model, frames, moving=False),
     }
     return RobotFields(arrays, facts)
 
@@ -358,8 +359,10 @@ def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.n
     return lower, upper
 
 
-def _named_frames(model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]]) -> tuple[robot.ArmFrame, ...]:
-    """Return the moving sites, then bodies; the first of two with the same name."""
+def _named_frames(
+    model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]], moving: bool
+) -> tuple[robot.ArmFrame, ...]:
+    """Return the sites, then bodies, that move, or those that do not; the first of two with the same name."""
     bodies = [(model.body(body).name, *frames[body]) for body in range(1, model.nbody)]
     sites = []
     for site in range(model.nsite):
@@ -367,7 +370,7 @@ def _named_frames(model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]]) -
         sites.append((model.site(site).name, link, T_link_body @ frame(model.site_pos[site], model.site_quat[site])))
     found: dict[str, robot.ArmFrame] = {}
     for name, link, T in [*sites, *bodies]:
-        if name and link >= 0:
+        if name and (link >= 0) == moving:
             columns = tuple(map(tuple, T[:3, :3].T.tolist()))
             found.setdefault(name, robot.ArmFrame(name, link, tuple(T[:3, 3].tolist()), columns))
     return tuple(found.values())

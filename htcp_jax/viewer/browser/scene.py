@@ -185,7 +185,7 @@ class BrowserScene:
         robot = self._replay.robot
         if k == len(robot.capsule_names):
             return TOOL
-        if blocked is not None and robot.capsule_names[k] == blocked.body:
+        if blocked is not None and blocked.collides and robot.capsule_names[k] == blocked.body:
             return FAILED
         return TOOL if is_tool(robot)[k] else LINKS
 

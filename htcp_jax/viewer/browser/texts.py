@@ -26,7 +26,8 @@ def target_facts(replay: Replay, target: int) -> str:
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
     if target == replay.failed and replay.obstruction is not None:
-        return f"{what}.\n\nThe arm is shown there in collision: {escaped(replay.obstruction.description)}."
+        there = " in collision" if replay.obstruction.collides else ""
+        return f"{what}.\n\nThe arm is shown there{there}: {escaped(replay.obstruction.description)}."
     if not status.tracked:
         return f"{what}.\n\nThe arm is shown at the last tracked target."
     clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]

@@ -1,0 +1,70 @@
+"""Fixtures that move with a link of an arm: capsules about them become bodies of the arm."""
+
+import dataclasses
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.robots.capsule_fit import Capsule, cover_with_capsules
+from htcp_jax.model import Robot, robot
+
+
+class AttachedBody(NamedTuple):
+    """Points whose convex hull moves with a link, and links that it is not tested against."""
+
+    name: str
+    points: Float[np.ndarray, "P 3"]  # in the link's frame [m]
+    link: int
+    excluded: tuple[int, ...] = ()
+
+
+def attach(arm: Robot, bodies: Sequence[AttachedBody]) -> Robot:
+    """Return an arm with capsules about bodies that move with its links.
+
+    Capsules have the body's name, or name_1, name_2, ... where there are several.
+
+    Raises:
+        InputError: For points in one plane, and for the name of a capsule of the arm.
+    """
+    capsules, names, links, excluded = [], [*arm.capsule_names], [*arm.capsule_link], {}
+    for body in bodies:
+        own = _capsules_about(body.name, np.ascontiguousarray(body.points).tobytes())
+        called = [body.name] if len(own) == 1 else [f"{body.name}_{k}" for k in range(1, len(own) + 1)]
+        if taken := [each for each in called if each in names]:
+            raise InputError(f"fixture {body.name!r}: a capsule of {arm.name} is called {taken[0]!r} already")
+        excluded |= dict.fromkeys(range(len(names), len(names) + len(own)), body.excluded)
+        capsules, names, links = [*capsules, *own], [*names, *called], [*links, *[body.link] * len(own)]
+    pairs = {(a, b) for a, others in excluded.items() for b, link in enumerate(links) if link in others}
+    apart = sorted({tuple(sorted(pair, key=lambda k: (-links[k], k))) for pair in pairs})
+    return dataclasses.replace(
+        arm,
+        capsule_p=_with_rows(arm.capsule_p, [each.p for each in capsules]),
+        capsule_q=_with_rows(arm.capsule_q, [each.q for each in capsules]),
+        capsule_radius=_with_rows(arm.capsule_radius, [each.radius for each in capsules]),
+        on_tool=_with_rows(arm.on_tool, np.zeros((len(capsules), 2))),
+        capsule_names=tuple(names),
+        capsule_link=tuple(links),
+        exclusions=(*arm.exclusions, *(robot.Exclusion(*pair, "d", 0.0) for pair in apart)),
+        mounted=(*arm.mounted, *excluded),
+        attached=tuple(excluded),
+    )
+
+
+def _with_rows(known, rows):
+    return jnp.concatenate([known, jnp.asarray(rows, known.dtype)])
+
+
+@lru_cache(maxsize=64)
+def _capsules_about(name: str, points: bytes) -> tuple[Capsule, ...]:
+    corners = np.frombuffer(points).reshape(-1, 3)
+    try:
+        hull = ConvexHull(corners)
+    except (QhullError, ValueError):
+        raise InputError(f"fixture {name!r}: its points lie in one plane; a body with a volume can move") from None
+    return tuple(piece.capsule for piece in cover_with_capsules(corners[hull.simplices]))

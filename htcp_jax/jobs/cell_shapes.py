@@ -1,0 +1,151 @@
+"""Shapes and clouds of a cell, with the link that carries each, and the links that each is not tested against.
+
+What stands still is an obstacle. What a moving link carries is part of the arm: capsules about its convex hull.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.io import cell as cells
+from htcp_jax.io import parts
+from htcp_jax.io.robots import attached
+from htcp_jax.jobs.config import CellConfig, CloudConfig
+from htcp_jax.model import Fixture, Robot, tool
+from htcp_jax.model import robot as robots
+
+BOX = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+
+class Carried(NamedTuple):
+    """Carrier of a fixture."""
+
+    frame: robots.ArmFrame
+    excluded: tuple[int, ...]  # links
+
+    @property
+    def T(self) -> Float[np.ndarray, "4 4"]:
+        """The carrier's frame in its link, or in the world."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = np.array(self.frame.columns).T, self.frame.origin_m
+        return T
+
+    @property
+    def moves(self) -> bool:
+        """True if the carrier is a moving link."""
+        return self.frame.link >= 0
+
+
+class StandingCell(NamedTuple):
+    """Shapes and clouds that stand still, and by name the links that each is not tested against."""
+
+    shapes: tuple[Fixture, ...]
+    clouds: tuple[tuple[CloudConfig, Float[np.ndarray, "4 4"]], ...]  # with their poses in the world
+    excluded: Mapping[str, tuple[int, ...]]
+
+
+def standing_cell(cell: CellConfig, robot: Robot) -> StandingCell:
+    """Load the shapes in a cell that stand still.
+
+    Raises:
+        InputError: For a file that cannot be read, a move of no model, and unknown names in `fixtures`.
+    """
+    shapes, carried = _shapes(cell, moved=True), _carriers(cell, robot)
+    if any(each.frame is not robots.WORLD for each in carried.values()):
+        shapes = tuple(
+            shape if _carrier(carried, shape.name).frame is robots.WORLD else _placed(own, carried[own.name].T)
+            for shape, own in zip(shapes, _shapes(cell, moved=False), strict=True)
+            if not _carrier(carried, shape.name).moves
+        )
+    clouds = [(each, _carrier(carried, name_of(each))) for each in cell.clouds]
+    return StandingCell(
+        shapes,
+        tuple((each, own.T @ tool.pose(each.base_m, each.base_rpy_rad)) for each, own in clouds if not own.moves),
+        {name: own.excluded for name, own in carried.items()},
+    )
+
+
+def with_carried(robot: Robot, cell: CellConfig) -> Robot:
+    """Return the robot with the bodies of the cell that its links carry.
+
+    Raises:
+        InputError: For unknown names in `fixtures`, and for a body that cannot move: other than a box or a mesh.
+    """
+    if not cell.is_carried:
+        return robot
+    carried = {name: own for name, own in _carriers(cell, robot).items() if own.moves}
+    bodies = [
+        attached.AttachedBody(shape.name, _points(shape, own.T), own.frame.link, own.excluded)
+        for shape in _shapes(cell, moved=False)
+        if (own := carried.get(shape.name)) is not None
+    ]
+    for cloud in cell.clouds:
+        if (own := carried.get(name := name_of(cloud))) is not None:
+            if not len(triangles := parts.load_geometry(cloud.cloud).triangles):
+                raise InputError(f"fixture {name!r} is a cloud of points; a box or a mesh can move with a link")
+            T = own.T @ tool.pose(cloud.base_m, cloud.base_rpy_rad)
+            points = _moved(triangles.reshape(-1, 3), T)
+            bodies.append(attached.AttachedBody(name, points, own.frame.link, own.excluded))
+    return attached.attach(robot, bodies) if bodies else robot
+
+
+def name_of(cloud: CloudConfig) -> str:
+    """Return a cloud's name in messages."""
+    return Path(cloud.cloud).stem
+
+
+def _shapes(cell: CellConfig, moved: bool) -> tuple[Fixture, ...]:
+    """Load the shapes of the cell's model, at their poses in the world, or as drawn."""
+    if cell.model is None:
+        for key in ("moved", "shift_m", "rpy_rad"):
+            if getattr(cell, key) != getattr(CellConfig(), key):
+                raise InputError(f"cell.{key} is given, but no cell.model")
+        return ()
+    if not moved:
+        return cells.load_cell(cell.model)
+    return cells.load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
+
+
+def _carriers(cell: CellConfig, robot: Robot) -> dict[str, Carried]:
+    """Return the carriers of the fixtures by name."""
+    found: dict[str, Carried] = {}
+    if cell.fixtures:
+        known = sorted({*(shape.name for shape in _shapes(cell, moved=False)), *map(name_of, cell.clouds)})
+    for k, each in enumerate(cell.fixtures):
+        if each.name not in known:
+            raise InputError(f"cell.fixtures.{k}: no fixture {each.name!r}; valid: {', '.join(known) or 'none'}")
+        if each.name in found:
+            raise InputError(f"cell.fixtures.{k}: {each.name!r} is there twice")
+        try:
+            frame, *others = (robots.carrier_of(robot, name) for name in (each.parent, *each.exclude))
+        except InputError as error:
+            raise InputError(f"cell.fixtures.{k}: {error}") from None
+        found[each.name] = Carried(frame, tuple(dict.fromkeys(other.link for other in others)))
+    return found
+
+
+def _carrier(carried: Mapping[str, Carried], name: str) -> Carried:
+    return carried.get(name, Carried(robots.WORLD, ()))
+
+
+def _placed(shape: Fixture, T: Float[np.ndarray, "4 4"]) -> Fixture:
+    """Return a shape moved by T."""
+    if shape.kind == "mesh":
+        return shape._replace(triangles=_moved(shape.triangles, T))
+    return shape._replace(T_world=T @ shape.T_world)
+
+
+def _points(shape: Fixture, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "P 3"]:
+    """Return the corners of a box or mesh, moved by T."""
+    if shape.kind not in ("box", "mesh"):
+        raise InputError(f"fixture {shape.name!r} is a {shape.kind}; a box or a mesh can move with a link")
+    own = _placed(shape, T)
+    return own.triangles.reshape(-1, 3) if shape.kind == "mesh" else _moved(BOX * own.size, own.T_world)
+
+
+def _moved(points: Float[np.ndarray, "*n 3"], T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "*n 3"]:
+    return points @ T[:3, :3].T + T[:3, 3]

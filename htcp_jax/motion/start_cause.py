@@ -1,0 +1,182 @@
+"""Reason why a scenario cannot begin: bodies that overlap, or a first point that no clear configuration was found for.
+
+A pair overlaps in every configuration if neither of its bodies moves, such as the arm's base inside the workpiece. Of
+other pairs the random configurations decide, in which a start was looked for.
+"""
+
+from collections import Counter
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int8
+
+from htcp_jax.clearance import Obstacles, Scene, contacts, nearest_to
+from htcp_jax.clearance.obstacles import of_workpiece, self_collision
+from htcp_jax.device import devices, lane_function, tables
+from htcp_jax.model import Robot, Scenario, Task, Workpiece
+from htcp_jax.model import robot as robots
+from htcp_jax.motion.home import FIRST_ROUND, ROUNDS
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.transfers import drawn_configurations
+from htcp_jax.settings import Settings
+from htcp_jax.status import AT_HOME, Status
+
+CAUSES = Status.START_IN_COLLISION, Status.HOME_IN_COLLISION, Status.NO_START  # statuses with a cause
+NAMED = 3  # pairs of bodies in a description
+
+
+class StartCause(NamedTuple):
+    """Reason why a scenario cannot begin."""
+
+    description: str
+    body: str | None = None  # the capsule that overlaps; None if none is known to
+    other: str | None = None  # the obstacle
+    depth_m: float = float("nan")  # of the overlap; its least depth where several configurations were measured
+    always: bool = False  # True if the pair overlaps in every configuration
+
+
+def start_causes(
+    robot: Robot,
+    workpiece: Workpiece,
+    scenarios: Scenario,
+    status: Int8[np.ndarray, "S"],
+    settings: Settings,
+    task: Task,
+    obstacles: Obstacles,
+    rounds: int = ROUNDS,
+) -> dict[int, StartCause]:
+    """Return the reasons why scenarios cannot begin, by their rows; none for rows with another status.
+
+    Args:
+        robot: The arm with its tool.
+        workpiece: The part.
+        scenarios: Stacked.
+        status: The statuses of their first targets.
+        settings: The settings that they were planned with.
+        task: The task.
+        obstacles: In addition to the workpiece.
+        rounds: Rounds of draws for a start that are looked at.
+    """
+    rows = np.flatnonzero(np.isin(status, CAUSES)).tolist()
+    if not rows:
+        return {}
+    known = of_workpiece.all_obstacles(workpiece, obstacles)
+    problem = Problem(robot, workpiece, scenarios, settings, task, known, devices.choose(None)[:1], 1)
+    return {s: start_cause(problem, s, Status(int(status[s])), rounds) for s in rows}
+
+
+def start_cause(problem: Problem, s: int, status: Status, rounds: int = ROUNDS) -> StartCause:
+    """Return the reason why a scenario cannot begin.
+
+    Args:
+        problem: The problem.
+        s: Row of the scenario.
+        status: Its result, one of `CAUSES`.
+        rounds: Rounds of draws for a start that are looked at.
+    """
+    scenarios = problem.scenarios
+    if status == Status.NO_START:
+        return standing_overlap(problem, s) or _without_start(problem, s, rounds)
+    x = scenarios.x_home[s] if status in AT_HOME else scenarios.x_start[s]
+    found = _Measured(problem, s, x[None])
+    if (depth := -found.distance[0]).max() <= 0:
+        return _excluded_overlap(problem, x) or StartCause(status.message)
+    standing = found.stands & (depth > 0)
+    row = int(np.where(standing, depth, -np.inf).argmax() if standing.any() else depth.argmax())
+    return found.cause(row, 0, always=bool(standing[row]))
+
+
+def standing_overlap(problem: Problem, s: int) -> StartCause | None:
+    """Return the deepest overlap in a scenario that every configuration has; None without one."""
+    x = drawn_configurations(problem, problem.checkers[0], s, FIRST_ROUND)
+    found = _Measured(problem, s, x)
+    always = np.where(found.distance.max(axis=0) <= 0, -found.distance.max(axis=0), -np.inf)
+    row = int(always.argmax())
+    return found.cause(row, int(found.distance[:, row].argmax()), always=True) if always[row] >= 0 else None
+
+
+class _Measured:
+    """Distances of all rows at n configurations of a scenario."""
+
+    def __init__(self, problem: Problem, s: int, x: Float[np.ndarray, "n N"]):
+        self._problem, self._s, self.x = problem, s, x
+        scenarios = problem.scenarios
+        self._scene = Scene(problem.robot, problem.obstacles, problem.task)
+        inputs = lane_inputs(scenarios, np.full(len(x), s), np.zeros(len(x), int))
+        self.distance: Float[np.ndarray, "n R"] = problem.checkers[0].executor(MEASURE, inputs, x)
+        links = np.array(problem.robot.capsule_link)
+        self.stands: Bool[np.ndarray, "R"] = links[np.array(self._scene.rows.body)] < 0
+
+    def pair(self, row: int, k: int) -> tuple[str, str]:
+        """Return the body of a row, and the obstacle nearest to it at configuration k, by their names."""
+        here = jax.tree.map(lambda leaf: jnp.asarray(leaf[self._s]), self._problem.scenarios)
+        own = robots.lengthen_tool(self._problem.robot, here.tool_extension_m)
+        other = nearest_to(own, self._problem.obstacles, here, jnp.asarray(self.x[k]), row)
+        return own.capsule_names[self._scene.rows.body[row]], other
+
+    def cause(self, row: int, k: int, always: bool) -> StartCause:
+        """Return the overlap of a row at configuration k."""
+        name, other = self.pair(row, k)
+        depth_m, body = -float(self.distance[k, row]), robots.capsule_label(self._problem.robot, name)
+        text = f"{body} is {_mm(depth_m)} inside {other}"
+        if always:
+            where = "every configuration" if self.stands[row] else f"all of {len(self.x)} random configurations"
+            least = "" if self.stands[row] else "at least "
+            text = f"{other} and {body} overlap by {least}{_mm(depth_m)} in {where}"
+        return StartCause(text, name, other, depth_m, always)
+
+
+def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
+    """Return the reason why no start was found at the first target, from the configurations that were tried."""
+    checker, scenarios, task = problem.checkers[0], problem.scenarios, problem.task
+    drawn = np.concatenate([drawn_configurations(problem, checker, s, FIRST_ROUND + k) for k in range(rounds)])
+    inputs = lane_inputs(scenarios, np.full(len(drawn), s), np.zeros(len(drawn), int))
+    at = checker.states(inputs, checker.project(inputs, drawn))
+    reached, attempts = task.reached(at.residual), f"{len(drawn)} attempts"
+    if not reached.any():
+        best = int(np.argmin(at.residual))
+        robot = robots.lengthen_tool(problem.robot, float(scenarios.tool_extension_m[s]))
+        off, angle = map(float, task.errors(robot, jnp.asarray(at.x[best]), jnp.asarray(inputs.target[best])))
+        turned = f" and {np.rad2deg(angle):.3g} deg" if angle else ""
+        return StartCause(f"out of reach: in {attempts} the arm came only to within {_mm(off)}{turned} of it")
+    found = _Measured(problem, s, at.x[reached])
+    least = found.distance.min(axis=1)
+    if clear := int((least > 0).sum()):
+        valid = checker.valid(tables.gather(inputs, reached), tables.gather(at, reached))
+        if valid.any():
+            return StartCause(f"nothing was found in {attempts}")
+        margin = f"the margin of {_mm(float(scenarios.margin_m[s]))}, or with the tool's bare tip in a wall"
+        return StartCause(f"in {clear} of {attempts} the arm reached it without collision, but with less than {margin}")
+    deepest = found.distance.argmin(axis=1)
+    tried = Counter(deepest.tolist()).most_common(NAMED)
+    pairs = [(*found.pair(row, int(np.argmax(deepest == row))), count) for row, count in tried]
+    named = [f"{robots.capsule_label(problem.robot, a)} with {b} ({count})" for a, b, count in pairs]
+    body, other, _ = pairs[0]
+    best = _mm(-float(least.max()))
+    text = f"{len(least)} of {attempts} reached it, all in collision, the least by {best}: {', '.join(named)}"
+    return StartCause(text, body, other, -float(least.max()))
+
+
+def _excluded_overlap(problem: Problem, x: Float[np.ndarray, "N"]) -> StartCause | None:
+    """Return an overlap of capsules that self-collision excludes; None without one."""
+    robot: Robot = problem.robot
+    for own in (each for each in problem.obstacles if isinstance(each, self_collision.SelfCollision)):
+        if (found := self_collision.refused_pair(own, robot, x)) is not None:
+            body, other = (robot.capsule_names[k] for k in (found.first, found.second))
+            return StartCause(found.reason, body, robots.capsule_label(robot, other), found.depth_m)
+    return None
+
+
+def _row_distances(settings, scene: Scene, where, x):
+    """Return the distance of every row at x."""
+    return contacts(scene.robot, scene.obstacles, where, x).distance
+
+
+MEASURE = lane_function.LaneFunction("measure_rows", _row_distances, lane_function.DEEP)
+
+
+def _mm(length_m: float) -> str:
+    return f"{1e3 * length_m:.3g} mm"

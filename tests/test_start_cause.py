@@ -1,0 +1,111 @@
+"""Reasons why a scenario cannot begin: standing overlaps, points out of reach, collisions in all attempts."""
+
+import numpy as np
+import pytest
+import toy
+from test_cell_fixtures import ARM
+
+import htcp_jax
+from htcp_jax.cli import main
+from htcp_jax.errors import InputError
+from htcp_jax.model import Task, Workpiece
+from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.motion import Plans
+from htcp_jax.motion.start_cause import start_causes
+from htcp_jax.runs.tables import CAUSE, scenario_table, with_causes
+from htcp_jax.status import Status
+
+HOME = (0.0, 0.0, 0.0)
+POINT = np.array([0.5, 0.0, 0.5])
+
+
+def cause_of(cloud: np.ndarray, status: Status, path=POINT, start=None, task: Task | None = None):
+    """Reason of one scenario of the toy arm with a cloud."""
+    choices = {"interior": "none", "pivot": HOME, "neutral_translation": HOME}
+    part = Workpiece("part", cloud, np.array([path, path + 1e-3]), **choices)
+    scenarios = stack([make_scenario(toy.robot(), part, start, rotation=(0.0, 0.0), approach=(0, 0))])
+    task = Task(tolerance_m=1e-3) if task is None else task
+    return start_causes(toy.robot(), part, scenarios, np.array([status]), toy.SETTINGS, task, ())[0]
+
+
+def around(point: np.ndarray, radius_m: float, count: int = 400) -> np.ndarray:
+    away = np.random.default_rng(0).normal(size=(count, 3))
+    return point + radius_m * away / np.linalg.norm(away, axis=1)[:, None]
+
+
+def test_a_start_in_collision_names_body_obstacle_and_depth():
+    found = cause_of(np.array([[0.0, 0.01, 0.9]]).repeat(4, 0), Status.START_IN_COLLISION, start=(0.0, 0.0, 0.0, 0.0))
+    assert (found.body, found.other, found.always) == ("forearm", "the workpiece", False)
+    assert found.depth_m == pytest.approx(0.02) and found.description == "capsule forearm is 20 mm inside the workpiece"
+
+
+def test_a_point_that_no_configuration_reaches_is_out_of_reach():
+    """Only a straight arm would get there, and the second joint stops at 120 degrees."""
+    found = cause_of(around(POINT, 3.0), Status.NO_START, path=np.array([0.0, 0.0, -0.65]))
+    assert found.body is None
+    assert found.description.startswith("out of reach: in 2048 attempts the arm came only to within ")
+    assert 50 < float(found.description.split()[-4]) < 500
+
+
+def test_a_point_that_is_reached_in_collision_alone_names_the_pairs():
+    found = cause_of(around(POINT, 0.06), Status.NO_START)
+    assert (found.body, found.other) == ("tool", "the workpiece") and found.depth_m > 0
+    assert "of 2048 attempts reached it, all in collision, the least by" in found.description
+    assert "capsule tool with the workpiece (" in found.description
+
+
+def test_a_point_that_is_reached_is_never_called_out_of_reach():
+    assert cause_of(around(POINT, 3.0), Status.NO_START).description == "nothing was found in 2048 attempts"
+
+
+def test_bodies_that_overlap_in_every_random_configuration_are_named():
+    """The forearm begins at the elbow, which moves on a sphere of points."""
+    found = cause_of(around(np.array([0.0, 0.0, 0.3]), 0.4, 10_000), Status.NO_START)
+    assert found.always and found.body == "forearm"
+    assert found.description.startswith("the workpiece and capsule forearm overlap by at least ")
+    assert found.description.endswith(" mm in all of 512 random configurations")
+
+
+@pytest.fixture
+def job(tmp_path):
+    """Job of the toy arm with a part, one of whose points is 30 mm inside the arm's foot."""
+    (tmp_path / "arm.xml").write_text(ARM)
+    np.savetxt(tmp_path / "part.xyz", np.vstack([[0, 0, -0.07], around(POINT, 0.15)]), delimiter=",")
+    np.savetxt(tmp_path / "path.csv", [POINT, POINT + 0.01], delimiter=",")
+    part = {"cloud": str(tmp_path / "part.xyz"), "path": str(tmp_path / "path.csv"), "interior": "none"}
+    return {"robot": {"model": str(tmp_path / "arm.xml")}, "workpiece": part, "settings": toy.SETTINGS}
+
+
+@pytest.mark.filterwarnings("ignore:.*a gap of")
+@pytest.mark.parametrize("start", [pytest.param("auto", marks=pytest.mark.slow), toy.START])
+def test_a_standing_body_in_the_part_is_named_before_planning(job, start):
+    with pytest.raises(InputError) as error:
+        htcp_jax.plan({**job, "start_rad": start})
+    messages = {
+        "auto": "there is no start: the workpiece and capsule foot overlap by 30 mm in every configuration",
+        toy.START: "start is in collision: capsule foot is 30.000 mm inside the workpiece, in every configuration, "
+        "as neither moves",
+    }
+    assert str(error.value) == messages[start]
+
+
+@pytest.mark.slow
+def test_a_sweep_and_its_report_name_what_a_start_collides_with(job, tmp_path, capsys):
+    """Another scenario's start is clear: the part has no point in the foot."""
+    np.savetxt(tmp_path / "part.xyz", around(POINT, 0.15), delimiter=",")
+    clear = [2.5, *toy.START[1:]]
+    grid = {"grid": [{"start_rad": [clear, list(toy.START)]}]}
+    run = htcp_jax.sweep(grid, "baseline", tmp_path / "run", config={**job, "start_rad": clear})
+    rows = run.scenarios().to_pylist()
+    assert [rows[0][name] for name in CAUSE] == [None, None, None]
+    assert rows[1]["failure"] == "START_IN_COLLISION" and rows[1]["colliding_with"] == "the workpiece"
+    assert rows[1]["cause"] == f"capsule {rows[1]['colliding_body']} is " + rows[1]["cause"].split(" is ")[1]
+    assert main(["report", str(tmp_path / "run"), "--out", str(tmp_path / "report")]) == 0
+    (stops,) = (tmp_path / "report").rglob("*stops*.csv")
+    assert f"{rows[1]['colliding_body']} with the workpiece (1)" in stops.read_text()
+
+
+def test_runs_from_older_versions_have_no_causes():
+    rows = scenario_table("", (), Plans.empty(np.zeros((0, 4)), np.zeros((0, 1, 3))), ("j",) * 0)
+    before = rows.drop_columns(list(CAUSE))
+    assert with_causes(before).schema.equals(rows.schema) and with_causes(rows) is rows
