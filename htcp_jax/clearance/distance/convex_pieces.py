@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from htcp_jax.clearance.distance.gjk import TOUCHES_M, nearest
+from htcp_jax.clearance.distance.gjk import Nearest, nearest
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
 from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.types import Array, Float, Int, Pose, Scalar, Vector3
@@ -29,6 +29,7 @@ from htcp_jax.types import Array, Float, Int, Pose, Scalar, Vector3
 FLAT = 1e-7  # points this close to a plane or a line, relative to their extent, lie on it
 ROUNDING_M = 1e-12  # error of the height of an edge's end over a face
 PARALLEL = 1e-9  # sine of the angle below which two edges have no common normal
+CLOSE_M = 1e-6  # below this distance the normal between nearest points is rounded; a face's is not
 APART_M = 0.01  # distance at which the points of contact of overlapping bodies are found
 
 
@@ -199,17 +200,22 @@ def _highest(body: ConvexPiece | Cylinder, normals: Float[Array, "n 3"]) -> Floa
 def _contact(a: ConvexPiece, b: ConvexPiece | Cylinder) -> tuple[Scalar, Vector3, Vector3]:
     """Return distance, normal and the point on `a`, without the radii.
 
-    The point of contact of overlapping bodies is the nearest one once they are moved apart along the normal.
+    The point of contact of bodies that overlap or nearly do is the nearest one once they are moved apart along the
+    normal.
     """
 
-    def overlapping() -> tuple[Scalar, Vector3, Vector3]:
+    def close() -> tuple[Scalar, Vector3, Vector3]:
         distance, normal = _least_penetration(a, b)
-        shift = (APART_M - distance) * normal
-        moved = nearest(lambda direction: _lowest(a, direction) + shift, lambda direction: _lowest(b, direction))
-        return distance, normal, moved.point - shift
+        found = jnp.where(near.lower > distance, near.normal, normal)
+        distance = jnp.maximum(near.lower, distance)
+        shift = (APART_M - distance) * found
+        return distance, found, search(shift).point - shift
 
-    near = nearest(lambda direction: _lowest(a, direction), lambda direction: _lowest(b, direction))
-    return jax.lax.cond(near.lower > TOUCHES_M, lambda: (near.lower, near.normal, near.point), overlapping)
+    def search(shift: Vector3) -> Nearest:
+        return nearest(lambda direction: _lowest(a, direction) + shift, lambda direction: _lowest(b, direction))
+
+    near = search(jnp.zeros(3))
+    return jax.lax.cond(near.lower > CLOSE_M, lambda: (near.lower, near.normal, near.point), close)
 
 
 def _least_penetration(a: ConvexPiece, b: ConvexPiece | Cylinder) -> tuple[Scalar, Vector3]:
