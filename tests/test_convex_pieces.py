@@ -30,6 +30,7 @@ from htcp_jax.model import kinematics
 
 HALF = np.array([3.0, 5.0, 8.0]) / 64
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
+COUNT = 100  # of rows, in all tests: one compiled function per kind of body
 RADIUS, LENGTH = 0.06, 0.1  # of a capsule and a cylinder; half of its length
 SOLIDS = ("capsule", "sphere", "solid box", "cylinder", "half-space")
 
@@ -170,7 +171,7 @@ def compare(kind: str, count: int) -> None:
 
 @pytest.mark.parametrize("kind", ["capsule", "sphere", "solid box", "cylinder", "tetrahedron", "blob"])
 def test_the_distance_of_a_piece_is_mujocos_and_fcls(kind):
-    compare(kind, 150)
+    compare(kind, COUNT)
 
 
 @pytest.mark.slow
@@ -182,7 +183,7 @@ def test_ten_thousand_distances_are_mujocos_and_fcls(kind):
 @pytest.mark.parametrize("kind", list(shapes()))
 def test_the_distance_of_two_pieces_is_that_of_the_origin_from_their_differences(kind):
     for name in ("blob", "box"):
-        T, U = poses(100, 3, 0.12), poses(100, 4, 0.12)
+        T, U = poses(COUNT, 3, 0.12), poses(COUNT, 4, 0.12)
         found = contacts(name, kind, T, U).distance
         expected = [reference(placed(shapes()[name], a), placed(shapes()[kind], b)) for a, b in zip(T, U, strict=True)]
         assert 5 < np.sum(found < 0) < 95
@@ -190,12 +191,12 @@ def test_the_distance_of_two_pieces_is_that_of_the_origin_from_their_differences
 
 
 def test_flat_pieces_are_measured_too():
-    T, U = poses(100, 5, 0.1), poses(100, 6, 0.1)
+    T, U = poses(COUNT, 5, 0.1), poses(COUNT, 6, 0.1)
     for name, kind in product(("triangle", "polygon"), ("triangle", "polygon", "segment")):
         expected = [reference(placed(shapes()[name], a), placed(shapes()[kind], b)) for a, b in zip(T, U, strict=True)]
         np.testing.assert_allclose(contacts(name, kind, T, U).distance, expected, atol=1e-10)
     ends = np.concatenate([[placed(shapes()["segment"], pose).ravel() for pose in own] for own in (T, U)], axis=0)
-    p, q, r, s = (ends[own, part] for own in (slice(100), slice(100, 200)) for part in (slice(3), slice(3, 6)))
+    p, q, r, s = (ends[own, part] for own in (slice(COUNT), slice(COUNT, None)) for part in (slice(3), slice(3, 6)))
     expected = nearest_points(*map(jnp.asarray, (p, q, r, s)))
     found = contacts("segment", "segment", T, U).distance
     np.testing.assert_allclose(found, np.linalg.norm(expected.on_first - expected.on_second, axis=1), atol=1e-10)
@@ -226,7 +227,7 @@ def outermost(kind: str, T: np.ndarray, normal: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("kind", [*SOLIDS, *shapes()])
 def test_every_distance_is_proven_by_its_normal_and_points(kind):
     """Check both bounds: planes along the normal are that far apart, and so are points of both bodies."""
-    T, U = poses(100, 7, 0.15), poses(100, 8, 0.15)
+    T, U = poses(COUNT, 7, 0.15), poses(COUNT, 8, 0.15)
     for name in ("blob", "polygon"):
         d, n, point, witness = contacts(name, kind, T, U)
         np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1, atol=1e-12)
@@ -238,6 +239,7 @@ def test_every_distance_is_proven_by_its_normal_and_points(kind):
 
 def test_bodies_that_touch_and_parallel_faces_are_exact():
     gaps = np.array([1.0, 1e-3, 1e-6, 1e-8, 1e-9, 1e-10, 1e-13, 0, -1e-13, -1e-10, -1e-9, -1e-8, -1e-6, -1e-3, -0.04])
+    gaps = np.resize(gaps, COUNT)
     ways = {  # rotation of the second box, and the offset at which both touch
         "faces": (np.eye(3), [2 * HALF[0], 0.01, 0.02]),
         "faces, edges in line": (np.eye(3), [2 * HALF[0], 0, 0]),
@@ -258,17 +260,17 @@ def test_bodies_that_touch_and_parallel_faces_are_exact():
 
 
 def test_a_distance_changes_by_no_more_than_the_piece_moves():
-    T, rng = poses(400, 9, 0.15), np.random.default_rng(0)
+    T, rng = poses(COUNT, 9, 0.15), np.random.default_rng(0)
     moved = T.copy()
-    turn = Rotation.from_rotvec(rng.normal(size=(400, 3)) * rng.choice([1e-6, 0.01, 0.3], (400, 1))).as_matrix()
+    turn = Rotation.from_rotvec(rng.normal(size=(COUNT, 3)) * rng.choice([1e-6, 0.01, 0.3], (COUNT, 1))).as_matrix()
     moved[:, :3, :3] = turn @ T[:, :3, :3]
-    moved[:, :3, 3] += rng.normal(size=(400, 3)) * rng.choice([1e-7, 0.01, 0.1], (400, 1))
+    moved[:, :3, 3] += rng.normal(size=(COUNT, 3)) * rng.choice([1e-7, 0.01, 0.1], (COUNT, 1))
     by = [
         np.linalg.norm(placed(shapes()["blob"], a) - placed(shapes()["blob"], b), axis=1).max()
         for a, b in zip(T, moved, strict=True)
     ]
     for kind in ("capsule", "solid box", "cylinder", "half-space", "tetrahedron", "polygon"):
-        U = poses(400, 10, 0.1)
+        U = poses(COUNT, 10, 0.1)
         change = contacts("blob", kind, moved, U).distance - contacts("blob", kind, T, U).distance
         assert (np.abs(change) <= np.array(by) + 1e-12).all()
 
@@ -284,7 +286,7 @@ def turned(T, by):
 @pytest.mark.parametrize("kind", ["capsule", "solid box", "cylinder", "half-space", "tetrahedron"])
 def test_gradients_are_those_of_finite_differences(kind):
     """Check the slopes along twists of the piece and, where it can move, of the other body."""
-    T, U = poses(40, 11, 0.2), poses(40, 12, 0.5 if kind == "half-space" else 0.2)
+    T, U = poses(COUNT, 11, 0.2), poses(COUNT, 12, 0.5 if kind == "half-space" else 0.2)
     both = [False] * 6 if kind in ("solid box", "cylinder", "half-space") else [False, True] * 6
     units = np.repeat(np.eye(6), len(both) // 6, axis=0)
 
@@ -341,11 +343,11 @@ def test_a_gradient_in_the_configuration_is_that_of_finite_differences():
 
 
 def test_rows_do_not_affect_each_other():
-    T, U = poses(64, 13, 0.15), poses(64, 14, 0.15)
+    T, U = poses(COUNT, 13, 0.15), poses(COUNT, 14, 0.15)
     together = jax.jit(
         jax.vmap(lambda T, U: piece_contact(PlacedPiece(pieces()["blob"], T), PlacedPiece(pieces()["tetrahedron"], U)))
     )
-    order = np.random.default_rng(0).permutation(64)
+    order = np.random.default_rng(0).permutation(COUNT)
     far = U.copy()
     far[1::2, :3, 3] += 5
     for leaf, shuffled, others in zip(together(T, U), together(T[order], U[order]), together(T, far), strict=True):
@@ -354,14 +356,14 @@ def test_rows_do_not_affect_each_other():
 
 
 def test_a_radius_brings_a_piece_nearer_and_a_height_is_a_lower_bound():
-    T, U = poses(100, 15, 0.15), poses(100, 16, 0.15)
+    T, U = poses(COUNT, 15, 0.15), poses(COUNT, 16, 0.15)
     thick = pieces()["blob"]._replace(radius=jnp.asarray(0.01))
     for kind in ("capsule", "half-space", "tetrahedron"):
         found = measured(thick, T, bodies(kind, U))
         np.testing.assert_allclose(found.distance, contacts("blob", kind, T, U).distance - 0.01, atol=1e-12)
         np.testing.assert_allclose(found.point - found.witness, found.distance[:, None] * found.normal, atol=1e-12)
     points = U[:, :3, 3]
-    exact = measured(thick, T, Rod(points, points, np.zeros(100))).distance
+    exact = measured(thick, T, Rod(points, points, np.zeros(COUNT))).distance
     height = heights(thick, T, points)
     assert (height <= exact + 1e-12).all() and 20 < np.sum(exact < 0)
     np.testing.assert_allclose(height[exact < -0.01], exact[exact < -0.01], atol=1e-12)
