@@ -22,6 +22,7 @@ from htcp_jax.clearance.distance.convex_pieces import (
     face_heights,
     make_piece,
     piece_contact,
+    separation,
     stack_pieces,
 )
 from htcp_jax.clearance.distance.segments import nearest_points
@@ -339,6 +340,16 @@ def test_a_gradient_in_the_configuration_is_that_of_finite_differences():
         assert lasts.sum() > 18
         finite = np.asarray(ahead.distance - behind.distance) / 2e-6
         np.testing.assert_allclose(ours.distance[lasts, joint], finite[lasts], atol=1e-5)
+
+
+def test_a_separation_is_the_distance_unless_bodies_overlap_by_more_than_their_radii():
+    T, U = poses(COUNT, 17, 0.2), poses(COUNT, 18, 0.2)
+    separations = jax.jit(jax.vmap(lambda T, other: separation(PlacedPiece(pieces()["blob"], T), other)))
+    for kind in ("capsule", "cylinder", "half-space", "tetrahedron"):
+        found, exact = separations(T, bodies(kind, U)), contacts("blob", kind, T, U).distance
+        apart = exact > -(RADIUS if kind == "capsule" else 0)
+        assert 10 < apart.sum() < 90 and (found[~apart] <= exact[~apart] + 1e-12).all()
+        np.testing.assert_allclose(found[apart], exact[apart], atol=1e-9)
 
 
 def test_rows_do_not_affect_each_other():

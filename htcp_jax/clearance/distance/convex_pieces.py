@@ -111,13 +111,12 @@ def piece_contact(placed: PlacedPiece, other: Body) -> PieceContact:
     the points move with their bodies (envelope theorem). Rows under `jax.vmap` do not affect each other.
     """
     still, fixed = jax.lax.stop_gradient((_in_world(placed), other))
-    if isinstance(other, HalfSpace):
+    if isinstance(fixed, HalfSpace):
         on_piece = _lowest(still, fixed.normal)
         normal, apart = fixed.normal, product(fixed.normal, on_piece) - fixed.offset
     else:
         apart, normal, on_piece = _contact(still, fixed if isinstance(fixed, Cylinder) else _polyhedron(fixed))
-    radius = other.piece.radius if isinstance(other, PlacedPiece) else 0.0
-    radius = fixed.radius if isinstance(fixed, Rod) else radius
+    radius = _radius(fixed)
     point = _moved_with(placed, on_piece - placed.piece.radius * normal)
     witness = _moved_with(other, on_piece - (apart - radius) * normal)
     moved = product(normal, point - witness)
@@ -126,10 +125,30 @@ def piece_contact(placed: PlacedPiece, other: Body) -> PieceContact:
     )
 
 
+def separation(placed: PlacedPiece, other: Body) -> Scalar:
+    """Return a lower bound on the signed distance [m]: exact unless the bodies overlap by more than their radii.
+
+    Without a gradient, and without the search for the normal of least penetration that `piece_contact` begins then.
+    """
+    a, b = jax.lax.stop_gradient((_in_world(placed), other))
+    if isinstance(b, HalfSpace):
+        apart = product(b.normal, _lowest(a, b.normal)) - b.offset
+    else:
+        core = b if isinstance(b, Cylinder) else _polyhedron(b)
+        apart = nearest(lambda direction: _lowest(a, direction), lambda direction: _lowest(core, direction)).lower
+    return apart - _radius(b) - placed.piece.radius
+
+
 def face_heights(placed: PlacedPiece, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
     """Return lower bounds on the distances of points from a piece [m]; exact inside and where a face is nearest."""
     piece = _in_world(placed)
     return jnp.max(_dot(points, piece.normals) - _highest(piece, piece.normals)[None], axis=1) - piece.radius
+
+
+def _radius(body: Body) -> Scalar:
+    if isinstance(body, PlacedPiece):
+        return body.piece.radius
+    return body.radius if isinstance(body, Rod) else jnp.zeros(())
 
 
 def _in_world(placed: PlacedPiece) -> ConvexPiece:
