@@ -119,14 +119,25 @@ class Cylinder(NamedTuple):
         x, z, flat = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 1.0, 0.0])
         d = q - p
         middle = segment_parameter(p * flat, q * flat, jnp.zeros(3))
-        rim = self._rim(p, d)
+        rim = self._rim(p, d, p)
         normals = _units(jnp.stack([z, -z, (p + middle * d) * flat, _towards(jnp.cross(d, z), p), rim, x]))
         extent = self.radius * safe_norm(normals * flat[None]) + self.half * jnp.abs(normals[:, 2])
         places = jnp.where(normals[:, 2] == 0, middle, _lower(normals, p, q))
         return _least_penetration(normals, p, q, extent, places.at[4].set(self._nearest_side(p, d, normals[4])))
 
-    def _rim(self, p: Vector3, d: Vector3) -> Vector3:
-        """Return the best normal perpendicular to a segment through p.
+    def penetration_normals(self, p: Vector3, q: Vector3) -> Float[Array, "12 3"]:
+        """Return the candidates for the normal of least penetration of a body with an edge, in the cylinder's frame.
+
+        They are unit or zero: the normals of the caps, of the side at both ends, and those perpendicular to the edge.
+        """
+        z, flat = jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 1.0, 0.0])
+        d = q - p
+        rims = [self._rim(p, d, side) for side in (z, -z)]
+        one_way = _units(jnp.stack([z, p * flat, q * flat, jnp.cross(d, z), *rims]))
+        return _both(one_way)
+
+    def _rim(self, p: Vector3, d: Vector3, side: Vector3) -> Vector3:
+        """Return the best normal perpendicular to a segment through p, upwards on a given side.
 
         In the projection along the segment the cylinder is an ellipse swept up and down, p a point (u, v) about the
         upper one's centre. The normal at the ellipse's angle f leads to it where u sin f - v c cos f = r s^2 sin f cos
@@ -135,7 +146,7 @@ class Cylinder(NamedTuple):
         """
         along = _units(d[None])[0]
         aside = _towards(_units(jnp.array([[-d[1], d[0], 0.0]]))[0], p)
-        up = _towards(jnp.cross(aside, along), p)
+        up = _towards(jnp.cross(aside, along), side)
         c, s = jnp.abs(along[2]), jnp.abs(up[2])
         u, v = product(p, aside), product(p, up) - self.half * s
 

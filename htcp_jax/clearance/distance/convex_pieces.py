@@ -1,0 +1,284 @@
+"""Exact signed distance of convex pieces: to points, capsules, boxes, cylinders, half-spaces and other pieces.
+
+The signed distance of two convex bodies A and B is the largest, over all unit normals n, of
+
+    f(n) = min n.a - max n.b    over all points a of A and b of B.
+
+Apart, n joins their nearest points, see `gjk`. Where they overlap, n is normal to a face of A - B: to a face of A or B,
+or to an edge of each whose arcs of normals cross on the Gauss sphere (Gregorius, The separating axis test between
+convex polyhedra, GDC 2013). A pair of edges bounds f(n) from above even where the arcs do not cross, so f(n) is
+evaluated for the pair with the highest bound, until no bound is higher. Every distance is f(n) of a known n: rounding
+can make it smaller than the true one, never larger.
+
+Segments, points and boxes are pieces, too; a capsule is a segment with a radius.
+"""
+
+from itertools import product as combinations
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from htcp_jax.clearance.distance.gjk import Nearest, nearest
+from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
+from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
+from htcp_jax.types import Array, Float, Int, Pose, Scalar, Vector3
+
+FLAT = 1e-7  # points this close to a plane or a line, relative to their extent, lie on it
+ROUNDING_M = 1e-12  # error of the height of an edge's end over a face
+PARALLEL = 1e-9  # sine of the angle below which two edges have no common normal
+CLOSE_M = 1e-6  # below this distance the normal between nearest points is rounded; a face's is not
+APART_M = 0.01  # distance at which the points of contact of overlapping bodies are found
+
+
+class ConvexPiece(NamedTuple):
+    """A convex polyhedron in its own frame, thickened by a radius; stacked ones repeat last rows.
+
+    A polygon, a segment and a point are prisms without thickness in the directions that they lack.
+    """
+
+    vertices: Float[Array, "*n V 3"]
+    normals: Float[Array, "*n F 3"]  # of the faces, unit, outwards
+    edges: Int[Array, "*n E 2"]  # vertices, in the direction of the cross product of the sides' normals
+    sides: Int[Array, "*n E 2"]  # faces
+    radius: Float[Array, "*n"]
+
+
+class PlacedPiece(NamedTuple):
+    """A piece at a pose."""
+
+    piece: ConvexPiece
+    T_world: Pose
+
+
+class PieceContact(NamedTuple):
+    """Signed distance of a piece from another body, and where it is attained: distance = normal . (point - witness)."""
+
+    distance: Scalar  # signed [m]
+    normal: Vector3  # from the other body to the piece, unit, world
+    point: Vector3  # on the piece, world [m]
+    witness: Vector3  # on the other body, world [m]
+
+
+Body = PlacedPiece | Rod | Box | Cylinder | HalfSpace
+
+
+def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexPiece:
+    """Return the convex hull of at least one point [m], thickened by a radius [m].
+
+    The points may lie in a plane or on a line.
+    """
+    middle = points.mean(axis=0)
+    _, size, axes = np.linalg.svd(np.concatenate([points - middle, np.zeros((3, 3))]))
+    missing = axes[int(np.sum(size > FLAT * size[0])) :] * (size[0] or 1.0)
+    thickened = np.array(list(combinations((-1, 1), repeat=len(missing)))) @ missing
+    hull = ConvexHull((points[:, None] + thickened[None]).reshape(-1, 3))
+    normals, face = np.unique(hull.equations[:, :3].round(12), axis=0, return_inverse=True)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    used, vertex = np.unique(np.arange(len(points)).repeat(len(thickened))[hull.simplices], return_inverse=True)
+    corners, vertices = vertex.reshape(-1, 3), points[used]
+    edges = {}
+    for facet, neighbours in enumerate(hull.neighbors):
+        for opposite, other in enumerate(neighbours):  # the neighbour is opposite of the corner
+            (a, b), sides = np.delete(corners[facet], opposite), (face[facet], face[other])
+            if facet < other and sides[0] != sides[1] and a != b:
+                forwards = np.cross(*normals[list(sides)]) @ (vertices[b] - vertices[a]) > 0
+                edges[(a, b) if forwards else (b, a), sides] = None
+    pairs = np.array(list(edges) or [((0, 0), (0, 0))])
+    return ConvexPiece(vertices, normals, pairs[:, 0], pairs[:, 1], np.asarray(radius, float))
+
+
+def stack_pieces(pieces: list[ConvexPiece]) -> ConvexPiece:
+    """Return the pieces stacked, each padded to the largest."""
+    columns = list(zip(*(piece[:4] for piece in pieces), strict=True))
+    padded = [[_padded(rows, max(map(len, column))) for rows in column] for column in columns]
+    return ConvexPiece(*map(np.stack, padded), np.stack([piece.radius for piece in pieces]))
+
+
+def _padded(rows: np.ndarray, count: int) -> np.ndarray:
+    return rows[np.minimum(np.arange(count), len(rows) - 1)]
+
+
+CUBE = make_piece(np.array(list(combinations((-1.0, 1.0), repeat=3))))
+
+
+def piece_contact(placed: PlacedPiece, other: Body) -> PieceContact:
+    """Return the contact of a piece with another body; a point is a rod with p = q and radius 0.
+
+    Distance and points are differentiable in the pose of the piece, in that of another piece, and in the ends of a rod:
+    the points move with their bodies (envelope theorem). Rows under `jax.vmap` do not affect each other.
+    """
+    still, fixed = jax.lax.stop_gradient((_in_world(placed), other))
+    if isinstance(fixed, HalfSpace):
+        on_piece = _lowest(still, fixed.normal)
+        normal, apart = fixed.normal, product(fixed.normal, on_piece) - fixed.offset
+    else:
+        apart, normal, on_piece = _contact(still, fixed if isinstance(fixed, Cylinder) else _polyhedron(fixed))
+    radius = _radius(fixed)
+    point = _moved_with(placed, on_piece - placed.piece.radius * normal)
+    witness = _moved_with(other, on_piece - (apart - radius) * normal)
+    moved = product(normal, point - witness)
+    return PieceContact(
+        apart - radius - placed.piece.radius + moved - jax.lax.stop_gradient(moved), normal, point, witness
+    )
+
+
+def separation(placed: PlacedPiece, other: Body) -> Scalar:
+    """Return a lower bound on the signed distance [m]: exact unless the bodies overlap by more than their radii.
+
+    Without a gradient, and without the search for the normal of least penetration that `piece_contact` begins then.
+    """
+    a, b = jax.lax.stop_gradient((_in_world(placed), other))
+    if isinstance(b, HalfSpace):
+        apart = product(b.normal, _lowest(a, b.normal)) - b.offset
+    else:
+        core = b if isinstance(b, Cylinder) else _polyhedron(b)
+        apart = nearest(lambda direction: _lowest(a, direction), lambda direction: _lowest(core, direction)).lower
+    return apart - _radius(b) - placed.piece.radius
+
+
+def face_heights(placed: PlacedPiece, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    """Return lower bounds on the distances of points from a piece [m]; exact inside and where a face is nearest."""
+    piece = _in_world(placed)
+    return jnp.max(_dot(points, piece.normals) - _highest(piece, piece.normals)[None], axis=1) - piece.radius
+
+
+def _radius(body: Body) -> Scalar:
+    if isinstance(body, PlacedPiece):
+        return body.piece.radius
+    return body.radius if isinstance(body, Rod) else jnp.zeros(())
+
+
+def _in_world(placed: PlacedPiece) -> ConvexPiece:
+    R, t = placed.T_world[:3, :3], placed.T_world[:3, 3]
+    vertices = product(placed.piece.vertices, R.T) + t[None]
+    return placed.piece._replace(vertices=vertices, normals=product(placed.piece.normals, R.T))
+
+
+def _polyhedron(other: PlacedPiece | Rod | Box) -> ConvexPiece:
+    """Return a body in the world as a piece; of a rod its axis."""
+    if isinstance(other, PlacedPiece):
+        return _in_world(other)
+    if isinstance(other, Rod):
+        length = safe_norm(other.q - other.p)
+        along = safe_divide(other.q - other.p, jnp.broadcast_to(length, (3,)))
+        z = jnp.where(length > 0, along, jnp.array([0.0, 0.0, 1.0]))
+        x = jnp.cross(z, jnp.eye(3)[jnp.argmin(jnp.abs(z))])
+        x = x / safe_norm(x)
+        half = jnp.array([0.0, 0.0, 0.5]) * length
+        other = Box(jnp.stack([x, jnp.cross(z, x), z], axis=1), (other.p + other.q) / 2, half)
+    vertices = product(CUBE.vertices * other.half[None], other.rotation.T) + other.centre[None]
+    return CUBE._replace(vertices=vertices, normals=product(jnp.asarray(CUBE.normals), other.rotation.T))
+
+
+def _moved_with(body: Body, point: Vector3) -> Vector3:
+    """Return a point as one that moves with a body."""
+    point = jax.lax.stop_gradient(point)
+    if isinstance(body, PlacedPiece):
+        R, t = body.T_world[:3, :3], body.T_world[:3, 3]
+        moved = product(R, jax.lax.stop_gradient(product(point - t, R))) + t
+    elif isinstance(body, Rod):
+        moved = body.p + jax.lax.stop_gradient(segment_parameter(body.p, body.q, point)) * (body.q - body.p)
+    else:
+        return point
+    return point + moved - jax.lax.stop_gradient(moved)
+
+
+def _argmax(values: Float[Array, "n"]) -> Int[Array, ""]:
+    """Return the first index of the largest value; on a CPU in half of the time that `jnp.argmax` takes."""
+    numbers = jnp.arange(values.size, dtype=jnp.int32)
+    return jnp.min(jnp.where(values == jnp.max(values), numbers, values.size - 1))
+
+
+def _dot(a: Float[Array, "n 3"], b: Float[Array, "m 3"]) -> Float[Array, "n m"]:
+    return sum(a[:, i, None] * b[None, :, i] for i in range(3))
+
+
+def _lowest(body: ConvexPiece | Cylinder, direction: Vector3) -> Vector3:
+    """Return the point of a body that is lowest along a direction."""
+    if isinstance(body, ConvexPiece):
+        return body.vertices[_argmax(_dot(body.vertices, -direction[None])[:, 0])]
+    own = product(direction, body.rotation)
+    flat = own * jnp.array([1.0, 1.0, 0.0])
+    aside = -body.radius * safe_divide(flat, jnp.broadcast_to(safe_norm(flat), (3,)))
+    end = jnp.where(own[2] > 0, -body.half, body.half)
+    return body.centre + product(body.rotation, aside.at[2].set(end))
+
+
+def _highest(body: ConvexPiece | Cylinder, normals: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    """Return max n.x over a body for each normal."""
+    if isinstance(body, ConvexPiece):
+        return jnp.max(_dot(normals, body.vertices), axis=1)
+    own = product(normals, body.rotation)
+    rim = body.radius * safe_norm(own * jnp.array([[1.0, 1.0, 0.0]]))
+    return product(normals, body.centre) + rim + body.half * jnp.abs(own[:, 2])
+
+
+def _contact(a: ConvexPiece, b: ConvexPiece | Cylinder) -> tuple[Scalar, Vector3, Vector3]:
+    """Return distance, normal and the point on `a`, without the radii.
+
+    The point of contact of bodies that overlap or nearly do is the nearest one once they are moved apart along the
+    normal.
+    """
+
+    def close() -> tuple[Scalar, Vector3, Vector3]:
+        distance, normal = _least_penetration(a, b)
+        found = jnp.where(near.lower > distance, near.normal, normal)
+        distance = jnp.maximum(near.lower, distance)
+        shift = (APART_M - distance) * found
+        return distance, found, search(shift).point - shift
+
+    def search(shift: Vector3) -> Nearest:
+        return nearest(lambda direction: _lowest(a, direction) + shift, lambda direction: _lowest(b, direction))
+
+    near = search(jnp.zeros(3))
+    return jax.lax.cond(near.lower > CLOSE_M, lambda: (near.lower, near.normal, near.point), close)
+
+
+def _least_penetration(a: ConvexPiece, b: ConvexPiece | Cylinder) -> tuple[Scalar, Vector3]:
+    """Return the largest f(n) of all candidates for the normal of least penetration, and its n."""
+    if isinstance(b, ConvexPiece):
+        return _best_with_edges(a, b, _best(a, b, jnp.concatenate([-a.normals, b.normals])))
+    ends = product(a.vertices - b.centre[None], b.rotation)[a.edges]
+    own = jax.vmap(b.penetration_normals)(ends[:, 0], ends[:, 1]).reshape(-1, 3)
+    return _best(a, b, jnp.concatenate([-a.normals, product(own, b.rotation.T)]))
+
+
+def _best(a: ConvexPiece, b: ConvexPiece | Cylinder, normals: Float[Array, "n 3"]) -> tuple[Scalar, Vector3]:
+    """Return the largest f(n) of unit normals [m], and its n. Those of length 0 are ignored."""
+    f = jnp.where(jnp.any(normals != 0, axis=1), -_highest(a, -normals) - _highest(b, normals), -jnp.inf)
+    k = _argmax(f)
+    return f[k], normals[k]
+
+
+def _best_with_edges(a: ConvexPiece, b: ConvexPiece, best: tuple[Scalar, Vector3]) -> tuple[Scalar, Vector3]:
+    """Return f(n) and n of the best pair of edges, or `best` if none is better.
+
+    An edge d whose sides have the normals m1 and m2, d along m1 x m2, has a positive multiple of d x e on its arc if
+    m1.e >= 0 >= m2.e. A pair's bound on f(n) is n.(p - q) for a point p and q on each edge.
+    """
+    p, q = a.vertices[a.edges], b.vertices[b.edges]
+    d, e = p[:, 1] - p[:, 0], q[:, 1] - q[:, 0]
+    first, second = (_dot(a.normals[a.sides[:, k]], e) for k in (0, 1))
+    third, fourth = (_dot(d, b.normals[b.sides[:, k]]) for k in (0, 1))
+    forwards = (jnp.minimum(first, third) >= -ROUNDING_M) & (jnp.maximum(second, fourth) <= ROUNDING_M)
+    backwards = (jnp.maximum(first, third) <= ROUNDING_M) & (jnp.minimum(second, fourth) >= -ROUNDING_M)
+    across = [d[:, i, None] * e[None, :, j] - d[:, j, None] * e[None, :, i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    square = sum(c * c for c in across)
+    along = sum(c * (p[:, 0, i, None] - q[None, :, 0, i]) for i, c in enumerate(across))
+    size = jnp.sum(d * d, axis=1)[:, None] * jnp.sum(e * e, axis=1)[None]
+    crosses = (forwards | backwards) & (square > PARALLEL**2 * size)
+    bound = jnp.where(forwards, -along, along) / jnp.sqrt(jnp.where(crosses, square, 1.0))
+    bound = jnp.where(crosses, bound, -jnp.inf).reshape(-1)
+
+    def verify(state):
+        bound, f, normal = state
+        k = _argmax(bound)
+        n = jnp.cross(d[k // len(e)], e[k % len(e)])
+        n = n / safe_norm(n)
+        own_f, n = _best(a, b, jnp.stack([n, -n]))
+        return bound.at[k].set(-jnp.inf), jnp.maximum(f, own_f), jnp.where(own_f > f, n, normal)
+
+    return jax.lax.while_loop(lambda state: jnp.any(state[0] > state[1]), verify, (bound, *best))[1:]
