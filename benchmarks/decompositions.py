@@ -17,8 +17,8 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull
 
-from htcp_jax.clearance.distance.convex_pieces import make_piece
 from htcp_jax.io.robots.capsule_fit import CUTS, Cut, clip, hull_volume
+from htcp_jax.model.convex_piece import make_piece
 
 SPACING_M, POINTS = 0.005, 1000
 MOST, WORTH = 4, 0.03  # pieces by cuts; share of the volume that another one must save

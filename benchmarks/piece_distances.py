@@ -16,9 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks import hardware
-from htcp_jax.clearance.distance.convex_pieces import PlacedPiece, make_piece, piece_contact
+from htcp_jax.clearance.distance.convex_pieces import PlacedPiece, piece_contact
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
 from htcp_jax.clearance.obstacles.of_cell import convex_piece
+from htcp_jax.model.convex_piece import make_piece
 
 SIZES = 16, 32, 64  # vertices of a piece
 APART_M, OVERLAPPING_M = 0.4, 0.06  # distance of the middles of two bodies, each about 0.2 m long

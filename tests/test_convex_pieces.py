@@ -16,18 +16,16 @@ from trimesh.triangles import closest_point
 
 from htcp_jax.clearance.distance.convex_pieces import (
     Body,
-    ConvexPiece,
     PieceContact,
     PlacedPiece,
     face_heights,
-    make_piece,
     piece_contact,
     separation,
-    stack_pieces,
 )
 from htcp_jax.clearance.distance.segments import nearest_points
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
-from htcp_jax.model import kinematics
+from htcp_jax.model import ConvexPiece, kinematics
+from htcp_jax.model.convex_piece import make_piece, stack_pieces
 
 HALF = np.array([3.0, 5.0, 8.0]) / 64
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))

@@ -1,5 +1,6 @@
 from . import (
     arrays,
+    convex_piece,
     duct,
     fixture,
     goals,
@@ -17,6 +18,7 @@ from . import (
     tool,
     workpiece,
 )
+from .convex_piece import ConvexPiece
 from .fixture import Fixture
 from .path_frames import PathFrames
 from .robot import Robot
@@ -27,6 +29,7 @@ from .tool import Tool
 from .workpiece import Workpiece
 
 __all__ = [
+    "ConvexPiece",
     "Fixture",
     "PathFrames",
     "Robot",
@@ -36,6 +39,7 @@ __all__ = [
     "Tool",
     "Workpiece",
     "arrays",
+    "convex_piece",
     "duct",
     "fixture",
     "goals",

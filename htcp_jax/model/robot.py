@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.model.convex_piece import BodyPieces
 from htcp_jax.notebook import html_facts
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
@@ -91,6 +92,7 @@ class Robot:
     listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # True: complete, except pairs of `mounted`
     mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job: tool, fixtures
     attached: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # those of fixtures on moving links
+    pieces: BodyPieces | None = None  # of the meshes in its capsules; None: capsules alone decide
     meshes: VendorMeshes | None = dataclasses.field(default=None, metadata=_STATIC)  # None if its file refers to none
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
     base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # fixed in the world: link -1
