@@ -220,7 +220,7 @@ def one_by_one(function: Callable) -> Callable:
     nothing from vectorising over lanes here, would be slower.
 
     Args:
-        function: Function of `shared`, which must not be batched, and of arrays.
+        function: Function of `shared`, which must not be batched, and of pytrees of arrays.
     """
     alone = custom_vmap(function)
 
@@ -228,10 +228,11 @@ def one_by_one(function: Callable) -> Callable:
     def batch(axis_size, in_batched, shared, *arguments):
         if any(jax.tree.leaves(in_batched[0])):
             raise ValueError("what is searched must be the same for all lanes")
-        every = [
-            a if batched else jnp.broadcast_to(a, (axis_size, *a.shape))
-            for a, batched in zip(arguments, in_batched[1:], strict=True)
-        ]
+        every = jax.tree.map(
+            lambda a, batched: a if batched else jnp.broadcast_to(a, (axis_size, *a.shape)),
+            list(arguments),
+            list(in_batched[1:]),
+        )
         if backend().is_cpu:
             found = jax.lax.map(lambda lane: alone(shared, *lane), every)
         else:

@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 from htcp_jax.types import Anywhere, Float, Int
 
 FLAT = 1e-7  # points this close to a plane or a line, relative to their extent, lie on it
+SHARP = 0.9  # cosine of the angle between normals above which no plane is put over an edge or a corner
 
 
 class ConvexPiece(NamedTuple):
@@ -32,6 +33,7 @@ class BodyPieces(NamedTuple):
     """Convex pieces of an arm's K bodies, each in the frame of its capsule's link."""
 
     piece: ConvexPiece  # stacked; of a body without a piece any
+    planes: Float[Anywhere, "K D 4"]  # that enclose the piece: unit normal, offset [m]
     excess_m: Float[Anywhere, "K"]  # largest distance of the capsule's surface from the piece; 0: without a piece
 
 
@@ -69,3 +71,26 @@ def stack_pieces(pieces: list[ConvexPiece]) -> ConvexPiece:
 
 def _padded(rows: np.ndarray, count: int) -> np.ndarray:
     return rows[np.minimum(np.arange(count), len(rows) - 1)]
+
+
+def body_pieces(pieces: list[ConvexPiece], excess_m: Float[np.ndarray, "K"]) -> BodyPieces:
+    """Return the pieces of K bodies, stacked, with the planes that enclose them."""
+    planes = [_enclosing_planes(piece) for piece in pieces]
+    most = max(map(len, planes))
+    return BodyPieces(stack_pieces(pieces), np.stack([_padded(each, most) for each in planes]), excess_m)
+
+
+def _enclosing_planes(piece: ConvexPiece) -> Float[np.ndarray, "D 4"]:
+    """Return the planes of a piece's faces, and those over its sharp edges and corners."""
+    sides = piece.normals[piece.sides]
+    edges = sides[np.sum(sides[:, 0] * sides[:, 1], axis=1) < SHARP].sum(axis=1)
+    corners = []
+    for vertex in range(len(piece.vertices)):
+        own = piece.normals[np.unique(piece.sides[np.any(piece.edges == vertex, axis=1)])]
+        middle = own.sum(axis=0)
+        if len(own) and np.linalg.norm(middle) > FLAT and (own @ middle).min() < SHARP * np.linalg.norm(middle):
+            corners.append(middle)
+    over = np.concatenate([edges, np.reshape(corners, (-1, 3))])
+    length = np.linalg.norm(over, axis=1, keepdims=True)
+    normals = np.concatenate([piece.normals, over[length[:, 0] > FLAT] / length[length[:, 0] > FLAT]])
+    return np.column_stack([normals, (normals @ piece.vertices.T).max(axis=1) + piece.radius])

@@ -43,6 +43,13 @@ def capsule_segments(robot: Robot, x: Joints) -> tuple[Float[Array, "K 3"], Floa
     return _to_world(own, robot.capsule_p), _to_world(own, robot.capsule_q)
 
 
+def body_poses(robot: Robot, x: Joints) -> Float[Array, "K 4 4"]:
+    """Return the poses of the capsules' links in the world."""
+    own = _frames_of(robot, x, robot.capsule_link)
+    moved = jnp.concatenate([own.rotation, own.origin[:, :, None]], axis=2)
+    return jnp.concatenate([moved, jnp.broadcast_to(jnp.eye(4)[3:], (len(moved), 1, 4))], axis=1)
+
+
 def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
     """Return the bare tip in the world [m]: from the capsule end nearest to the TCP, to the TCP.
 

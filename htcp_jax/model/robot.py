@@ -118,6 +118,14 @@ def carrier_of(robot: Robot, name: str) -> ArmFrame:
     return known[name]
 
 
+def core_radius(robot: Robot) -> Float[Array, "K"]:
+    """Return the radii of capsules that lie within the bodies [m]: of pieces, if there are any; may be negative.
+
+    A piece's support function is at least the capsule's less its excess.
+    """
+    return robot.capsule_radius if robot.pieces is None else robot.capsule_radius - robot.pieces.excess_m
+
+
 def capsule_label(robot: Robot, name: str) -> str:
     """Return a capsule's name for a message; a capsule that is only numbered comes with its link's name, if known."""
     if not name.startswith("capsule"):

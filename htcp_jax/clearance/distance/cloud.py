@@ -12,9 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.cloud_index import CloudIndex
+from htcp_jax.clearance.distance.cloud_pieces import lowest_points
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
+from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, in_workpiece
 from htcp_jax.model import Robot
 from htcp_jax.numerics import axis_contact, capsule_point_distance, product
@@ -37,10 +39,16 @@ class Cloud(Obstacle):
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest point."""
         rows = nearest_rows(self.index, bodies.p_workpiece, bodies.q_workpiece)
-        return self._contacts(robot, where, bodies, self.points[rows])
+        found = self._contacts(robot, where, bodies, self.points[rows])
+        return found if robot.pieces is None else self._by_pieces(robot, where, bodies, found)
 
     def closest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
-        """Return the contact of every body with the point nearest to any of them: one search, as in `smallest`."""
+        """Return the contact of every body with the point nearest to any of them: one search, as in `smallest`.
+
+        For an arm with pieces those of `contacts`: another body may be the nearest by its piece.
+        """
+        if robot.pieces is not None:
+            return self.contacts(robot, where, bodies)
         radius = robot.capsule_radius + self.cover
         row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius).row
         return self._contacts(robot, where, bodies, self.points[jnp.broadcast_to(row, radius.shape)])
@@ -61,8 +69,36 @@ class Cloud(Obstacle):
             plane=jnp.zeros(radius.shape, bool),
         )
 
+    def _by_pieces(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, capsules: Contacts) -> Contacts:
+        """Return the contacts of capsules, or of the pieces in them where these are in doubt, see `narrow_phase`."""
+        limit = narrow_phase.limit_m(where)
+        doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
+        found = lowest_points(
+            self.index,
+            robot.pieces.planes,
+            narrow_phase.link_poses_in(where.T_world_workpiece, bodies.T),
+            bodies.p_workpiece,
+            bodies.q_workpiece,
+            jnp.where(doubt, robot.capsule_radius + self.cover + limit, -1.0),
+            limit + self.cover,
+        )
+        rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
+        distance = found.height - self.cover
+        pieces = Contacts(
+            distance=distance,
+            point=product(found.point - found.normal * found.height[:, None], rotate.T) + translate[None, :],
+            normal=product(-found.normal, rotate.T),
+            radius=jnp.broadcast_to(self.cover, distance.shape),
+            plane=capsules.plane,
+        )
+        far = distance >= limit  # a point of the cloud is not known then
+        pieces = narrow_phase.chosen(far, narrow_phase.undecided(capsules, limit), pieces)
+        return narrow_phase.decided(capsules, pieces, doubt)
+
     def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
         """Return the smallest distance [m]: one search for all bodies, cheaper than one per body."""
+        if robot.pieces is not None:
+            return super().smallest(robot, where, bodies)
         radius = robot.capsule_radius + self.cover
         body, row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius)
         p, q = bodies.p_workpiece[body], bodies.q_workpiece[body]
@@ -73,6 +109,8 @@ class Cloud(Obstacle):
 
         Cheaper than `smallest`, because the search skips all points beyond the capsules' radii.
         """
+        if robot.pieces is not None:
+            return super().touches(robot, where, bodies)
         radius = robot.capsule_radius + self.cover
         return nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius, below=0.0).row >= 0
 

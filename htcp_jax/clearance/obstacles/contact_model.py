@@ -35,13 +35,17 @@ def hold_contacts(robot: Robot, x: Joints, rows: RowPairs, touch: Contacts) -> C
     witness = touch.witness
     if _has_moving_bodies(rows):
         witness = _brought_back(_link_poses(robot, x, rows.other), witness)
+    radius = touch.radius
+    if robot.pieces is not None:  # a piece's contact is held as that of a thinner capsule
+        p, q = (_transformed(T, each[jnp.asarray(rows.body)]) for each in (robot.capsule_p, robot.capsule_q))
+        radius = capsule_point_distance(p, q, 0.0, touch.witness) - touch.distance
     return ContactModel(
         witness=witness,
         plane=touch.plane,
         end=_brought_back(T, touch.point),
         normal=touch.normal,
         offset=jnp.sum(touch.normal * touch.point, axis=1) - touch.distance,
-        radius=touch.radius,
+        radius=radius,
     )
 
 

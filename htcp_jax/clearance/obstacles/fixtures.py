@@ -10,6 +10,7 @@ nearer than the smallest distance so far: one after the other, the nearest ball 
 import dataclasses
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from types import MappingProxyType
 
 import jax
@@ -17,11 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid, SolidContact
+from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle
-from htcp_jax.model import Robot, kinematics
-from htcp_jax.numerics import one_by_one, safe_norm, segment_parameter
+from htcp_jax.model import ConvexPiece, Robot, convex_piece, kinematics
+from htcp_jax.numerics import one_by_one
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Array, Bool, Float, Int
+
+SIDES = 48  # of the prism about a cylinder: 0.2 % wider than it
+CUBE = np.array(list(product((-1.0, 1.0), repeat=3)))
 
 Ends = Float[Array, "K 3"]
 
@@ -36,10 +41,33 @@ class Fixtures(Obstacle):
     balls: Float[jax.Array, "P 4"]  # about the pieces: centre, radius [m]
     is_checked: Bool[jax.Array, "G K"]  # True: the pair is checked; the simple solids first
     names: tuple[str, ...] = field(metadata={"static": True})
+    solids: ConvexPiece | None = None  # all but half-spaces in the order of the names, for an arm with pieces
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest solid."""
-        return self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.is_checked)
+        found = self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.is_checked)
+        return found if robot.pieces is None else self._by_pieces(robot, where, bodies, found)
+
+    def _by_pieces(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, capsules: Contacts) -> Contacts:
+        """Return the contacts of capsules, or of the pieces in them where these are in doubt, see `narrow_phase`."""
+        limit = narrow_phase.limit_m(where)
+        doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
+        lower = [_each_seen(kind, bodies.p, bodies.q).distance - robot.capsule_radius[None] for kind in self.simple]
+        if self.pieces is not None:
+            lower.append(narrow_phase.ball_bounds(bodies.p, bodies.q, robot.capsule_radius, self.balls))
+        lower = jnp.where(self.is_checked & doubt[None], jnp.concatenate(lower), jnp.inf)
+        solid, body = jnp.indices(lower.shape).reshape(2, -1)
+        planes = next((kind for kind in self.simple if isinstance(kind, HalfSpace)), None)
+        found = narrow_phase.nearest_pieces(
+            robot,
+            bodies,
+            narrow_phase.Pairs(body, solid, body),
+            self.solids,
+            planes,
+            lower.reshape(-1),
+            narrow_phase.undecided(capsules, limit),
+        )
+        return narrow_phase.decided(capsules, found, doubt)
 
     def touches_along(
         self,
@@ -99,7 +127,8 @@ def fixtures(
     balls = np.array([_ball(piece) for piece in stacks[-1]]).reshape(-1, 4)
     links = np.array(robot.capsule_link)
     is_checked = jnp.broadcast_to(jnp.asarray(links >= 0)[None], (len(named), len(links)))
-    found = Fixtures(tuple(simple), pieces, jnp.asarray(balls), is_checked, tuple(name for name, _ in named))
+    names = tuple(name for name, _ in named)
+    found = Fixtures(tuple(simple), pieces, jnp.asarray(balls), is_checked, names, _as_pieces(robot, named))
     drawn = kinematics.capsule_segments(robot, jnp.zeros(len(robot.slides)))
     stands = (np.asarray(_solid_distances(found, robot, *drawn)) <= 0) & _may_stand(robot)[None]
     stands |= np.array([np.isin(links, [*excluded.get(name, ())]) for name, _ in named])
@@ -109,6 +138,32 @@ def fixtures(
 def _may_stand(robot: Robot) -> Bool[np.ndarray, "K"]:
     """Return True for the bodies of the first link."""
     return (np.array(robot.capsule_link) == 0) & ~np.isin(np.arange(len(robot.capsule_link)), robot.attached)
+
+
+def _as_pieces(robot: Robot, named: list[tuple[str, Solid]]) -> ConvexPiece | None:
+    """Return the solids but half-spaces as pieces in the world; None for an arm without pieces, and without solids.
+
+    Of a cylinder it is the prism of SIDES sides about it.
+    """
+    solids = [solid for _, solid in named if not isinstance(solid, HalfSpace)]
+    if robot.pieces is None or not solids:
+        return None
+    return jax.tree.map(jnp.asarray, convex_piece.stack_pieces([_as_piece(solid) for solid in solids]))
+
+
+def _as_piece(solid: Rod | Box | Cylinder | Polyhedron) -> ConvexPiece:
+    if isinstance(solid, Rod):
+        return convex_piece.make_piece(np.array([solid.p, solid.q]), float(solid.radius))
+    if isinstance(solid, Polyhedron):
+        return convex_piece.make_piece(np.asarray(solid.corners).reshape(-1, 3))
+    own = CUBE * np.asarray(solid.half) if isinstance(solid, Box) else _prism(float(solid.radius), float(solid.half))
+    return convex_piece.make_piece(own @ np.asarray(solid.rotation).T + np.asarray(solid.centre))
+
+
+def _prism(radius: float, half: float) -> Float[np.ndarray, "P 3"]:
+    """Return the corners of the prism about a cylinder along z."""
+    angle, outer = 2 * np.pi * np.arange(SIDES) / SIDES, radius / np.cos(np.pi / SIDES)
+    return np.array([[outer * np.cos(a), outer * np.sin(a), z] for a in angle for z in (-half, half)])
 
 
 _solid_distances = jax.jit(Fixtures.distances)
@@ -156,9 +211,7 @@ def _constant_contacts(seen: SolidContact, p: Ends, q: Ends, radius: Float[Array
 def _with_pieces(search, is_checked, p, q, radius, seen):
     """Return `seen`, or the contact with a piece where one is nearer."""
     pieces, balls = search
-    p_, q_, centre = jnp.broadcast_arrays(p[None], q[None], balls[:, None, :3])
-    apart = p_ + segment_parameter(p_, q_, centre)[..., None] * (q_ - p_) - centre
-    lower = jnp.where(is_checked, safe_norm(apart) - balls[:, 3:], jnp.inf)
+    lower = jnp.where(is_checked, narrow_phase.ball_bounds(p, q, jnp.zeros(len(p)), balls), jnp.inf)
 
     def open_(state):
         lower, seen = state

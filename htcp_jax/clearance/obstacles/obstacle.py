@@ -61,12 +61,14 @@ class BodyAxes(NamedTuple):
     q: Float[jax.Array, "*S K 3"]
     p_workpiece: Float[jax.Array, "*S K 3"]
     q_workpiece: Float[jax.Array, "*S K 3"]
+    T: Float[jax.Array, "*S K 4 4"] | None = None  # poses of the bodies' links in the world, for an arm with pieces
 
 
 def bodies_at(robot: Robot, where: HasWorkpiecePose, x: Joints) -> BodyAxes:
     """Return the bodies' positions at configuration x [rad or m]."""
     p, q = kinematics.capsule_segments(robot, x)
-    return BodyAxes(p, q, in_workpiece(where, p), in_workpiece(where, q))
+    bodies = BodyAxes(p, q, in_workpiece(where, p), in_workpiece(where, q))
+    return bodies if robot.pieces is None else bodies._replace(T=kinematics.body_poses(robot, x))
 
 
 def in_workpiece(where: HasWorkpiecePose, points: Float[jax.Array, "n 3"]) -> Float[jax.Array, "n 3"]:

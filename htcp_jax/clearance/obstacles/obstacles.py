@@ -99,7 +99,7 @@ def all_clear(
     from there by less than its free radius; where they have moved further, it is tested for collision. Obstacle kinds
     without `per_body` are tested everywhere.
     """
-    if not backend().is_cpu:  # where a loop costs more than the measurements that it saves
+    if not backend().is_cpu or robot.pieces is not None:  # where a loop costs more than what it saves
         return jnp.all(jax.vmap(partial(is_clear, robot, obstacles, where))(x))
     middle = x.shape[0] // 2
     bodies = jax.vmap(partial(bodies_at, robot, where))(x)

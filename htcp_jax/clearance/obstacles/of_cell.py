@@ -19,6 +19,7 @@ from scipy.spatial import ConvexHull
 from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
+from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.fixtures import fixtures
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles
 from htcp_jax.model import Fixture, Robot, mesh_points
@@ -34,6 +35,7 @@ FAR_M = 1e6  # distance between bodies and obstacles that are both fixed in the 
 class _PlacedFrame(NamedTuple):
     T_world_workpiece: Pose
     interior_plane: Float[jax.Array, "4"]
+    margin_m: Scalar
 
 
 @register_pytree
@@ -50,19 +52,19 @@ class PlacedCloud(Obstacle):
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest point."""
-        return self.cloud.contacts(*self._seen(robot, bodies))
+        return self.cloud.contacts(*self._seen(robot, where, bodies))
 
     def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
         """Return the smallest distance of all bodies."""
-        return self.cloud.smallest(*self._seen(robot, bodies))
+        return self.cloud.smallest(*self._seen(robot, where, bodies))
 
     def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
         """Return True if any distance is 0 or less."""
-        return self.cloud.touches(*self._seen(robot, bodies))
+        return self.cloud.touches(*self._seen(robot, where, bodies))
 
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
         """Return the distance, which is a free radius."""
-        return self.cloud.free_radius(*self._seen(robot, bodies))
+        return self.cloud.free_radius(*self._seen(robot, where, bodies))
 
     def clear_along(
         self,
@@ -74,7 +76,7 @@ class PlacedCloud(Obstacle):
         wanted: RequiredClearance,
     ) -> Float[jax.Array, "K"]:
         """Return lower bounds on the clearance along the sweep, to second order."""
-        return self.cloud.clear_along(*self._seen(robot, bodies), sweep, requested, wanted)
+        return self.cloud.clear_along(*self._seen(robot, where, bodies), sweep, requested, wanted)
 
     def touches_along(
         self,
@@ -85,7 +87,7 @@ class PlacedCloud(Obstacle):
         requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
         """Return True if a body touches at any of the marked configurations."""
-        return self.cloud.touches_along(*self._seen(robot, bodies), body, requested)
+        return self.cloud.touches_along(*self._seen(robot, where, bodies), body, requested)
 
     @property
     def names(self) -> tuple[str]:
@@ -96,7 +98,7 @@ class PlacedCloud(Obstacle):
         """Return the cloud's name, for messages."""
         return f"the fixture {self.name!r}"
 
-    def _seen(self, robot: Robot, bodies: BodyAxes) -> tuple[Robot, _PlacedFrame, BodyAxes]:
+    def _seen(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> tuple[Robot, _PlacedFrame, BodyAxes]:
         """Return robot, pose and bodies for the cloud's own methods, with the bodies in the cloud's frame.
 
         Bodies that are not checked become infinitely thin.
@@ -106,7 +108,11 @@ class PlacedCloud(Obstacle):
         links = np.array(robot.capsule_link)
         is_checked = (links >= 0) & ~np.isin(links, self.excluded)
         radius = jnp.where(is_checked, robot.capsule_radius, -FAR_M)
-        return dataclasses.replace(robot, capsule_radius=radius), _PlacedFrame(self.T_world, jnp.zeros(4)), own
+        return (
+            dataclasses.replace(robot, capsule_radius=radius),
+            _PlacedFrame(self.T_world, jnp.zeros(4), narrow_phase.margin_m(where)),
+            own,
+        )
 
 
 def make_fixtures(

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.segments import nearest_points
+from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, RowPairs
 from htcp_jax.clearance.obstacles.self_exclusions import (
     Pairs,
@@ -58,7 +59,32 @@ class SelfCollision(Obstacle):
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the nearest points of the axes of the nearest pair of every row."""
         every, nearest = self._nearest(robot, bodies.p, bodies.q)
-        return jax.tree.map(lambda leaf: leaf[nearest], every)
+        found = jax.tree.map(lambda leaf: leaf[nearest], every)
+        return found if robot.pieces is None else self._by_pieces(robot, where, bodies, every, found)
+
+    def _by_pieces(
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, every: Contacts, capsules: Contacts
+    ) -> Contacts:
+        """Return the contacts of capsules, or of the pieces in them where these are in doubt, see `narrow_phase`.
+
+        `every` has the contacts of all pairs.
+        """
+        rows = list(self._rows(robot).values())
+        row = np.argsort(np.concatenate(rows)), np.repeat(np.arange(len(rows)), list(map(len, rows)))
+        row_of_pair = jnp.asarray(row[1][row[0]])
+        first, second = (jnp.asarray(side) for side in zip(*self.pairs, strict=True))
+        limit, excess = narrow_phase.limit_m(where), robot.pieces.excess_m
+        doubt = narrow_phase.in_doubt(every.distance, excess[first] + excess[second], limit)
+        doubt &= (capsules.distance < limit)[row_of_pair]
+        certain = self._nearest_of(jnp.where(doubt, jnp.inf, every.distance), rows)
+        exact = jax.tree.map(lambda leaf: leaf[certain], every)
+        far = narrow_phase.undecided(capsules, limit)
+        is_near = (exact.distance < limit) & ~doubt[certain]
+        best = narrow_phase.chosen(is_near, exact, far)
+        pairs = narrow_phase.Pairs(first, second, row_of_pair)
+        lower = jnp.where(doubt, every.distance, jnp.inf)
+        found = narrow_phase.nearest_pieces(robot, bodies, pairs, None, None, lower, best)
+        return narrow_phase.decided(capsules, found, capsules.distance < limit)
 
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "n"]:
         """Return the distance of every pair, in their order."""
@@ -86,10 +112,14 @@ class SelfCollision(Obstacle):
     def _nearest(self, robot: Robot, p: Ends, q: Ends) -> tuple[Contacts, Int[jax.Array, "R"]]:
         """Return the contacts of all pairs, and the number of the nearest pair in every row."""
         every, rows = _pair_contacts(robot, self.pairs, p, q), list(self._rows(robot).values())
+        return every, self._nearest_of(every.distance, rows)
+
+    def _nearest_of(self, distance: Float[jax.Array, "n"], rows: list[list[int]]) -> Int[jax.Array, "R"]:
+        """Return the number of the pair with the smallest distance in every row."""
         most = max(map(len, rows))
         table = np.array([(own + own[-1:] * most)[:most] for own in rows])
-        best = jnp.argmin(every.distance[table], axis=1)
-        return every, jnp.take_along_axis(jnp.asarray(table), best[:, None], axis=1)[:, 0]
+        best = jnp.argmin(distance[table], axis=1)
+        return jnp.take_along_axis(jnp.asarray(table), best[:, None], axis=1)[:, 0]
 
 
 def self_collision(robot: Robot) -> SelfCollision | None:

@@ -24,6 +24,7 @@ from htcp_jax.clearance.proof.exclusion import (
 )
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.model import Robot, kinematics, rotations
+from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product, safe_divide, safe_norm
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
@@ -130,7 +131,7 @@ def _before_wrist(robot: Robot):
     first = len(robot.slides) - WRIST
     links = np.array(robot.capsule_link)
     here = np.flatnonzero((links >= 0) & (links <= first))
-    bodies = robot.capsule_p[here], robot.capsule_q[here], robot.capsule_radius[here]
+    bodies = robot.capsule_p[here], robot.capsule_q[here], robots.core_radius(robot)[here]
     p, q, radius, _ = cut_capsules(SweptCapsules(*bodies, jnp.zeros(len(here))))
     links, axis = np.tile(links[here], PIECES), robot.axis[first]
     turned = jnp.asarray(links == first)

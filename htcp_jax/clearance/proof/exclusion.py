@@ -20,6 +20,7 @@ from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Obstacles
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
 from htcp_jax.model import Robot, rotations
+from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Scalar, Vector3
 
@@ -97,7 +98,7 @@ def _about_tip(robot: Robot) -> SweptCapsules:
         (a, off_a), (b, off_b) = (_on_axis(robot, end[wrist]) for end in (robot.capsule_p, robot.capsule_q))
         p, q = jnp.concatenate([p, a]), jnp.concatenate([q, b])
         moves, tool = jnp.concatenate([moves, jnp.maximum(off_a, off_b)]), np.concatenate([tool, wrist])
-    return cut_capsules(SweptCapsules(p - tip[None], q - tip[None], robot.capsule_radius[tool], moves))
+    return cut_capsules(SweptCapsules(p - tip[None], q - tip[None], robots.core_radius(robot)[tool], moves))
 
 
 def _on_axis(robot: Robot, points: Float[Array, "n 3"]):

@@ -96,9 +96,11 @@ def _closer(
     by_travel = free_radius - moves.travel
     open_, nearer = by_travel < good, moves.travel**2 / (2 * robot.capsule_radius)  # of a point that it moves towards
     requested &= jnp.all(~open_ | (free_radius - moves.bend >= wanted.least) & (nearer <= 4 * free_radius))
-    return jnp.where(
-        open_ & requested, kind.clear_along(robot, where, bodies, moves, open_ & requested, wanted), by_travel
-    )
+    by_sweep = kind.clear_along(robot, where, bodies, moves, open_ & requested, wanted)
+    if robot.pieces is not None:  # whose free radius may be larger than what the capsule's sweep proves
+        failed = jnp.any(open_ & requested & (by_sweep < wanted.least))  # then other values are arbitrary
+        by_sweep = jnp.where(failed, by_travel, jnp.maximum(by_sweep, by_travel))
+    return jnp.where(open_ & requested, by_sweep, by_travel)
 
 
 def row_travel_bound(robot: Robot, rows: RowPairs, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:

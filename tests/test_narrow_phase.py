@@ -1,0 +1,220 @@
+"""Convex pieces in an arm's capsules decide where these are in doubt: distances by FCL, proofs by dense samples."""
+
+import dataclasses
+from functools import cache
+from itertools import product
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+import qpsolvers
+from scipy.sparse import csc_matrix
+from scipy.spatial import ConvexHull
+
+from htcp_jax.clearance import Scene, clearance, contacts
+from htcp_jax.clearance.distance.cloud import cloud_of
+from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
+from htcp_jax.clearance.obstacles.fixtures import fixtures
+from htcp_jax.clearance.obstacles.obstacles import clearance_rows
+from htcp_jax.clearance.obstacles.self_collision import SelfCollision
+from htcp_jax.clearance.proof.motion_proof import prove
+from htcp_jax.model import Robot, kinematics
+from htcp_jax.model.convex_piece import body_pieces, make_piece
+from htcp_jax.status import SegmentStatus
+from htcp_jax.types import Float
+
+MARGIN_M, LIMIT_M = 0.02, 0.025  # and the distance below which pieces are measured
+
+
+@dataclasses.dataclass
+class Pose:
+    """The world's frame, with a margin."""
+
+    T_world_workpiece: Float[jax.Array, "4 4"]
+    interior_plane: Float[jax.Array, "4"]
+    margin_m: Float[jax.Array, ""]
+
+
+jax.tree_util.register_dataclass(Pose, ["T_world_workpiece", "interior_plane", "margin_m"], [])
+WHERE = Pose(jnp.eye(4), jnp.zeros(4), jnp.asarray(MARGIN_M))
+
+
+def corners_in(arm: Robot, k: int) -> np.ndarray:
+    """Random points within a capsule."""
+    rng = np.random.default_rng(k)
+    p, q, radius = (np.asarray(each)[k] for each in (arm.capsule_p, arm.capsule_q, arm.capsule_radius))
+    away = rng.normal(size=(20, 3))
+    away *= radius * rng.uniform(0.3, 0.99, (20, 1)) / np.linalg.norm(away, axis=1, keepdims=True)
+    return p + rng.uniform(size=(20, 1)) * (q - p) + away
+
+
+@cache
+def arm_with_pieces() -> Robot:
+    """An arm with a random polyhedron in every capsule but the last."""
+    arm = made_once.gp50()
+    bodies = range(len(arm.capsule_link))
+    radius = np.asarray(arm.capsule_radius)
+    excess = np.where(np.array(bodies) == len(bodies) - 1, 0.0, 2 * radius)
+    pieces = body_pieces([make_piece(corners_in(arm, k)) for k in bodies], excess)
+    return dataclasses.replace(arm, pieces=jax.tree.map(jnp.asarray, pieces))
+
+
+def apart_m(a: np.ndarray, b: np.ndarray) -> float:
+    """Distance of two convex hulls by a QP in the weights of their corners [m]."""
+    both = np.concatenate([a, -b])
+    sums = np.zeros((2, len(both)))
+    sums[0, : len(a)], sums[1, len(a) :] = 1, 1
+    found = qpsolvers.solve_qp(
+        *(csc_matrix(both @ both.T), np.zeros(len(both)), None, None),
+        *(csc_matrix(sums), np.ones(2), np.zeros(len(both)), None),
+        solver="clarabel",
+        tol_gap_abs=1e-14,
+        tol_gap_rel=1e-14,
+    )
+    return float(np.linalg.norm(found @ both))
+
+
+def placed_corners(arm: Robot, x: np.ndarray, k: int) -> tuple[np.ndarray, float]:
+    """Corners in the world of what decides about a body, and its radius: its piece, or the axis of its capsule."""
+    T = np.asarray(kinematics.body_poses(arm, jnp.asarray(x)))[k]
+    if arm.pieces.excess_m[k] == 0:
+        ends, radius = np.stack([arm.capsule_p[k], arm.capsule_q[k]]), float(arm.capsule_radius[k])
+    else:
+        ends, radius = corners_in(arm, k), 0.0
+    return ends @ T[:3, :3].T + T[:3, 3], radius
+
+
+def expected_m(capsules: float, pieces: list[float]) -> float:
+    return max(capsules, min([LIMIT_M, *pieces]))
+
+
+def test_bodies_of_an_arm_are_as_far_apart_as_their_pieces():
+    arm = arm_with_pieces()
+    pairs = tuple((a, b) for a in range(8) for b in range(8) if arm.capsule_link[a] > arm.capsule_link[b] + 1)
+    own, by_capsules = SelfCollision(pairs), dataclasses.replace(arm, pieces=None)
+    measured = jax.jit(lambda arm, x: contacts(arm, (own,), WHERE, x).distance)
+    rows, seen = own.rows(arm), 0
+    for x in made_once.configurations(arm, 10):
+        found, capsules = np.asarray(measured(arm, x)), np.asarray(measured(by_capsules, x))
+        bodies = [placed_corners(arm, x, k) for k in range(8)]
+        for row, (body, link) in enumerate(zip(*rows, strict=True)):
+            others = [b for a, b in pairs if a == body and arm.capsule_link[b] == link]
+            away = [apart_m(bodies[body][0], bodies[b][0]) - bodies[body][1] - bodies[b][1] for b in others]
+            if capsules[row] >= LIMIT_M or min(away) > 0:
+                assert found[row] == pytest.approx(expected_m(capsules[row], away), abs=1e-6)
+            else:
+                assert capsules[row] <= found[row] <= 1e-6
+            seen += found[row] > capsules[row] + 1e-3
+    assert seen > 20
+
+
+SOLIDS = {
+    "floor": HalfSpace(np.array([0.0, 0.0, 1.0]), np.array(0.3)),
+    "bar": Rod(np.array([1.0, -1.0, 0.5]), np.array([1.0, 1.0, 0.6]), np.array(0.05)),
+    "crate": Box(np.eye(3), np.array([0.8, 0.0, 0.3]), np.array([0.2, 0.5, 0.3])),
+    "post": Cylinder(np.eye(3), np.array([-0.7, 0.4, 0.5]), np.array(0.1), np.array(0.5)),
+}
+
+
+def outline(name: str) -> tuple[np.ndarray, float]:
+    """Corners and radius of a solid that is no half-space."""
+    solid = SOLIDS[name]
+    if name == "bar":
+        return np.stack([solid.p, solid.q]), float(solid.radius)
+    if name == "crate":
+        return solid.centre + np.array([np.array(s) * solid.half for s in product((-1, 1), repeat=3)]), 0.0
+    turn = np.linspace(0, 2 * np.pi, 1000)
+    rim = [np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), np.full(1000, z)], axis=1) for z in (-0.5, 0.5)]
+    return solid.centre + np.concatenate(rim), 0.0
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_a_solid_is_as_far_away_as_the_pieces_are(name):
+    arm = arm_with_pieces()
+    own, by_capsules = fixtures(arm, [(name, SOLIDS[name])]), dataclasses.replace(arm, pieces=None)
+    measured = jax.jit(lambda arm, own, x: contacts(arm, (own,), WHERE, x).distance)
+    checked, seen = np.asarray(own.is_checked)[0], 0
+    for x in made_once.configurations(arm, 20, seed=1):
+        found, capsules = np.asarray(measured(arm, own, x)), np.asarray(measured(by_capsules, own, x))
+        for k in np.flatnonzero(checked & np.isfinite(capsules)):
+            corners, radius = placed_corners(arm, x, k)
+            if name == "floor":
+                away = float(corners[:, 2].min()) - 0.3 - radius
+            else:
+                others, thick = outline(name)
+                away = apart_m(corners, others) - radius - thick
+            if arm.pieces.excess_m[k] == 0:
+                assert found[k] == capsules[k]
+            elif away > 0 or name == "floor":
+                assert found[k] == pytest.approx(expected_m(capsules[k], [away]), abs=3e-4 if name == "post" else 1e-6)
+            else:
+                assert capsules[k] <= found[k] <= 1e-6
+            seen += found[k] > capsules[k] + 1e-3
+    assert seen > 10
+
+
+def test_points_are_as_far_away_as_the_pieces_are_at_most_by_a_tenth_less():
+    arm = arm_with_pieces()
+    points = np.random.default_rng(2).uniform([-1.5, -1.5, 0], [1.5, 1.5, 2], (3000, 3))
+    own, by_capsules = cloud_of(points, 1e-3), dataclasses.replace(arm, pieces=None)
+    measured = jax.jit(lambda arm, x: contacts(arm, (own,), WHERE, x).distance)
+    seen = 0
+    for x in made_once.configurations(arm, 8, seed=3):
+        found, capsules = np.asarray(measured(arm, x)), np.asarray(measured(by_capsules, x))
+        for k in range(8):
+            if capsules[k] >= LIMIT_M or arm.pieces.excess_m[k] == 0:
+                assert found[k] == capsules[k]
+                continue
+            corners, _ = placed_corners(arm, x, k)
+            faces = ConvexHull(corners).equations
+            depth = -(points @ faces[:, :3].T + faces[:, 3]).max(axis=1).min()
+            if depth > 0:
+                assert found[k] == pytest.approx(max(capsules[k], -depth - 1e-3), abs=1e-6)
+                continue
+            near = points[np.argsort(np.linalg.norm(points - corners.mean(axis=0), axis=1))[:20]]
+            away = min(apart_m(corners, point[None]) for point in near) - 1e-3
+            assert max(capsules[k], 0.8 * away - 1e-3) - 1e-6 <= found[k] <= expected_m(capsules[k], [away]) + 1e-6
+            seen += found[k] > capsules[k] + 1e-3
+    assert seen > 10
+
+
+def test_the_gradient_is_that_of_the_distance():
+    arm = arm_with_pieces()
+    points = np.random.default_rng(2).uniform([-1.5, -1.5, 0], [1.5, 1.5, 2], (3000, 3))
+    pairs = tuple((a, b) for a in range(8) for b in range(8) if arm.capsule_link[a] > arm.capsule_link[b] + 1)
+    obstacles = cloud_of(points, 1e-3), fixtures(arm, list(SOLIDS.items())), SelfCollision(pairs)
+    measured = jax.jit(lambda x: clearance_rows(arm, obstacles, WHERE, x))
+    seen = 0
+    for x in made_once.configurations(arm, 8, seed=4):
+        rows = measured(x)
+        steps = 1e-6 * np.eye(len(x))
+        ahead, back = (np.stack([measured(x + s * d).distance for d in steps], axis=1) for s in (1, -1))
+        slope = (ahead - back) / 2e-6
+        smooth = np.abs(ahead + back - 2 * np.asarray(rows.distance)[:, None]).max(axis=1) < 1e-9
+        flat = np.asarray(rows.distance) == LIMIT_M
+        use = smooth & ~flat & np.isfinite(rows.distance)
+        assert np.abs(slope - np.asarray(rows.gradient))[use].max() < 1e-4
+        seen += use.sum()
+    assert seen > 60
+
+
+def test_a_path_that_only_the_pieces_prove_is_clear_at_dense_samples():
+    arm = arm_with_pieces()
+    points = np.random.default_rng(2).uniform([-1.5, -1.5, 0], [1.5, 1.5, 2], (300, 3))
+    scene = Scene(arm, (cloud_of(points, 1e-3), fixtures(arm, [("crate", SOLIDS["crate"])])))
+    thick = scene._replace(robot=dataclasses.replace(arm, pieces=None))
+    proved = jax.jit(lambda scene, a, b: prove(scene, WHERE, a, b))
+    places = jax.jit(jax.vmap(lambda x: clearance(arm, scene.obstacles, WHERE, x)))
+    gained = 0
+    for x in made_once.configurations(arm, 30, seed=5):
+        a, b = x, x + 0.05 * np.random.default_rng(6).normal(size=len(x))
+        found, before = proved(scene, a, b), proved(thick, a, b)
+        if before.verdict == SegmentStatus.VALID:
+            assert found.verdict == SegmentStatus.VALID
+        if found.verdict == SegmentStatus.VALID:
+            between = a + np.linspace(0, 1, 1000)[:, None] * (b - a)
+            assert np.asarray(places(between)).min() >= float(found.clearance) - 1e-9
+            gained += int(before.verdict) != SegmentStatus.VALID
+    assert gained > 2
