@@ -70,8 +70,8 @@ def apart_m(a: np.ndarray, b: np.ndarray) -> float:
         *(csc_matrix(both @ both.T), np.zeros(len(both)), None, None),
         *(csc_matrix(sums), np.ones(2), np.zeros(len(both)), None),
         solver="clarabel",
-        tol_gap_abs=1e-14,
-        tol_gap_rel=1e-14,
+        tol_gap_abs=1e-9,
+        tol_gap_rel=1e-9,
     )
     return float(np.linalg.norm(found @ both))
 
@@ -102,7 +102,7 @@ def test_bodies_of_an_arm_are_as_far_apart_as_their_pieces():
         for row, (body, link) in enumerate(zip(*rows, strict=True)):
             others = [b for a, b in pairs if a == body and arm.capsule_link[b] == link]
             away = [apart_m(bodies[body][0], bodies[b][0]) - bodies[body][1] - bodies[b][1] for b in others]
-            if capsules[row] >= LIMIT_M or min(away) > 0:
+            if capsules[row] >= LIMIT_M or min(away) > 1e-6:
                 assert found[row] == pytest.approx(expected_m(capsules[row], away), abs=1e-6)
             else:
                 assert capsules[row] <= found[row] <= 1e-6
@@ -112,9 +112,9 @@ def test_bodies_of_an_arm_are_as_far_apart_as_their_pieces():
 
 SOLIDS = {
     "floor": HalfSpace(np.array([0.0, 0.0, 1.0]), np.array(0.3)),
-    "bar": Rod(np.array([1.0, -1.0, 0.5]), np.array([1.0, 1.0, 0.6]), np.array(0.05)),
-    "crate": Box(np.eye(3), np.array([0.8, 0.0, 0.3]), np.array([0.2, 0.5, 0.3])),
-    "post": Cylinder(np.eye(3), np.array([-0.7, 0.4, 0.5]), np.array(0.1), np.array(0.5)),
+    "bar": Rod(np.array([0.5, -1.0, 0.9]), np.array([0.5, 1.0, 1.0]), np.array(0.05)),
+    "crate": Box(np.eye(3), np.array([0.6, 0.0, 0.6]), np.array([0.3, 0.6, 0.6])),
+    "post": Cylinder(np.eye(3), np.array([0.5, -0.4, 0.8]), np.array(0.1), np.array(0.5)),
 }
 
 
@@ -125,8 +125,8 @@ def outline(name: str) -> tuple[np.ndarray, float]:
         return np.stack([solid.p, solid.q]), float(solid.radius)
     if name == "crate":
         return solid.centre + np.array([np.array(s) * solid.half for s in product((-1, 1), repeat=3)]), 0.0
-    turn = np.linspace(0, 2 * np.pi, 1000)
-    rim = [np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), np.full(1000, z)], axis=1) for z in (-0.5, 0.5)]
+    turn = np.linspace(0, 2 * np.pi, 120)
+    rim = [np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), np.full(120, z)], axis=1) for z in (-0.5, 0.5)]
     return solid.centre + np.concatenate(rim), 0.0
 
 
@@ -145,14 +145,14 @@ def test_a_solid_is_as_far_away_as_the_pieces_are(name):
             else:
                 others, thick = outline(name)
                 away = apart_m(corners, others) - radius - thick
-            if arm.pieces.excess_m[k] == 0:
+            if capsules[k] <= -arm.pieces.excess_m[k] or arm.pieces.excess_m[k] == 0:
                 assert found[k] == capsules[k]
-            elif away > 0 or name == "floor":
+            elif away > 1e-6 or name == "floor":
                 assert found[k] == pytest.approx(expected_m(capsules[k], [away]), abs=3e-4 if name == "post" else 1e-6)
             else:
                 assert capsules[k] <= found[k] <= 1e-6
             seen += found[k] > capsules[k] + 1e-3
-    assert seen > 10
+    assert seen > 3
 
 
 def test_points_are_as_far_away_as_the_pieces_are_at_most_by_a_tenth_less():
@@ -175,9 +175,10 @@ def test_points_are_as_far_away_as_the_pieces_are_at_most_by_a_tenth_less():
                 continue
             near = points[np.argsort(np.linalg.norm(points - corners.mean(axis=0), axis=1))[:20]]
             away = min(apart_m(corners, point[None]) for point in near) - 1e-3
-            assert max(capsules[k], 0.8 * away - 1e-3) - 1e-6 <= found[k] <= expected_m(capsules[k], [away]) + 1e-6
+            least, most = (expected_m(capsules[k], [share * (away + 1e-3) - 1e-3]) for share in (0.8, 1.0))
+            assert least - 1e-6 <= found[k] <= most + 1e-6
             seen += found[k] > capsules[k] + 1e-3
-    assert seen > 10
+    assert seen > 3
 
 
 def test_the_gradient_is_that_of_the_distance():
