@@ -157,13 +157,18 @@ def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:
     """Return the robot with its tool longer by `extension_m` [m] along the tool's z axis; negative shortens.
 
     The TCP moves, and so do the capsules of the body that carries the TCP. The first of them starts at the flange: it
-    keeps that end and is lengthened. The extension may be traced.
+    keeps that end and is lengthened. The extension may be traced. Unless it is 0, the capsules that move have no pieces.
     """
     shift = extension_m * robot.T_link_tcp[:3, 2]
     ends = robot.on_tool[:, :, None] * shift[None, None, :]
+    pieces = robot.pieces
+    if pieces is not None:
+        moved = (robot.on_tool != 0).any(axis=1) & (jnp.asarray(extension_m) != 0)
+        pieces = pieces._replace(excess_m=jnp.where(moved, 0.0, pieces.excess_m))
     return dataclasses.replace(
         robot,
         T_link_tcp=robot.T_link_tcp + jnp.pad(shift[:, None], ((0, 1), (3, 0))),
         capsule_p=robot.capsule_p + ends[:, 0],
         capsule_q=robot.capsule_q + ends[:, 1],
+        pieces=pieces,
     )

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, cover_with_capsules
 from htcp_jax.model import Robot, robot
+from htcp_jax.model.convex_piece import BodyPieces
 
 
 class AttachedBody(NamedTuple):
@@ -48,6 +50,7 @@ def attach(arm: Robot, bodies: Sequence[AttachedBody]) -> Robot:
         capsule_q=_with_rows(arm.capsule_q, [each.q for each in capsules]),
         capsule_radius=_with_rows(arm.capsule_radius, [each.radius for each in capsules]),
         on_tool=_with_rows(arm.on_tool, np.zeros((len(capsules), 2))),
+        pieces=_with_missing(arm.pieces, len(capsules)),
         capsule_names=tuple(names),
         capsule_link=tuple(links),
         exclusions=(*arm.exclusions, *(robot.Exclusion(*pair, "d", 0.0) for pair in apart)),
@@ -58,6 +61,14 @@ def attach(arm: Robot, bodies: Sequence[AttachedBody]) -> Robot:
 
 def _with_rows(known, rows):
     return jnp.concatenate([known, jnp.asarray(rows, known.dtype)])
+
+
+def _with_missing(pieces: BodyPieces | None, count: int) -> BodyPieces | None:
+    """Return the pieces with rows for `count` more bodies that have none."""
+    if pieces is None:
+        return None
+    piece = jax.tree.map(lambda known: jnp.concatenate([known, jnp.repeat(known[:1], count, axis=0)]), pieces.piece)
+    return BodyPieces(piece, jnp.pad(pieces.excess_m, (0, count)))
 
 
 @lru_cache(maxsize=64)

@@ -88,7 +88,7 @@ def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
         points: The points [m].
         effort: Effort of the search.
     """
-    x = _corners(points)
+    x = hull_corners(points)
     middle, size = (x.max(axis=0) + x.min(axis=0)) / 2, max(float(np.ptp(x, axis=0).max()), TINY)
     unit = (x - middle) / size
     first = sorted(
@@ -159,9 +159,17 @@ def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: B
     return (a, b, c), a + (u / (u - v))[:, None] * (b - a), a + (u / (u - w))[:, None] * (c - a)
 
 
+def hull_corners(points: Points) -> Float[np.ndarray, "V 3"]:
+    """Return the vertices of the convex hull of points [m]; all points if they are coplanar."""
+    try:
+        return points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
+        return np.unique(points, axis=0)
+
+
 def _splits(piece: MeshPiece) -> Iterator[list[MeshPiece]]:
     """Yield splits of a piece in two, normal to the frame's axes and its principal axes; each half with a rough fit."""
-    corners = _corners(piece.triangles.reshape(-1, 3))
+    corners = hull_corners(piece.triangles.reshape(-1, 3))
     for axis in (*np.eye(3), *_principal(corners)):
         along = corners @ axis
         for share in CUTS:
@@ -182,14 +190,6 @@ def _grid(capsule: Capsule) -> Points:
 def _filled(pieces: list[_Marked]) -> int:
     """Return the number of grid points in the union of the capsules."""
     return int(np.any([inside for _, inside in pieces], axis=0).sum())
-
-
-def _corners(points: Points) -> Float[np.ndarray, "V 3"]:
-    """Return the vertices of the convex hull; all points if they are coplanar."""
-    try:
-        return points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):
-        return np.unique(points, axis=0)
 
 
 def _principal(points: Points) -> Float[np.ndarray, "3 3"]:

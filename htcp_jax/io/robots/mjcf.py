@@ -10,6 +10,7 @@ import numpy as np
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.link_meshes import CUTS, MADE_FROM, VISUAL, cuts_text
 from htcp_jax.io.robots.model_file import EXCLUDED, LIST, excluded_bodies
+from htcp_jax.io.robots.stored_pieces import EXCESS, PIECE, RADIUS, vertices_text
 from htcp_jax.io.robots.vendor_import import BodyCover, ImportedArm, body_name
 
 Listed = tuple[str, str, str, float]  # names of two capsules, the rule, and the share of configurations
@@ -23,6 +24,11 @@ LIST_HEAD = """
     Pairs of capsules that are not checked against each other (docs: Bring your own arm, Self-collision). Rule b: they
     overlap in at least 95 % of 10,000 random configurations; c: in some, but the meshes in them touch in none. The
     number is the share. Remove a pair to have it checked; bodies under contact are excluded by the model, rule a.
+    """
+PIECES_HEAD = """
+    A convex piece about the part of the mesh in each fitted capsule: vertices in the frame of the capsule's body, and a
+    radius that thickens it. The excess is the largest distance of the capsule's surface from the piece. A piece that its
+    capsule does not hold, once this was moved or made smaller, is ignored.
     """
 MANY = {"mesh": "meshes", "box": "boxes", "cylinder": "cylinders", "ellipsoid": "ellipsoids"}
 
@@ -51,6 +57,7 @@ def arm_xml(
     custom = SubElement(root, "custom")
     for name, numbers in arm.numbers.items():
         SubElement(custom, "numeric", name=name, data=_numbers_text(numbers))
+    _add_pieces(custom, arm)
     if listed is not None:
         _add_list(custom, arm, source, listed)
     elements = {0: SubElement(root, "worldbody")}
@@ -85,6 +92,17 @@ def _body_element(parent: Element, arm: ImportedArm, b: int) -> Element:
         if model.jnt_bodyid[j] == b:
             SubElement(body, "joint", name=name, **_joint(model, j))
     return body
+
+
+def _add_pieces(custom: Element, arm: ImportedArm) -> None:
+    if any(cover.hulls for cover in arm.covers.values()):
+        custom.append(_comment(PIECES_HEAD))
+    for cover in arm.covers.values():
+        for name, piece in cover.hulls.items():
+            SubElement(custom, "text", name=PIECE + name, data=vertices_text(piece))
+            SubElement(custom, "numeric", name=RADIUS + name, data=_numbers_text([piece.radius]))
+            excess_m = piece.excess_m(cover.fitted[name])
+            SubElement(custom, "numeric", name=EXCESS + name, data=f"{excess_m:.6f}")
 
 
 def _add_list(custom: Element, arm: ImportedArm, source: str, listed: Sequence[Listed]) -> None:

@@ -15,10 +15,13 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.safe_xml import read_spec, unreadable_model
+from htcp_jax.io.robots.stored_pieces import StoredPiece, body_pieces, read_pieces
 from htcp_jax.model import Tool, robot
 from htcp_jax.model import arrays as coordinates
 from htcp_jax.model import tool as tools
+from htcp_jax.model.convex_piece import BodyPieces
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
@@ -33,6 +36,7 @@ class RobotFields(NamedTuple):
 
     arrays: dict[str, np.ndarray]
     facts: dict[str, Any]
+    pieces: BodyPieces | None
 
 
 class _Capsule(NamedTuple):
@@ -67,7 +71,7 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     Raises:
         InputError: See `loading.load_robot`.
     """
-    model, geom_types, pairs = _compile_model(path)
+    model, geom_types, pairs, stored = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
     joint_names = _chain_joints(model, path, tcp_body)
     lower, upper = _joint_limits(model, path, limits)
@@ -118,14 +122,15 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         "frames": _named_frames(model, frames, moving=True),
         "base_frames": _named_frames(model, frames, moving=False),
     }
-    return RobotFields(arrays, facts)
+    held = {each.name: (Capsule(each.p, each.q, each.radius), frames[each.body][1]) for each in capsules}
+    return RobotFields(arrays, facts, body_pieces(stored, held) if stored else None)
 
 
 # The file
 
 
-def _compile_model(path: Path) -> tuple[mujoco.MjModel, str, list[_Pair] | None]:
-    """Return the model, the geom types of the file, and the pairs in its list; None if it has no list."""
+def _compile_model(path: Path) -> tuple[mujoco.MjModel, str, list[_Pair] | None, dict[str, StoredPiece]]:
+    """Return the model, the geom types of the file, the pairs in its list, None if it has no list, and its pieces."""
     with no_log():
         spec = read_spec(path, contacts=True)
     geom_types = sorted({_type_name(geom) for geom in spec.geoms})
@@ -137,7 +142,8 @@ def _compile_model(path: Path) -> tuple[mujoco.MjModel, str, list[_Pair] | None]
         raise InputError(f"{path}: tuple {pairs[0].name!r} has no effect without <text name={LIST!r}>")
     for each in list(spec.tuples):
         spec.delete(each)
-    return compile_spec(spec, path), ", ".join(geom_types), pairs if has_list else None
+    stored = read_pieces(spec, path)
+    return compile_spec(spec, path), ", ".join(geom_types), pairs if has_list else None, stored
 
 
 def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:

@@ -18,6 +18,7 @@ from htcp_jax.io.robots.model_file import check_joints, compile_spec, joint_name
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
 from htcp_jax.io.robots.srdf import disabled_pairs
+from htcp_jax.io.robots.stored_pieces import StoredPiece, reduced_piece
 from htcp_jax.io.robots.tcp import Tip, find_tip, other_frames, warn_of_jaw
 
 PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s that an arm keeps
@@ -31,6 +32,7 @@ class BodyCover(NamedTuple):
 
     own: dict[str, Capsule]  # the model's own, by name
     pieces: dict[str, MeshPiece]  # of `enclosed`, with the fitted capsules
+    hulls: dict[str, StoredPiece]  # of these pieces
     drawn: Triangles  # of the meshes to which MuJoCo fitted the model's own capsules [m]
     enclosed: Triangles  # of all other shapes [m]; the fitted capsules enclose them
     kinds: tuple[str, ...]  # types of these shapes: box, mesh, ...
@@ -252,7 +254,8 @@ def _cover(shapes: list[Shape], body: str, names: _Names, most: int) -> BodyCove
     others = [shape for shape in shapes if shape.capsule is None]
     held, drawn = _all(others), _all([shape for shape in shapes if shape.capsule is not None])
     pieces = {names.new(body): piece for piece in (cover_with_capsules(held, most) if others else [])}
-    return BodyCover(own, pieces, drawn, held, tuple(shape.kind for shape in others))
+    hulls = {name: reduced_piece(piece.triangles.reshape(-1, 3)) for name, piece in pieces.items()}
+    return BodyCover(own, pieces, hulls, drawn, held, tuple(shape.kind for shape in others))
 
 
 def _all(shapes: list[Shape]) -> Triangles:

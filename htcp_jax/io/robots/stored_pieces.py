@@ -1,0 +1,147 @@
+"""Convex pieces of the meshes in an arm's capsules, as the arm's file stores them.
+
+A capsule is fitted to a part of a mesh. Its piece is the convex hull of that part, with few vertices, thickened by what
+these miss. The hull lies within the capsule; thickened, it may extend beyond it by its radius.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import nnls
+from scipy.spatial import ConvexHull, QhullError
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.robots.capsule_fit import FIRST_DIRECTIONS, TINY, Capsule, Points, hull_corners
+from htcp_jax.model.convex_piece import BodyPieces, make_piece, stack_pieces
+
+# Names of an arm's <text> with a capsule's vertices, and of its <numeric>s [m].
+PIECE, RADIUS, EXCESS = "piece of ", "radius of ", "excess of "
+MOST_VERTICES = 96
+ENOUGH_M = 1e-4  # vertices are added until the hull misses less
+DIGITS = 6  # of a vertex and a radius [m]
+SLACK_M = 1e-6  # by which a vertex may be outside of its capsule, for its rounding
+MOST_READ = 1000  # vertices of a piece in a file
+
+
+class StoredPiece(NamedTuple):
+    """A convex hull in the frame of its capsule's body, thickened by a radius."""
+
+    vertices: Points  # [m]
+    radius: float  # [m]
+
+    def missed_m(self, points: Points) -> float:
+        """Return the largest distance of the points from the piece [m]; 0 if all are inside."""
+        outside = points[_heights(points, self.vertices) > 0]
+        return max(0.0, max((_distance(point, self.vertices) for point in outside), default=0.0) - self.radius)
+
+    def excess_m(self, capsule: Capsule) -> float:
+        """Return the largest distance of a capsule's surface from the piece [m], exactly.
+
+        In a direction n the capsule reaches max(n @ p, n @ q) + r, and the hull max(n @ v); the largest difference is r
+        and the larger signed distance of p and q from the hull.
+        """
+        ends = np.stack([capsule.p, capsule.q])
+        signed = [
+            height if height <= 0 else _distance(end, self.vertices)
+            for height, end in zip(_heights(ends, self.vertices), ends, strict=True)
+        ]
+        return max(0.0, capsule.radius - self.radius + float(max(signed)))
+
+
+def reduced_piece(points: Points) -> StoredPiece:
+    """Return the convex hull of points [m] with at most MOST_VERTICES, and the radius that encloses all points.
+
+    From the extremes in FIRST_DIRECTIONS, the point farthest outside of the hull so far is added.
+    """
+    x = hull_corners(points)
+    rounded = np.unique(x.round(DIGITS), axis=0)
+    chosen = np.unique(np.argmax(rounded @ FIRST_DIRECTIONS.T, axis=0)).tolist()
+    while len(chosen) < min(MOST_VERTICES, len(rounded)):
+        height = _heights(rounded, rounded[chosen])
+        if height.max() < ENOUGH_M / 2:
+            break
+        chosen.append(int(height.argmax()))
+    piece = StoredPiece(rounded[chosen], 0.0)
+    return piece._replace(radius=float(np.ceil(piece.missed_m(x) * 10**DIGITS + 1e-3) / 10**DIGITS))
+
+
+def vertices_text(piece: StoredPiece) -> str:
+    """Return the vertices as text, in the format of an arm's file."""
+    return "; ".join(" ".join(f"{number + 0.0:.9g}" for number in vertex) for vertex in piece.vertices)
+
+
+def read_pieces(spec: mujoco.MjSpec, path: Path) -> dict[str, StoredPiece]:
+    """Return the pieces in an arm's file by the names of their capsules.
+
+    Args:
+        spec: The file, not compiled yet.
+        path: The file, for messages.
+
+    Raises:
+        InputError: For vertices that are not rows of three finite numbers, or a radius that is missing or negative.
+    """
+    radii = {numeric.name: float(numeric.data[0]) for numeric in spec.numerics if len(numeric.data)}
+    texts = {text.name.removeprefix(PIECE): text.data for text in spec.texts if text.name.startswith(PIECE)}
+    return {name: _read_piece(name, data, radii.get(RADIUS + name), path) for name, data in texts.items()}
+
+
+def _read_piece(name: str, data: str, radius: float | None, path: Path) -> StoredPiece:
+    try:
+        rows = [[float(number) for number in row.split()] for row in data.split(";")]
+    except ValueError:
+        rows = []
+    if not 1 <= len(rows) <= MOST_READ or any(len(row) != 3 for row in rows) or not np.isfinite(rows).all():
+        raise InputError(f"{path}: text {PIECE + name!r} must be 1 to {MOST_READ} rows of 3 numbers, separated by ;")
+    if radius is None or not 0 <= radius < np.inf:
+        raise InputError(f"{path}: {PIECE + name!r} needs a numeric {RADIUS + name!r} of at least 0 m")
+    return StoredPiece(np.array(rows), radius)
+
+
+def body_pieces(
+    stored: Mapping[str, StoredPiece], capsules: Mapping[str, tuple[Capsule, Float[np.ndarray, "4 4"]]]
+) -> BodyPieces | None:
+    """Return the pieces of an arm's capsules in the frames of their links; None if none has one.
+
+    A capsule that was moved or made smaller by hand, so that it does not hold its piece, has none.
+
+    Args:
+        stored: The pieces in the arm's file, by the names of their capsules.
+        capsules: The arm's capsules in the frames of their links [m], and their bodies' poses there, by name.
+    """
+    pieces, excess = [], []
+    for name, (capsule, T_link_body) in capsules.items():
+        own = stored.get(name)
+        if own is not None:
+            own = own._replace(vertices=own.vertices @ T_link_body[:3, :3].T + T_link_body[:3, 3])
+        if own is None or capsule.depth(own.vertices).min() < -SLACK_M:
+            pieces.append(make_piece(capsule.p[None]))
+            excess.append(0.0)
+        else:
+            pieces.append(make_piece(own.vertices, own.radius))
+            excess.append(own.excess_m(capsule))
+    return BodyPieces(stack_pieces(pieces), np.array(excess)) if any(excess) else None
+
+
+def _heights(points: Points, vertices: Points) -> Float[np.ndarray, "P"]:
+    """Return the largest height of each point over the planes of a hull [m]: of one inside, minus its depth."""
+    try:
+        faces = ConvexHull(vertices).equations
+        return np.max(points @ faces[:, :3].T + faces[:, 3], axis=1)
+    except (QhullError, ValueError):  # flat
+        normals = make_piece(vertices).normals
+        return np.max(points @ normals.T - np.max(vertices @ normals.T, axis=0), axis=1)
+
+
+def _distance(point: Float[np.ndarray, "3"], vertices: Points) -> float:
+    """Return the distance of a point from a convex hull [m].
+
+    The shares with the least |sum(share * away)|^2 + (sum(share) - 1)^2 are those of the nearest point, up to a factor.
+    """
+    away = vertices - point
+    size = max(float(np.abs(away).max()), TINY)
+    share, _ = nnls(np.vstack([away.T / size, np.ones(len(away))]), np.array([0.0, 0.0, 0.0, 1.0]))
+    return float(np.linalg.norm(share @ away)) / max(float(share.sum()), TINY)
