@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import obstacle_kind, of_cell, self_collision
-from htcp_jax.errors import Note
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot
 from htcp_jax.jobs import cell_shapes
@@ -55,6 +55,12 @@ def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL) -> Robot:
         base_rpy_rad=arm.base_rpy_rad,
         tool=arm.tool,
     )
+    if arm.bodies == "capsules":
+        robot = replace(robot, pieces=None)
+    elif arm.bodies == "meshes" and robot.pieces is None:
+        raise InputError(
+            f"robot.bodies: {arm.model} has no convex pieces of meshes; valid: capsules, or a file made by htcp robot"
+        )
     parts.check_tool(robot, arm.tool_extension_m)
     return cell_shapes.with_carried(robot, cell)
 

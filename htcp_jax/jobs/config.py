@@ -82,6 +82,7 @@ class RobotConfig(strict_model.FileSection):
     base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
     tool: Tool | None = None
     tool_extension_m: Number = 0.0
+    bodies: Literal["capsules", "meshes"] | None = None  # meshes: their convex pieces; None: meshes where there are any
 
     @property
     def is_gp50(self) -> bool:

@@ -67,8 +67,8 @@ def _with_missing(pieces: BodyPieces | None, count: int) -> BodyPieces | None:
     """Return the pieces with rows for `count` more bodies that have none."""
     if pieces is None:
         return None
-    piece = jax.tree.map(lambda known: jnp.concatenate([known, jnp.repeat(known[:1], count, axis=0)]), pieces.piece)
-    return BodyPieces(piece, jnp.pad(pieces.excess_m, (0, count)))
+    more = jax.tree.map(lambda known: jnp.concatenate([known, jnp.repeat(known[:1], count, axis=0)]), pieces)
+    return more._replace(excess_m=jnp.pad(pieces.excess_m, (0, count)))
 
 
 @lru_cache(maxsize=64)

@@ -17,7 +17,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.safe_xml import read_spec, unreadable_model
-from htcp_jax.io.robots.stored_pieces import StoredPiece, body_pieces, read_pieces
+from htcp_jax.io.robots.stored_pieces import StoredPiece, pieces_of, read_pieces
 from htcp_jax.model import Tool, robot
 from htcp_jax.model import arrays as coordinates
 from htcp_jax.model import tool as tools
@@ -123,7 +123,7 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         "base_frames": _named_frames(model, frames, moving=False),
     }
     held = {each.name: (Capsule(each.p, each.q, each.radius), frames[each.body][1]) for each in capsules}
-    return RobotFields(arrays, facts, body_pieces(stored, held) if stored else None)
+    return RobotFields(arrays, facts, pieces_of(stored, held) if stored else None)
 
 
 # The file

@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import FIRST_DIRECTIONS, TINY, Capsule, Points, hull_corners
-from htcp_jax.model.convex_piece import BodyPieces, make_piece, stack_pieces
+from htcp_jax.model.convex_piece import BodyPieces, body_pieces, make_piece
 
 # Names of an arm's <text> with a capsule's vertices, and of its <numeric>s [m].
 PIECE, RADIUS, EXCESS = "piece of ", "radius of ", "excess of "
@@ -101,7 +101,7 @@ def _read_piece(name: str, data: str, radius: float | None, path: Path) -> Store
     return StoredPiece(np.array(rows), radius)
 
 
-def body_pieces(
+def pieces_of(
     stored: Mapping[str, StoredPiece], capsules: Mapping[str, tuple[Capsule, Float[np.ndarray, "4 4"]]]
 ) -> BodyPieces | None:
     """Return the pieces of an arm's capsules in the frames of their links; None if none has one.
@@ -123,7 +123,7 @@ def body_pieces(
         else:
             pieces.append(make_piece(own.vertices, own.radius))
             excess.append(own.excess_m(capsule))
-    return BodyPieces(stack_pieces(pieces), np.array(excess)) if any(excess) else None
+    return body_pieces(pieces, np.array(excess)) if any(excess) else None
 
 
 def _heights(points: Points, vertices: Points) -> Float[np.ndarray, "P"]:
