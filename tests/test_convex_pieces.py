@@ -18,14 +18,13 @@ from htcp_jax.clearance.distance.convex_pieces import (
     Body,
     PieceContact,
     PlacedPiece,
-    face_heights,
+    face_contact,
     piece_contact,
-    separation,
 )
 from htcp_jax.clearance.distance.segments import nearest_points
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
 from htcp_jax.model import ConvexPiece, kinematics
-from htcp_jax.model.convex_piece import make_piece, stack_pieces
+from htcp_jax.model.convex_piece import body_pieces, make_piece, stack_pieces
 
 HALF = np.array([3.0, 5.0, 8.0]) / 64
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -86,9 +85,11 @@ def measured(piece: ConvexPiece, T, others: Body) -> PieceContact:
     return jax.lax.map(lambda row: piece_contact(PlacedPiece(piece, row[0]), row[1]), (T, others))
 
 
-@jax.jit
 def heights(piece: ConvexPiece, T, points):
-    return jax.vmap(lambda T, point: face_heights(PlacedPiece(piece, T), point[None])[0])(T, points)
+    """Heights of points over the planes that enclose a piece."""
+    planes = body_pieces([jax.tree.map(np.asarray, piece)], np.zeros(1)).planes[0]
+    own = np.einsum("nji,nj->ni", T[:, :3, :3], np.asarray(points) - T[:, :3, 3])
+    return np.max(own @ planes[:, :3].T - planes[:, 3], axis=1)
 
 
 def contacts(name: str, kind: str, T: np.ndarray, U: np.ndarray) -> PieceContact:
@@ -340,14 +341,17 @@ def test_a_gradient_in_the_configuration_is_that_of_finite_differences():
         np.testing.assert_allclose(ours.distance[lasts, joint], finite[lasts], atol=1e-5)
 
 
-def test_a_separation_is_the_distance_unless_bodies_overlap_by_more_than_their_radii():
+def test_a_contact_by_faces_is_exact_apart_and_no_less_deep_where_pieces_overlap():
     T, U = poses(COUNT, 17, 0.2), poses(COUNT, 18, 0.2)
-    separations = jax.jit(jax.vmap(lambda T, other: separation(PlacedPiece(pieces()["blob"], T), other)))
-    for kind in ("capsule", "cylinder", "half-space", "tetrahedron"):
-        found, exact = separations(T, bodies(kind, U)), contacts("blob", kind, T, U).distance
-        apart = exact > -(RADIUS if kind == "capsule" else 0)
-        assert 10 < apart.sum() < 90 and (found[~apart] <= exact[~apart] + 1e-12).all()
-        np.testing.assert_allclose(found[apart], exact[apart], atol=1e-9)
+    by_faces = jax.jit(
+        jax.vmap(lambda T, U: face_contact(PlacedPiece(pieces()["blob"], T), PlacedPiece(pieces()["tetrahedron"], U)))
+    )
+    found, exact = by_faces(T, U), contacts("blob", "tetrahedron", T, U)
+    apart = exact.distance > 0
+    assert 10 < apart.sum() < 90 and (found.distance[~apart] <= exact.distance[~apart] + 1e-12).all()
+    np.testing.assert_allclose(found.distance[apart], exact.distance[apart], atol=1e-9)
+    assert (np.sign(found.distance) == np.sign(exact.distance)).all()
+    np.testing.assert_allclose(found.point - found.witness, found.distance[:, None] * found.normal, atol=1e-12)
 
 
 def test_rows_do_not_affect_each_other():

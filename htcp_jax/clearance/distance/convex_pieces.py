@@ -75,24 +75,28 @@ def piece_contact(placed: PlacedPiece, other: Body) -> PieceContact:
     )
 
 
-def separation(placed: PlacedPiece, other: Body) -> Scalar:
-    """Return a lower bound on the signed distance [m]: exact unless the bodies overlap by more than their radii.
+def face_contact(placed: PlacedPiece, other: PlacedPiece) -> PieceContact:
+    """Return the contact of two pieces; where they overlap, by the faces of both alone.
 
-    Without a gradient, and without the search for the normal of least penetration that `piece_contact` begins then.
+    The distance is exact apart, and has the right sign. Overlapping pieces may be closer by their edges: then it is a
+    lower bound, at a tenth of the cost of `piece_contact`. Without a gradient.
     """
-    a, b = jax.lax.stop_gradient((_in_world(placed), other))
-    if isinstance(b, HalfSpace):
-        apart = product(b.normal, _lowest(a, b.normal)) - b.offset
-    else:
-        core = b if isinstance(b, Cylinder) else _polyhedron(b)
-        apart = nearest(lambda direction: _lowest(a, direction), lambda direction: _lowest(core, direction)).lower
-    return apart - _radius(b) - placed.piece.radius
+    a, b = jax.lax.stop_gradient((_in_world(placed), _in_world(other)))
+    near = nearest(lambda direction: _lowest(a, direction), lambda direction: _lowest(b, direction))
 
+    def overlapping() -> tuple[Scalar, Vector3, Vector3]:
+        depth, outwards = _best(a, b, -a.normals)
+        other_depth, inwards = _best(a, b, b.normals)
+        by_own = depth > other_depth  # a face of `a`, nearest to a corner of `b`
+        distance, normal = jnp.maximum(depth, other_depth), jnp.where(by_own, outwards, inwards)
+        corner = _lowest(b, -normal) + distance * normal
+        return distance, normal, jnp.where(by_own, corner, _lowest(a, normal))
 
-def face_heights(placed: PlacedPiece, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    """Return lower bounds on the distances of points from a piece [m]; exact inside and where a face is nearest."""
-    piece = _in_world(placed)
-    return jnp.max(_dot(points, piece.normals) - _highest(piece, piece.normals)[None], axis=1) - piece.radius
+    found = jax.lax.cond(near.lower > CLOSE_M, lambda: (near.lower, near.normal, near.point), overlapping)
+    apart, normal, point = found
+    point = point - a.radius * normal
+    distance = apart - a.radius - b.radius
+    return PieceContact(distance, normal, point, point - distance * normal)
 
 
 def _radius(body: Body) -> Scalar:

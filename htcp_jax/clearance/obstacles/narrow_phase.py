@@ -14,7 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.distance.convex_pieces import PlacedPiece, piece_contact
+from htcp_jax.clearance.distance.convex_pieces import PlacedPiece, face_contact, piece_contact
 from htcp_jax.clearance.distance.solids import HalfSpace
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose
 from htcp_jax.model import ConvexPiece, Robot
@@ -109,12 +109,11 @@ def _nearest_pieces(shared, is_exact, radius, p, q, T, lower, best):
     def contact(k):
         first, second = body(pairs.first[k]), pairs.second[k]
         if others is None and planes is None:
-            return piece_contact(first, body(second))
+            return face_contact(first, body(second))
 
         def solid():
-            return piece_contact(
-                first, PlacedPiece(jax.tree.map(lambda leaf: leaf[second - count], others), jnp.eye(4))
-            )
+            other = jax.tree.map(lambda leaf: leaf[second - count], others)
+            return face_contact(first, PlacedPiece(other, jnp.eye(4)))
 
         def plane():
             return piece_contact(first, jax.tree.map(lambda leaf: leaf[jnp.minimum(second, count - 1)], planes))
