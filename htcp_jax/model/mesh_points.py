@@ -3,20 +3,29 @@
 Every triangle is cut at the middle of its longest edge until its own three corners cover it. Nothing is random: the
 same mesh gives the same points, evenly spread for any shapes of its triangles.
 
+Every body is thickened by the covering radius: a clearance is a lower bound at any spacing, only a more conservative one
+at a coarser spacing. By default that follows the thinnest body that can come near the mesh, within limits on the number
+of points.
+
 A triangle's covering radius is the largest distance of any of its points to the nearest corner. Where no angle is
 obtuse, that is attained at the circumcentre. Otherwise the circumcentre lies outside, and it is attained where the
 bisector of one of the two shorter edges meets the longest one: at c / (2 cos B) from B, or b / (2 cos C) from C.
 """
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.model import kinematics
+from htcp_jax.model.robot import Robot, capsule_label
 
 MOST = 3_000_000  # points
-ABOUT = 200_000  # default number of points, unless the bodies require more
+FEW, MANY = 30_000, 300_000  # default numbers of points: about as many for any body, and no more for a thin one
+SHARE = 4  # ratio of a body's radius to the covering radius that it requires,
+FINEST_M = 0.002  # but it requires no smaller one than this
 ROUNDING = 1e-6  # relative rounding error of a covering radius; nearly flat triangles cost digits
 KEY = "workpiece.mesh_spacing_m"
 
@@ -31,8 +40,32 @@ class PointCover(NamedTuple):
     radius_m: float
 
 
+class NearbyBody(NamedTuple):
+    """The thinnest body that can come near a mesh."""
+
+    label: str  # for messages
+    radius_m: float
+
+
+def thinnest_nearby(robot: Robot, distance_m: float | None = None, excluded: Collection[int] = ()) -> NearbyBody | None:
+    """Return the thinnest body that can come near a mesh, None if there is no such body.
+
+    Args:
+        robot: The robot.
+        distance_m: Distance of the mesh from the first joint's origin [m]. None: half of the largest reach, for a
+            workpiece, whose poses are not known; the bodies near the base do not extend as far.
+        excluded: Links whose bodies are not tested against the mesh.
+    """
+    distance_m = kinematics.max_reach(robot) / 2 if distance_m is None else distance_m
+    is_near = (kinematics.body_reach(robot) >= distance_m) & ~np.isin(robot.capsule_link, list(excluded))
+    if not is_near.any():
+        return None
+    radius = np.where(is_near, np.asarray(robot.capsule_radius), np.inf)
+    return NearbyBody(capsule_label(robot, robot.capsule_names[int(radius.argmin())]), float(radius.min()))
+
+
 def cover_mesh(
-    triangles: Triangles, source: str, spacing: float | None = None, thinnest_m: float = np.inf
+    triangles: Triangles, source: str, spacing: float | None = None, body: NearbyBody | None = None
 ) -> PointCover:
     """Sample triangles: their corners and those of their pieces, until these cover the mesh.
 
@@ -42,8 +75,9 @@ def cover_mesh(
         triangles: F >= 1 triangles [m].
         source: Name of the mesh in messages.
         spacing: The widest gap between points [m]: every point of the mesh has one of them within half of it. None:
-            about ABOUT points, and more if half of `thinnest_m` requires them.
-        thinnest_m: Radius of the thinnest body.
+            half of the body's radius, but no less than twice FINEST_M. A mesh gets about FEW points even if these are
+            closer, and about MANY even if these are farther apart.
+        body: The thinnest body that can come near; None: about FEW points.
 
     Raises:
         InputError: For a mesh without an area, a spacing that is not positive, and if more than MOST points would be
@@ -54,9 +88,11 @@ def cover_mesh(
         raise InputError(f"{source}: the mesh has no area")
     if spacing is not None and not 0 < spacing < np.inf:
         raise InputError(f"{source}: a spacing of {spacing} m; it must be more than 0")
-    by_itself = min(thinnest_m / 2, float(np.sqrt(total / (2 * ABOUT))))
-    wanted = by_itself if spacing is None else spacing / 2
-    _check_count(total / (2 * wanted**2), 2 * wanted, source)  # what a square grid takes
+    wanted = _default_radius(total, body) if spacing is None else spacing / 2
+    required = f"a spacing of {2 * wanted:.3g} m"
+    if spacing is None and body is not None and wanted == body.radius_m / SHARE:
+        required += f", which {body.label} requires by its radius of {1e3 * body.radius_m:.4g} mm"
+    _check_count(total / (2 * wanted**2), required, source)  # what a square grid takes
     left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
     points, reached, done = [*left], 0.0, 0
     while left.shape[2]:
@@ -67,8 +103,15 @@ def cover_mesh(
         done += reach.size - int(coarse.sum())
         left, middle = _halved_triangles(left[:, :, coarse])
         points.append(middle)
-        _check_count((done + left.shape[2]) / 2, 2 * wanted, source)
+        _check_count((done + left.shape[2]) / 2, required, source)
     return PointCover(_distinct_points(np.concatenate(points, axis=1).T), reached * (1 + ROUNDING))
+
+
+def _default_radius(total: float, body: NearbyBody | None) -> float:
+    """Return the default covering radius [m] for a total area [m2]."""
+    coarsest, finest = (float(np.sqrt(total / (2 * count))) for count in (FEW, MANY))
+    required = coarsest if body is None else max(body.radius_m / SHARE, FINEST_M)
+    return max(min(required, coarsest), finest)
 
 
 def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray, "G 3 3"]:
@@ -85,7 +128,7 @@ def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray
         done.append(left[:, :, ~coarse])
         count += done[-1].shape[2]
         left, _ = _halved_triangles(left[:, :, coarse])
-        _check_count((count + left.shape[2]) / 2, edge_m, source)
+        _check_count((count + left.shape[2]) / 2, f"a spacing of {edge_m:.3g} m", source)
     return np.ascontiguousarray(np.moveaxis(np.concatenate(done, axis=2), 2, 0))
 
 
@@ -148,6 +191,6 @@ def _square_norm(u: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
     return _components_dot(u, u)
 
 
-def _check_count(points: float, spacing: float, source: str) -> None:
+def _check_count(points: float, spacing: str, source: str) -> None:
     if points > MOST:
-        raise InputError(f"{source}: more than {MOST:,} points at a spacing of {spacing:.3g} m; see {KEY}")
+        raise InputError(f"{source}: more than {MOST:,} points at {spacing}; see {KEY}")
