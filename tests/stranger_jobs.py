@@ -2,6 +2,7 @@
 
     job = box_job(folder)         # an open box, its opening towards the arm
     job = small_box_job(folder)   # the same box, quicker to load and to plan
+    job = cube_job(folder)        # a box of 0.2 m, its opening towards the arm, and three points of a seam
     job = tub_job(folder)         # the same box with its opening upwards; the seam in the corner nearest to the arm
     job = car_job(folder)         # a cavity with a window, and a rib plate of 2 mm in front of the seam
 
@@ -64,6 +65,13 @@ def small_box_job(folder: Path, spacing_m: float = 0.01) -> Path:
     header, *rows = (folder / "seam.csv").read_text().splitlines()
     (folder / "seam.csv").write_text("\n".join([header, *rows[::10]]) + "\n")
     return job
+
+
+def cube_job(folder: Path) -> Path:
+    """Open box of 0.2 m: three points of a seam along the far lower edge, 15 mm from the walls."""
+    seam = np.column_stack([np.full(3, 0.185), np.linspace(-0.02, 0.02, 3), np.full(3, -0.085)])
+    faces = [face for face in _box((0, -0.1, -0.1), (0.2, 0.1, 0.1)) if np.ptp(face[:, 0]) or face[0, 0]]
+    return _job(folder, faces, seam, inlet=(0, 0, 0), at=(0.7, 0, 0.6), start=(-1.03, -2.4, 2.18, 0.22, -0.54, 0))
 
 
 def tub_job(folder: Path) -> Path:

@@ -186,7 +186,7 @@ def test_a_mesh_that_is_not_convex_is_a_bound_on_its_triangles(tmp_path):
     )
     robot, where = made_once.robot(), made_once.nominal()
     (hoop,) = make_fixtures(robot, load_cell(tmp_path / "cell.xml"))
-    assert isinstance(hoop, PlacedCloud) and 0 < hoop.cloud.cover < 5e-3
+    assert isinstance(hoop, PlacedCloud) and 0 < hoop.cloud.cover <= 0.03 / 4  # a quarter of the thinnest radius
     ring.apply_transform(np.vstack([[0, 0, 1, 1.2], [0, 1, 0, 0.3], [-1, 0, 0, 1.0], [0, 0, 0, 1]]))
     for x in made_once.configurations_near(made_once.START, 4, 0.5):
         axes, radius = axes_of(robot, x)

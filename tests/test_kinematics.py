@@ -154,6 +154,16 @@ def test_capsule_ends_are_mujocos_geoms(arm):
     assert_close(arm.robot.capsule_radius, arm.model.geom_size[geoms, 0], atol=0)
 
 
+def test_no_body_extends_beyond_its_reach(arm):
+    """Bodies that move: within the bound for every configuration, slides to the ends of their ranges included."""
+    xs = np.where(arm.robot.slides, np.clip(arm.xs, arm.robot.lower, arm.robot.upper), arm.xs)
+    base, moves = np.asarray(arm.robot.T_parent_joint)[0, :3, 3], np.array(arm.robot.capsule_link) >= 0
+    ends = np.stack([np.asarray(end) for end in over(kinematics.capsule_segments, arm.robot, xs)])
+    furthest = (np.linalg.norm(ends - base, axis=3) + np.asarray(arm.robot.capsule_radius)).max(axis=(0, 1))
+    bound = kinematics.body_reach(arm.robot)
+    assert (furthest[moves] <= bound[moves]).all() and (bound[~moves] == -np.inf).all()
+
+
 @pytest.mark.parametrize("arm", ["gp50"], indirect=True)
 def test_mjx_agrees(arm):
     """Compare with site and geoms of MJX, MuJoCo's port to JAX."""

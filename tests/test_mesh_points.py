@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.model.mesh_points import ABOUT, area, cover_mesh, covering_radius, pieces
+from htcp_jax.model.mesh_points import FEW, MANY, NearbyBody, area, cover_mesh, covering_radius, pieces
 
 MESHES = {
     "box": trimesh.creation.box((0.4, 0.36, 0.02)),
@@ -72,23 +72,47 @@ def test_a_sliver_takes_points_along_its_length_alone():
     assert found.radius_m <= 0.01 * (1 + 1e-6) and len(found.points) < 300
 
 
-def test_by_itself_a_mesh_gets_many_points_and_more_where_a_thin_body_asks_for_them():
-    triangles = np.asarray(trimesh.creation.box((1.4, 1.8, 1.1)).triangles)
-    itself, thin = cover_mesh(triangles, "mesh"), cover_mesh(triangles, "mesh", thinnest_m=0.008)
-    assert ABOUT <= len(itself.points) < 3 * ABOUT < len(thin.points)
-    assert thin.radius_m <= 0.004 < itself.radius_m < 0.008
+def test_a_mesh_gets_more_points_for_a_thinner_body_within_limits():
+    triangles = np.asarray(trimesh.creation.box((1.0, 1.2, 0.8)).triangles)
+    thick, thin, tiny = (cover_mesh(triangles, "mesh", body=NearbyBody("rod", r)) for r in (0.1, 0.02, 0.001))
+    assert FEW <= len(cover_mesh(triangles, "mesh").points) == len(thick.points) < 3 * FEW < len(thin.points)
+    assert MANY <= len(tiny.points) < 3 * MANY
+    assert tiny.radius_m < thin.radius_m <= 0.02 / 4 < thick.radius_m
+
+
+TESSELLATED = {
+    "cylinder": trimesh.creation.cylinder(0.1, 0.2, sections=200),  # slivers
+    "sphere": trimesh.creation.icosphere(7, 0.1),  # triangles much smaller than the spacing
+    "cube": trimesh.creation.box((0.2, 0.2, 0.2)),
+}
+
+
+@pytest.mark.parametrize("shape", TESSELLATED)
+def test_a_part_of_200_mm_gets_tens_of_thousands_of_points_for_any_body_and_triangles(shape):
+    """Regression: 770,831 points."""
+    triangles = np.asarray(TESSELLATED[shape].triangles)
+    found = cover_mesh(triangles, "mesh", body=NearbyBody("tip", 0.001))
+    distance, _ = cKDTree(found.points).query(on(triangles, 20_000))
+    assert 10_000 < len(found.points) < 100_000
+    assert distance.max() <= found.radius_m < 0.0025
 
 
 @pytest.mark.parametrize("options, words", [
     ({"spacing": 0.0}, "must be more than 0"),
     ({"spacing": float("nan")}, "must be more than 0"),
     ({"spacing": 1e-5}, "more than 3,000,000 points at a spacing of 1e-05 m; see workpiece.mesh_spacing_m"),
-    ({"thinnest_m": 1e-6}, "more than 3,000,000 points"),
 ])  # fmt: skip
 def test_what_cannot_be_sampled_is_one_line(options, words):
     with pytest.raises(InputError, match=words) as error:
         cover_mesh(np.asarray(MESHES["box"].triangles), "part.stl", **options)
     assert str(error.value).startswith("part.stl: ") and "\n" not in str(error.value)
+
+
+def test_a_refusal_names_the_body_that_requires_the_spacing():
+    slivers = np.array([[[0, 0, y], [30, 0, y], [30, 1e-3, y]] for y in np.linspace(0, 1, 3000)])
+    words = r"points at a spacing of 0.0173 m, so fine because of capsule tip with a radius of 1 mm; see workpiece.m"
+    with pytest.raises(InputError, match=words):
+        cover_mesh(slivers, "part.stl", body=NearbyBody("capsule tip", 0.001))
 
 
 def test_a_mesh_without_an_area_is_refused():

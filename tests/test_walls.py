@@ -9,12 +9,12 @@ import pytest
 import stranger_jobs
 import trimesh
 
+import htcp_jax
 from htcp_jax.clearance import clearance, clearances, contacts, is_clear, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.obstacles.obstacles import all_clear
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.cli import main
-from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
 from htcp_jax.model import Robot, Scenario, Workpiece
@@ -92,7 +92,7 @@ def test_a_spindle_through_a_plate_is_never_clear(car):
     """Spindle through a plate: never clear (regression: 50,015 random points on 14 m2 let a 16 mm spindle through)."""
     robot, part, where = car
     obstacle = make_obstacle(part)
-    assert part.covering_radius_m <= stranger_jobs.SPINDLE_M / 2
+    assert part.covering_radius_m < stranger_jobs.SPINDLE_M
     clear = jax.jit(is_clear)
     x = near_the_rib(robot, where, 40)
     assert not any(clear(robot, obstacle, where, jnp.asarray(row)) for row in x)
@@ -163,11 +163,45 @@ def test_an_axis_and_a_triangle_are_measured_exactly():
         assert found[k] <= least + 1e-12 and least <= found[k] + step
 
 
-def test_a_spacing_that_a_body_fits_through_is_refused_with_both_figures(tmp_path):
-    """Sample spacing that lets a body through: refused with both figures."""
+def test_a_coarse_spacing_is_a_warning_that_names_the_body(tmp_path):
+    """Covering radius that is larger than a body: a clearance is still a lower bound."""
     job = load_config(stranger_jobs.box_job(tmp_path), ["workpiece.mesh_spacing_m=0.05"])
-    with pytest.raises(InputError, match=r"up to .* mm from its points, and the thinnest body has a radius of 8 mm"):
+    words = r"part.obj: every clearance is reduced by 22.* mm, .*; capsule spindle has a radius of only 8 mm, and a sm"
+    with pytest.warns(UserWarning, match=words):
         scene(job)
+
+
+TINY = {  # a place in the arm's file, and a sphere before it
+    "screen": ('<body name="upper"', '<geom name="screen" type="sphere" size="0.001" pos="0 -0.1 0.1"/>'),
+    "probe": ("<site", '<geom name="probe" type="sphere" size="0.001" pos="0 0.25 0"/>'),
+}
+
+
+def with_tiny_body(folder: Path, name: str) -> Path:
+    """Job of a part of 0.2 m for an arm with a sphere of 1 mm, on its first link or in its spindle."""
+    job, arm = stranger_jobs.cube_job(folder), folder / "arm.xml"
+    place, sphere = TINY[name]
+    arm.write_text(arm.read_text().replace(place, sphere + place, 1))
+    return job
+
+
+def test_a_tiny_body_near_the_base_requires_no_points(tmp_path):
+    """Sphere of 1 mm on the first link: the points are those for the spindle (regression: refused)."""
+    (robot, part, _), (with_it, same, _) = (
+        scene(load_config(job))
+        for job in (stranger_jobs.cube_job(tmp_path / "a"), with_tiny_body(tmp_path / "b", "screen"))
+    )
+    assert np.min(robot.capsule_radius) == stranger_jobs.SPINDLE_M and np.min(with_it.capsule_radius) == 0.001
+    assert np.array_equal(part.cloud, same.cloud) and 10_000 < len(part.cloud) < 100_000
+    assert part.covering_radius_m < stranger_jobs.SPINDLE_M / 2
+
+
+def test_an_arm_with_a_tiny_body_at_its_tool_plans_in_a_small_part_and_a_warning_names_the_body(tmp_path):
+    job = with_tiny_body(tmp_path, "probe")
+    with pytest.warns(UserWarning, match=r"capsule probe has a radius of only 1 mm, and a smaller workpiece.mesh_spac"):
+        plan = htcp_jax.plan(job)
+    assert 10_000 < len(plan.workpiece.cloud) < 100_000
+    assert is_tracked(plan.plans.status).all()
 
 
 def test_a_cloud_says_its_gap_and_warns_where_a_body_fits_through(tmp_path):
@@ -179,7 +213,7 @@ def test_a_cloud_says_its_gap_and_warns_where_a_body_fits_through(tmp_path):
         np.save(tmp_path / name, apart)
     part = job.workpiece.model_copy(update={"cloud": str(tmp_path / "close.npy")})
     assert workpiece_of(part, robot).largest_gap_m < 0.01 and "gaps up to" in workpiece_of(part, robot).walls
-    with pytest.warns(UserWarning, match=r"gap.npy: a gap of 25 mm between its points; spindle, 16 mm thick, fits"):
+    with pytest.warns(UserWarning, match=r"gap.npy: a gap of 25 mm between its points; capsule spindle, 16 mm thick"):
         workpiece_of(part.model_copy(update={"cloud": str(tmp_path / "gap.npy")}), robot)
 
 

@@ -17,7 +17,7 @@ from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.given_kinds import shapes_in_world
 from htcp_jax.kinds import numbers_of, template_of
-from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, surface
+from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, mesh_points, surface
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model import workpiece as workpieces
@@ -68,8 +68,8 @@ def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL) -> Robot:
 def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     """Load the workpiece, without its pose, which belongs to the scenario.
 
-    Points on a mesh are as dense as the robot's thinnest body requires; a UserWarning reports a cloud between whose
-    points that body fits.
+    Points on a mesh are as dense as the thinnest body near it requires. A UserWarning reports a cloud between whose
+    points that body fits, and a mesh whose covering radius is not smaller than that body's radius.
     """
     direction = workpieces.InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
     stated = {"inlet": part.inlet_m, "inlet_direction": direction}
@@ -84,12 +84,21 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         robot=robot,
         **{name: value for name, value in stated.items() if value is not None},
     )
-    radii = np.asarray(robot.capsule_radius)
-    thinnest, radius = int(radii.argmin()), float(radii.min())
-    if len(workpiece.cloud) and not len(workpiece.triangles) and workpiece.largest_gap_m > 2 * radius:
+    body, cover_m = mesh_points.thinnest_nearby(robot), workpiece.covering_radius_m
+    if body is None or not len(workpiece.cloud):
+        return workpiece
+    if not len(workpiece.triangles) and workpiece.largest_gap_m > 2 * body.radius_m:
         warnings.warn(
             f"{part.cloud}: a gap of {1e3 * workpiece.largest_gap_m:.3g} mm between its points; "
-            f"{robot.capsule_names[thinnest]}, {2e3 * radius:.3g} mm thick, fits through",
+            f"{body.label}, {2e3 * body.radius_m:.3g} mm thick, fits through",
+            UserWarning,
+            stacklevel=2,
+        )
+    if cover_m >= body.radius_m:
+        warnings.warn(
+            f"{part.cloud}: every clearance is reduced by {1e3 * cover_m:.3g} mm, the covering radius of the mesh's "
+            f"points; {body.label} has a radius of only {1e3 * body.radius_m:.3g} mm, and a smaller "
+            f"{mesh_points.KEY} would reduce it less",
             UserWarning,
             stacklevel=2,
         )

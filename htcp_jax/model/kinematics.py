@@ -186,6 +186,19 @@ def max_reach(robot: Robot) -> float:
     return float(links.sum() + travel.sum() + np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
 
 
+def body_reach(robot: Robot) -> Float[np.ndarray, "K"]:
+    """Return a bound on the distance of each body's points from the origin of the first joint's frame [m].
+
+    As `max_reach`; -inf for bodies that are fixed in the world.
+    """
+    links = np.linalg.norm(np.asarray(robot.T_parent_joint)[:, :3, 3], axis=1)
+    links[0] = 0.0
+    travel = np.where(robot.slides, np.maximum(np.abs(robot.lower), np.abs(robot.upper)), 0.0)
+    to_link = np.append(np.cumsum(links + travel), -np.inf)[list(robot.capsule_link)]  # the world last: it is link -1
+    ends = [np.linalg.norm(np.asarray(end), axis=1) for end in (robot.capsule_p, robot.capsule_q)]
+    return to_link + np.maximum(*ends) + np.asarray(robot.capsule_radius)
+
+
 class _Frames(NamedTuple):
     """Frames in the world."""
 

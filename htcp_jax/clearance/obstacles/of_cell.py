@@ -27,8 +27,6 @@ from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
 
-FINER, COARSEST_M = 4, 0.01  # points on a mesh: ratio of the thinnest radius to the widest gap, and the largest gap;
-MANY = 300_000  # about the most points on one mesh, for any body
 FAR_M = 1e6  # distance between bodies and obstacles that are both fixed in the world
 
 
@@ -132,8 +130,9 @@ def make_fixtures(
     meshes = [each for each in shapes if each.kind == "mesh" and not each.convex]
     clouds = []
     for mesh in meshes:
-        points = _covered(robot, mesh.triangles, f"fixture {mesh.name!r}")
-        clouds.append(PlacedCloud(cloud_of(*points), jnp.eye(4), mesh.name, tuple(excluded.get(mesh.name, ()))))
+        T, without = np.eye(4), tuple(excluded.get(mesh.name, ()))
+        points = _covered(robot, mesh.triangles, T, f"fixture {mesh.name!r}", without)
+        clouds.append(PlacedCloud(cloud_of(*points), jnp.asarray(T), mesh.name, without))
     return ((fixtures(robot, solids, excluded),) if solids else ()) + tuple(clouds)
 
 
@@ -149,7 +148,7 @@ def placed_cloud(
     """Return a cloud at a pose: the given points, or if there are triangles, points on their mesh.
 
     Args:
-        robot: The robot, whose thinnest body determines the distance of points on a mesh.
+        robot: The robot; the thinnest of its bodies that reach a mesh determines the spacing of points on it.
         points: The points [m].
         triangles: The mesh [m]; none for a cloud of the given points.
         T_world: The pose [m].
@@ -160,14 +159,22 @@ def placed_cloud(
     Raises:
         InputError: As `mesh_points.cover_mesh` does.
     """
-    found = _covered(robot, triangles, source) if len(triangles) else mesh_points.PointCover(points, 0.0)
+    is_mesh = len(triangles) > 0
+    found = _covered(robot, triangles, T_world, source, excluded) if is_mesh else mesh_points.PointCover(points, 0.0)
     return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name, tuple(excluded))
 
 
-def _covered(robot: Robot, triangles: HostFloat[np.ndarray, "F 3 3"], source: str) -> mesh_points.PointCover:
-    thinnest = float(np.min(robot.capsule_radius))
-    many = np.sqrt(2 * mesh_points.area(triangles).sum() / MANY)
-    return mesh_points.cover_mesh(triangles, source, spacing=max(min(thinnest / FINER, COARSEST_M), many))
+def _covered(
+    robot: Robot,
+    triangles: HostFloat[np.ndarray, "F 3 3"],
+    T_world: HostFloat[np.ndarray, "4 4"],
+    source: str,
+    excluded: Collection[int],
+) -> mesh_points.PointCover:
+    base = T_world[:3, :3].T @ (np.asarray(robot.T_parent_joint)[0, :3, 3] - T_world[:3, 3])
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    distance = float(np.linalg.norm(np.maximum(np.maximum(low - base, base - high), 0.0)))  # to their bounding box
+    return mesh_points.cover_mesh(triangles, source, body=mesh_points.thinnest_nearby(robot, distance, excluded))
 
 
 def solid_of(shape: Fixture) -> Solid | None:

@@ -56,25 +56,18 @@ def load_geometry(path: str | Path) -> Geometry:
     return found
 
 
-def load_cloud(
-    path: str | Path, *, spacing: float | None = None, thinnest_m: float = np.inf
-) -> Float[np.ndarray, "P 3"]:
+def load_cloud(path: str | Path, *, spacing: float | None = None) -> Float[np.ndarray, "P 3"]:
     """Read the points [m] of a cloud file, or return points that cover a mesh, see `mesh_points.cover_mesh`.
 
     Args:
         path: The file.
         spacing: Widest gap between the points on a mesh [m]; None: see `mesh_points.cover_mesh`.
-        thinnest_m: Radius of the arm's thinnest body.
 
     Raises:
         InputError: As `load_geometry` does.
     """
     found = load_geometry(path)
-    return (
-        mesh_points.cover_mesh(found.triangles, str(path), spacing, thinnest_m).points
-        if len(found.triangles)
-        else found.points
-    )
+    return mesh_points.cover_mesh(found.triangles, str(path), spacing).points if len(found.triangles) else found.points
 
 
 def read_points(path: str | Path) -> TablePoints:

@@ -40,7 +40,7 @@ class GeneratedDuct(NamedTuple):
         tolerance_m = DUCT_HULL_TOLERANCE_M
         return {"name": "duct", "inlet": duct.INLET, "hull_tolerance_m": tolerance_m, "inlet_direction": along}
 
-    def walls(self, thinnest_m: float) -> mesh_points.PointCover:
+    def walls(self, body: mesh_points.NearbyBody | None) -> mesh_points.PointCover:
         """Return the points on the duct [m].
 
         Raises:
@@ -77,7 +77,7 @@ class PointCloud(NamedTuple):
         """Fields of `Workpiece` for this kind."""
         return {"name": Path(self.label).stem, "inlet_direction": workpiece.InletDirection.HULL_FACET}
 
-    def walls(self, thinnest_m: float) -> mesh_points.PointCover:
+    def walls(self, body: mesh_points.NearbyBody | None) -> mesh_points.PointCover:
         """Return the points [m]."""
         return mesh_points.PointCover(self.points, 0.0)
 
@@ -100,19 +100,13 @@ class TriangleMesh(NamedTuple):
         direction = workpiece.InletDirection.HULL_FACET
         return {"name": Path(self.label).stem, "inlet_direction": direction, "triangles": self.triangles}
 
-    def walls(self, thinnest_m: float) -> mesh_points.PointCover:
+    def walls(self, body: mesh_points.NearbyBody | None) -> mesh_points.PointCover:
         """Return points that cover the mesh [m].
 
         Raises:
-            InputError: If the thinnest body fits between them; see `mesh_points.cover_mesh` for others.
+            InputError: As `mesh_points.cover_mesh` does.
         """
-        surface = mesh_points.cover_mesh(self.triangles, self.label, self.spacing_m, thinnest_m)
-        if surface.radius_m >= thinnest_m:
-            raise InputError(
-                f"{self.label}: the mesh is up to {1e3 * surface.radius_m:.4g} mm from its points, and the thinnest "
-                f"body has a radius of {1e3 * thinnest_m:.4g} mm; workpiece.mesh_spacing_m must be smaller"
-            )
-        return surface
+        return mesh_points.cover_mesh(self.triangles, self.label, self.spacing_m, body)
 
 
 class NoCloud(NamedTuple):
@@ -123,7 +117,7 @@ class NoCloud(NamedTuple):
         """Fields of `Workpiece` for this kind."""
         return {"inlet_direction": workpiece.InletDirection.HULL_FACET}
 
-    def walls(self, thinnest_m: float) -> mesh_points.PointCover:
+    def walls(self, body: mesh_points.NearbyBody | None) -> mesh_points.PointCover:
         """Return no points."""
         return mesh_points.PointCover(np.empty((0, 3)), 0.0)
 
@@ -158,8 +152,8 @@ def load_workpiece(
     Args:
         source: Its walls; a file is read by `read_source`, and an array (P, 3) is a `PointCloud` [m].
         path: A file, see `read_path`, or points (T, 3) [m]; None: the seam of a `GeneratedDuct`.
-        robot: The arm for which the sizes of part and path must be plausible, see `units`, and the points on a mesh
-            close enough for its thinnest body; None: no such check.
+        robot: The arm for which the sizes of part and path must be plausible, see `units`, and whose thinnest body
+            near the part determines the spacing of points on a mesh; None: neither.
         **fields: Fields of `Workpiece`, in place of the source's own.
 
     Raises:
@@ -177,7 +171,7 @@ def load_workpiece(
     own = {"name": name, "frames": frames, **source.defaults, **fields}
     if robot is not None and isinstance(source, PointCloud | TriangleMesh):
         check_extent(robot, source.points, track, own["name"])
-    surface = source.walls(np.inf if robot is None else float(np.min(robot.capsule_radius)))
+    surface = source.walls(None if robot is None else mesh_points.thinnest_nearby(robot))
     if robot is not None and not isinstance(source, NoCloud):
         check_path_unit(surface.points, track, own["name"])
     return Workpiece(cloud=surface.points, path=track, covering_radius_m=surface.radius_m, **own)
