@@ -76,11 +76,11 @@ def robot(
     """Convert a vendor's URDF or MJCF model to an arm of capsules.
 
     The joints from base to TCP are kept, all others are frozen, for example a gripper's; --fix freezes further ones.
-    Capsules and spheres of the
-    model are kept; meshes, boxes and cylinders are enclosed by fitted capsules. Writes ARM.xml, for you to review, and
-    ARM.png, which shows the capsules over the model, coloured by their largest distance from it. ARM.xml lists the pairs of capsules that are not checked for
-    self-collision, with the reason: disabled by the model or the SRDF file, nearly always overlapping, or overlapping
-    where the meshes inside do not touch.
+    Capsules and spheres of the model are kept; meshes, boxes and cylinders are enclosed by fitted capsules. Writes
+    ARM.xml, for you to review, and ARM.png, which shows the capsules over the model, coloured by their largest distance
+    from it. ARM.xml holds the convex piece of the mesh in each fitted capsule, and lists the pairs of capsules that are
+    not checked for self-collision, with the reason: disabled by the model or the SRDF file, nearly always
+    overlapping, or overlapping where the meshes inside do not touch.
 
     Exit codes: 0, 2 on bad input or if ARM.xml exists.
 
@@ -167,7 +167,8 @@ def _length_m(text: str | None) -> float | None:
     except ValueError:
         length_m = math.nan
     if not low <= length_m <= high:
-        raise InputError(f"--fit-tolerance {text}: it must be a length of {1e3 * low:g}mm to {1e3 * high:g}mm, for example 5mm")
+        valid = f"{1e3 * low:g}mm to {1e3 * high:g}mm"
+        raise InputError(f"--fit-tolerance {text}: it must be a length of {valid}, for example 5mm")
     return length_m
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 
@@ -45,7 +45,7 @@ def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
     figure = Figure(figsize=(14, 10), dpi=110, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, color=INK, fontsize=15, fontweight="bold", x=0.015, ha="left")
-    excess = [1e3 * piece.excess_m(c.fitted[name]) for c in arm.covers.values() for name, piece in c.hulls.items()]
+    excess = [1e3 * each for cover in arm.covers.values() for each in cover.excesses.values()]
     scale = ScalarMappable(Normalize(0.0, max(excess, default=0.0) or 1.0), EXCESS)
     both = figure.subplots(1, len(SIDES), sharey=True)
     for axes, (heading, flat) in zip(both, SIDES.items(), strict=True):
@@ -71,7 +71,7 @@ def _draw_side(
         R, t = data.xmat[at].reshape(3, 3), data.xpos[at]
         triangles = (np.concatenate([cover.enclosed, cover.drawn]) @ R.T + t)[..., flat]
         axes.add_collection(PolyCollection(triangles, facecolors=DRAWN, linewidths=0, rasterized=True, zorder=2))
-        colours = [scale.to_rgba(1e3 * piece.excess_m(cover.fitted[name])) for name, piece in cover.hulls.items()]
+        colours = [scale.to_rgba(1e3 * each) for each in cover.excesses.values()]
         for shown, capsules in ((colours, cover.fitted), ([OWN] * len(cover.own), cover.own)):
             moved = [(R @ capsule.p + t, R @ capsule.q + t, capsule.radius) for capsule in capsules.values()]
             outlines = [stadium(p[flat], q[flat], radius) for p, q, radius in moved]

@@ -1,9 +1,11 @@
 """Capsules close to a mesh: as `capsule_fit`, with more kinds of cuts, until they are within a tolerance of the mesh.
 
-A bundle of rods about a drum or a box is closer than one capsule, though no single cut makes it so: cuts into two to five
-parts are tried at once.
+A bundle of rods about a drum or a box is closer than one capsule, though no single cut makes it so: cuts into two to
+five parts are tried at once. Distances of capsules from the mesh are FCL's, at points on their surfaces.
 """
 
+import itertools
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -30,13 +32,14 @@ MOST = 5  # capsules of a body without a tolerance
 MOST_CLOSE = 20  # with one
 BEST = 8  # cuts by rough fits of which the best is chosen by good ones
 WITHIN = 0.95  # share of the capsules' surface that must be within the tolerance
-WORTH = 0.02  # a capsule more must save this share of the volume that they fill
+WORTH, WORTH_CLOSE = 0.02, 0.005  # a capsule more must save this share of the volume that they fill
 WORST = 3  # capsules that are cut on trial, those with the largest area beyond the tolerance
 SLABS = ((1 / 3, 2 / 3), (0.2, 0.8), (0.15, 0.5), (0.5, 0.85)), ((0.25, 0.5, 0.75),), ((0.2, 0.4, 0.6, 0.8),)
+GRIDS = [each for each in itertools.product(range(1, 5), repeat=3) if sorted(each)[1] > 1]  # counts of cells
 ALIGNED = 0.99  # cosine above which two axes are one
 SAMPLES = 300  # on a capsule's surface
-FINE, FINEST = 20, 32  # points per side of the grid on which volumes are compared
-GOOD = capsule_fit.Effort(2, 4, 30, 1e-4)
+FINE = 20  # points per side of the grid on which volumes are compared
+GOOD = capsule_fit.Effort(2, 6, 40, 1e-5)
 DIRECTIONS = np.concatenate([capsule_fit.FIRST_DIRECTIONS, np.random.default_rng(0).normal(size=(60, 3))])
 WIDER = np.array([1, 1.05, 1.12, 1.25, 1.5])
 GOLDEN = np.pi * (3 - 5**0.5)  # [rad]
@@ -65,7 +68,7 @@ def cover_closely(triangles: Triangles, most: int = MOST, tolerance_m: float | N
     def part(piece: MeshPiece) -> _Part:
         return _Part(piece, piece.capsule.depth(grid) >= 0)
 
-    surface = None if tolerance_m is None else _Surface(triangles, tolerance_m)
+    surface = None if tolerance_m is None else _Surface(triangles)
     parts, splits, fits = [part(whole)], {}, {}
     fits[id(parts[0])] = parts[0], parts[0]
 
@@ -77,15 +80,15 @@ def cover_closely(triangles: Triangles, most: int = MOST, tolerance_m: float | N
 
     def cost(parts: list[_Part]) -> float:
         filled = np.any([each.inside for each in parts], axis=0).sum()
-        return float(np.log(max(filled, 1))) + WORTH * len(parts)
+        return float(np.log(max(filled, 1))) + (WORTH if surface is None else WORTH_CLOSE) * len(parts)
 
     def beyond(parts: list[_Part]) -> float:
-        return float(surface.areas([each.piece.capsule for each in parts])[1].sum())
+        return float(surface.areas([each.piece.capsule for each in parts], tolerance_m)[1].sum())
 
     while len(parts) < most:
         some = range(len(parts))
         if surface is not None:
-            bare, far = surface.areas([each.piece.capsule for each in parts])
+            bare, far = surface.areas([each.piece.capsule for each in parts], tolerance_m)
             if far.sum() <= (1 - WITHIN) * bare.sum():
                 break
             some = np.argsort(-far)[:WORST]
@@ -96,28 +99,13 @@ def cover_closely(triangles: Triangles, most: int = MOST, tolerance_m: float | N
                 splits[key] = [[part(half) for half in halves] for halves in cuts]
             tried += [parts[:k] + halves + parts[k + 1 :] for halves in splits[key]]
         tried = sorted((each for each in tried if len(each) <= most), key=cost)[:BEST]
-        best = min(([fitted(each) for each in found] for found in tried), key=beyond if surface else cost, default=parts)
+        best = min(
+            ([fitted(each) for each in found] for found in tried), key=beyond if surface else cost, default=parts
+        )
         if best is parts or (surface is None and cost(best) >= cost(parts)):
             break
         parts = best
-    return _polished([each.piece for each in parts])
-
-
-def _polished(pieces: list[MeshPiece]) -> list[MeshPiece]:
-    """Return the pieces with the capsules that add least to the union, one after the other.
-
-    A capsule of least volume need not be it: what lies in other capsules counts only once.
-    """
-    grid = volume_grid([each.capsule for each in pieces], FINEST)[0]
-    inside = np.stack([each.capsule.depth(grid) >= 0 for each in pieces])
-    for k, piece in enumerate(pieces * (len(pieces) > 1)):
-        free = grid[~np.delete(inside, k, axis=0).any(axis=0)]
-        points = piece.triangles.reshape(-1, 3)
-        tried = [piece.capsule, fit_capsule(points), *(capsule_fit.around(points, *ends) for ends in _axes_about(points, all_axes=True))]
-        added = [int((each.depth(free) >= 0).sum()) for each in tried]
-        pieces = [*pieces[:k], piece._replace(capsule=tried[int(np.argmin(added))]), *pieces[k + 1 :]]
-        inside[k] = pieces[k].capsule.depth(grid) >= 0
-    return pieces
+    return [each.piece for each in parts]
 
 
 def union_volume(capsules: list[Capsule]) -> float:
@@ -134,34 +122,48 @@ def volume_grid(capsules: list[Capsule], count: int) -> tuple[Points, float]:
     return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3), float(np.prod((high - low) / count))
 
 
+def excesses_m(triangles: Triangles, capsules: list[Capsule]) -> list[float]:
+    """Return the largest distance of each capsule's surface from a mesh, where it is in no other capsule [m]."""
+    surface = _Surface(triangles)
+    away = [surface.distances_m(each)[bare] for each, bare in zip(capsules, _bare(capsules), strict=True)]
+    return [float(each.max(initial=0.0)) for each in away]
+
+
+def _bare(capsules: list[Capsule]) -> Iterator[Bool[np.ndarray, "n"]]:
+    """Yield for each capsule which of its `surface_points` are in no other capsule."""
+    for k, capsule in enumerate(capsules):
+        points = surface_points(capsule)
+        depth = [each.depth(points) for each in capsules[:k] + capsules[k + 1 :]]
+        yield np.max(depth, axis=0, initial=-np.inf) <= 0 if depth else np.ones(len(points), bool)
+
+
 class _Surface:
     """Distances of capsules' surfaces from a mesh."""
 
-    def __init__(self, triangles: Triangles, tolerance_m: float):
+    def __init__(self, triangles: Triangles):
         corners, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
         mesh = fcl.BVHModel()
         mesh.beginModel(len(triangles), len(corners))
         mesh.addSubModel(corners, faces.reshape(-1, 3))
         mesh.endModel()
-        self._mesh, self._tolerance_m = fcl.CollisionObject(mesh), tolerance_m
-        self._far: dict[tuple, Bool[np.ndarray, "n"]] = {}
+        self._mesh = fcl.CollisionObject(mesh)
+        self._known: dict[tuple, Float[np.ndarray, "n"]] = {}
 
-    def areas(self, capsules: list[Capsule]) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C"]]:
+    def areas(
+        self, capsules: list[Capsule], tolerance_m: float
+    ) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C"]]:
         """Return each capsule's surface that is in no other capsule, and its part beyond the tolerance [m2]."""
-        bare, far = np.zeros(len(capsules)), np.zeros(len(capsules))
-        for k, capsule in enumerate(capsules):
-            points = surface_points(capsule)
-            others = [each.depth(points) > 0 for each in capsules[:k] + capsules[k + 1 :]]
-            seen = ~np.any(others, axis=0) if others else np.ones(len(points), bool)
-            area = 2 * np.pi * capsule.radius * (np.linalg.norm(capsule.q - capsule.p) + 2 * capsule.radius) / SAMPLES
-            bare[k], far[k] = area * seen.sum(), area * (seen & self._is_far(capsule, points)).sum()
-        return bare, far
+        areas = np.array([2 * np.pi * r * (np.linalg.norm(q - p) + 2 * r) / SAMPLES for p, q, r in capsules])
+        bare = np.stack(list(_bare(capsules)))
+        far = bare & (np.stack([self.distances_m(each) for each in capsules]) > tolerance_m)
+        return areas * bare.sum(axis=1), areas * far.sum(axis=1)
 
-    def _is_far(self, capsule: Capsule, points: Points) -> Bool[np.ndarray, "n"]:
+    def distances_m(self, capsule: Capsule) -> Float[np.ndarray, "n"]:
+        """Return the distances of a capsule's `surface_points` from the mesh [m]."""
         key = (*capsule.p, *capsule.q, capsule.radius)
-        if key not in self._far:
-            self._far[key] = np.array([self._distance_m(point) > self._tolerance_m for point in points])
-        return self._far[key]
+        if key not in self._known:
+            self._known[key] = np.array([self._distance_m(point) for point in surface_points(capsule)])
+        return self._known[key]
 
     def _distance_m(self, point: Vector) -> float:
         probe = fcl.CollisionObject(fcl.Sphere(PROBE_M), fcl.Transform(np.eye(3), point))
@@ -190,7 +192,7 @@ def _fitted(piece: MeshPiece) -> MeshPiece:
 def _splits(piece: MeshPiece, more: int) -> Iterator[list[MeshPiece]]:
     """Yield splits of a piece into up to `more` + 1 parts, each with a rough fit.
 
-    Slabs normal to an axis, two slabs of which one is cut again, and the four quarters of a cross.
+    Slabs normal to an axis, two slabs of which one is cut again, and the cells of a grid.
     """
     corners = np.unique(piece.triangles.reshape(-1, 3), axis=0)
     principal = [axis for axis in capsule_fit.principal(corners) if np.abs(axis).max() < ALIGNED]
@@ -206,8 +208,12 @@ def _splits(piece: MeshPiece, more: int) -> Iterator[list[MeshPiece]]:
             if len(halves) == 2 and more >= 2:
                 for k in (0, 1):
                     yield from _rough([halves[1 - k], *_slabs(halves[k], other, (0.5,))])
-            if len(halves) == 2 and more >= 3 and tuple(one) < tuple(other):
-                yield from _rough([quarter for half in halves for quarter in _slabs(half, other, (0.5,))])
+    for frame in (np.eye(3), *([np.stack(principal)] if len(principal) == 3 else [])):
+        for counts in (each for each in GRIDS if math.prod(each) <= more + 1):
+            cells = [piece]
+            for axis, count in zip(frame, counts, strict=True):
+                cells = [cell for each in cells for cell in _slabs(each, axis, tuple(np.arange(1, count) / count))]
+            yield from _rough(cells)
 
 
 def _slabs(piece: MeshPiece, axis: Vector, shares: tuple[float, ...]) -> list[MeshPiece]:
@@ -227,14 +233,14 @@ def _rough_capsule(points: Points) -> Capsule:
     return capsule_fit.around(points, *next(_axes_about(points)))
 
 
-def _axes_about(points: Points, all_axes: bool = False) -> Iterator[tuple[Vector, Vector]]:
+def _axes_about(points: Points) -> Iterator[tuple[Vector, Vector]]:
     """Yield ends of capsules about points, along principal axes of their extremes, that of the least volume first.
 
-    About the middle of a circle that encloses the points seen along the axis, with a radius of WIDER times the circle's;
-    the ends are as close as the points allow.
+    About the middle of a circle that encloses the points seen along the axis, with a radius of WIDER times the
+    circle's; the ends are as close as the points allow.
     """
     x = points[np.unique(np.argmax(points @ DIRECTIONS.T, axis=0))]
-    axes = np.concatenate([capsule_fit.principal(x), np.eye(3)]) if all_axes else capsule_fit.principal(x)
+    axes = capsule_fit.principal(x)
     height = x @ axes.T  # (points, axes)
     flat = x[:, None] - height[..., None] * axes
     middle = (flat.max(axis=0) + flat.min(axis=0)) / 2

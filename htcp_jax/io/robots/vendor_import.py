@@ -35,6 +35,7 @@ class BodyCover(NamedTuple):
     own: dict[str, Capsule]  # the model's own, by name
     pieces: dict[str, MeshPiece]  # of `enclosed`, with the fitted capsules
     hulls: dict[str, StoredPiece]  # of these pieces
+    excesses: dict[str, float]  # largest distances of their capsules' bare surfaces from `enclosed` [m]
     drawn: Triangles  # of the meshes to which MuJoCo fitted the model's own capsules [m]
     enclosed: Triangles  # of all other shapes [m]; the fitted capsules enclose them
     kinds: tuple[str, ...]  # types of these shapes: box, mesh, ...
@@ -56,8 +57,8 @@ class BodyCover(NamedTuple):
 
     @property
     def excess_m(self) -> float:
-        """Largest distance of a fitted capsule's surface from the mesh's part in it [m]; nan if nothing was fitted."""
-        return max((self.hulls[name].excess_m(capsule) for name, capsule in self.fitted.items()), default=np.nan)
+        """Largest distance of the fitted capsules' surface from `enclosed` [m]; nan if nothing was fitted."""
+        return max(self.excesses.values(), default=np.nan)
 
     @property
     def outside_m(self) -> float:
@@ -300,7 +301,10 @@ def _cover(shapes: list[Shape], body: str, names: _Names, fit: _Fit, close: bool
     held, drawn = _all(others), _all([shape for shape in shapes if shape.capsule is not None])
     pieces = {names.new(body): piece for piece in (fit.pieces(held, close) if others else [])}
     hulls = {name: reduced_piece(piece.triangles.reshape(-1, 3)) for name, piece in pieces.items()}
-    return BodyCover(own, pieces, hulls, drawn, held, tuple(shape.kind for shape in others))
+    excess = close_fit.excesses_m(held, [piece.capsule for piece in pieces.values()]) if pieces else []
+    return BodyCover(
+        own, pieces, hulls, dict(zip(pieces, excess, strict=True)), drawn, held, tuple(shape.kind for shape in others)
+    )
 
 
 def _all(shapes: list[Shape]) -> Triangles:
