@@ -338,6 +338,5 @@ def test_a_job_that_names_the_model_itself_is_reported_the_next_step(folder):
 
 def test_outside_is_nothing_without_a_mesh():
     empty = np.empty((0, 3, 3))
-    assert BodyCover({}, {}, {}, empty, empty, ()).outside_m == 0 and np.isnan(
-        BodyCover({}, {}, {}, empty, empty, ()).ratio
-    )
+    cover = BodyCover({}, {}, {}, {}, empty, empty, ())
+    assert cover.outside_m == 0 and np.isnan(cover.ratio) and np.isnan(cover.excess_m)

@@ -3,6 +3,7 @@
 import itertools
 import math
 import os
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +16,7 @@ from htcp_jax.clearance.obstacles import self_collision, self_exclusions
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.io import robots
-from htcp_jax.io.robots import capsule_fit, mjcf
+from htcp_jax.io.robots import capsule_fit, close_fit, mjcf
 from htcp_jax.model import Robot
 from htcp_jax.report import Column, Table
 from htcp_jax.runs import plan_folder
@@ -25,6 +26,7 @@ COLUMNS = (
     Column("own", "own", "", "d"),
     Column("fitted", "fitted", "", "d"),
     Column("volume_ratio", "volume", "x hull", ".2f"),
+    Column("excess_mm", "excess", "mm", ".1f"),
     Column("outside_mm", "outside", "mm", ".1f"),
     Column("shapes", "about"),
 )
@@ -32,7 +34,24 @@ COLUMNS = (
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="URDF or MJCF file, with its meshes next to it.")]
 Tcp = Annotated[str | None, typer.Option(metavar="NAME", help="TCP: a site or body of the model; by default the last.")]
 Out = Annotated[Path, typer.Option(metavar="ARM.xml", help="Output file; a picture is written next to it.")]
-Most = Annotated[int, typer.Option(metavar="N", min=1, max=20, help="Maximum number of capsules fitted to a body.")]
+Most = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        min=1,
+        max=20,
+        help=f"Maximum number of capsules fitted to a body; by default {capsule_fit.MOST}, with --fit-tolerance "
+        f"{close_fit.MOST_CLOSE} on the last two links and {close_fit.MOST}, never more, on the others.",
+    ),
+]
+FitTolerance = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LENGTH",
+        help="Fit closer: on the last two links and the tool until 95 % of the capsules' surface is this close to the "
+        "mesh, for example 5mm.",
+    ),
+]
 Visual = Annotated[bool, typer.Option("--visual", help="Enclose the visual meshes instead of the collision geometry.")]
 Srdf = Annotated[Path | None, typer.Option(metavar="FILE", help="SRDF file with disabled collision pairs.")]
 Fix = Annotated[
@@ -46,7 +65,8 @@ def robot(
     model: Model,
     out: Out,
     tcp: Tcp = None,
-    most: Most = capsule_fit.MOST,
+    most: Most = None,
+    fit_tolerance: FitTolerance = None,
     visual: Visual = False,
     srdf: Srdf = None,
     fix: Fix = None,
@@ -56,11 +76,11 @@ def robot(
     """Convert a vendor's URDF or MJCF model to an arm of capsules.
 
     The joints from base to TCP are kept, all others are frozen, for example a gripper's; --fix freezes further ones.
-    Capsules and spheres of the
-    model are kept; meshes, boxes and cylinders are enclosed by fitted capsules. Writes ARM.xml, for you to review, and
-    ARM.png, which shows the capsules over the model. ARM.xml lists the pairs of capsules that are not checked for
-    self-collision, with the reason: disabled by the model or the SRDF file, nearly always overlapping, or overlapping
-    where the meshes inside do not touch.
+    Capsules and spheres of the model are kept; meshes, boxes and cylinders are enclosed by fitted capsules. Writes
+    ARM.xml, for you to review, and ARM.png, which shows the capsules over the model, coloured by their largest distance
+    from it. ARM.xml holds the convex piece of the mesh in each fitted capsule, and lists the pairs of capsules that are
+    not checked for self-collision, with the reason: disabled by the model or the SRDF file, nearly always
+    overlapping, or overlapping where the meshes inside do not touch.
 
     Exit codes: 0, 2 on bad input or if ARM.xml exists.
 
@@ -69,9 +89,10 @@ def robot(
       htcp example pipe pipe                                 one with a model to try: pipe/arm.xml
       htcp robot pipe/arm.xml --out arm.xml
       htcp robot pipe/arm.xml --tcp link7 --most 5 --out flange.xml
+      htcp robot panda.urdf --tcp panda_hand --fit-tolerance 5mm --out panda.xml
       htcp robot pipe/arm.xml --fix a3=0.2 --out six.xml
     """
-    fixed = _fixed_values(fix or ())
+    fixed, tolerance_m = _fixed_values(fix or ()), _length_m(fit_tolerance)
     if out.suffix.lower() != ".xml":
         raise InputError(f"--out is {out}; an arm is an MJCF file and ends in .xml")
     picture = out.with_suffix(".png")
@@ -79,7 +100,9 @@ def robot(
         if file.exists() and not replace:
             raise InputError(f"{file} exists; --replace overwrites it, manual changes included")
     with progress_bar("bodies") as progress:
-        arm = robots.import_robot(model, tcp, most=most, visual=visual, srdf=srdf, fixed=fixed, progress=progress)
+        arm = robots.import_robot(
+            model, tcp, most=most, tolerance_m=tolerance_m, visual=visual, srdf=srdf, fixed=fixed, progress=progress
+        )
     source = os.path.relpath(model, out.parent)
     from htcp_jax.viewer import draw_arm  # here, because bad input is refused before matplotlib is loaded
 
@@ -129,6 +152,26 @@ def _fixed_values(options: Iterable[str]) -> dict[str, float]:
     return values
 
 
+def _length_m(text: str | None) -> float | None:
+    """Return the length in `--fit-tolerance` [m].
+
+    Raises:
+        InputError: For another form, and for a length out of range.
+    """
+    if text is None:
+        return None
+    found = re.fullmatch(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*(mm|m|)\s*", text)
+    low, high = close_fit.TOLERANCES_M
+    try:
+        length_m = float(found[1]) * (1e-3 if found[2] == "mm" else 1.0) if found else math.nan
+    except ValueError:
+        length_m = math.nan
+    if not low <= length_m <= high:
+        valid = f"{1e3 * low:g}mm to {1e3 * high:g}mm"
+        raise InputError(f"--fit-tolerance {text}: it must be a length of {valid}, for example 5mm")
+    return length_m
+
+
 def _excluded_pairs(arm: robots.ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[mjcf.Listed]:
     """Pairs of capsules that need no check by the arm's meshes, except those that the model excludes."""
     meshes, names = robots.LinkMeshes.of(arm), made.capsule_names
@@ -152,6 +195,7 @@ def _robot_table(arm: robots.ImportedArm) -> Table:
                 robots.body_name(arm.model, b),
                 *counts,
                 cover.ratio,
+                1e3 * cover.excess_m,
                 1e3 * cover.outside_m,
                 mjcf.shapes_label(cover),
             )

@@ -18,7 +18,7 @@ from . import (
     tool,
     workpiece,
 )
-from .convex_piece import ConvexPiece
+from .convex_piece import BodyPieces, ConvexPiece
 from .fixture import Fixture
 from .path_frames import PathFrames
 from .robot import Robot
@@ -29,6 +29,7 @@ from .tool import Tool
 from .workpiece import Workpiece
 
 __all__ = [
+    "BodyPieces",
     "ConvexPiece",
     "Fixture",
     "PathFrames",

@@ -157,7 +157,7 @@ def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:
     """Return the robot with its tool longer by `extension_m` [m] along the tool's z axis; negative shortens.
 
     The TCP moves, and so do the capsules of the body that carries the TCP. The first of them starts at the flange: it
-    keeps that end and is lengthened. The extension may be traced. Unless it is 0, the capsules that move have no pieces.
+    keeps that end and is lengthened. The extension may be traced. Unless it is 0, capsules that move have no pieces.
     """
     shift = extension_m * robot.T_link_tcp[:3, 2]
     ends = robot.on_tool[:, :, None] * shift[None, None, :]

@@ -1,22 +1,27 @@
 """Picture of an imported arm: its capsules over the shapes that they enclose, in two views.
 
+Fitted capsules are coloured by their largest distance from the mesh.
+
 The arm's own file is drawn, by MuJoCo's kinematics, in the configuration nearest to zero within its limits. Drawing
 needs no screen.
 """
 
 import mujoco
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import to_rgba
+from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 
 from htcp_jax.io import robots
-from htcp_jax.viewer.colours import DWELL, INK, PAPER, TOOL, WALL
+from htcp_jax.viewer.colours import DWELL, INK, PAPER, WALL
 from htcp_jax.viewer.picture import stadium
 
-FITTED, OWN, DRAWN = INK, DWELL, WALL[1]  # capsules made here, those of the model, shapes
+OWN, DRAWN = DWELL, WALL[1]  # capsules of the model, shapes
+EXCESS = colormaps["plasma"]
 SIDES = {"seen along y": [0, 2], "seen against x": [1, 2]}  # axes to the right and up
 AXES, AXIS_M = ("#c0392b", "#27ae60", "#2c5fd1"), 0.1  # x, y, z of the TCP's frame
 
@@ -40,24 +45,37 @@ def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
     figure = Figure(figsize=(14, 10), dpi=110, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, color=INK, fontsize=15, fontweight="bold", x=0.015, ha="left")
-    for axes, (heading, flat) in zip(figure.subplots(1, len(SIDES), sharey=True), SIDES.items(), strict=True):
-        _draw_side(axes, arm, model, data, flat)
+    excess = [1e3 * each for cover in arm.covers.values() for each in cover.excesses.values()]
+    scale = ScalarMappable(Normalize(0.0, max(excess, default=0.0) or 1.0), EXCESS)
+    both = figure.subplots(1, len(SIDES), sharey=True)
+    for axes, (heading, flat) in zip(both, SIDES.items(), strict=True):
+        _draw_side(axes, arm, model, data, flat, scale)
         axes.set_title(heading, color=INK, fontsize=12, loc="left")
+    if excess:
+        bar = figure.colorbar(scale, ax=both, shrink=0.6, pad=0.01)
+        bar.set_label("largest distance of the capsule's surface from its mesh [mm]", color=INK)
+        bar.outline.set_visible(False)
     return figure
 
 
 def _draw_side(
-    axes: Axes, arm: robots.ImportedArm, model: mujoco.MjModel, data: mujoco.MjData, flat: list[int]
+    axes: Axes,
+    arm: robots.ImportedArm,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    flat: list[int],
+    scale: ScalarMappable,
 ) -> None:
     for b, cover in arm.covers.items():
         at = model.body(robots.body_name(arm.model, b)).id if b else 0
         R, t = data.xmat[at].reshape(3, 3), data.xpos[at]
         triangles = (np.concatenate([cover.enclosed, cover.drawn]) @ R.T + t)[..., flat]
         axes.add_collection(PolyCollection(triangles, facecolors=DRAWN, linewidths=0, rasterized=True, zorder=2))
-        for colour, capsules in ((TOOL if b == arm.tip.body else FITTED, cover.fitted), (OWN, cover.own)):
+        colours = [scale.to_rgba(1e3 * each) for each in cover.excesses.values()]
+        for shown, capsules in ((colours, cover.fitted), ([OWN] * len(cover.own), cover.own)):
             moved = [(R @ capsule.p + t, R @ capsule.q + t, capsule.radius) for capsule in capsules.values()]
             outlines = [stadium(p[flat], q[flat], radius) for p, q, radius in moved]
-            look = {"facecolors": to_rgba(colour, 0.12), "edgecolors": colour, "linewidths": 1.0}
+            look = {"facecolors": [to_rgba(each, 0.12) for each in shown], "edgecolors": shown, "linewidths": 1.0}
             axes.add_collection(PolyCollection(outlines, zorder=3, **look))
     tcp = model.site("tcp").id
     for axis, colour in zip(data.site_xmat[tcp].reshape(3, 3).T, AXES, strict=True):

@@ -1,4 +1,4 @@
-from . import attached, capsule_fit, mjcf, model_file, safe_xml
+from . import attached, capsule_fit, close_fit, mjcf, model_file, safe_xml
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot
 from .vendor_import import ImportedArm, body_name, import_robot
@@ -9,6 +9,7 @@ __all__ = [
     "attached",
     "body_name",
     "capsule_fit",
+    "close_fit",
     "gp50",
     "import_robot",
     "load_robot",

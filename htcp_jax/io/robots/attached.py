@@ -13,8 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, cover_with_capsules
-from htcp_jax.model import Robot, robot
-from htcp_jax.model.convex_piece import BodyPieces
+from htcp_jax.model import BodyPieces, Robot, robot
 
 
 class AttachedBody(NamedTuple):

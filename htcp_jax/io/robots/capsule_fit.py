@@ -92,10 +92,10 @@ def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
     middle, size = (x.max(axis=0) + x.min(axis=0)) / 2, max(float(np.ptp(x, axis=0).max()), TINY)
     unit = (x - middle) / size
     first = sorted(
-        (_initial_segment(unit, axis) for axis in _principal(unit)), key=lambda z: _capsule_volume(2 * _half(z), z[6])
+        (_initial_segment(unit, axis) for axis in principal(unit)), key=lambda z: _capsule_volume(2 * _half(z), z[6])
     )
     ends = [_minimum_capsule(unit, z, effort)[:6].reshape(2, 3) for z in first[: effort.starts]]
-    return min((_around(x, *(middle + size * pair)) for pair in ends), key=lambda capsule: capsule.volume)
+    return min((around(x, *(middle + size * pair)) for pair in ends), key=lambda capsule: capsule.volume)
 
 
 def cover_with_capsules(triangles: Triangles, most: int = MOST) -> list[MeshPiece]:
@@ -170,7 +170,7 @@ def hull_corners(points: Points) -> Float[np.ndarray, "V 3"]:
 def _splits(piece: MeshPiece) -> Iterator[list[MeshPiece]]:
     """Yield splits of a piece in two, normal to the frame's axes and its principal axes; each half with a rough fit."""
     corners = hull_corners(piece.triangles.reshape(-1, 3))
-    for axis in (*np.eye(3), *_principal(corners)):
+    for axis in (*np.eye(3), *principal(corners)):
         along = corners @ axis
         for share in CUTS:
             offset = float(along.min() + share * np.ptp(along))
@@ -192,7 +192,7 @@ def _filled(pieces: list[_Marked]) -> int:
     return int(np.any([inside for _, inside in pieces], axis=0).sum())
 
 
-def _principal(points: Points) -> Float[np.ndarray, "3 3"]:
+def principal(points: Points) -> Float[np.ndarray, "3 3"]:
     """Return the principal directions in rows, by increasing variance."""
     apart = points - points.mean(axis=0)
     return np.linalg.eigh(apart.T @ apart)[1].T
@@ -215,7 +215,7 @@ def _distance(x: Points, p: Vector, q: Vector) -> Float[np.ndarray, "P"]:
     return np.linalg.norm(_to_segment(x, p, q)[0], axis=1)
 
 
-def _around(points: Points, p: Vector, q: Vector) -> Capsule:
+def around(points: Points, p: Vector, q: Vector) -> Capsule:
     """Return the thinnest capsule about all points whose ends are p and q, rounded to GRID_M."""
     p, q = (np.round(end / GRID_M) * GRID_M for end in (p, q))
     widest = max(float(_distance(points, p, q).max()), THINNEST_M)

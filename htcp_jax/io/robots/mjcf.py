@@ -27,8 +27,8 @@ LIST_HEAD = """
     """
 PIECES_HEAD = """
     A convex piece about the part of the mesh in each fitted capsule: vertices in the frame of the capsule's body, and a
-    radius that thickens it. The excess is the largest distance of the capsule's surface from the piece. A piece that its
-    capsule does not hold, once this was moved or made smaller, is ignored.
+    radius that thickens it. Ignored if the capsule does not hold it, once this was moved or made smaller. The excess is
+    the largest distance of the capsule's surface from the mesh, where it is in no other capsule of the body.
     """
 MANY = {"mesh": "meshes", "box": "boxes", "cylinder": "cylinders", "ellipsoid": "ellipsoids"}
 
@@ -101,8 +101,7 @@ def _add_pieces(custom: Element, arm: ImportedArm) -> None:
         for name, piece in cover.hulls.items():
             SubElement(custom, "text", name=PIECE + name, data=vertices_text(piece))
             SubElement(custom, "numeric", name=RADIUS + name, data=_numbers_text([piece.radius]))
-            excess_m = piece.excess_m(cover.fitted[name])
-            SubElement(custom, "numeric", name=EXCESS + name, data=f"{excess_m:.6f}")
+            SubElement(custom, "numeric", name=EXCESS + name, data=f"{cover.excesses[name]:.6f}")
 
 
 def _add_list(custom: Element, arm: ImportedArm, source: str, listed: Sequence[Listed]) -> None:

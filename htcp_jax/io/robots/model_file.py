@@ -18,10 +18,9 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.safe_xml import read_spec, unreadable_model
 from htcp_jax.io.robots.stored_pieces import StoredPiece, pieces_of, read_pieces
-from htcp_jax.model import Tool, robot
+from htcp_jax.model import BodyPieces, Tool, robot
 from htcp_jax.model import arrays as coordinates
 from htcp_jax.model import tool as tools
-from htcp_jax.model.convex_piece import BodyPieces
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)

@@ -32,9 +32,8 @@ LEFT_OUT = {
 }  # fmt: skip
 MESHES = "asset", "mesh"  # kept if meshes are requested
 CONTACTS = "contact", "text", "tuple"  # kept with excluded pairs, and an arm's own list
-OWN = re.compile(
-    r"self_collision|made from|cuts of .*|piece of .*|excluded .*"
-)  # names of texts and tuples in that list
+# Names of the texts and tuples in that list, and of the convex pieces.
+OWN = re.compile(r"self_collision|made from|cuts of .*|piece of .*|excluded .*")
 ONLY = {"asset": ("mesh",), "contact": ("exclude",)}  # children to keep in some kept elements
 WORLD = "world"  # MuJoCo's own body, which a URDF's link without a parent may stand for
 # Elements that generate bodies and joints.

@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import FIRST_DIRECTIONS, TINY, Capsule, Points, hull_corners
-from htcp_jax.model.convex_piece import BodyPieces, body_pieces, make_piece
+from htcp_jax.model import BodyPieces, convex_piece
 
 # Names of an arm's <text> with a capsule's vertices, and of its <numeric>s [m].
 PIECE, RADIUS, EXCESS = "piece of ", "radius of ", "excess of "
@@ -118,12 +118,12 @@ def pieces_of(
         if own is not None:
             own = own._replace(vertices=own.vertices @ T_link_body[:3, :3].T + T_link_body[:3, 3])
         if own is None or capsule.depth(own.vertices).min() < -SLACK_M:
-            pieces.append(make_piece(capsule.p[None]))
+            pieces.append(convex_piece.make_piece(capsule.p[None]))
             excess.append(0.0)
         else:
-            pieces.append(make_piece(own.vertices, own.radius))
+            pieces.append(convex_piece.make_piece(own.vertices, own.radius))
             excess.append(own.excess_m(capsule))
-    return body_pieces(pieces, np.array(excess)) if any(excess) else None
+    return convex_piece.body_pieces(pieces, np.array(excess)) if any(excess) else None
 
 
 def _heights(points: Points, vertices: Points) -> Float[np.ndarray, "P"]:
@@ -132,7 +132,7 @@ def _heights(points: Points, vertices: Points) -> Float[np.ndarray, "P"]:
         faces = ConvexHull(vertices).equations
         return np.max(points @ faces[:, :3].T + faces[:, 3], axis=1)
     except (QhullError, ValueError):  # flat
-        normals = make_piece(vertices).normals
+        normals = convex_piece.make_piece(vertices).normals
         return np.max(points @ normals.T - np.max(vertices @ normals.T, axis=0), axis=1)
 
 

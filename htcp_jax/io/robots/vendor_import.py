@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots import close_fit
 from htcp_jax.io.robots.capsule_fit import MOST, Capsule, MeshPiece, Triangles, cover_with_capsules, hull_volume
 from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.model_file import check_joints, compile_spec, joint_name, joint_numbers, no_log, upwards
@@ -24,6 +25,7 @@ from htcp_jax.io.robots.tcp import Tip, find_tip, other_frames, warn_of_jaw
 PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s that an arm keeps
 NOT_OF_AN_ARM = "plane", "hfield", "sdf"
 ROUND = "capsule", "sphere"
+CLOSE_LINKS = 2  # the last ones, with all that is fixed to them, are fitted within a tolerance
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
@@ -33,6 +35,7 @@ class BodyCover(NamedTuple):
     own: dict[str, Capsule]  # the model's own, by name
     pieces: dict[str, MeshPiece]  # of `enclosed`, with the fitted capsules
     hulls: dict[str, StoredPiece]  # of these pieces
+    excesses: dict[str, float]  # largest distances of their capsules' bare surfaces from `enclosed` [m]
     drawn: Triangles  # of the meshes to which MuJoCo fitted the model's own capsules [m]
     enclosed: Triangles  # of all other shapes [m]; the fitted capsules enclose them
     kinds: tuple[str, ...]  # types of these shapes: box, mesh, ...
@@ -44,12 +47,18 @@ class BodyCover(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Sum of the fitted capsules' volumes (overlaps count twice), relative to the convex hull's of `enclosed`.
+        """Volume of the union of the fitted capsules, relative to the convex hull's of `enclosed`.
 
         nan if nothing was fitted.
         """
-        volume = sum(capsule.volume for capsule in self.fitted.values())
-        return volume / hull_volume(self.enclosed.reshape(-1, 3)) if self.fitted else np.nan
+        if not self.fitted:
+            return np.nan
+        return close_fit.union_volume(list(self.fitted.values())) / hull_volume(self.enclosed.reshape(-1, 3))
+
+    @property
+    def excess_m(self) -> float:
+        """Largest distance of the fitted capsules' surface from `enclosed` [m]; nan if nothing was fitted."""
+        return max(self.excesses.values(), default=np.nan)
 
     @property
     def outside_m(self) -> float:
@@ -88,7 +97,8 @@ def import_robot(
     path: Path,
     tcp: str | None = None,
     *,
-    most: int = MOST,
+    most: int | None = None,
+    tolerance_m: float | None = None,
     visual: bool = False,
     srdf: Path | None = None,
     fixed: Mapping[str, float] | None = None,
@@ -99,7 +109,10 @@ def import_robot(
     Args:
         path: The file.
         tcp: See `tcp.find_tip`.
-        most: Maximum number of fitted capsules per body.
+        most: Maximum number of fitted capsules per body; None: see `tolerance_m`.
+        tolerance_m: Fit closer, see `close_fit.cover_closely`: bodies on the last two links, among them the tool, with
+            this tolerance and at most close_fit.MOST_CLOSE capsules, all others with at most close_fit.MOST; None: at
+            most capsule_fit.MOST capsules about each.
         visual: Enclose the visual geometry; else the collision geometry, or the visual geometry if the model has no
             other.
         srdf: See `disabled_pairs`.
@@ -108,9 +121,10 @@ def import_robot(
 
     Raises:
         InputError: For a file or a mesh that cannot be read, for a missing or ambiguous TCP, ball and free joints on
-            the chain to it, fewer than three joints, a model without shapes, the SRDF of another robot, and an unknown
-            joint or a value beyond its limits in `fixed`.
+            the chain to it, fewer than three joints, a model without shapes, the SRDF of another robot, an unknown
+            joint or a value beyond its limits in `fixed`, and a tolerance out of range.
     """
+    fit = _Fit(most, tolerance_m)
     spec, shapes, model = _read_model(path, visual)
     values = fix_joints(model, path, fixed or {})
     tip = find_tip(model, path, tcp, _robot_bodies(model, ()))
@@ -134,7 +148,8 @@ def import_robot(
     covers, shaped = {}, [b for b in bodies if found[b]]
     for done, b in enumerate(shaped):
         progress(done, len(shaped))
-        covers[b] = _cover(found[b], body_name(model, b), names, most)
+        links_after = len(joints) - sum(int(model.jnt_bodyid[j]) in upwards(model, b) for j in joints)
+        covers[b] = _cover(found[b], body_name(model, b), names, fit, close=links_after < CLOSE_LINKS)
     excluded = [geom for geom in chosen if geom not in own]
     return ImportedArm(
         model,
@@ -249,13 +264,47 @@ class _Names:
         return name
 
 
-def _cover(shapes: list[Shape], body: str, names: _Names, most: int) -> BodyCover:
+class _Fit:
+    """Fits of capsules to meshes, equal ones once: a robot with two arms has each mesh twice.
+
+    Raises:
+        InputError: For a tolerance out of range.
+    """
+
+    def __init__(self, most: int | None, tolerance_m: float | None):
+        low, high = close_fit.TOLERANCES_M
+        if tolerance_m is not None and not low <= tolerance_m <= high:
+            raise InputError(
+                f"the tolerance of the fit is {1e3 * tolerance_m:g} mm; valid: {1e3 * low:g} to {1e3 * high:g} mm"
+            )
+        self._most, self._tolerance_m = most, tolerance_m
+        self._known: dict[tuple[bytes, bool], list[MeshPiece]] = {}
+
+    def pieces(self, triangles: Triangles, close: bool) -> list[MeshPiece]:
+        """Return a mesh's pieces with their capsules, within the tolerance if `close`."""
+        key = triangles.tobytes(), close
+        if key not in self._known:
+            self._known[key] = self._fitted(triangles, close)
+        return self._known[key]
+
+    def _fitted(self, triangles: Triangles, close: bool) -> list[MeshPiece]:
+        if self._tolerance_m is None:
+            return cover_with_capsules(triangles, self._most or MOST)
+        if close:
+            return close_fit.cover_closely(triangles, self._most or close_fit.MOST_CLOSE, self._tolerance_m)
+        return close_fit.cover_closely(triangles, min(self._most or close_fit.MOST, close_fit.MOST))
+
+
+def _cover(shapes: list[Shape], body: str, names: _Names, fit: _Fit, close: bool) -> BodyCover:
     own = {shape.name or names.new(body): shape.capsule for shape in shapes if shape.capsule is not None}
     others = [shape for shape in shapes if shape.capsule is None]
     held, drawn = _all(others), _all([shape for shape in shapes if shape.capsule is not None])
-    pieces = {names.new(body): piece for piece in (cover_with_capsules(held, most) if others else [])}
+    pieces = {names.new(body): piece for piece in (fit.pieces(held, close) if others else [])}
     hulls = {name: reduced_piece(piece.triangles.reshape(-1, 3)) for name, piece in pieces.items()}
-    return BodyCover(own, pieces, hulls, drawn, held, tuple(shape.kind for shape in others))
+    excess = close_fit.excesses_m(held, [piece.capsule for piece in pieces.values()]) if pieces else []
+    return BodyCover(
+        own, pieces, hulls, dict(zip(pieces, excess, strict=True)), drawn, held, tuple(shape.kind for shape in others)
+    )
 
 
 def _all(shapes: list[Shape]) -> Triangles:
