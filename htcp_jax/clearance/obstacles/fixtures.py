@@ -52,10 +52,10 @@ class Fixtures(Obstacle):
         """Return the contacts of capsules, or of the pieces in them where these are in doubt, see `narrow_phase`."""
         limit = narrow_phase.limit_m(where)
         doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
-        lower = [_each_seen(kind, bodies.p, bodies.q).distance - robot.capsule_radius[None] for kind in self.simple]
+        parts = [_each_seen(kind, bodies.p, bodies.q).distance - robot.capsule_radius[None] for kind in self.simple]
         if self.pieces is not None:
-            lower.append(narrow_phase.ball_bounds(bodies.p, bodies.q, robot.capsule_radius, self.balls))
-        lower = jnp.where(self.is_checked & doubt[None], jnp.concatenate(lower), jnp.inf)
+            parts.append(narrow_phase.ball_bounds(bodies.p, bodies.q, robot.capsule_radius, self.balls))
+        lower = jnp.where(self.is_checked & doubt[None], jnp.concatenate(parts), jnp.inf)
         solid, body = jnp.indices(lower.shape).reshape(2, -1)
         planes = next((kind for kind in self.simple if isinstance(kind, HalfSpace)), None)
         found = narrow_phase.nearest_pieces(
