@@ -29,7 +29,7 @@ from htcp_jax.io.robots.capsule_fit import (
 
 TOLERANCES_M = 1e-3, 0.1  # valid
 MOST = 5  # capsules of a body without a tolerance
-MOST_CLOSE = 12  # with one
+MOST_CLOSE = 20  # with one
 BEST = 8  # cuts by rough fits of which the best is chosen by good ones
 WITHIN = 0.95  # share of the capsules' surface that must be within the tolerance
 WORTH, WORTH_CLOSE = 0.02, 0.005  # a capsule more must save this share of the volume that they fill
