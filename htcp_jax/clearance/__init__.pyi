@@ -1,4 +1,4 @@
-from .obstacles.obstacle import HasWorkpiecePose, Obstacle, Obstacles, in_workpiece, rows_of
+from .obstacles.obstacle import HasWorkpiecePose, Obstacle, Obstacles, in_workpiece, rows_of, surface_points
 from .obstacles.obstacles import ClearanceRows, clearance, clearances, contacts, is_clear, nearest_to
 from .obstacles.scene import Scene, own_scene
 
@@ -16,4 +16,5 @@ __all__ = [
     "nearest_to",
     "own_scene",
     "rows_of",
+    "surface_points",
 ]

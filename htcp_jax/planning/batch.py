@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance import Obstacle, Obstacles, Scene, contacts, nearest_to
+from htcp_jax.clearance import Obstacle, Obstacles, Scene, contacts, nearest_to, surface_points
 from htcp_jax.clearance.obstacles import obstacle_kind, of_workpiece, self_collision
 from htcp_jax.device import devices as compute_devices
 from htcp_jax.device import processes as worker_processes
@@ -240,7 +240,7 @@ def _start_contact(
         distance = np.where(fixed, distance, np.inf)
     row = int(distance.argmin())
     body = scene.rows.body[row]
-    surface = touch.point[row] - scene.robot.capsule_radius[body] * touch.normal[row]
+    surface = surface_points(scene.robot, scene.rows, touch)[row]
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
     note = robots.mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
     label = robots.capsule_label(robot, robot.capsule_names[body])

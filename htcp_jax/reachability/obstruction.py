@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance import Obstacles, Scene, contacts, nearest_to
+from htcp_jax.clearance import Obstacles, Scene, contacts, nearest_to, surface_points
 from htcp_jax.clearance.obstacles import of_workpiece
 from htcp_jax.device import Executor, lane_function
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, inverse_kinematics
@@ -178,8 +178,7 @@ def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
     x, residual = inverse_kinematics.reanchor(robot, x_last, goal, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)
     row = jnp.argmin(touch.distance)
-    radius = robot.capsule_radius[np.array(scene.rows.body)]
-    surface = touch.point[row] - radius[row] * touch.normal[row]
+    surface = surface_points(robot, scene.rows, touch)[row]
     return row, touch.witness[row], surface, -touch.distance[row], residual, x
 
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int8
 
-from htcp_jax.clearance import Obstacles, contacts, rows_of
+from htcp_jax.clearance import Obstacles, contacts, rows_of, surface_points
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.model import Robot, Scenario, Workpiece, kinematics
@@ -318,13 +318,13 @@ def _witness(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[np.nd
 @jax.jit
 def _nearest_points(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.Array, "T N"]):
     """Witness of the minimum distance (row, point on the body, point of the obstacle), of every configuration."""
-    bodies = jnp.asarray(rows_of(robot, obstacle).body)
+    rows = rows_of(robot, obstacle)
 
     def one(x):
         touch = contacts(robot, obstacle, where, x)
         row = jnp.argmin(touch.distance)
         point, normal, ended = touch.point[row], touch.normal[row], touch.plane[row] & (touch.radius[row] == 0)
-        arm = point - jnp.where(ended, 0.0, robot.capsule_radius[bodies[row]]) * normal
+        arm = jnp.where(ended, point, surface_points(robot, rows, touch)[row])
         return row, arm, arm - touch.distance[row] * normal
 
     return jax.vmap(one)(x)

@@ -54,6 +54,14 @@ class Contacts(NamedTuple):
         return self.point - self.normal * (self.distance + self.radius)[:, None]
 
 
+def surface_points(robot: Robot, rows: RowPairs, touch: Contacts) -> Float[jax.Array, "R 3"]:
+    """Return the points of the bodies' surfaces in contacts, world [m]: of a capsule, or of the piece that decided."""
+    radius = robot.capsule_radius[jnp.asarray(rows.body)]
+    if robot.pieces is not None:  # whose contacts are on the surface already
+        radius = jnp.minimum(radius, touch.radius)
+    return touch.point - radius[:, None] * touch.normal
+
+
 class BodyAxes(NamedTuple):
     """Ends of the bodies' axes [m], in the world and in the workpiece frame."""
 
