@@ -20,6 +20,7 @@ CUTS = 0.2, 0.35, 0.5, 0.65, 0.8  # shares of a piece's extent at which it is cu
 WORTH = 0.15  # a cut must save this share of the volume
 SNUG = 1.5  # a capsule of at most this many times the hull's volume is not split
 MOST = 3  # capsules per body
+MORE_PIECES, HOLLOW = 2, 0.05  # for hollows: pieces more; share of the hulls' volume that a cut must save
 MORE = 20  # points added to the working set in each round
 FINE = 28  # points per side of the grid on which volumes are compared
 TINY = 1e-9  # of a mesh's size: smaller lengths count as 0
@@ -101,11 +102,12 @@ def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
 def cover_with_capsules(triangles: Triangles, most: int = MOST) -> list[MeshPiece]:
     """Split a mesh into at most `most` pieces whose capsules enclose every triangle.
 
-    A piece is added as long as the best cut by a plane saves WORTH of the volume of the capsules' union.
+    A piece is added as long as the best cut by a plane saves WORTH of the volume of the capsules' union. For the convex
+    hulls of the pieces, which decide where capsules are in doubt, more are added for hollows.
 
     Args:
         triangles: The mesh [m].
-        most: Maximum number of pieces.
+        most: Maximum number of pieces, without those for hollows.
     """
     whole = fit_capsule(triangles.reshape(-1, 3))
     grid = _grid(whole)
@@ -124,7 +126,26 @@ def cover_with_capsules(triangles: Triangles, most: int = MOST) -> list[MeshPiec
         if _filled(best) > (1 - WORTH) * _filled(pieces):
             break
         pieces = best
-    return [piece._replace(capsule=fit_capsule(piece.triangles.reshape(-1, 3))) for piece, _ in pieces]
+    parts = _without_hollows([piece for piece, _ in pieces])
+    return [piece._replace(capsule=fit_capsule(piece.triangles.reshape(-1, 3))) for piece in parts]
+
+
+def _without_hollows(pieces: list[MeshPiece]) -> list[MeshPiece]:
+    """Return the pieces, and MORE_PIECES more at most, as long as a cut saves HOLLOW of the volume of all hulls."""
+    hulls = list(map(_hull_volume, pieces))
+    least = HOLLOW * sum(hulls)
+    for _ in range(MORE_PIECES):
+        tried = [(k, halves) for k, piece in enumerate(pieces) for halves in _cuts(piece)]
+        saved = [hulls[k] - sum(map(_hull_volume, halves)) for k, halves in tried]
+        if max(saved, default=0.0) < least:
+            break
+        k, halves = tried[int(np.argmax(saved))]
+        pieces[k : k + 1], hulls[k : k + 1] = halves, map(_hull_volume, halves)
+    return pieces
+
+
+def _hull_volume(piece: MeshPiece) -> float:
+    return hull_volume(piece.triangles.reshape(-1, 3))
 
 
 def hull_volume(points: Points) -> float:
@@ -168,7 +189,13 @@ def hull_corners(points: Points) -> Float[np.ndarray, "V 3"]:
 
 
 def _splits(piece: MeshPiece) -> Iterator[list[MeshPiece]]:
-    """Yield splits of a piece in two, normal to the frame's axes and its principal axes; each half with a rough fit."""
+    """Yield splits of a piece in two; each half with a rough fit."""
+    for halves in _cuts(piece):
+        yield [half._replace(capsule=fit_capsule(half.triangles.reshape(-1, 3), ROUGH)) for half in halves]
+
+
+def _cuts(piece: MeshPiece) -> Iterator[list[MeshPiece]]:
+    """Yield the halves of a piece on both sides of planes normal to the frame's axes and its principal axes."""
     corners = hull_corners(piece.triangles.reshape(-1, 3))
     for axis in (*np.eye(3), *principal(corners)):
         along = corners @ axis
@@ -177,8 +204,10 @@ def _splits(piece: MeshPiece) -> Iterator[list[MeshPiece]]:
             cuts = Cut(tuple(axis.tolist()), offset), Cut(tuple((-axis).tolist()), -offset)
             halves = [clip(piece.triangles, cut) for cut in cuts]
             if all(map(len, halves)):
-                fits = [fit_capsule(half.reshape(-1, 3), ROUGH) for half in halves]
-                yield [MeshPiece(*each, (*piece.cuts, cut)) for *each, cut in zip(halves, fits, cuts, strict=True)]
+                yield [
+                    piece._replace(triangles=half, cuts=(*piece.cuts, cut))
+                    for half, cut in zip(halves, cuts, strict=True)
+                ]
 
 
 def _grid(capsule: Capsule) -> Points:
