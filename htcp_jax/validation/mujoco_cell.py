@@ -277,10 +277,9 @@ class MujocoCell:
         thickness, model = 0.0, self._model
         for geom in self._hulls.keys() & pair:
             k, hull = self._bodies.index(geom), self._hulls[geom]
-            mesh = model.mesh(model.geom_dataid[hull])  # whose frame is that of its inertia
-            turn = np.empty(9)
-            mujoco.mju_quat2Mat(turn, mesh.quat)
-            self._data.geom_xpos[hull] = (pose.p[k] + pose.q[k]) / 2 + pose.axes[k] @ mesh.pos
+            mesh, turn = model.geom_dataid[hull], np.empty(9)
+            mujoco.mju_quat2Mat(turn, model.mesh_quat[mesh])  # a mesh's own frame is that of its inertia
+            self._data.geom_xpos[hull] = (pose.p[k] + pose.q[k]) / 2 + pose.axes[k] @ model.mesh_pos[mesh]
             self._data.geom_xmat[hull] = (pose.axes[k] @ turn.reshape(3, 3)).ravel()
             thickness += self._arm.hulls[k].radius
         geoms = (self._hulls.get(geom, geom) for geom in pair)
