@@ -25,7 +25,7 @@ PIECE, RADIUS = (
 SLACK_M = 1e-6  # by which a vertex may be outside of its capsule
 FLAT_M = 1e-6  # by which a piece without volume is thickened, for Qhull
 ROUNDING_M = 1e-9  # of the heights that exclude parts of a wall
-AT_ONCE = 32  # parts of a wall that are measured at once
+AT_ONCE, HEIGHTS_AT_ONCE = 32, 2_000_000  # parts of a wall that are measured at once; heights in memory
 
 
 class Hull:
@@ -49,19 +49,27 @@ class Hull:
         Negative if a corner is inside, for a radius of 0 the depth; minus the radius if only an edge passes through a
         face. Parts of the wall are not measured if a plane of the hull separates them by more than the distance.
         """
-        normals, offset = self._hull.equations[:, :3], self._hull.equations[:, 3]
-        heights = wall @ normals.T + offset
-        within = heights.max(axis=2).min()
+        middle = wall.mean(axis=1)
+        apart = self._heights(middle) - np.linalg.norm(wall - middle[:, None], axis=2).max(axis=1) - ROUNDING_M
+        within = self._heights(wall[apart <= 0].reshape(-1, 3)).min(initial=np.inf)
         if within <= 0:
             return float(within) - self.radius
-        apart = heights.min(axis=1).max(axis=1)
         order, found = np.argsort(apart), np.inf
         for first in range(0, len(order), AT_ONCE):
             some = order[first : first + AT_ONCE]
-            if apart[some[0]] > found + ROUNDING_M:
+            if apart[some[0]] > found:
                 break
             found = min(found, self._distance(wall[some]))
         return found - self.radius
+
+    def _heights(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
+        """Largest signed distance of each point to the planes of the facets [m]; negative inside."""
+        planes = self._hull.equations
+        step = HEIGHTS_AT_ONCE // len(planes)
+        parts = [
+            (points[k : k + step] @ planes[:, :3].T + planes[:, 3]).max(axis=1) for k in range(0, len(points), step)
+        ]
+        return np.concatenate(parts or [np.empty(0)])
 
     def _distance(self, wall: Float[np.ndarray, "m C 3"]) -> float:
         """Smallest distance to points or triangles that do not lie inside [m]."""

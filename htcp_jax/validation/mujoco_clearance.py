@@ -319,15 +319,30 @@ class CheckedScene:
         points = wall.tree.query_ball_point(centres[near], self._reach(pieces, below), return_sorted=False)
         for first, last in _equal_runs(pieces.row * len(arm.radius) + pieces.capsule):
             k, c = pieces.row[first], pieces.capsule[first]
-            own = each[np.unique(np.concatenate(points[first:last]).astype(int))] @ self.rotate.T + self.translate
-            axis = (np.broadcast_to(end[k, c], (len(own), 3)) for end in (arm_poses.p, arm_poses.q))
-            distance = point_distances(*axis, own[:, 0]) if wall.triangles is None else axis_distances(*axis, own)
-            own, distance = own[distance < arm.radius[c] + below[k]], distance.min(initial=np.inf) - arm.radius[c]
+            own = np.unique(np.concatenate(points[first:last]).astype(int))
+            near = self._near_axis(arm_poses.p[k, c], arm_poses.q[k, c], own, arm.radius[c] + below[k])
+            own, distance = own[near < arm.radius[c] + below[k]], near.min(initial=np.inf) - arm.radius[c]
             if len(own):
                 hull, middle = arm.hulls[c], (arm_poses.p[k, c] + arm_poses.q[k, c]) / 2
                 if hull is not None:
-                    distance = max(distance, hull.clearance((own - middle) @ arm_poses.axes[k, c]))
+                    world = each[own] @ self.rotate.T + self.translate
+                    distance = max(distance, hull.clearance((world - middle) @ arm_poses.axes[k, c]))
                 found[k] = min(found[k], distance)
+        return found
+
+    def _near_axis(self, p: np.ndarray, q: np.ndarray, rows: np.ndarray, within: float) -> np.ndarray:
+        """Distances of points, or triangles, from an axis in the world [m].
+
+        Only the smallest one, and those about `within`, are of the triangle itself; the others are of its middle.
+        """
+        axis, wall = np.stack([self.local(p), self.local(q)]), self.wall
+        found = point_distances(*np.broadcast_to(axis[:, None], (2, len(rows), 3)), wall.middle[rows])
+        if wall.triangles is None or not len(rows):
+            return found
+        least, reach = found.min(), wall.grain + ROUNDING_M
+        exact = (found <= least + reach) | ((found >= within) & (found <= within + reach))
+        ends = np.broadcast_to(axis[:, None], (2, exact.sum(), 3))
+        found[exact] = axis_distances(*ends, wall.triangles[rows[exact]])
         return found
 
     def _measured(self, x: np.ndarray, arm_poses: ArmPoses, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
