@@ -1,18 +1,16 @@
 """Fixtures that move with a link, for validation: exact convex bodies, placed by MuJoCo's kinematics.
 
 The planner encloses them in capsules, whose clearance is a lower bound. Here the box, or the convex hull of the mesh,
-is measured: by mj_geomDistance against solids and the arm's capsules (`mujoco_cell`), and in this module against the
-points or triangles of a wall. The distance of two polyhedra that do not intersect is that of an edge of one and a face
-of the other.
+is measured: by mj_geomDistance against solids and the arm's capsules (`mujoco_cell`), and by `convex_hull` against the
+points or triangles of a wall.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull
 
-from htcp_jax.validation.mesh_clearance import axis_distances
+from htcp_jax.validation.convex_hull import Hull
 from htcp_jax.validation.mujoco_arm import MujocoArm
 
 
@@ -44,20 +42,4 @@ class CarriedBody(NamedTuple):
 
         Negative, the depth, if a corner is inside; 0 if only an edge passes through a face.
         """
-        hull = ConvexHull(self.corners)
-        within = (wall.reshape(-1, 3) @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1).min()
-        if within <= 0:
-            return float(within)
-        faces = self.corners[hull.simplices]
-        edges = np.concatenate([np.stack([wall[:, k], wall[:, k - 1]], 1) for k in range(wall.shape[1])])
-        found = _smallest(edges, faces)
-        if wall.shape[1] > 1:
-            own = np.unique(np.sort(np.concatenate([hull.simplices[:, [k, k - 1]] for k in range(3)]), axis=1), axis=0)
-            found = min(found, _smallest(self.corners[own], wall))
-        return found
-
-
-def _smallest(edges: Float[np.ndarray, "e 2 3"], triangles: Float[np.ndarray, "m 3 3"]) -> float:
-    """Smallest distance of any edge to any triangle [m]."""
-    e, m = (index.ravel() for index in np.indices((len(edges), len(triangles))))
-    return float(axis_distances(edges[e, 0], edges[e, 1], triangles[m]).min())
+        return Hull(self.corners).clearance(wall)

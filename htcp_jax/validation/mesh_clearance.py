@@ -63,6 +63,18 @@ def axis_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarr
     return np.concatenate(parts or [np.empty(0)])
 
 
+def point_distances(p: Points, q: Points, points: Points) -> Float[np.ndarray, "m"]:
+    """Distance from each segment to its point [m].
+
+    Args:
+        p: Starts of the segments [m].
+        q: Ends of the segments [m].
+        points: Each segment's point [m].
+    """
+    u = q - p
+    return _size(p + _clipped_ratio(_dot(points - p, u), _dot(u, u))[:, None] * u - points)
+
+
 def _triangle_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, "m"]:
     ends = [_size(trimesh.triangles.closest_point(triangles, end) - end) for end in (p, q)]
     corners = np.moveaxis(triangles, 1, 0)

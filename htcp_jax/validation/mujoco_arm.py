@@ -6,7 +6,7 @@ model file (the TCP's site, a longer tool, the limits) is implemented here a sec
 
 import copy
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from htcp_jax.io.robots import LinkMeshes, safe_xml
 from htcp_jax.model import Tool
 from htcp_jax.model import tool as tools
 from htcp_jax.types import Triple
+from htcp_jax.validation.convex_hull import Hull, hull_in_capsule, read_hulls
 
 PROBE_M = 1e-9  # radius of the sphere for a point of the cloud; distances are corrected by it
 FAR_M = 1e3  # cut-off of MuJoCo's distances
@@ -30,18 +31,20 @@ _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
 class ArmPoses(NamedTuple):
-    """TCP and ends of the K capsules' axes at n configurations, world [m]."""
+    """TCP, ends of the K capsules' axes, and the capsules' frames at n configurations, world [m]."""
 
     tcp: Float[np.ndarray, "n 3"]
     p: Float[np.ndarray, "n K 3"]
     q: Float[np.ndarray, "n K 3"]
+    axes: Float[np.ndarray, "n K 3 3"]
 
 
 class MujocoArm:
     """An arm's model file in MuJoCo, with the base and the tool of a job, and a probe that can be placed anywhere.
 
     `names`, `radius` and `length` are those of the K capsules and spheres, and of their axes [m]; `lower` and `upper`
-    are the joint limits; `speed` is inf if the model has no limits.
+    are the joint limits; `speed` is inf if the model has no limits. `hulls` are the convex pieces of meshes in the
+    capsules, in the frames of these; None for a capsule without one.
 
     Args:
         path: The model file.
@@ -51,9 +54,10 @@ class MujocoArm:
         base_m: Position of the model's frame in the world.
         base_rpy_rad: Rotation of the model's frame, about world x, then y, then z.
         tool: The tool on the frame `tcp`, which is then the flange.
+        pieces: False: the capsules have no pieces.
 
     Raises:
-        InputError: For a file that MuJoCo cannot read.
+        InputError: For a file that MuJoCo cannot read, and for pieces that cannot be read.
     """
 
     def __init__(
@@ -66,17 +70,23 @@ class MujocoArm:
         base_m: Triple = tools.ZERO,
         base_rpy_rad: Triple = tools.ZERO,
         tool: Tool | None = None,
+        pieces: bool = True,
     ):
-        self._path, self._list = Path(path), _list(Path(path))
+        spec = safe_xml.read_spec(Path(path), contacts=True)
+        self._path, self._list = Path(path), _list(spec)
         self._mounted = {body.name for body in tool.bodies} if tool else set()
         self._model, self._site = _compile(Path(path), tcp, tool)
         self._probe = self._model.geom(_PROBE).id
         self._geoms = np.array([g for g in range(self._model.ngeom) if g != self._probe])
+        self.hulls = _hulls(self._model, self._geoms, read_hulls(spec, self._path) if pieces else {})
         if any((*base_m, *base_rpy_rad)):
             _move_base(self._model, self._geoms, base_m, base_rpy_rad)
         self._data = mujoco.MjData(self._model)
         if tool_extension_m:
-            _lengthen(self._model, self._site, self._geoms, tool_extension_m)
+            moved = _lengthen(self._model, self._site, self._geoms, tool_extension_m)
+            self.hulls = tuple(
+                None if g in moved else hull for g, hull in zip(self._geoms.tolist(), self.hulls, strict=True)
+            )
         self.names = tuple(self._model.geom(g).name or f"geom {g}" for g in self._geoms)
         self.radius = self._model.geom_size[self._geoms, 0].copy()
         self._half = np.where(self._model.geom_type[self._geoms] == _CAPSULE, self._model.geom_size[self._geoms, 1], 0)
@@ -153,16 +163,19 @@ class MujocoArm:
         own._geoms, own._half, own.links = self._geoms[which], self._half[which], self.links[which]
         own.radius, own.length = self.radius[which], self.length[which]
         own.names = tuple(np.array(self.names)[which].tolist())
+        own.hulls = tuple(self.hulls[k] for k in np.flatnonzero(which))
         return own
 
     def arm_poses(self, x: Float[np.ndarray, "n N"]) -> ArmPoses:
         """Compute the arm's TCP and capsule axes by MuJoCo's kinematics."""
         tcp, ends = np.empty((len(x), 3)), np.empty((2, len(x), len(self._geoms), 3))
+        axes = np.empty((len(x), len(self._geoms), 3, 3))
         for k, row in enumerate(x):
             self._pose(row)
             tcp[k] = self._data.site_xpos[self._site]
             ends[:, k] = self._ends()
-        return ArmPoses(tcp, *ends)
+            axes[k] = self._data.geom_xmat[self._geoms].reshape(-1, 3, 3)
+        return ArmPoses(tcp, *ends, axes)
 
     def link_of(self, name: str) -> int:
         """Number of joints between the world and a site or body of the model; 0 for the world."""
@@ -258,12 +271,21 @@ def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, i
         raise InputError(f"{path}: not a model that MuJoCo can read: {' '.join(str(error).split())}") from None
 
 
-def _list(path: Path) -> list[tuple[tuple[str, ...], str]] | None:
+def _list(spec: mujoco.MjSpec) -> list[tuple[tuple[str, ...], str]] | None:
     """The pairs in the list of an arm by `htcp robot`, with their rules; None without a list."""
-    spec = safe_xml.read_spec(path, contacts=True)
     if all(text.name != "self_collision" for text in spec.texts):
         return None
     return [(tuple(each.objname), each.name[-1]) for each in spec.tuples]
+
+
+def _hulls(model: mujoco.MjModel, geoms: np.ndarray, known: Mapping[str, Hull]) -> tuple[Hull | None, ...]:
+    """The hulls of the capsules, in their frames; `known` is by name, in the frames of the bodies."""
+    found = []
+    for g in geoms.tolist():
+        hull, (radius, half, _) = known.get(model.geom(g).name), model.geom_size[g].tolist()
+        half = half if model.geom_type[g] == _CAPSULE else 0.0
+        found.append(hull and hull_in_capsule(hull, model.geom_pos[g], model.geom_quat[g], radius, half))
+    return tuple(found)
 
 
 def _flange(model: mujoco.MjModel, name: str) -> tuple[int, np.ndarray, np.ndarray]:
@@ -329,8 +351,8 @@ def _last_body(model: mujoco.MjModel) -> int:
     return max(range(model.nbody), key=lambda body: (depth[body], body))
 
 
-def _lengthen(model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: float) -> None:
-    """Move the TCP and the geoms on its body outwards along the tool's z axis.
+def _lengthen(model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: float) -> list[int]:
+    """Move the TCP and the geoms on its body, which are returned, outwards along the tool's z axis.
 
     The first capsule there keeps the end nearer to the last joint, and becomes longer. This is computed in the world,
     at the model's zero configuration.
@@ -350,6 +372,7 @@ def _lengthen(model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: 
         _put(model, data, g, near if g == tool[0] else near + shift, far + shift)
     model.site_sameframe[site] = _OWN_FRAME
     model.site_pos[site] += data.xmat[model.site_bodyid[site]].reshape(3, 3).T @ shift
+    return tool
 
 
 def _put(model: mujoco.MjModel, data: mujoco.MjData, geom: int, p: np.ndarray, q: np.ndarray) -> None:

@@ -2,8 +2,10 @@
 
 The cell's file is read a second time; the poses of its shapes, and the pairs of bodies to check, are determined
 independently. Capsules represent the arm's bodies in the cell's own model, placed by MuJoCo's kinematics; distances are
-by mj_geomDistance. MuJoCo represents a non-convex mesh by its hull, so the mesh's triangles are measured, like a
-workpiece's. A fixture that moves with a link is placed with it, exactly, not as the planner's capsules.
+by mj_geomDistance. Where they are nearer than required, the convex hulls of the meshes in them are measured, too, as
+mesh geoms, and the larger distance counts. MuJoCo represents a non-convex mesh by its hull, so the mesh's triangles are
+measured, like a workpiece's. A fixture that moves with a link is placed with it, exactly, not as the planner's
+capsules.
 """
 
 import itertools
@@ -29,6 +31,7 @@ from htcp_jax.validation.own_pairs import ALWAYS, NEAR_M, SEED, OwnPairs, own_pa
 SAMPLES = 2_000  # configurations for the pairs that nearly always overlap
 MOST_FACES = 400  # of a mesh that is treated as convex
 _TYPES = {kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}") for kind in fixture.PRIMITIVES}
+_SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # which MuJoCo computes without a volume, too
 _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
 
 
@@ -45,6 +48,11 @@ class MujocoCell:
         spec = mujoco.MjSpec() if cell.model is None else _spec(Path(cell.model))
         for k, radius in enumerate(arm.radius.tolist()):
             spec.worldbody.add_geom(name=f"body {k} of the arm", type=_CAPSULE, size=[radius, 1, 0])
+        hulls = {k: hull for k, hull in enumerate(arm.hulls) if hull is not None}
+        for k, hull in hulls.items():
+            name = f"hull {k} of the arm"
+            spec.add_mesh(name=name, uservert=hull.points.ravel(), inertia=_SHELL)
+            spec.worldbody.add_geom(name=name, type=_MESH, meshname=name)
         given = [given_kinds.shapes_in_world(kind) for kind in cell.obstacles]
         self.unmeasured = [kind.name for kind, shapes in zip(cell.obstacles, given, strict=True) if not shapes]
         self.bound = bool(self.unmeasured)
@@ -66,6 +74,7 @@ class MujocoCell:
         except (ValueError, mujoco.FatalError) as error:
             raise InputError(f"{cell.model}: not a cell that MuJoCo can read: {' '.join(str(error).split())}") from None
         self._bodies = [self._model.geom(f"body {k} of the arm").id for k in range(len(arm.radius))]
+        self._hulls = {self._bodies[k]: self._model.geom(f"hull {k} of the arm").id for k in hulls}
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
         names = [_name(self._model, g) for g in range(self._model.ngeom)]
@@ -84,7 +93,7 @@ class MujocoCell:
         for k, shape in enumerate(shapes):
             geom = self._model.geom(f"shape {k} of the job").id
             self._data.geom_xpos[geom], self._data.geom_xmat[geom] = shape.T_world[:3, 3], shape.T_world[:3, :3].ravel()
-        others = {*self._bodies, *(body.geom for body in self.carried)}
+        others = {*self._bodies, *self._hulls.values(), *(body.geom for body in self.carried)}
         solids = [
             g
             for g in range(self._model.ngeom)
@@ -137,6 +146,30 @@ class MujocoCell:
         last = np.minimum(self._of_excluded(x, arm_poses), self._of_carried(x, arm_poses))[:, None]
         return np.hstack([self._distances(arm_poses, self._pairs, may[:, : len(self._pairs)]), to_walls, last])
 
+    def by_hulls(
+        self,
+        x: Float[np.ndarray, "n N"],
+        arm_poses: ArmPoses,
+        capsules: Float[np.ndarray, "n R"],
+        below: Float[np.ndarray, "n"],
+    ) -> Float[np.ndarray, "n R"]:
+        """Distances with those of hulls where capsules are nearer than `below` [m].
+
+        Args:
+            x: Configurations [rad or m].
+            arm_poses: The arm's capsules at these.
+            capsules: Result of `distances`.
+            below: Distance below which hulls are measured [m]. A larger one to a wall may be given as this.
+        """
+        found, doubt, count = capsules.copy(), capsules < below[:, None], len(self._pairs)
+        pairs = self._distances(arm_poses, self._pairs, doubt[:, :count], below)
+        found[:, :count] = np.where(doubt[:, :count], pairs, capsules[:, :count])
+        for k, wall in enumerate(self.walls, count):
+            own = doubt[:, k]
+            found[own, k] = wall.at(x[own], below[own]).clearance
+        found[:, -1] = np.minimum(self._of_excluded(x, arm_poses), self._of_carried(x, arm_poses, below))
+        return found
+
     def _of_excluded(self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses) -> Float[np.ndarray, "n"]:
         """Negative penetration depth [m] of meshes that touch inside capsules that are not checked; inf elsewhere."""
         pairs, found = [*self._own.by_mesh, *self._own.excluded], np.full(len(x), np.inf)
@@ -150,24 +183,30 @@ class MujocoCell:
                     found[row] = min(found[row], -deep)
         return found
 
-    def _of_carried(self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses) -> Float[np.ndarray, "n"]:
+    def _of_carried(
+        self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses, below: Float[np.ndarray, "n"] | None = None
+    ) -> Float[np.ndarray, "n"]:
         """Distance of the fixtures that move with links to everything but the workpiece [m]."""
         if not self.carried:
             return np.full(len(x), np.inf)
-        found = self._carried_distances(x, arm_poses, self._carried_pairs).min(axis=1, initial=np.inf)
+        found = self._carried_distances(x, arm_poses, self._carried_pairs, below).min(axis=1, initial=np.inf)
         for wall in self.walls:
             found = np.minimum(found, wall.carried_clearance(x, found))
         return found
 
     def _carried_distances(
-        self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses, pairs: Sequence[tuple[int, int]]
+        self,
+        x: Float[np.ndarray, "n N"],
+        arm_poses: ArmPoses,
+        pairs: Sequence[tuple[int, int]],
+        below: Float[np.ndarray, "n"] | None = None,
     ) -> Float[np.ndarray, "n R"]:
         found, places = np.empty((len(x), len(pairs))), {body.geom: body.poses(x) for body in self.carried if pairs}
         for k in range(len(x)):
             for geom, (position, axes) in places.items():
                 self._data.geom_xpos[geom], self._data.geom_xmat[geom] = position[k], axes[k].ravel()
             one = ArmPoses(*(values[k : k + 1] for values in arm_poses))
-            found[k] = self._distances(one, pairs)[0]
+            found[k] = self._distances(one, pairs, None, None if below is None else below[k : k + 1])[0]
         return found
 
     def _pairs_of_carried(
@@ -214,7 +253,11 @@ class MujocoCell:
         return self._distances(arm_poses, [(self._bodies[a], self._bodies[b]) for a, b in pairs])
 
     def _distances(
-        self, arm_poses: ArmPoses, pairs: Sequence[tuple[int, int]], may: Bool[np.ndarray, "n R"] | None = None
+        self,
+        arm_poses: ArmPoses,
+        pairs: Sequence[tuple[int, int]],
+        may: Bool[np.ndarray, "n R"] | None = None,
+        below: Float[np.ndarray, "n"] | None = None,
     ) -> Float[np.ndarray, "n R"]:
         found = np.full((len(arm_poses.p), len(pairs)), np.inf)
         bodies = {geom: k for k, geom in enumerate(self._bodies)}
@@ -224,7 +267,23 @@ class MujocoCell:
                 self._pose(geom, p[bodies[geom]], q[bodies[geom]])
             for pair in own:
                 found[k, pair] = mujoco.mj_geomDistance(self._model, self._data, *pairs[pair], FAR_M, None)
+                if below is not None and found[k, pair] < below[k] and set(pairs[pair]) & self._hulls.keys():
+                    one = ArmPoses(*(values[k] for values in arm_poses))
+                    found[k, pair] = max(found[k, pair], self._of_hulls(one, pairs[pair]))
         return found
+
+    def _of_hulls(self, pose: ArmPoses, pair: tuple[int, int]) -> float:
+        """Distance of a pair with the hulls in its capsules [m], at one configuration."""
+        thickness, model = 0.0, self._model
+        for geom in self._hulls.keys() & pair:
+            k, hull = self._bodies.index(geom), self._hulls[geom]
+            mesh, turn = model.geom_dataid[hull], np.empty(9)
+            mujoco.mju_quat2Mat(turn, model.mesh_quat[mesh])  # a mesh's own frame is that of its inertia
+            self._data.geom_xpos[hull] = (pose.p[k] + pose.q[k]) / 2 + pose.axes[k] @ model.mesh_pos[mesh]
+            self._data.geom_xmat[hull] = (pose.axes[k] @ turn.reshape(3, 3)).ravel()
+            thickness += self._arm.hulls[k].radius
+        geoms = (self._hulls.get(geom, geom) for geom in pair)
+        return mujoco.mj_geomDistance(model, self._data, *geoms, FAR_M, None) - thickness
 
     def _pose(self, geom: int, p: Float[np.ndarray, "3"], q: Float[np.ndarray, "3"]) -> None:
         """Place a body of the arm with its axis from p to q."""

@@ -17,6 +17,9 @@ d - grain replaces d.
 So a piece whose sqrt(d^2 - h^2) - radius is above the least upper bound U of all pieces cannot hold s, and of a piece
 that may hold it only the points within sqrt((U + radius)^2 + h^2) of m can be the nearest. The remaining pieces are
 cut finer until that ball holds few points, and all of these are measured.
+
+Where a capsule is nearer than required, and has a convex hull of the mesh in it, the distance is the larger one of both
+(`convex_hull`).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -30,7 +33,13 @@ from scipy.spatial import ConvexHull, cKDTree
 from htcp_jax.jobs import config
 from htcp_jax.validation.carried import CarriedBody
 from htcp_jax.validation.cloud_discs import CloudDiscs
-from htcp_jax.validation.mesh_clearance import axis_distances, crosses, cut_into_grains, read_triangles
+from htcp_jax.validation.mesh_clearance import (
+    axis_distances,
+    crosses,
+    cut_into_grains,
+    point_distances,
+    read_triangles,
+)
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.scene_rules import WorkpieceData
 
@@ -120,11 +129,12 @@ class TargetClearances(NamedTuple):
     ends: Float[np.ndarray, "n E 3"]  # ends of all capsules, world
     outside: Float[np.ndarray, "n E"]  # NaN where the hull is not checked
     surroundings: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.MujocoCell.distances` [m]
+    to_others: Float[np.ndarray, "n"]  # smallest of them, of hulls where capsules are nearer than required [m]
     to_wall: Float[np.ndarray, "n"]  # distance to the cloud's points or the mesh's triangles [m]
 
     def less_cover(self, cover_m: float) -> Float[np.ndarray, "n"]:
         """Clearance [m] to points on the mesh, which may be that far from its triangles, and to everything else."""
-        return _worse(np.minimum(self.to_wall - cover_m, self.surroundings.min(axis=1, initial=np.inf)), self.outside)
+        return _worse(np.minimum(self.to_wall - cover_m, self.to_others), self.outside)
 
 
 class CheckedScene:
@@ -142,6 +152,8 @@ class CheckedScene:
         surroundings: Function (x, arm poses, may) for the distances (n, R) to everything else that must not touch [m],
             inf where `may` (n, R) is False, None: all are measured. See `mujoco_cell.MujocoCell.distances`.
         carried: Fixtures that move with links; of the interior rule they are no part.
+        by_hulls: Function (x, arm poses, distances (n, R), below (n,)) for these distances with those of hulls where
+            capsules are nearer than `below` [m]. See `mujoco_cell.MujocoCell.by_hulls`.
     """
 
     def __init__(
@@ -153,8 +165,9 @@ class CheckedScene:
         interior_depth_m: float,
         surroundings: Callable[[np.ndarray, ArmPoses, np.ndarray | None], np.ndarray] | None = None,
         carried: Sequence[CarriedBody] = (),
+        by_hulls: Callable[[np.ndarray, ArmPoses, np.ndarray, np.ndarray], np.ndarray] | None = None,
     ):
-        self.carried = carried
+        self.carried, self._others_by_hulls = carried, by_hulls
         self.surroundings = surroundings or (lambda x, arm_poses, may: np.empty((len(x), 0)))
         self.arm, self.wall, self.rotate, self.translate = arm, wall, rotate, translate
         self.along = np.array([1.0, 0.0, 0.0]) if wall.direction is None else rotate @ wall.direction
@@ -162,8 +175,13 @@ class CheckedScene:
         if wall.direction is not None and (arm.base @ self.along > self.interior_from).any():
             self.interior_from = np.inf
 
-    def at(self, x: Float[np.ndarray, "n N"]) -> TargetClearances:
-        """Compute the clearance of every configuration."""
+    def at(self, x: Float[np.ndarray, "n N"], below: float | Float[np.ndarray, "n"] = -np.inf) -> TargetClearances:
+        """Compute the clearance of every configuration.
+
+        Args:
+            x: Configurations [rad or m].
+            below: Clearance below which the hulls in capsules are measured, too [m]. A larger one may be given as this.
+        """
         arm_poses = self.arm.arm_poses(x)
         pieces = _initial_pieces(self.arm, len(x))
         samples = _centres(arm_poses, pieces)
@@ -173,12 +191,22 @@ class CheckedScene:
         surroundings = self.surroundings(x, arm_poses, None)
         to_wall = self._measured(x, arm_poses, kept, upper)
         to_wall = np.minimum(to_wall, self.carried_clearance(x, to_wall))
+        to_others = surroundings.min(axis=1, initial=np.inf)
+        below = np.broadcast_to(below, len(x))
+        doubt = self._in_doubt(np.minimum(to_wall, to_others), below)
+        if len(doubt):
+            some = ArmPoses(*(values[doubt] for values in arm_poses))
+            least = below[doubt]
+            near, to_others[doubt] = self._by_hulls(x[doubt], some, surroundings[doubt], least)
+            to_wall[doubt] = np.where(to_wall[doubt] < least, np.minimum(near, least), to_wall[doubt])
         ends = np.concatenate([arm_poses.p, arm_poses.q], axis=1)
         outside = self._outside(ends, ends @ self.along > self.interior_from)
         each = len(x), len(pieces.row) // len(x)
-        clearance = _worse(np.minimum(to_wall, surroundings.min(axis=1, initial=np.inf)), outside)
+        clearance = _worse(np.minimum(to_wall, to_others), outside)
         samples, distance = samples.reshape(*each, 3), distance.reshape(each)
-        return TargetClearances(arm_poses, clearance, samples, distance, ends, outside, surroundings, to_wall)
+        return TargetClearances(
+            arm_poses, clearance, samples, distance, ends, outside, surroundings, to_others, to_wall
+        )
 
     def between(
         self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: TargetClearances, below: float
@@ -211,9 +239,13 @@ class CheckedScene:
             np.maximum(known.surroundings[a] - 2 * furthest[0], known.surroundings[a + 1] - 2 * furthest[1])
             <= below + SOLVER_M
         )
-        surroundings = self.surroundings(x, arm_poses, may).min(axis=1, initial=np.inf)
-        clearance = np.minimum(self._measured(x, arm_poses, kept, upper), surroundings)
+        surroundings = self.surroundings(x, arm_poses, may)
+        clearance = np.minimum(self._measured(x, arm_poses, kept, upper), surroundings.min(axis=1, initial=np.inf))
         clearance = np.minimum(clearance, self.carried_clearance(x, np.minimum(upper, clearance)))
+        doubt = self._in_doubt(clearance, upper)
+        if len(doubt):
+            some = ArmPoses(*(values[doubt] for values in arm_poses))
+            clearance[doubt] = np.minimum(*self._by_hulls(x[doubt], some, surroundings[doubt], upper[doubt]))
         proven = [known.outside[b] + each < 0 for b, each in zip((a, a + 1), moved, strict=True)]
         outside = self._outside(ends, (ends @ self.along > self.interior_from) & ~proven[0] & ~proven[1])
         clearance = _worse(clearance, outside)
@@ -256,6 +288,62 @@ class CheckedScene:
         ends = first[row], last[row]
         through = self.wall.discs.crossed(*ends, near) if mesh is None else crosses(*ends, mesh[near])
         return np.bincount(row[through], minlength=len(first)) > 0
+
+    def _in_doubt(self, clearance: np.ndarray, below: np.ndarray) -> np.ndarray:
+        """Rows in which hulls may have another clearance than capsules."""
+        return np.flatnonzero(clearance < below) if any(self.arm.hulls) else np.empty(0, int)
+
+    def _by_hulls(
+        self, x: np.ndarray, arm_poses: ArmPoses, surroundings: np.ndarray, below: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Distances to the wall and to everything else [m], of hulls where capsules are nearer than `below`.
+
+        Above `below` the first is arbitrary, but larger.
+        """
+        near = self._hulls_to_wall(arm_poses, below)
+        near = np.minimum(near, self.carried_clearance(x, np.minimum(near, below)))
+        if self._others_by_hulls is not None:
+            surroundings = self._others_by_hulls(x, arm_poses, surroundings, below)
+        return near, surroundings.min(axis=1, initial=np.inf)
+
+    def _hulls_to_wall(self, arm_poses: ArmPoses, below: np.ndarray) -> np.ndarray:
+        """Distance of hulls, or of capsules without one, to the points or triangles within `below` of capsules [m]."""
+        found, wall, arm = np.full(len(below), np.inf), self.wall, self.arm
+        if not len(wall.middle):
+            return found
+        each = wall.middle[:, None] if wall.triangles is None else wall.triangles
+        pieces = _initial_pieces(arm, len(below))
+        centres = self.local(_centres(arm_poses, pieces))
+        near = self._may_hold(pieces, wall.tree.query(centres, workers=-1)[0], below)
+        pieces = pieces.only(near)
+        points = wall.tree.query_ball_point(centres[near], self._reach(pieces, below), return_sorted=False)
+        for first, last in _equal_runs(pieces.row * len(arm.radius) + pieces.capsule):
+            k, c = pieces.row[first], pieces.capsule[first]
+            own = np.unique(np.concatenate(points[first:last]).astype(int))
+            near = self._near_axis(arm_poses.p[k, c], arm_poses.q[k, c], own, arm.radius[c] + below[k])
+            own, distance = own[near < arm.radius[c] + below[k]], near.min(initial=np.inf) - arm.radius[c]
+            if len(own):
+                hull, middle = arm.hulls[c], (arm_poses.p[k, c] + arm_poses.q[k, c]) / 2
+                if hull is not None:
+                    world = each[own] @ self.rotate.T + self.translate
+                    distance = max(distance, hull.clearance((world - middle) @ arm_poses.axes[k, c]))
+                found[k] = min(found[k], distance)
+        return found
+
+    def _near_axis(self, p: np.ndarray, q: np.ndarray, rows: np.ndarray, within: float) -> np.ndarray:
+        """Distances of points, or triangles, from an axis in the world [m].
+
+        Only the smallest one, and those about `within`, are of the triangle itself; the others are of its middle.
+        """
+        axis, wall = np.stack([self.local(p), self.local(q)]), self.wall
+        found = point_distances(*np.broadcast_to(axis[:, None], (2, len(rows), 3)), wall.middle[rows])
+        if wall.triangles is None or not len(rows):
+            return found
+        least, reach = found.min(), wall.grain + ROUNDING_M
+        exact = (found <= least + reach) | ((found >= within) & (found <= within + reach))
+        ends = np.broadcast_to(axis[:, None], (2, exact.sum(), 3))
+        found[exact] = axis_distances(*ends, wall.triangles[rows[exact]])
+        return found
 
     def _measured(self, x: np.ndarray, arm_poses: ArmPoses, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
         """Clearance to the points, by MuJoCo, or to the triangles [m]; inf if no piece can be within `upper`."""

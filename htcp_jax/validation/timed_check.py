@@ -19,7 +19,7 @@ from htcp_jax.validation.mujoco_clearance import CheckedScene
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.result import ONE_POINT_M, ROUNDING_M
 from htcp_jax.validation.task_check import PartPose, hold_between, holds_tcp
-from htcp_jax.validation.track import from_line, scene_of
+from htcp_jax.validation.track import from_line, required_m, scene_of
 from htcp_jax.validation.validate import parts_of
 
 AT_ONCE = 256  # configurations; everything near them is in memory
@@ -79,7 +79,9 @@ def check_timed(
     scene, targets, on_path = scene_of(results, arm, wall, surroundings, track)
     part, settings, task = results.workpiece(track.config), track.config.settings, track.config.task
     contact_m = track.config.workpiece.tip_contact_m
-    clearance, tcp, through = _measure(scene, timed.x, contact_m, progress or (lambda done, count: None))
+    clearance, tcp, through = _measure(
+        scene, timed.x, required_m(track), contact_m, progress or (lambda done, count: None)
+    )
     off, (turns_back, breaks) = np.zeros(len(timed.x)), np.zeros((2, len(timed.x)), bool)
     held = _path_configurations(timed, tcp)
     if holds_tcp(task):
@@ -119,7 +121,11 @@ def _turns_back(held: _PathConfigurations, targets: Float[np.ndarray, "T 3"]) ->
 
 
 def _measure(
-    scene: CheckedScene, x: Float[np.ndarray, "n N"], contact_m: float | None, progress: Callable[[int, int], None]
+    scene: CheckedScene,
+    x: Float[np.ndarray, "n N"],
+    required: float,
+    contact_m: float | None,
+    progress: Callable[[int, int], None],
 ) -> tuple[np.ndarray, ...]:
     """Measure configurations: the clearance [m], the TCP, and True if the bare tip passes through a wall.
 
@@ -129,7 +135,7 @@ def _measure(
     rows = np.unique(np.append(np.arange(0, len(x), EVERY), len(x) - 1))  # that are measured
     for first in range(0, max(1, len(rows) - 1), AT_ONCE):
         own = rows[first : first + AT_ONCE + 1]
-        known = scene.at(x[own])
+        known = scene.at(x[own], required)
         clearance[own], tcp[own], through[own] = (
             known.clearance,
             known.arm_poses.tcp,

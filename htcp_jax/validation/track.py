@@ -72,11 +72,12 @@ def check(
     task, settings = track.config.task, track.config.settings
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
     rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
-    at = scene.at(rows)
+    at = scene.at(rows, _required(track, t))
     reached = path_follower(task, arm, track.x[t]) if task else at.arm_poses.tcp[1:]
     more = at.clearance[1:] - track.clearance[t]
-    mesh = wall.triangles is not None
-    bound = mesh or (surroundings is not None and surroundings.bound)  # the saved clearance may be less, by the cover
+    mesh, hulls = wall.triangles is not None, any(arm.hulls)
+    # The saved clearance may be less, by the cover, or because the distance of hulls is only a bound.
+    bound = mesh or hulls or (surroundings is not None and surroundings.bound)
     found = {
         "tcp_error": np.linalg.norm(reached - targets[t], axis=1) if follows_all(task) else np.zeros(len(t)),
         "clearance": at.clearance[1:],
@@ -94,7 +95,9 @@ def check(
     if track.config.home_rad is not None:
         in_place[paths.target == 0] = 0.0  # the motion to it begins at home
     between_rows = _check_paths(scene, at, paths, between, on_path)
-    refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
+    refuted = _refuted(
+        arm, track, t, tolerance, ROUNDING_M if bound and not hulls else RECORD_M, {**found, "through": through}
+    )
     refuted += _refuted_segments(track, paths, between_rows)
     on = t[t >= on_path]
     rows_hold = _check_task_rows(results, arm, track, scene, on, on_path)
@@ -116,6 +119,17 @@ def check(
         on_path=on,
         rows=rows_hold,
     )
+
+
+def required_m(track: Track) -> float:
+    """Smallest saved clearance of a track [m], at least 0."""
+    saved = track.clearance[np.isfinite(track.clearance)]
+    return max(0.0, float(saved.min()) - ROUNDING_M) if len(saved) else 0.0
+
+
+def _required(track: Track, t: np.ndarray) -> np.ndarray:
+    """Saved clearances at the start, where it is the smallest one of the track, and at targets t [m], at least 0."""
+    return np.append(required_m(track), np.maximum(0.0, np.nan_to_num(track.clearance[t]) - ROUNDING_M))
 
 
 def scene_of(
@@ -150,7 +164,7 @@ def scene_of(
     on_path = len(targets) - len(path)
     if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach deviates from its lines
         targets[1:on_path] = path[0]
-    others = () if surroundings is None else (surroundings.distances, surroundings.carried)
+    others = () if surroundings is None else (surroundings.distances, surroundings.carried, surroundings.by_hulls)
     return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m, *others), targets, on_path
 
 
