@@ -99,15 +99,16 @@ def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
     return min((around(x, *(middle + size * pair)) for pair in ends), key=lambda capsule: capsule.volume)
 
 
-def cover_with_capsules(triangles: Triangles, most: int = MOST) -> list[MeshPiece]:
+def cover_with_capsules(triangles: Triangles, most: int = MOST, more: int = 0) -> list[MeshPiece]:
     """Split a mesh into at most `most` pieces whose capsules enclose every triangle.
 
     A piece is added as long as the best cut by a plane saves WORTH of the volume of the capsules' union. For the convex
-    hulls of the pieces, which decide where capsules are in doubt, more are added for hollows.
+    hulls of the pieces, which decide where capsules are in doubt, `more` are added for hollows.
 
     Args:
         triangles: The mesh [m].
         most: Maximum number of pieces, without those for hollows.
+        more: Maximum number of pieces for hollows.
     """
     whole = fit_capsule(triangles.reshape(-1, 3))
     grid = _grid(whole)
@@ -126,15 +127,15 @@ def cover_with_capsules(triangles: Triangles, most: int = MOST) -> list[MeshPiec
         if _filled(best) > (1 - WORTH) * _filled(pieces):
             break
         pieces = best
-    parts = _without_hollows([piece for piece, _ in pieces])
+    parts = _without_hollows([piece for piece, _ in pieces], more)
     return [piece._replace(capsule=fit_capsule(piece.triangles.reshape(-1, 3))) for piece in parts]
 
 
-def _without_hollows(pieces: list[MeshPiece]) -> list[MeshPiece]:
-    """Return the pieces, and MORE_PIECES more at most, as long as a cut saves HOLLOW of the volume of all hulls."""
+def _without_hollows(pieces: list[MeshPiece], more: int) -> list[MeshPiece]:
+    """Return the pieces, and at most `more`, as long as a cut saves HOLLOW of the volume of all hulls."""
     hulls = list(map(_hull_volume, pieces))
     least = HOLLOW * sum(hulls)
-    for _ in range(MORE_PIECES):
+    for _ in range(more):
         tried = [(k, halves) for k, piece in enumerate(pieces) for halves in _cuts(piece)]
         saved = [hulls[k] - sum(map(_hull_volume, halves)) for k, halves in tried]
         if max(saved, default=0.0) < least:

@@ -13,7 +13,15 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import close_fit
-from htcp_jax.io.robots.capsule_fit import MOST, Capsule, MeshPiece, Triangles, cover_with_capsules, hull_volume
+from htcp_jax.io.robots.capsule_fit import (
+    MORE_PIECES,
+    MOST,
+    Capsule,
+    MeshPiece,
+    Triangles,
+    cover_with_capsules,
+    hull_volume,
+)
 from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.model_file import check_joints, compile_spec, joint_name, joint_numbers, no_log, upwards
 from htcp_jax.io.robots.safe_xml import read_spec
@@ -289,7 +297,7 @@ class _Fit:
 
     def _fitted(self, triangles: Triangles, close: bool) -> list[MeshPiece]:
         if self._tolerance_m is None:
-            return cover_with_capsules(triangles, self._most or MOST)
+            return cover_with_capsules(triangles, self._most or MOST, 0 if self._most else MORE_PIECES)
         if close:
             return close_fit.cover_closely(triangles, self._most or close_fit.MOST_CLOSE, self._tolerance_m)
         return close_fit.cover_closely(triangles, min(self._most or close_fit.MOST, close_fit.MOST))
