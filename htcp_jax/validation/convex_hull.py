@@ -25,7 +25,7 @@ PIECE, RADIUS = (
 SLACK_M = 1e-6  # by which a vertex may be outside of its capsule
 FLAT_M = 1e-6  # by which a piece without volume is thickened, for Qhull
 ROUNDING_M = 1e-9  # of the heights that exclude parts of a wall
-AT_ONCE, HEIGHTS_AT_ONCE = 32, 2_000_000  # parts of a wall that are measured at once; heights in memory
+AT_ONCE, HEIGHTS_AT_ONCE = 4, 2_000_000  # parts of a wall that are measured at once; heights in memory
 
 
 class Hull:
