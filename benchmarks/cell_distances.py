@@ -138,7 +138,7 @@ def compare_ring(file: Path, folder: Path, count: int) -> Ring:
     x = drawn(robot, count)
     world = _World(np.eye(4), np.zeros(4))
     ours = np.asarray(jax.jit(lambda x: jax.lax.map(partial(clearance, robot, (hoop,), world), x))(jnp.asarray(x)))
-    _, p, q = arm.arm_poses(x)
+    _, p, q, *_ = arm.arm_poses(x)
     places = p[:, :, None] + np.linspace(0, 1, PLACES)[:, None] * (q - p)[:, :, None]
     apart = np.array([_to_triangles(ring, each) for each in places])
     theirs = (apart - arm.radius).min(axis=1)
@@ -189,7 +189,7 @@ def _theirs(arm: MujocoArm, cell: Path, names, pairs, x) -> tuple[np.ndarray, np
     mujoco.mj_kinematics(model, data)
     bodies, shapes = ([model.geom(name).id for name in each] for each in (_bodies(arm), names))
     distance = partial(mujoco.mj_geomDistance, model, data)
-    _, p, q = arm.arm_poses(x)
+    _, p, q, *_ = arm.arm_poses(x)
     found, between = np.empty((len(x), len(shapes), len(bodies))), np.empty((len(x), len(pairs)))
     for k in range(len(x)):
         for geom, a, b in zip(bodies, p[k], q[k], strict=True):
