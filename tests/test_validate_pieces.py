@@ -75,7 +75,9 @@ def test_a_wall_is_as_far_away_as_the_piece(tmp_path, is_mesh):
     k, poses = arm.names.index("fore"), arm.arm_poses(X[None])
     middle = (poses.p[0, k] + poses.q[0, k]) / 2
     seen = (corners - middle) @ poses.axes[0, k]
-    apart = arm.hulls[k].clearance(seen[None] if is_mesh else seen[:, None])
+    hull = arm.hulls[k]
+    assert hull is not None
+    apart = hull.clearance(seen[None] if is_mesh else seen[:, None])
     assert scene.at(X[None]).clearance[0] < -0.009
     known = scene.at(np.stack([X, X]), 0.1)
     assert known.clearance == pytest.approx(min(apart, 0.1))
