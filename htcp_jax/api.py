@@ -104,11 +104,13 @@ class Plan:
         return {"motion length": f"{joints:.3g} rad in the joints; {1e3 * path:.4g} mm of the tool's path"}
 
     def _checked(self) -> dict[str, str]:
-        """Return the self-collision pairs and the fixtures that are checked, as labelled text; first those on links."""
+        """Return the bodies, self-collision pairs and fixtures that are checked, as text; first those on links."""
         own = [each.described(self.robot) for each in self.obstacles if isinstance(each, self_collision.SelfCollision)]
         names = [self.robot.capsule_names[k] for k in self.robot.attached]
         names += [name for each in self.obstacles for name in each.names]
         facts = {"self-collision": own[0]} if own else {}
+        if self.robot.pieces is not None:
+            facts = {"bodies": f"{len(self.robot.capsule_names)} capsules, and meshes where these are in doubt"} | facts
         return facts | ({"fixtures": ", ".join(names)} if names else {})
 
     def _details(self) -> dict[str, str]:

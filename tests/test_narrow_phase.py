@@ -22,6 +22,7 @@ from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model.convex_piece import body_pieces, make_piece
+from htcp_jax.model.robot import mesh_note
 from htcp_jax.status import SegmentStatus
 from htcp_jax.types import Float
 
@@ -219,3 +220,10 @@ def test_a_path_that_only_the_pieces_prove_is_clear_at_dense_samples():
             assert np.asarray(places(between)).min() >= float(found.clearance) - 1e-9
             gained += int(before.verdict) != SegmentStatus.VALID
     assert gained > 2
+
+
+def test_a_message_about_a_body_with_a_piece_says_that_the_piece_was_measured():
+    arm, x = arm_with_pieces(), np.zeros(6)
+    name, last = arm.capsule_names[0], arm.capsule_names[-1]
+    assert mesh_note(arm, name, x, np.zeros(3)) == "; measured by the convex piece of the mesh in this capsule"
+    assert mesh_note(arm, last, x, np.zeros(3)) == ""

@@ -136,7 +136,7 @@ def capsule_label(robot: Robot, name: str) -> str:
 
 
 def mesh_note(robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> str:
-    """Return the end of a message: the distance of a capsule's surface from its mesh.
+    """Return the end of a message: that a piece decided, or the distance of a capsule's surface from its mesh.
 
     Args:
         robot: The robot.
@@ -147,6 +147,8 @@ def mesh_note(robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Floa
     Returns:
         The end of the message, "" if the arm's file refers to no mesh for this capsule.
     """
+    if robot.pieces is not None and robot.pieces.excess_m[robot.capsule_names.index(capsule)] > 0:
+        return "; measured by the convex piece of the mesh in this capsule"
     outside_m = robot.meshes.outside_m(capsule, robot, x, point) if robot.meshes else None
     if outside_m is None:
         return ""
