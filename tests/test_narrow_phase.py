@@ -13,6 +13,7 @@ import qpsolvers
 from scipy.sparse import csc_matrix
 from scipy.spatial import ConvexHull
 
+import htcp_jax
 from htcp_jax.clearance import Scene, clearance, contacts
 from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
@@ -24,6 +25,7 @@ from htcp_jax.model import Robot, kinematics
 from htcp_jax.model.convex_piece import body_pieces, make_piece
 from htcp_jax.model.robot import mesh_note
 from htcp_jax.status import SegmentStatus
+from htcp_jax.trajectory.displacement import arm_at, displacement_bound
 from htcp_jax.types import Float
 
 MARGIN_M, LIMIT_M = 0.02, 0.025  # and the distance below which pieces are measured
@@ -227,3 +229,52 @@ def test_a_message_about_a_body_with_a_piece_says_that_the_piece_was_measured():
     name, last = arm.capsule_names[0], arm.capsule_names[-1]
     assert mesh_note(arm, name, x, np.zeros(3)) == "; measured by the convex piece of the mesh in this capsule"
     assert mesh_note(arm, last, x, np.zeros(3)) == ""
+
+
+def blade_on_its_hinge(folder) -> Robot:
+    """An arm whose first capsule lies on its hinge, with a blade in it that turns about the capsule's axis."""
+    capsule = '<geom name="{}" type="capsule" fromto="{}" size="{}"/>'
+    file = folder / "blade.xml"
+    file.write_text(
+        "<mujoco><worldbody><body><joint axis='0 0 1'/>"
+        + capsule.format("blade", "0 0 0 0 0 0.3", 0.1)
+        + "<body pos='0 0 2'><joint axis='0 1 0'/><body><joint axis='1 0 0'/>"
+        + capsule.format("hand", "0 0 0.1 0 0 0.2", 0.02)
+        + "<site name='tcp' pos='0 0 0.3'/></body></body></body></worldbody></mujoco>"
+    )
+    arm = htcp_jax.load_robot(file)
+    blade = np.array(list(product((-0.09, 0.09), (-0.005, 0.005), (0.05, 0.25))))
+    pieces = body_pieces([make_piece(blade), make_piece(np.zeros((1, 3)))], np.array([0.11, 0.0]))
+    return dataclasses.replace(arm, pieces=jax.tree.map(jnp.asarray, pieces))
+
+
+@pytest.mark.parametrize("kind", ["ball", "points"])
+def test_a_piece_that_turns_about_the_axis_of_its_capsule_is_not_called_clear(kind, tmp_path):
+    arm = blade_on_its_hinge(tmp_path)
+    at = np.array([0.0, 0.08, 0.15])
+    ball = Rod(at, at, np.array(0.001))
+    obstacle = fixtures(arm, [("ball", ball)]) if kind == "ball" else cloud_of(at[None], 1e-3)
+    if kind == "ball":
+        obstacle = dataclasses.replace(obstacle, is_checked=jnp.ones_like(obstacle.is_checked))
+    a, b = jnp.array([-1.5, 0, 0]), jnp.array([1.5, 0.0, 0.0])
+    near, far = (float(clearance(arm, (obstacle,), WHERE, jnp.array([x, 0, 0]))) for x in (np.pi / 2, 0.0))
+    assert near < 0 < far
+    scene = Scene(arm, (obstacle,))
+    assert int(prove(scene, WHERE, a, b).verdict) == SegmentStatus.IN_COLLISION
+    assert int(prove(scene, WHERE, jnp.array([-0.3, 0, 0]), jnp.array([0.3, 0, 0])).verdict) == SegmentStatus.VALID
+
+
+def test_a_witness_is_a_point_of_the_cloud_also_where_rounding_meets_the_limit(tmp_path):
+    arm, at = blade_on_its_hinge(tmp_path), np.array([0.0, 0.08, 0.15])
+    for cover in np.linspace(0.004, 0.0041, 30):
+        touch = contacts(arm, (cloud_of(at[None], cover),), WHERE, jnp.zeros(3))
+        assert float(touch.distance[0]) == pytest.approx(LIMIT_M) and np.abs(touch.witness[0] - at).max() < 1e-9
+
+
+def test_blends_allow_for_a_piece_that_turns_about_its_capsule_s_axis(tmp_path):
+    arm = blade_on_its_hinge(tmp_path)
+    levers = arm_at(arm, np.zeros((1, 3)))
+    moved = levers.moved(displacement_bound(levers, np.zeros((1, 3)), np.array([[0.5, 0.0, 0.0]])))
+    corner = np.array([0.09, 0.005, 0.0])
+    turned = np.array([[np.cos(0.5), -np.sin(0.5), 0], [np.sin(0.5), np.cos(0.5), 0], [0, 0, 1]]) @ corner
+    assert np.linalg.norm(turned - corner) <= moved.bodies[0] <= 0.06

@@ -65,7 +65,7 @@ def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexP
 def stack_pieces(pieces: list[ConvexPiece]) -> ConvexPiece:
     """Return the pieces stacked, each padded to the largest."""
     columns = list(zip(*(piece[:4] for piece in pieces), strict=True))
-    padded = [[_padded(rows, max(map(len, column))) for rows in column] for column in columns]
+    padded = [[_padded(rows, max(2, *map(len, column))) for rows in column] for column in columns]
     return ConvexPiece(*map(np.stack, padded), np.stack([piece.radius for piece in pieces]))
 
 

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.clearance.proof import motion_bound
+from htcp_jax.clearance.proof import interval, motion_bound
 from htcp_jax.device import tables as device_tables
 from htcp_jax.model import Robot, kinematics, task, task_rows
 from htcp_jax.numerics import safe_norm
@@ -38,6 +38,7 @@ class ArmLevers(NamedTuple):
     jacobian: Float[np.ndarray, "k P 3 N"]
     tcp: Float[np.ndarray, "k 3"]  # world [m]
     hinge: Bool[np.ndarray, "N"]
+    turning: Float[np.ndarray, "P N"] | float = 0.0  # of ends of bodies with a piece: its reach about the axis [m]
     features: int = 0  # F
 
     def only(self, which: np.ndarray | slice) -> "ArmLevers":
@@ -71,7 +72,17 @@ def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[task_rows.
         more = in_padded_sizes(partial(_features, features), robot, x)[0]
         levers = np.concatenate([levers, np.linalg.norm(more, axis=2)], axis=1)
         slopes = np.concatenate([slopes, more], axis=1)
-    return ArmLevers(levers, slopes, tcp, ~np.array(robot.slides), len(features))
+    return ArmLevers(levers, slopes, tcp, ~np.array(robot.slides), _turning(robot, len(features)), len(features))
+
+
+def _turning(robot: Robot, features: int) -> Float[np.ndarray, "P N"] | float:
+    """Return how far a turn of each hinge moves a piece's points about its capsule's axis, per angle [m/rad]."""
+    if robot.pieces is None:
+        return 0.0
+    reach = np.where(np.asarray(robot.pieces.excess_m) > 0, np.asarray(robot.capsule_radius) + interval.OUTSIDE_M, 0.0)
+    moves = np.arange(len(robot.slides))[None] <= np.array(robot.capsule_link)[:, None]
+    bodies = reach[:, None] * (moves & ~np.array(robot.slides))
+    return np.concatenate([bodies, bodies, np.zeros((1 + features, len(robot.slides)))])
 
 
 def tcp_at(robot: Robot, x: Float[np.ndarray, "k N"]) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 N"]]:
@@ -92,7 +103,8 @@ def displacement_bound(
     size = np.abs(displacement)
     lever = _levers(arm, within + size)
     along = np.linalg.norm(np.einsum("kpcn,...kn->...kpc", arm.jacobian, displacement), axis=-1)
-    return np.minimum((lever * size[..., None, :]).sum(-1), along + _second(arm, lever, within + 0.5 * size, size))
+    by_axis = np.minimum((lever * size[..., None, :]).sum(-1), along + _second(arm, lever, within + 0.5 * size, size))
+    return by_axis if isinstance(arm.turning, float) else by_axis + (arm.turning * size[..., None, :]).sum(-1)
 
 
 def bend_bound(

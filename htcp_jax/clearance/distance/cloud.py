@@ -91,7 +91,7 @@ class Cloud(Obstacle):
             radius=jnp.broadcast_to(self.cover, distance.shape),
             plane=capsules.plane,
         )
-        far = distance >= limit  # a point of the cloud is not known then
+        far = found.height >= limit + self.cover  # no point of the cloud was found
         pieces = narrow_phase.chosen(far, narrow_phase.undecided(capsules, limit), pieces)
         return narrow_phase.decided(capsules, pieces, doubt)
 

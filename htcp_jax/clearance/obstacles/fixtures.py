@@ -50,6 +50,8 @@ class Fixtures(Obstacle):
 
     def _by_pieces(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, capsules: Contacts) -> Contacts:
         """Return the contacts of capsules, or of the pieces in them where these are in doubt, see `narrow_phase`."""
+        if self.solids is None and not all(isinstance(kind, HalfSpace) for kind in (*self.simple, self.pieces) if kind):
+            raise ValueError("fixtures for an arm without pieces are measured for an arm with pieces")
         limit = narrow_phase.limit_m(where)
         doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
         parts = [_each_seen(kind, bodies.p, bodies.q).distance - robot.capsule_radius[None] for kind in self.simple]

@@ -57,7 +57,7 @@ class Contacts(NamedTuple):
 def surface_points(robot: Robot, rows: RowPairs, touch: Contacts) -> Float[jax.Array, "R 3"]:
     """Return the points of the bodies' surfaces in contacts, world [m]: of a capsule, or of the piece that decided."""
     radius = robot.capsule_radius[jnp.asarray(rows.body)]
-    if robot.pieces is not None:  # whose contacts are on the surface already
+    if robot.pieces is not None:  # contacts of pieces are on their surface, or on that of the mesh's cover
         radius = jnp.minimum(radius, touch.radius)
     return touch.point - radius[:, None] * touch.normal
 

@@ -13,6 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
+from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import (
     BodyAxes,
     HasWorkpiecePose,
@@ -24,6 +25,8 @@ from htcp_jax.clearance.obstacles.obstacle import (
 from htcp_jax.clearance.proof.motion_bound import body_sweep, travel_bound
 from htcp_jax.model import Robot
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
+
+OUTSIDE_M = 1e-6  # a piece may be outside of its capsule by this
 
 
 class Interval(NamedTuple):
@@ -70,9 +73,14 @@ def on_interval(
     for each, own in zip(obstacles, free_radius, strict=True):
         rows = each.rows(robot)
         travel = moves.travel if rows == RowPairs.of_bodies(robot) else row_travel_bound(robot, rows, x, rates, half)
-        closer = each.sweeps
+        if robot.pieces is not None:  # the row's distance may be a piece's, unless it is above the limit
+            own_turn = piece_turn_bound(robot, rows, half * jnp.abs(rates))
+            travel = travel + jnp.where(own <= narrow_phase.limit_m(where), own_turn, 0.0)
+        by_travel = own - travel
         clear.append(
-            _closer(each, robot, where, bodies, moves, own, good, wanted, requested) if closer else own - travel
+            _closer(each, robot, where, bodies, moves, own, by_travel, good, wanted, requested)
+            if each.sweeps
+            else by_travel
         )
     clear = jnp.min(jnp.concatenate(clear))
     return Interval(middle, clear, clear >= wanted.least)
@@ -85,6 +93,7 @@ def _closer(
     bodies: BodyAxes,
     moves: BodySweep,
     free_radius: Float[Array, "K"],
+    by_travel: Float[Array, "K"],
     good: Scalar,
     wanted: RequiredClearance,
     requested: Bool[Array, ""],
@@ -93,7 +102,6 @@ def _closer(
 
     It is skipped if it can hardly succeed for one of them: if the body would come too near even along a flat wall.
     """
-    by_travel = free_radius - moves.travel
     open_, nearer = by_travel < good, moves.travel**2 / (2 * robot.capsule_radius)  # of a point that it moves towards
     requested &= jnp.all(~open_ | (free_radius - moves.bend >= wanted.least) & (nearer <= 4 * free_radius))
     by_sweep = kind.clear_along(robot, where, bodies, moves, open_ & requested, wanted)
@@ -101,6 +109,26 @@ def _closer(
         failed = jnp.any(open_ & requested & (by_sweep < wanted.least))  # then other values are arbitrary
         by_sweep = jnp.where(failed, by_travel, jnp.maximum(by_sweep, by_travel))
     return jnp.where(open_ & requested, by_sweep, by_travel)
+
+
+def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Joints) -> Float[Array, "R"]:
+    """Return bounds on what a turn adds to the displacement of points of the rows' pieces [m].
+
+    A capsule is symmetric about its axis, so that the ends of its axis bound its motion. A piece is not: its points are
+    up to the capsule's radius r away from the axis, and move about it by |(R - 1) v| <= r min(angle, 2).
+
+    Args:
+        robot: The robot, with pieces.
+        rows: The pairs; a body is seen from the link of the row's other.
+        turns: Largest distance of every joint from the middle [rad or m].
+    """
+    hinge, body = ~np.array(robot.slides), np.array(rows.body)
+    links, others = np.array(robot.capsule_link)[body], np.array(rows.other)
+    joints = np.arange(len(hinge))[None]
+    between = hinge[None] & (joints <= links[:, None]) & (joints > others[:, None])
+    angle = jnp.sum(jnp.where(between, turns[None], 0.0), axis=1)
+    reach = jnp.where(robot.pieces.excess_m > 0, robot.capsule_radius + OUTSIDE_M, 0.0)[body]
+    return reach * jnp.minimum(angle, 2.0)
 
 
 def row_travel_bound(robot: Robot, rows: RowPairs, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:

@@ -10,7 +10,7 @@ import numpy as np
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.link_meshes import CUTS, MADE_FROM, VISUAL, cuts_text
 from htcp_jax.io.robots.model_file import EXCLUDED, LIST, excluded_bodies
-from htcp_jax.io.robots.stored_pieces import EXCESS, PIECE, RADIUS, vertices_text
+from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS, vertices_text
 from htcp_jax.io.robots.vendor_import import BodyCover, ImportedArm, body_name
 
 Listed = tuple[str, str, str, float]  # names of two capsules, the rule, and the share of configurations
@@ -27,8 +27,8 @@ LIST_HEAD = """
     """
 PIECES_HEAD = """
     A convex piece about the part of the mesh in each fitted capsule: vertices in the frame of the capsule's body, and a
-    radius that thickens it. Ignored if the capsule does not hold it, once this was moved or made smaller. The excess is
-    the largest distance of the capsule's surface from the mesh, where it is in no other capsule of the body.
+    radius that thickens it. Ignored once the capsule was changed. The excess is the largest distance of the capsule's
+    surface from the mesh, where it is in no other capsule of the body.
     """
 MANY = {"mesh": "meshes", "box": "boxes", "cylinder": "cylinders", "ellipsoid": "ellipsoids"}
 
@@ -101,6 +101,8 @@ def _add_pieces(custom: Element, arm: ImportedArm) -> None:
         for name, piece in cover.hulls.items():
             SubElement(custom, "text", name=PIECE + name, data=vertices_text(piece))
             SubElement(custom, "numeric", name=RADIUS + name, data=_numbers_text([piece.radius]))
+            fitted = cover.pieces[name].capsule
+            SubElement(custom, "numeric", name=FITTED + name, data=_numbers_text([*fitted.p, *fitted.q, fitted.radius]))
             SubElement(custom, "numeric", name=EXCESS + name, data=f"{cover.excesses[name]:.6f}")
 
 

@@ -19,7 +19,7 @@ from htcp_jax.io.robots.capsule_fit import FIRST_DIRECTIONS, TINY, Capsule, Poin
 from htcp_jax.model import BodyPieces, convex_piece
 
 # Names of an arm's <text> with a capsule's vertices, and of its <numeric>s [m].
-PIECE, RADIUS, EXCESS = "piece of ", "radius of ", "excess of "
+PIECE, RADIUS, EXCESS, FITTED = "piece of ", "radius of ", "excess of ", "capsule of "
 MOST_VERTICES = 96
 ENOUGH_M = 1e-4  # vertices are added until the hull misses less
 DIGITS = 6  # of a vertex and a radius [m]
@@ -32,6 +32,7 @@ class StoredPiece(NamedTuple):
 
     vertices: Points  # [m]
     radius: float  # [m]
+    capsule: Capsule | None = None  # that was fitted, in the same frame; None: any that holds the hull
 
     def missed_m(self, points: Points) -> float:
         """Return the largest distance of the points from the piece [m]; 0 if all are inside."""
@@ -86,7 +87,13 @@ def read_pieces(spec: mujoco.MjSpec, path: Path) -> dict[str, StoredPiece]:
     """
     radii = {numeric.name: float(numeric.data[0]) for numeric in spec.numerics if len(numeric.data)}
     texts = {text.name.removeprefix(PIECE): text.data for text in spec.texts if text.name.startswith(PIECE)}
-    return {name: _read_piece(name, data, radii.get(RADIUS + name), path) for name, data in texts.items()}
+    fitted = {each.name: np.array(each.data) for each in spec.numerics if each.name.startswith(FITTED)}
+    pieces = {name: _read_piece(name, data, radii.get(RADIUS + name), path) for name, data in texts.items()}
+    return {name: piece._replace(capsule=_read_capsule(fitted.get(FITTED + name))) for name, piece in pieces.items()}
+
+
+def _read_capsule(numbers: Float[np.ndarray, "n"] | None) -> Capsule | None:
+    return None if numbers is None or len(numbers) != 7 else Capsule(numbers[:3], numbers[3:6], float(numbers[6]))
 
 
 def _read_piece(name: str, data: str, radius: float | None, path: Path) -> StoredPiece:
@@ -106,7 +113,7 @@ def pieces_of(
 ) -> BodyPieces | None:
     """Return the pieces of an arm's capsules in the frames of their links; None if none has one.
 
-    A capsule that was moved or made smaller by hand, so that it does not hold its piece, has none.
+    A capsule that was changed by hand has none: it may stand for more than its mesh.
 
     Args:
         stored: The pieces in the arm's file, by the names of their capsules.
@@ -116,14 +123,32 @@ def pieces_of(
     for name, (capsule, T_link_body) in capsules.items():
         own = stored.get(name)
         if own is not None:
-            own = own._replace(vertices=own.vertices @ T_link_body[:3, :3].T + T_link_body[:3, 3])
-        if own is None or capsule.depth(own.vertices).min() < -SLACK_M:
+            own = _moved(own, T_link_body)
+        if own is None or not _holds(capsule, own):
             pieces.append(convex_piece.make_piece(capsule.p[None]))
             excess.append(0.0)
         else:
             pieces.append(convex_piece.make_piece(own.vertices, own.radius))
             excess.append(own.excess_m(capsule))
     return convex_piece.body_pieces(pieces, np.array(excess)) if any(excess) else None
+
+
+def _moved(piece: StoredPiece, T: Float[np.ndarray, "4 4"]) -> StoredPiece:
+    """Return a piece in another frame."""
+    R, t, fitted = T[:3, :3].T, T[:3, 3], piece.capsule
+    fitted = fitted and Capsule(fitted.p @ R + t, fitted.q @ R + t, fitted.radius)
+    return StoredPiece(piece.vertices @ R + t, piece.radius, fitted)
+
+
+def _holds(capsule: Capsule, piece: StoredPiece) -> bool:
+    """Return True if a capsule holds a piece, and is the one that was fitted, if that is known."""
+    if capsule.depth(piece.vertices).min() < -SLACK_M:
+        return False
+    if (fitted := piece.capsule) is None:
+        return True
+    ends = [np.stack(pair) for pair in ((fitted.p, fitted.q), (fitted.q, fitted.p))]
+    off = min(np.abs(pair - np.stack([capsule.p, capsule.q])).max() for pair in ends)
+    return bool(off <= SLACK_M and abs(capsule.radius - fitted.radius) <= SLACK_M)
 
 
 def _heights(points: Points, vertices: Points) -> Float[np.ndarray, "P"]:
