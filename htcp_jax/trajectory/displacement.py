@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.clearance.proof import interval, motion_bound
+from htcp_jax.clearance.proof import motion_bound
 from htcp_jax.device import tables as device_tables
 from htcp_jax.model import Robot, kinematics, task, task_rows
 from htcp_jax.numerics import safe_norm
@@ -79,7 +79,9 @@ def _turning(robot: Robot, features: int) -> Float[np.ndarray, "P N"] | float:
     """Return how far a turn of each hinge moves a piece's points about its capsule's axis, per angle [m/rad]."""
     if robot.pieces is None:
         return 0.0
-    reach = np.where(np.asarray(robot.pieces.excess_m) > 0, np.asarray(robot.capsule_radius) + interval.OUTSIDE_M, 0.0)
+    reach = np.where(
+        np.asarray(robot.pieces.excess_m) > 0, np.asarray(robot.capsule_radius) + motion_bound.OUTSIDE_M, 0.0
+    )
     moves = np.arange(len(robot.slides))[None] <= np.array(robot.capsule_link)[:, None]
     bodies = reach[:, None] * (moves & ~np.array(robot.slides))
     return np.concatenate([bodies, bodies, np.zeros((1 + features, len(robot.slides)))])

@@ -22,11 +22,9 @@ from htcp_jax.clearance.obstacles.obstacle import (
     RowPairs,
     bodies_at,
 )
-from htcp_jax.clearance.proof.motion_bound import body_sweep, travel_bound
+from htcp_jax.clearance.proof.motion_bound import OUTSIDE_M, body_sweep, travel_bound
 from htcp_jax.model import Robot
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
-
-OUTSIDE_M = 1e-6  # a piece may be outside of its capsule by this
 
 
 class Interval(NamedTuple):

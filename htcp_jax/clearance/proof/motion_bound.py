@@ -34,6 +34,7 @@ from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import safe_norm
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
 
+OUTSIDE_M = 1e-6  # a convex piece may be outside of its capsule by this
 ROUNDING_M = 1e-9  # above the rounding error of any position; margin of every proof
 
 
