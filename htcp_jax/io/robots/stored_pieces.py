@@ -27,10 +27,13 @@ SLACK_M = 1e-6  # by which a vertex may be outside of its capsule, for its round
 MOST_READ = 1000  # vertices of a piece in a file
 
 
+Vertices = Float[np.ndarray, "V 3"]
+
+
 class StoredPiece(NamedTuple):
     """A convex hull in the frame of its capsule's body, thickened by a radius."""
 
-    vertices: Points  # [m]
+    vertices: Vertices  # [m]
     radius: float  # [m]
     capsule: Capsule | None = None  # that was fitted, in the same frame; None: any that holds the hull
 
@@ -151,7 +154,7 @@ def _holds(capsule: Capsule, piece: StoredPiece) -> bool:
     return bool(off <= SLACK_M and abs(capsule.radius - fitted.radius) <= SLACK_M)
 
 
-def _heights(points: Points, vertices: Points) -> Float[np.ndarray, "P"]:
+def _heights(points: Points, vertices: Vertices) -> Float[np.ndarray, "P"]:
     """Return the largest height of each point over the planes of a hull [m]: of one inside, minus its depth."""
     try:
         faces = ConvexHull(vertices).equations
