@@ -91,9 +91,9 @@ def test_a_hull_is_as_far_away_as_its_nearest_point(corners):
         wall = RNG.normal(size=(40, 1, 3)) * 2 + 0.5 * RNG.normal(size=(40, corners, 3))
         wall = wall[[_apart(points, each) > 1e-6 for each in wall]]
         assert Hull(points, 0.1).clearance(wall) == pytest.approx(min(_apart(points, each) for each in wall) - 0.1)
-    assert Hull(np.array(list(product((-1.0, 1.0), repeat=3)))).clearance(np.array([[[0.0, 0.0, 0.7]]])) == pytest.approx(
-        -0.3
-    )
+    assert Hull(np.array(list(product((-1.0, 1.0), repeat=3)))).clearance(
+        np.array([[[0.0, 0.0, 0.7]]])
+    ) == pytest.approx(-0.3)
 
 
 def _apart(a: np.ndarray, b: np.ndarray) -> float:

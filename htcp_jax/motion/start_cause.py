@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance import Obstacles, Scene, contacts, nearest_to
 from htcp_jax.clearance.obstacles import of_workpiece, self_collision
@@ -42,7 +42,7 @@ def start_causes(
     robot: Robot,
     workpiece: Workpiece,
     scenarios: Scenario,
-    status: Int8[np.ndarray, "S"],
+    status: Int[np.ndarray, "S"],
     settings: Settings,
     task: Task,
     obstacles: Obstacles,
