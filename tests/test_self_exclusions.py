@@ -200,7 +200,13 @@ def test_a_message_about_a_collision_says_how_far_the_capsule_is_from_its_mesh_t
     with pytest.raises(
         InputError, match=r"capsule \w is .* mm inside capsule \w; the surface of this capsule is [\d.]+ mm from"
     ):
+        htcp_jax.plan(by_capsules(job(arm, tmp_path, FOLDED)))
+    with pytest.raises(InputError, match=r"mm inside capsule \w; measured by the convex piece of the mesh"):
         htcp_jax.plan(job(arm, tmp_path, FOLDED))
+
+
+def by_capsules(job: dict) -> dict:
+    return job | {"robot": job["robot"] | {"bodies": "capsules"}}
 
 
 def test_the_distance_from_a_mesh_is_that_of_the_box(imported):
