@@ -27,7 +27,8 @@ from htcp_jax.jobs import PlanConfig, examples, load_config
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
 from htcp_jax.process_exit import stop_message
-from htcp_jax.runs import lock, open_run, plan_folder
+from htcp_jax.runs import columns as columns_of_files
+from htcp_jax.runs import lock, open_run, plan_folder, provenance
 from htcp_jax.runs import open as plan_sets
 
 if TYPE_CHECKING:
@@ -235,4 +236,6 @@ def _mounting_table(search: Search, scores: Sequence["MountingScores"]) -> pa.Ta
     for k, name in enumerate(search.file.objective):
         columns[name.replace(" ", "_")] = pa.array(objective[:, k], mask=~np.isfinite(objective[:, k]))
     columns["lost"] = [words or None for each in scores for words in each.lost()]
-    return pa.table(columns)
+    return columns_of_files.described(
+        pa.table(columns), Path(MOUNTINGS).stem, (), {"run": search.name, **provenance.planned_by()}
+    )

@@ -1,4 +1,5 @@
 from . import (
+    columns,
     identity,
     input_files,
     labels,
@@ -23,6 +24,7 @@ __all__ = [
     "PlanSet",
     "Run",
     "RunningSummary",
+    "columns",
     "identity",
     "input_files",
     "labels",

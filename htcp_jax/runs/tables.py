@@ -1,59 +1,6 @@
 """The two tables of a run: conversion of plans to rows, and back.
 
-`targets`: one row per method, scenario and target.
-
-    method         string
-    scenario       int32    its number: its index in the full grid
-    target         int32    from 0, the start's own TCP
-    tracked        bool
-    status         string   name of a htcp_jax.status.Status
-    clearance_m    double   D, minimum over capsules and points; null if not tracked, as are the next values that depend
-                            on x
-    residual_m     double   |TCP - target|
-    orientation_error_rad double    largest angle from the task's orientations; null if it has none
-    iterations     int32    step QPs solved for the target; 0 if a plan made backwards pushed it there
-    joint_step_rad double   |x_t - x_{t-1}|
-    path_clear     bool     straight joint path from the row before; null if unknown
-    segment_status string name of a htcp_jax.status.SegmentStatus: verification of the motion segment from the row
-    before; null
-                            if not verified
-    segment_clearance_m double  guaranteed D along that segment; null if it is not proven
-    via_points     list of double   via points of that segment, configurations one after the other; null for a straight
-                            joint path
-    recovery       int8     0 none, k: stage k of the method's recovery strategies; one beyond its last: planned
-                            backwards from a configuration sampled at a later target, see
-                            `planning.tracking.backwards`
-    <joint>_rad    double   configuration x, one column per joint (<joint>_m for a slide)
-    tcp_x_m ...    double   tool centre point, world; three columns
-    target_x_m ... double   target, world; never null
-
-`scenarios`: one row per method and scenario.
-
-    method, scenario        as above
-    group          string   in the sweep file; null without groups
-    targets        int32    number of targets
-    tracked        int32    number of tracked targets
-    executable     int32    tracked targets to which a proven motion leads from the scenario's start
-    complete       bool     all targets are tracked
-    failed_target  int32    the first that is not tracked; null if complete, as are the next two columns
-    failure        string   its status
-    reason         string   message of that status
-    after_recovery int32    targets tracked after a recovery
-    blocked_paths  int32    tracked targets whose joint path from the row before collides
-    dwells         int32    targets at which the arm changes its configuration; this and the next four for the
-                            executable part, null if no target, or none on the path, is executable
-    motion_cost_rad2, path_step_max_rad, curvature_max_rad_m2, segment_clearance_min_m    double, see `MotionFigures`
-    clearance_min_m, residual_max_m, joint_motion_rad    double, over the tracked targets
-    start_<joint>_rad ...   double   first configuration of the plan: the job's, unless the planner starts elsewhere
-    rotation_x_rad, rotation_y_rad, rotation_z_rad    double
-    shift_x_m ..., tool_extension_m, margin_m    double
-    path           string   the tool path: a seam of the duct, such as "weld", or the name of its file
-    robot.model, settings.alpha_rad ...    string   any other key in which the sweep's scenarios may differ, as JSON
-    colliding_body string   if no start was possible: the arm's body that collides; null if none does, as is the next
-    colliding_with string   the obstacle that it collides with
-    cause          string   the reason in words
-
-The tables contain no run times: the same seed writes the same bytes.
+`columns` describes their columns. The tables contain no run times: the same seed writes the same bytes.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,19 +1,7 @@
 """Times that `htcp program --all` and `htcp sweep --feed` write into a run: timing/<method>.parquet, a row a scenario.
 
-    scenario            int32    its number
-    feed_m_s            double   the required feed
-    cycle_time_s        double   from home over the path and back; null, as are the next columns, without a motion to
-                                 the last target
-    path_time_s         double   part of it on the path, with dwells
-    feed_held_share     double   share of the path's length on which the feed is held within 1 %
-    feed_reached_m_s    double   minimum feed between the path's run-up and its run-down; 0 if the arm stops there
-    feed_reason         string   cause of the minimum: "stop", or the limit and its joint; null if the feed is held
-    <limit>_share       double   largest used share of the velocity, acceleration or jerk limits on the path
-    <limit>_joint       string   joint with this share
-    torque_share, torque_joint   as above for the effort limits, on the complete motion; null if the arm's model has no
-                                 inertias or no effort limits
-
-The file's metadata contain its settings and the hashes of the timed results: rows for outdated results are ignored.
+`columns.TIMING` describes the columns. The file's metadata contain its settings and the hashes of the timed results:
+rows for outdated results are ignored.
 """
 
 import json
@@ -27,8 +15,9 @@ import pyarrow.compute as pc
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import files
+from htcp_jax.runs.columns import WRITTEN_BY, described
 
-TIMING, MADE = "timing", b"htcp_jax"
+TIMING = "timing"
 FEED_HELD_SHARE = 0.99  # share of the path's length from which a scenario keeps its feed
 LIMITS = "velocity", "acceleration", "jerk"
 SCHEMA = pa.schema(
@@ -115,7 +104,7 @@ def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Tim
     try:
         with files.opened(file, folder, files.LARGEST) as stream:
             rows = files.read_parquet(stream, file)
-        made = json.loads(rows.schema.metadata[MADE])
+        made = json.loads(rows.schema.metadata[WRITTEN_BY])
         rows = rows.cast(SCHEMA)
         known = _of_results(shards, method, made["results"])
         there = [number in known for number in rows["scenario"].to_pylist()]
@@ -130,7 +119,7 @@ def timing_bytes(timing: Timing, shards: Iterable[ResultShard], method: str) -> 
     of = set(timing.rows["scenario"].to_pylist())
     results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_scenario_numbers(s))]
     made = {"feed_m_s": timing.feed_m_s, "limits": timing.limits, "results": results}
-    rows = timing.rows.sort_by("scenario").replace_schema_metadata({MADE: json.dumps(made)})
+    rows = described(timing.rows.sort_by("scenario"), TIMING, (), made)
     return files.parquet_bytes(rows, write_page_checksum=True)
 
 

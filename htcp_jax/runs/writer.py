@@ -11,6 +11,7 @@ import pyarrow as pa
 from htcp_jax.errors import InputError
 from htcp_jax.io import files as io_files
 from htcp_jax.motion import Plans
+from htcp_jax.runs.columns import described
 from htcp_jax.runs.identity import identity, identity_differences
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.provenance import planned_by
@@ -64,7 +65,9 @@ def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: P
         InputError: If it cannot be written; the run on disk is then unchanged.
     """
     name, manifest = shard_name(method, span), run.manifest
-    files = {table: _write_parquet(run.folder, table, name, rows) for table, rows in tables.items()}
+    made = {"run": manifest.name, **by}
+    rows = {table: described(own, table, manifest.joints, made) for table, own in tables.items()}
+    files = {table: _write_parquet(run.folder, table, name, own) for table, own in rows.items()}
     planned_by = manifest.planned_by if by in manifest.planned_by else (*manifest.planned_by, by)
     tracked = int(plans.tracked.sum())
     shard = ShardRecord(

@@ -1,0 +1,31 @@
+"""Protects the generated tables of the documentation: every key of a job is listed, with its meaning."""
+
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from htcp_jax.jobs.defaults import keys_of
+
+HOOKS = Path(__file__).parents[1] / "docs" / "hooks"
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    monkeypatch.syspath_prepend(HOOKS)
+    yield pytest.importorskip("tables")
+    sys.modules.pop("tables")
+
+
+def test_the_table_lists_every_key_of_the_default_job_with_its_meaning(tables):
+    job = yaml.safe_load(tables.JOB.read_text())
+    sections = {name for name, value in job.items() if isinstance(value, dict)}
+    listed = tables.job_keys()
+    assert {key.name for key in listed} == keys_of(job) - sections
+    assert [key.name for key in listed if not key.meaning] == []
+
+
+def test_a_comment_that_goes_on_below_belongs_to_the_key_above(tables):
+    text = "first:\n  a: 1 # one,\n  # or two\n  # a heading\n\n  b: 2\nc: 3 # three\n"
+    assert tables.meanings(text) == {"first.a": "one, or two a heading", "first.b": "", "c": "three"}
