@@ -24,7 +24,7 @@ from htcp_jax.clearance.obstacles.fixtures import fixtures
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles
 from htcp_jax.model import Fixture, Robot, mesh_points
 from htcp_jax.numerics import product
-from htcp_jax.pytree import register_pytree
+from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
 
 FAR_M = 1e6  # distance between bodies and obstacles that are both fixed in the world
@@ -43,7 +43,7 @@ class PlacedCloud(Obstacle):
 
     cloud: Cloud
     T_world: Pose
-    name: str = field(metadata={"static": True})
+    name: str = field(metadata=LABEL)
     excluded: tuple[int, ...] = field(default=(), metadata={"static": True})  # links
 
     sweeps = True
