@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float as HostFloat
-from scipy.spatial import ConvexHull
+import scipy
 
 from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid
@@ -195,7 +195,7 @@ def solid_of(shape: Fixture) -> Solid | None:
 
 def convex_piece(points: HostFloat[np.ndarray, "V 3"]) -> Polyhedron:
     """Return the convex hull of points that are not in one plane, world [m]."""
-    hull = ConvexHull(points)
+    hull = scipy.spatial.ConvexHull(points)
     corners, normal = points[hull.simplices], hull.equations[:, :3]
     backwards = np.einsum("fi,fi->f", np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), normal) < 0
     corners[backwards] = corners[backwards, ::-1]
