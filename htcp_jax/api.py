@@ -23,8 +23,8 @@ from htcp_jax.notebook import html_facts
 from htcp_jax.planning import batch, registry
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
-from htcp_jax.runs import plan_folder, provenance
 from htcp_jax.runs import motion_summary as motion_summaries
+from htcp_jax.runs import plan_folder, provenance
 from htcp_jax.runs import summary as summaries
 
 if TYPE_CHECKING:
@@ -176,7 +176,9 @@ class Plan:
     def frame(self) -> "pandas.DataFrame":
         """Return a table with one row per target; the columns are those of a sweep's `targets` table."""
         return runs.tables.table_frame(
-            runs.tables.target_table(self.job.method, np.zeros(1, int), self.plans, runs.tables.joint_columns(self.robot))
+            runs.tables.target_table(
+                self.job.method, np.zeros(1, int), self.plans, runs.tables.joint_columns(self.robot)
+            )
         )
 
     def figure(self) -> "Figure":

@@ -1,9 +1,10 @@
 """Names of executables on disk: digests of all that an executable depends on.
 
-`source_key` needs no tracing. It is of the core's source, JAX, the processor or GPU, and a lane function with the values,
-shapes and static parts of its arguments. The static parts are in the structure of the pytree, and are described by their contents: names of
-classes and functions stand for their source. So they must be the core's own: what depends on the code of another package or of a notebook is traced in every process, and found
-by `program_key`, of the program's text, as what was changed in the source without effect on the program.
+`source_key` needs no tracing. It is of the core's source, the libraries, the processor or GPU, and a lane function with
+the values, shapes and static parts of its arguments. The static parts are in the structure of the pytree. They are
+described by their contents, and names of classes and functions stand for their source. So they must be the core's own:
+what depends on the code of another package or of a notebook is traced in every process, and then found by
+`program_key`, the digest of the program's text. So is a program that a change of the source did not change.
 
 Replacing functions of the core at run time does not change a name: that is for HTCP_CACHE=off.
 """

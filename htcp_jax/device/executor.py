@@ -1,10 +1,12 @@
 """Execution of a method's lane functions on one scene and device, and the cache of their executables."""
 
+import inspect
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -56,8 +58,8 @@ class ExecutableCache:
 
     def get(
         self,
-        lane_function: LaneFunction,
-        settings: Settings,
+        lane_function: "LaneFunction | _WholeFunction",
+        settings: Settings | None,
         device: jax.Device,
         arguments: tuple,
         waiting: AbstractContextManager = NO_STOPWATCH,
@@ -82,6 +84,17 @@ class ExecutableCache:
                     found = self._found(key, settings, arguments)
                     self._keep(key, found)
         return found
+
+    def call(self, function: Callable, *arguments: Any) -> Any:
+        """Call a function of the core that carries `jax.jit`, on the default device, without tracing it if it is kept.
+
+        Args:
+            function: The function.
+            *arguments: Arrays, or robots and obstacles, see `without_labels`.
+        """
+        whole = _WholeFunction(function.__name__, inspect.unwrap(function))
+        arguments = jax.tree.map(np.asarray, arguments)
+        return self.get(whole, None, default_device(), arguments)(*arguments)
 
     def _found(self, key: tuple, settings: Settings, arguments: tuple) -> jax.stages.Compiled:
         """Load an executable from disk, or trace and compile it."""
@@ -119,6 +132,20 @@ class ExecutableCache:
             for key in self._compiled
             if key[0] == lane_function
         ]
+
+
+@dataclass(frozen=True)
+class _WholeFunction:
+    """A function without lanes and settings, with the interface of a `LaneFunction`."""
+
+    name: str
+    function: Callable
+
+    def values(self, settings: None) -> tuple:
+        return ()
+
+    def jitted(self, settings: None, device: jax.Device) -> jax.stages.Wrapped:
+        return jax.jit(self.function, keep_unused=True)
 
 
 EXECUTABLES = ExecutableCache(on_disk=True)  # owned by this process, for all its plans

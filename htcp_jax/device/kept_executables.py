@@ -1,8 +1,8 @@
 """Executables written to the cache folder, and loaded again without tracing.
 
 An executable is stored under the name of its program, `executable_key.program_key`. A second, short file, named
-`source_key`, says which program a lane function is, and is found without tracing. JAX's own cache keeps the same programs,
-but what it has loaded cannot be serialised again; so an executable is stored by the process that compiled it.
+`source_key`, says which program a lane function is, and is found without tracing. JAX's own cache keeps these programs,
+too, but what it has loaded cannot be serialised again: an executable is stored by the process that compiled it.
 """
 
 import contextlib

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 import scipy
+from jaxtyping import Float
 
 from htcp_jax.model.mesh_points import area
 

@@ -6,8 +6,8 @@ They are read from the path's file; normals and tangents may also be computed fr
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 import scipy
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.surface import cloud_normals

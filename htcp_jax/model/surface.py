@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 import scipy
+from jaxtyping import Bool, Float, Int
 
 MOST = 60_000  # points drawn at most
 NEIGHBOURS, REACHED = 24, 8  # points per fitted normal; a disc extends beyond this neighbour

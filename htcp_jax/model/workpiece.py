@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 import scipy
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.arrays import points, triple

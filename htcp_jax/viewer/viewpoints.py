@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 import scipy
+from jaxtyping import Bool, Float
 
 DIRECTIONS = 16
 ABOVE_RAD = np.radians(16.0)  # downward angle of a camera

@@ -52,8 +52,6 @@ class PieceContact(NamedTuple):
 Body = PlacedPiece | Rod | Box | Cylinder | HalfSpace
 
 
-
-
 @cache
 def _cube() -> ConvexPiece:
     return convex_piece.make_piece(np.array(list(combinations((-1.0, 1.0), repeat=3))))

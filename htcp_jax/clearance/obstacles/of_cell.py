@@ -13,8 +13,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float as HostFloat
 import scipy
+from jaxtyping import Float as HostFloat
 
 from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid

@@ -12,8 +12,8 @@ sample's. The candidates from a tree of the middles are tested exactly.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 import scipy
+from jaxtyping import Bool, Float, Int
 
 from htcp_jax.caching import cached_for_last
 from htcp_jax.model import Workpiece, mesh_points

@@ -8,8 +8,8 @@ name the unit that would make the sizes plausible.
 import warnings
 
 import numpy as np
-from jaxtyping import Float
 import scipy
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, kinematics

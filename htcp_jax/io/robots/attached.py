@@ -8,8 +8,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 import scipy
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, cover_with_capsules

@@ -10,8 +10,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 import scipy
+from jaxtyping import Bool, Float
 
 GRID_M = 1e-5  # ends and radius are multiples of it, the radius rounded up
 THINNEST_M = 3e-3  # radius: a thinner body would need impractically dense points on the workpiece
@@ -298,7 +298,11 @@ def _minimise_volume(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Fl
 
     held = {"type": "ineq", "fun": depth, "jac": depth_slopes}
     least = partial(
-        scipy.optimize.minimize, lambda z: _capsule_volume(2 * _half(z), z[6]), jac=slope, constraints=held, method="SLSQP"
+        scipy.optimize.minimize,
+        lambda z: _capsule_volume(2 * _half(z), z[6]),
+        jac=slope,
+        constraints=held,
+        method="SLSQP",
     )
     found = least(z, options={"maxiter": effort.steps, "ftol": effort.tolerance}).x
     return found if np.isfinite(found).all() else z

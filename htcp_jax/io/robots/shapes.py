@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 import scipy
+from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.point_cloud import load_geometry

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 import scipy
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import FIRST_DIRECTIONS, TINY, Capsule, Points, hull_corners
