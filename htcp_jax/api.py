@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-from matplotlib.figure import Figure
 
+from htcp_jax import jobs, runs
 from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import obstacle_kind, self_collision
 from htcp_jax.device import devices
-from htcp_jax.jobs import PlanConfig, build, load_config, with_kinds
+from htcp_jax.jobs import PlanConfig, load_config, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Motion, Plans
@@ -24,13 +23,13 @@ from htcp_jax.notebook import html_facts
 from htcp_jax.planning import batch, registry
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
-from htcp_jax.runs import input_files, plan_folder, provenance, tables
 from htcp_jax.runs import motion_summary as motion_summaries
+from htcp_jax.runs import plan_folder, provenance
 from htcp_jax.runs import summary as summaries
-from htcp_jax.viewer import draw_plan, glyphs
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure
 
 
 NOTABLE_RAD = 0.1  # difference between the first configuration and the given start
@@ -148,14 +147,14 @@ class Plan:
         x_last = self.plans.before(0, failed)
         known = self.robot, self.workpiece, self.scenario
         with devices.on(devices.choose(self.device)[0]):
-            task = build.task_of_job(self.job, self.robot)
+            task = jobs.build.task_of_job(self.job, self.robot)
             return obstructions.obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
 
     @cached_property
     def start_cause(self) -> start_causes.StartCause | None:
         """The reason why the plan could not begin; None if it could, see `start_cause.CAUSES`."""
         with devices.on(devices.choose(self.device)[0]):
-            known = self.job.settings, build.task_of_job(self.job, self.robot), self.obstacles
+            known = self.job.settings, jobs.build.task_of_job(self.job, self.robot), self.obstacles
             status = self.plans.status[:, 0]
             found = start_causes.start_causes(
                 self.robot, self.workpiece, scenarios.stack([self.scenario]), status, *known
@@ -176,12 +175,16 @@ class Plan:
 
     def frame(self) -> "pandas.DataFrame":
         """Return a table with one row per target; the columns are those of a sweep's `targets` table."""
-        return tables.table_frame(
-            tables.target_table(self.job.method, np.zeros(1, int), self.plans, tables.joint_columns(self.robot))
+        return runs.tables.table_frame(
+            runs.tables.target_table(
+                self.job.method, np.zeros(1, int), self.plans, runs.tables.joint_columns(self.robot)
+            )
         )
 
-    def figure(self) -> Figure:
+    def figure(self) -> "Figure":
         """Draw the arm in the workpiece, cut open, and the clearance along the path."""
+        from htcp_jax.viewer import draw_plan, glyphs  # here, as matplotlib takes half a second to import
+
         return draw_plan(
             self.robot,
             self.workpiece,
@@ -189,7 +192,7 @@ class Plan:
             self.plans,
             title=f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets",
             obstruction=self.obstruction,
-            fixtures=build.drawn_of(self.job.cell, self.robot),
+            fixtures=jobs.build.drawn_of(self.job.cell, self.robot),
             normals=glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece)),
         )
 
@@ -204,7 +207,7 @@ class Plan:
         known["colliding_body"] = self.obstruction and self.obstruction.record()
         known["cause"] = self.start_cause and self.start_cause.description
         config = self.job.model_dump()
-        files = input_files.file_hashes(input_files.anchor_files(config))
+        files = runs.input_files.file_hashes(runs.input_files.anchor_files(config))
         with devices.on(devices.choose(self.device)[0]):
             return {**known, **provenance.provenance(), "config": config, "files": files}
 
@@ -277,8 +280,8 @@ def plan(
     with devices.on(devices.choose(device)[0]):
         job = with_kinds(load_config(config, overrides), obstacles, task)
         chosen = registry.find(job.method) if method is None or isinstance(method, str) else method
-        robot, workpiece, scenario = build.scene(job)
-        all_obstacles = build.obstacles_of(job.cell, robot)
+        robot, workpiece, scenario = jobs.build.scene(job)
+        all_obstacles = jobs.build.obstacles_of(job.cell, robot)
         plans = batch.plan(
             robot,
             workpiece,
@@ -287,7 +290,7 @@ def plan(
             job.settings,
             progress=progress,
             device=device,
-            task=build.task_of_job(job, robot),
+            task=jobs.build.task_of_job(job, robot),
             obstacles=all_obstacles,
             check_starts=True,
         )
@@ -300,6 +303,8 @@ def methods() -> "pandas.DataFrame":
 
     A method of another package that cannot be imported causes a UserWarning with the reason.
     """
+    import pyarrow as pa
+
     known = registry.METHODS.all().items()
     rows = [{"method": name, "title": method.title, "description": method.description} for name, method in known]
-    return tables.table_frame(pa.Table.from_pylist(rows)).set_index("method")
+    return runs.tables.table_frame(pa.Table.from_pylist(rows)).set_index("method")

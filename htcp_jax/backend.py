@@ -7,16 +7,21 @@ compiled for JAX's default device.
 """
 
 from contextlib import AbstractContextManager
+from functools import cache
+from types import ModuleType
 from typing import NamedTuple
 
 import jax
 
-try:
-    from jax.experimental.pallas import triton
-except ImportError:  # JAX plans to remove it
-    triton = None
 
-HAS_KERNEL = triton is not None
+@cache
+def triton() -> ModuleType | None:
+    """Return Pallas' Triton backend, imported when a GPU needs it; None if this JAX has none."""
+    try:
+        from jax.experimental.pallas import triton
+    except ImportError:  # JAX plans to remove it
+        return None
+    return triton
 
 
 class Backend(NamedTuple):
@@ -29,7 +34,7 @@ class Backend(NamedTuple):
     @classmethod
     def of(cls, platform: str) -> "Backend":
         """Return the backend for a platform of JAX."""
-        return cls(platform, platform == "gpu" and HAS_KERNEL)
+        return cls(platform, platform == "gpu" and triton() is not None)
 
     @property
     def is_cpu(self) -> bool:

@@ -23,6 +23,6 @@ def kernel(program: Callable, out, programs: int, warps: int = 1) -> Callable:
         program,
         out_shape=out,
         grid=(programs,),
-        compiler_params=triton.CompilerParams(num_warps=warps),
+        compiler_params=triton().CompilerParams(num_warps=warps),
         interpret=backend().interprets,
     )

@@ -5,14 +5,18 @@ type annotations apply when a robot or a scenario is constructed, not in these p
 """
 
 import dataclasses
+from typing import TypeVar
 
 import jax
+
+LABEL = {"static": True, "label": True}
+Value = TypeVar("Value")
 
 
 def register_pytree(cls: type) -> type:
     """Register a dataclass as a pytree: a class decorator above `@dataclass(frozen=True)`.
 
-    Fields with metadata {"static": True} are not leaves.
+    Fields with metadata {"static": True} are not leaves; those with LABEL serve messages and files only.
     """
     fields = dataclasses.fields(cls)
     leaves = [f.name for f in fields if not f.metadata.get("static")]
@@ -30,3 +34,24 @@ def register_pytree(cls: type) -> type:
 
     jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)
     return cls
+
+
+def without_labels(value: Value) -> Value:
+    """Return a dataclass whose labels are empty: as many names as before, but empty ones, and nothing else.
+
+    Compiled functions do not read labels; without them, arms and obstacles that differ in labels only share
+    executables.
+    """
+    if not dataclasses.is_dataclass(value):
+        return value
+    found = object.__new__(type(value))
+    for field in dataclasses.fields(value):
+        content = getattr(value, field.name)
+        object.__setattr__(found, field.name, _empty(content) if field.metadata.get("label") else content)
+    return found
+
+
+def _empty(label):
+    if isinstance(label, tuple):
+        return ("",) * len(label) if all(isinstance(each, str) for each in label) else ()
+    return "" if isinstance(label, str) else None

@@ -11,7 +11,7 @@ only. Nothing is imported before a name is looked up or listed.
 
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -81,10 +81,14 @@ class Registry:
             self._loaded[name] = self._load(self._entry_points[name])
         return self._loaded[name]
 
-    def all(self) -> dict[str, Any]:
-        """Return everything by its name. What cannot be imported is excluded, with a UserWarning."""
+    def all(self, without: Collection[str] = ()) -> dict[str, Any]:
+        """Return everything by its name. What cannot be imported is excluded, with a UserWarning.
+
+        Args:
+            without: Names that are not looked up.
+        """
         found = {}
-        for name in self.names():
+        for name in (name for name in self.names() if name not in without):
             try:
                 found[name] = self.find(name)
             except InputError as error:
@@ -109,8 +113,8 @@ class Registry:
                 )
 
     @cached_property
-    def _built_in(self) -> dict[str, Any]:
-        return dict(self._load_built_in())
+    def _built_in(self) -> Mapping[str, Any]:
+        return self._load_built_in()
 
     @cached_property
     def _entry_points(self) -> dict[str, EntryPoint]:

@@ -101,6 +101,7 @@ OWN_FILES = {  # modules that open files themselves, and why that is safe
     "runs.provenance": "/proc/cpuinfo",
     "runs.plan_folder": "files that a person names for the gate, and bytes in memory",
     "device.compile_cache": "the user's own cache",
+    "device.executable_key": "the source of this package, and /proc/cpuinfo",
     "device.processes": "a folder that was made just now",
     "cli.main": "os.devnull",
     "report.document": "a picture in memory",

@@ -8,7 +8,7 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.backend import HAS_KERNEL, Backend, compiled_for
+from htcp_jax.backend import Backend, compiled_for, triton
 from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, lower_bounds, single, with_axes
 from htcp_jax.clearance.distance.branch_and_bound import FAN
 from htcp_jax.clearance.distance.cloud_tree import TOP, build_index, nearest_body, nearest_rows
@@ -239,7 +239,7 @@ def test_no_gradient_passes_through_the_search():
     np.testing.assert_allclose(jax.jacfwd(square)(p), 2 * (p - points[row]), atol=1e-14)
 
 
-@pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+@pytest.mark.skipif(triton() is None, reason="this JAX has no Triton backend of Pallas")
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("name", ["one", "three hundred", "on a plane", "far apart"])
 def test_the_kernel_for_gpus_finds_the_same_leaves(name, shared):

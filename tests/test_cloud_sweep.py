@@ -13,7 +13,7 @@ from sphere_references import Where
 from test_cloud_index import cloud
 from test_motion_proof import motions
 
-from htcp_jax.backend import HAS_KERNEL, Backend, compiled_for
+from htcp_jax.backend import Backend, compiled_for, triton
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
@@ -92,7 +92,7 @@ def as_on_a_gpu():
         yield on_gpu
 
 
-@pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+@pytest.mark.skipif(triton() is None, reason="this JAX has no Triton backend of Pallas")
 @pytest.mark.parametrize("name", ["one", "seventeen", "three hundred", "on a plane", "as few as take four levels"])
 def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu):
     """Compare a batch of lanes, each with some of its bodies requested, and the verdicts at a required clearance."""
@@ -120,7 +120,7 @@ def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu):
     ).all()
 
 
-@pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+@pytest.mark.skipif(triton() is None, reason="this JAX has no Triton backend of Pallas")
 def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu):
     """Compare proofs of a batch of motions by the GPU kernels, with points inside and outside the hull."""
     segments = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions()[:40])

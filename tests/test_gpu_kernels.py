@@ -13,11 +13,11 @@ import pytest
 import qpsolvers
 from test_qp import ORACLE, dense_answer
 
-from htcp_jax.backend import HAS_KERNEL, Backend, compiled_for
+from htcp_jax.backend import Backend, compiled_for, triton
 from htcp_jax.solvers import cma_es, interior_point_gpu, square_roots_gpu
 from htcp_jax.solvers.interior_point import DenseSolution, solve_dense
 
-pytestmark = pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+pytestmark = pytest.mark.skipif(triton() is None, reason="this JAX has no Triton backend of Pallas")
 INTERPRETED = Backend("gpu", has_kernels=True, interprets=True)
 
 

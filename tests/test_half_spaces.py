@@ -6,11 +6,11 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.backend import HAS_KERNEL, Backend, compiled_for
+from htcp_jax.backend import Backend, compiled_for, triton
 from htcp_jax.clearance.distance.half_spaces import ROUNDING_M, crossed_facets, depths, half_spaces
 from htcp_jax.model.convex_hull import convex_hull
 
-NEEDS_KERNEL = pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+NEEDS_KERNEL = pytest.mark.skipif(triton() is None, reason="this JAX has no Triton backend of Pallas")
 RNG = np.random.default_rng(0)
 
 

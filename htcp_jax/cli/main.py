@@ -18,7 +18,6 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-from htcp_jax.device import compile_cache
 from htcp_jax.errors import InputError, Interrupted, Lost, Note
 from htcp_jax.process_exit import INTERRUPTED as STOPPED
 
@@ -59,6 +58,8 @@ class Commands(TyperGroup):
 
 def _imported(name: str):
     function = getattr(importlib.import_module(f"htcp_jax.cli.{name}"), name)
+    if "jax" in sys.modules:  # some commands do without
+        importlib.import_module("htcp_jax.device.compile_cache").enable()
     alone = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, add_completion=False)
     alone.command(name, short_help=COMMANDS[name])(function)
     return typer.main.get_command(alone)
@@ -162,7 +163,6 @@ def _run(words: list[str]) -> int:
         raise InputError("an argument holds a NUL byte; no name of a file does")
     if words[0] in COMPLETION and len(words) > 1:
         os.environ["_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"] = "1"  # the named shell, not a detected one
-    compile_cache.enable()
     with warnings.catch_warnings():
         warnings.simplefilter("default", UserWarning)
         warnings.showwarning = _warn

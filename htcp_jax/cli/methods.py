@@ -17,7 +17,7 @@ def methods(as_json: Json = False) -> int:
       htcp methods                              the table
       htcp methods --json                       for another program
     """
-    rows = tuple((name, method.title, method.description) for name, method in registry.METHODS.all().items())
+    rows = tuple((name, *words) for name, words in registry.descriptions().items())
     table = Table("methods", COLUMNS, rows)
     if as_json:
         print_json(table.records())

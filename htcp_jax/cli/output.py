@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
 import rich.table
 import typer
 from rich.console import Console
@@ -28,9 +27,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from htcp_jax.device import devices
 from htcp_jax.report import Table
-from htcp_jax.runs import plan_folder
 
 WIDEST = 100_000  # characters; wider than any table, as tables are folded before
 LINE_S = 10.0  # between lines of progress
@@ -59,6 +56,10 @@ def claim_device(device: str | None) -> None:
     Raises:
         InputError: For such a device.
     """
+    import jax  # here, as it takes a second
+
+    from htcp_jax.device import devices
+
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
     devices.choose(device)
@@ -71,6 +72,8 @@ def stdout() -> Console:
 
 def print_json(record: Any) -> None:
     """Print `record` to stdout; NaN and infinities become null."""
+    from htcp_jax.runs import plan_folder
+
     print(plan_folder.json_text(record))
 
 

@@ -1,5 +1,7 @@
 """`htcp plan`: plan one job, print a table and write five files."""
 
+import importlib
+import threading
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +15,7 @@ from htcp_jax.cli.output import Device, Json, Overrides, claim_device, print_fac
 from htcp_jax.runs import plan_folder
 
 COMPLETE, INCOMPLETE = 0, 3
+MATPLOTLIB = "matplotlib.figure", "matplotlib.backends.backend_agg"
 
 
 Config = Annotated[
@@ -56,6 +59,7 @@ def plan(
       htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
     claim_device(device)  # before anything is read
+    threading.Thread(target=_load_matplotlib, daemon=True).start()
     overrides = [*(overrides or ()), *([] if seed is None else [f"settings.seed={seed}"])]
     with plan_folder.written_whole(out) as folder:
         made = plan_with_progress(config, overrides, method, device)
@@ -68,6 +72,12 @@ def plan(
         for where, why in made.failure().items():
             stdout().print(Text.assemble((f"{where}: ", "red"), why))
     return COMPLETE if made.complete else INCOMPLETE
+
+
+def _load_matplotlib() -> None:
+    """Import what the picture needs while the plan computes: compiled code does not hold the interpreter's lock."""
+    for module in MATPLOTLIB:
+        importlib.import_module(module)
 
 
 def plan_with_progress(

@@ -69,7 +69,7 @@ def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
         empty = _empty(jax.eval_shape(one_chunk, scene, tables, lanes), capacity)
         return jax.lax.fori_loop(0, (lanes + width - 1) // width, body, empty)
 
-    return jax.jit(run)
+    return jax.jit(run, keep_unused=True)  # its text then has all arguments, see `kept_executables`
 
 
 class Slots(NamedTuple):
@@ -128,7 +128,7 @@ def refilled(function: Callable, width: int) -> jax.stages.Wrapped:
         results = _empty(jax.eval_shape(result, lane, state), capacity)
         return jax.lax.while_loop(more, turn, (slots, jnp.zeros((), jnp.int32), results))[2]
 
-    return jax.jit(run)
+    return jax.jit(run, keep_unused=True)  # its text then has all arguments, see `kept_executables`
 
 
 def next_rows(

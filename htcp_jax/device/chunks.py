@@ -63,7 +63,7 @@ def by_chunks(function: Callable, width: int) -> Callable:
         *_, known = jax.lax.while_loop(more, advance, (slots, jnp.zeros((), jnp.int32), known))
         return jax.vmap(bisection.proven_result)(known.proof)
 
-    return jax.jit(run)
+    return jax.jit(run, keep_unused=True)
 
 
 def _shared_out(slots: ChunkSlots, capacity: int) -> ChunkSlots:

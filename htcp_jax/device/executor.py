@@ -1,10 +1,12 @@
 """Execution of a method's lane functions on one scene and device, and the cache of their executables."""
 
+import inspect
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -12,8 +14,9 @@ import numpy as np
 
 from htcp_jax.backend import Backend, compiled_for, default_device
 from htcp_jax.clearance import Scene
-from htcp_jax.device import compile_cache
+from htcp_jax.device import compile_cache, kept_executables
 from htcp_jax.device.devices import cores
+from htcp_jax.device.executable_key import program_key, source_key
 from htcp_jax.device.lane_function import TRACKED, LaneFunction
 from htcp_jax.device.tables import concatenate, gather, pad
 from htcp_jax.model import Task
@@ -35,11 +38,13 @@ NO_STOPWATCH = nullcontext()  # in place of a stopwatch for the time spent waiti
 class ExecutableCache:
     """Cache of executables, one per lane function, values of the settings that it reads, device, and argument shapes.
 
-    It holds at most `most` executables; beyond that the least recently used one is dropped.
+    Args:
+        most: Number of executables; beyond that the least recently used one is dropped.
+        on_disk: True to keep them in the folder of `compile_cache`, too, for other processes.
     """
 
-    def __init__(self, most: int = 256):
-        self._most = most
+    def __init__(self, most: int = 256, on_disk: bool = False):
+        self._most, self._on_disk = most, on_disk
         self._compiled: dict[tuple, jax.stages.Compiled] = {}  # the last requested ones at the end
         self._compiling: dict[tuple, threading.Lock] = {}  # one per executable: others can be compiled meanwhile
         self._tracing, self._sorting = threading.Lock(), threading.Lock()
@@ -53,8 +58,8 @@ class ExecutableCache:
 
     def get(
         self,
-        lane_function: LaneFunction,
-        settings: Settings,
+        lane_function: "LaneFunction | _WholeFunction",
+        settings: Settings | None,
         device: jax.Device,
         arguments: tuple,
         waiting: AbstractContextManager = NO_STOPWATCH,
@@ -76,12 +81,35 @@ class ExecutableCache:
         if (found := self._kept(key)) is None:
             with waiting, self._compiling.setdefault(key, threading.Lock()):
                 if (found := self._kept(key)) is None:
-                    with self._tracing, compiled_for(Backend.of(device.platform)):
-                        lowered = lane_function.jitted(settings, device).lower(*arguments)
-                    with compile_cache.compilation_lock(lane_function.name):
-                        found = lowered.compile(COMPILER.get(device.platform))
+                    found = self._found(key, settings, arguments)
                     self._keep(key, found)
         return found
+
+    def call(self, function: Callable, *arguments: Any) -> Any:
+        """Call a function of the core that carries `jax.jit`, on the default device, without tracing it if it is kept.
+
+        Args:
+            function: The function.
+            *arguments: Arrays, or robots and obstacles, see `without_labels`.
+        """
+        whole = _WholeFunction(function.__name__, inspect.unwrap(function))
+        arguments = jax.tree.map(np.asarray, arguments)
+        return self.get(whole, None, default_device(), arguments)(*arguments)
+
+    def _found(self, key: tuple, settings: Settings, arguments: tuple) -> jax.stages.Compiled:
+        """Load an executable from disk, or trace and compile it."""
+        lane_function, values, device, *about = key
+        options, keeps = COMPILER.get(device.platform, {}), self._on_disk and compile_cache.folder() is not None
+        source = source_key(lane_function, values, device, options, *about) if keeps else None
+        if found := kept_executables.find(source, device, arguments):
+            return found
+        with self._tracing, compiled_for(Backend.of(device.platform)):
+            lowered = lane_function.jitted(settings, device).lower(*arguments)
+        with compile_cache.compilation_lock(lane_function.name):
+            if not keeps:
+                return lowered.compile(options)
+            program = program_key(lane_function.name, lowered, device, options)
+            return kept_executables.compiled(source, program, lambda: lowered.compile(options), device, arguments)
 
     def _kept(self, key: tuple) -> jax.stages.Compiled | None:
         with self._sorting:
@@ -106,7 +134,21 @@ class ExecutableCache:
         ]
 
 
-EXECUTABLES = ExecutableCache()  # owned by this process, for all its plans
+@dataclass(frozen=True)
+class _WholeFunction:
+    """A function without lanes and settings, with the interface of a `LaneFunction`."""
+
+    name: str
+    function: Callable
+
+    def values(self, settings: None) -> tuple:
+        return ()
+
+    def jitted(self, settings: None, device: jax.Device) -> jax.stages.Wrapped:
+        return jax.jit(self.function, keep_unused=True)
+
+
+EXECUTABLES = ExecutableCache(on_disk=True)  # owned by this process, for all its plans
 
 
 FEW = 4  # so few lanes are not shared among threads
@@ -155,7 +197,7 @@ class Executor:
         threads: int = 1,
     ):
         self.device = device or default_device()
-        self._scene, self._settings = jax.device_put(scene, self.device), settings
+        self._scene, self._settings = jax.device_put(scene.without_labels(), self.device), settings
         self._executables, self._own = executables, {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None
         self._threads = threads if self._pool else 1

@@ -22,16 +22,16 @@ import warnings
 import zipfile
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError
 from htcp_jax.process_exit import PART
 from htcp_jax.unfinished import NO_LINK, READ, lock_file
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 LARGEST_NAMED = 2 * 2**30  # of a file that a job names, and of a Parquet file [bytes]
 LARGEST = 64 * 2**20  # of any other file in a folder, and of any decompressed file [bytes]
@@ -218,7 +218,9 @@ def read_array(data: bytes, source: str) -> np.ndarray:
     return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape, order="F" if by_column else "C")
 
 
-def read_parquet(stream: io.BufferedReader, file: Path, most_rows: int | None = None, exact: bool = False) -> pa.Table:
+def read_parquet(
+    stream: io.BufferedReader, file: Path, most_rows: int | None = None, exact: bool = False
+) -> "pa.Table":
     """Return the table in an open Parquet file.
 
     Args:
@@ -231,6 +233,10 @@ def read_parquet(stream: io.BufferedReader, file: Path, most_rows: int | None = 
         InputError: For a damaged file, one that decompresses to too much, another number of rows, and columns of
             anything but numbers, strings and lists of numbers.
     """
+    import pyarrow as pa  # here, as most commands read no tables
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
     try:
         size, schema = os.fstat(stream.fileno()).st_size, pq.read_schema(stream)
         if bad := [field.name for field in schema if not _is_plain(field.type)]:
@@ -257,14 +263,19 @@ def read_parquet(stream: io.BufferedReader, file: Path, most_rows: int | None = 
         raise InputError(f"{file} is not a Parquet file: {one_line(error)}") from None
 
 
-def _is_plain(kind: pa.DataType) -> bool:
+def _is_plain(kind: "pa.DataType") -> bool:
+    import pyarrow as pa
+
     if pa.types.is_list(kind):
         return pa.types.is_primitive(kind.value_type)
     return pa.types.is_primitive(kind) or pa.types.is_string(kind) or pa.types.is_null(kind)
 
 
-def parquet_bytes(rows: pa.Table, **how: Any) -> bytes:
+def parquet_bytes(rows: "pa.Table", **how: Any) -> bytes:
     """Return a table as the bytes of a Parquet file; `how` are keywords of `pyarrow.parquet.write_table`."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     sink = pa.BufferOutputStream()
     pq.write_table(rows, sink, compression="zstd", **how)
     return sink.getvalue().to_pybytes()

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import model_file
 from htcp_jax.jobs.config import AUTO, DEPENDENT, PlanConfig
 from htcp_jax.jobs.config_file import FILES, NO_CLOUD, put_key
 
@@ -108,4 +107,6 @@ def _no_start(robot: dict, source: str) -> str:
 def _joint_names(robot: dict) -> tuple[str, ...]:
     tcp = robot.get("tcp")
     site = tcp if isinstance(tcp, str) else "tcp"
+    from htcp_jax.io.robots import model_file  # here, as MuJoCo is imported for an arm's file only
+
     return model_file.read_robot_file(Path(robot["model"]), site, "model", np.eye(4), None).facts["joint_names"]

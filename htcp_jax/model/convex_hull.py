@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.caching import cached_by_values
 from htcp_jax.errors import InputError
@@ -35,15 +35,15 @@ def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: st
         InputError: For points in one plane.
     """
     try:
-        exact = ConvexHull(points)
-    except QhullError:
+        exact = scipy.spatial.ConvexHull(points)
+    except scipy.spatial.QhullError:
         raise InputError(f"{source}: flat, so it has no inside; choose interior 'none'") from None
     vertices = points[exact.vertices]
     if tolerance_m == 0.0:
         planes = _distinct_planes(exact.equations)
         return Hull(planes[:, :3].copy(), -planes[:, 3], vertices)
     # Qhull's W: a point becomes a vertex only if it lies farther than this outside the facets so far.
-    thinned = ConvexHull(vertices, qhull_options=f"Qt W{tolerance_m:.17g}")
+    thinned = scipy.spatial.ConvexHull(vertices, qhull_options=f"Qt W{tolerance_m:.17g}")
     normal = _distinct_planes(thinned.equations)[:, :3].copy()
     # Push every facet out to its farthest point, so that no point is outside.
     return Hull(normal, np.max(normal @ vertices.T, axis=1), vertices)

@@ -8,7 +8,7 @@ from itertools import product as combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull
+import scipy
 
 from htcp_jax.types import Anywhere, Float, Int
 
@@ -46,7 +46,7 @@ def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexP
     _, size, axes = np.linalg.svd(np.concatenate([points - middle, np.zeros((3, 3))]))
     missing = axes[int(np.sum(size > FLAT * size[0])) :] * (size[0] or 1.0)
     thickened = np.array(list(combinations((-1, 1), repeat=len(missing)))) @ missing
-    hull = ConvexHull((points[:, None] + thickened[None]).reshape(-1, 3))
+    hull = scipy.spatial.ConvexHull((points[:, None] + thickened[None]).reshape(-1, 3))
     normals, face = np.unique(hull.equations[:, :3].round(12), axis=0, return_inverse=True)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     used, vertex = np.unique(np.arange(len(points)).repeat(len(thickened))[hull.simplices], return_inverse=True)

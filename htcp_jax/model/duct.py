@@ -7,11 +7,12 @@ Both ends are open, as in the measured duct that the parameters were fitted to.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
 # x, a, zc, b above, b below, n above, n below; lengths in m
 # fmt: off
@@ -46,7 +47,10 @@ PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
 NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
 INTERIOR_DEPTH_M = 0.2
 
-_sections = PchipInterpolator(STATIONS[:, 0], STATIONS[:, 1:], extrapolate=False)
+
+@cache
+def _sections() -> Any:
+    return scipy.interpolate.PchipInterpolator(STATIONS[:, 0], STATIONS[:, 1:], extrapolate=False)
 
 
 class DuctSection(NamedTuple):
@@ -66,7 +70,7 @@ class DuctSection(NamedTuple):
 
 def section(x: Float[np.ndarray, "P"]) -> DuctSection:
     """Return the duct's sections at `x` [m]."""
-    return DuctSection(*np.moveaxis(_sections(x), -1, 0))
+    return DuctSection(*np.moveaxis(_sections()(x), -1, 0))
 
 
 def section_value(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
@@ -119,7 +123,7 @@ def weld(points: int = WELD_POINTS) -> Float[np.ndarray, "{points} 3"]:
     They are equally spaced by arc length along the cubic spline through WELD_KNOTS.
     """
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(WELD_KNOTS, axis=0), axis=1)))
-    return equal_steps(CubicSpline(chord, WELD_KNOTS), chord[-1], points)
+    return equal_steps(scipy.interpolate.CubicSpline(chord, WELD_KNOTS), chord[-1], points)
 
 
 def equal_steps(

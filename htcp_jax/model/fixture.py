@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.model.mesh_points import area
 
@@ -51,8 +51,8 @@ class Fixture(NamedTuple):
         if len(self.triangles) > MOST_FACES:
             return False
         try:
-            hull = ConvexHull(self.triangles.reshape(-1, 3))
-        except QhullError:
+            hull = scipy.spatial.ConvexHull(self.triangles.reshape(-1, 3))
+        except scipy.spatial.QhullError:
             return False
         normal, offset = hull.equations[:, :3], -hull.equations[:, 3]
         depth = (offset - self.triangles.mean(axis=1) @ normal.T).min(axis=1)

@@ -16,8 +16,8 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
 from htcp_jax.model import kinematics
@@ -124,7 +124,7 @@ def _thinned_cover(triangles: Triangles, radius_m: float, required: str, source:
         extent = _furthest_corner(left, left.mean(axis=0))
         if len(kept) and (fitting := np.flatnonzero(extent <= radius_m)).size:
             parts = left[:, :, fitting]
-            _, nearest = cKDTree(kept).query(parts.mean(axis=0).T, distance_upper_bound=radius_m)
+            _, nearest = scipy.spatial.cKDTree(kept).query(parts.mean(axis=0).T, distance_upper_bound=radius_m)
             point = np.append(kept, [[np.inf] * 3], axis=0)[nearest].T  # infinite: none is so close
             is_covered = _furthest_corner(parts, point) <= radius_m
             left, extent = (np.delete(each, fitting[is_covered], axis=-1) for each in (left, extent))
@@ -138,7 +138,7 @@ def _thinned_cover(triangles: Triangles, radius_m: float, required: str, source:
 def _greedy_middles(corners: Corners, radius_m: float) -> Float[np.ndarray, "P 3"]:
     """Return middles of triangles so that each triangle lies within `radius_m` of one of them; greedily, in order."""
     middle = corners.mean(axis=0).T
-    tree, is_left, kept = cKDTree(middle), np.ones(len(middle), bool), []
+    tree, is_left, kept = scipy.spatial.cKDTree(middle), np.ones(len(middle), bool), []
     for row in np.lexsort(middle.T):
         if is_left[row]:
             near = np.array(tree.query_ball_point(middle[row], radius_m))

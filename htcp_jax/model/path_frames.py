@@ -6,8 +6,8 @@ They are read from the path's file; normals and tangents may also be computed fr
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.surface import cloud_normals
@@ -25,7 +25,7 @@ class PathFrames(NamedTuple):
 
 def wall_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
     """Return the unit normals of the wall at a path, see `surface.cloud_normals`."""
-    _, near = cKDTree(cloud).query(path, k=min(NEIGHBOURS, len(cloud)))
+    _, near = scipy.spatial.cKDTree(cloud).query(path, k=min(NEIGHBOURS, len(cloud)))
     return cloud_normals(path, cloud[near], cloud)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.model.convex_piece import BodyPieces
 from htcp_jax.notebook import html_facts
-from htcp_jax.pytree import register_pytree
+from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
 
 GP50 = Path(__file__).parent / "robots" / "gp50.xml"  # the built-in arm
@@ -82,20 +82,20 @@ class Robot:
     capsule_q: Float[Array, "K 3"]  # a sphere has p == q
     capsule_radius: Float[Array, "K"]
     on_tool: Float[Array, "K 2"]  # 1 where the end p, q moves with the tool's tip, see lengthen_tool
-    name: str = dataclasses.field(metadata=_STATIC)
-    joint_names: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
+    name: str = dataclasses.field(metadata=LABEL)
+    joint_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)
     slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)
-    capsule_names: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
+    capsule_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)
     capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
-    ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=_STATIC)  # neither capsule nor sphere
-    exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that the model states
+    ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # neither capsule nor sphere
+    exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=LABEL)  # that the model states
     listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # True: complete, except pairs of `mounted`
-    mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job: tool, fixtures
+    mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=LABEL)  # capsules of the job: tool, fixtures
     attached: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # those of fixtures on moving links
     pieces: BodyPieces | None = None  # of the meshes in its capsules; None: capsules alone decide
-    meshes: VendorMeshes | None = dataclasses.field(default=None, metadata=_STATIC)  # None if its file refers to none
-    frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
-    base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # fixed in the world: link -1
+    meshes: VendorMeshes | None = dataclasses.field(default=None, metadata=LABEL)  # None if its file refers to none
+    frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)  # that a task may name
+    base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)  # fixed in the world: link -1
 
     def _repr_html_(self) -> str:
         limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)

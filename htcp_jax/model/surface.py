@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
 MOST = 60_000  # points drawn at most
 NEIGHBOURS, REACHED = 24, 8  # points per fitted normal; a disc extends beyond this neighbour
@@ -51,7 +51,7 @@ def surface_of(cloud: Float[np.ndarray, "P 3"], most: int = MOST) -> Surface:
     if len(cloud) > most:
         cloud = cloud[np.sort(np.random.default_rng(0).choice(len(cloud), most, replace=False))]
     count = min(NEIGHBOURS, len(cloud) - 1)
-    distance, near = cKDTree(cloud).query(cloud, k=count + 1)
+    distance, near = scipy.spatial.cKDTree(cloud).query(cloud, k=count + 1)
     reach = 1.1 * distance[:, min(REACHED, count)]
     return Surface(cloud, cloud_normals(cloud, cloud[near], cloud), np.minimum(reach, 3 * np.median(reach)))
 

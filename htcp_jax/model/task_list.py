@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.arm_features import frame_of, point_of
@@ -238,7 +238,7 @@ def _directions(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T 3"]:
 def _rotations(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T 3 3"]:
     if row.orientation == "path":
         return posed.rotate @ posed.workpiece.frames.rotations
-    own = Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
+    own = scipy.spatial.transform.Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
     return np.tile(posed.rotate @ own if row.frame == "workpiece" else own, (len(posed.path), 1, 1))
 
 

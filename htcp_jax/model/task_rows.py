@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+import scipy
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.rotations import angle, axis_error, least_turn, rotation_vector
@@ -318,7 +318,7 @@ class AxisTowards(Row):
             there = start[3:6] + np.linalg.norm(first - start[3:6]) * start[:3]
             return there + share[:, None] * (first - there)
         turn = least_turn(start[:3], first)
-        return Rotation.from_rotvec(share[:, None] * turn).apply(np.array(start[:3]))
+        return scipy.spatial.transform.Rotation.from_rotvec(share[:, None] * turn).apply(np.array(start[:3]))
 
     def _direction(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Vector3:
         if self.looks_from_m is None:
@@ -380,14 +380,15 @@ class FrameOrientation(Row):
 
     def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
         """Return a random rotation."""
-        return np.append(Rotation.random(rng=rng).as_matrix().ravel(), np.ones(int(self.cone)))
+        return np.append(scipy.spatial.transform.Rotation.random(rng=rng).as_matrix().ravel(), np.ones(int(self.cone)))
 
     def eased(self, start, first, share, places):
         """Return rotations that lead to the first goal's, or larger angles."""
         if self.cone:
             return _wider(self, start, first, share)
-        both = Rotation.from_matrix(np.stack([start.reshape(3, 3).T, first.reshape(3, 3)]))
-        return Slerp([0.0, 1.0], both)(share).as_matrix().reshape(-1, 9)
+        transform = scipy.spatial.transform
+        both = transform.Rotation.from_matrix(np.stack([start.reshape(3, 3).T, first.reshape(3, 3)]))
+        return transform.Slerp([0.0, 1.0], both)(share).as_matrix().reshape(-1, 9)
 
     def _to_go(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Vector3:
         return rotation_vector(product(goal[:9].reshape(3, 3), value.reshape(3, 3)))  # value: the axes are rows

@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.arrays import points, triple
@@ -150,7 +150,7 @@ class Workpiece:
     @cached_property
     def largest_gap_m(self) -> float:
         """The largest distance from a point of the cloud to its nearest neighbour: holes are at least as wide."""
-        return float(cKDTree(self.cloud).query(self.cloud, k=2)[0][:, 1].max())
+        return float(scipy.spatial.cKDTree(self.cloud).query(self.cloud, k=2)[0][:, 1].max())
 
     @property
     def walls(self) -> str:

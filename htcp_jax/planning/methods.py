@@ -3,11 +3,17 @@
 import jax
 
 from htcp_jax.planning.beam.beam import BeamSearchMethod
+from htcp_jax.planning.registry import DESCRIPTIONS
 from htcp_jax.planning.tracking.sampling import best_nspace_samples, cspace_samples, nspace_samples
 from htcp_jax.planning.tracking.stages import NullSpace, Sample
 from htcp_jax.planning.tracking.step_qps import StepQPs
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere
+
+
+def _named(name: str) -> tuple[str, str, str]:
+    """Return the name, the title and the description of a built-in method."""
+    return name, *DESCRIPTIONS[name]
 
 
 def _start_key(settings: Settings, key: jax.Array, cmaes: bool = False) -> jax.Array | None:
@@ -22,17 +28,13 @@ _SPREAD = (0.005, 0.01, 0.02, 0.04)
 _SAMPLE_SETTINGS = ("samples", "sample_steps", "max_sample_distance_rad")
 
 BUILT_IN = (
-    StepQPs("baseline", "Baseline planner", "iterative convex optimisation alone, equation (9)"),
+    StepQPs(*_named("baseline")),
     StepQPs(
-        "cspace-sample",
-        "C-Space sample",
-        "restarts from configurations sampled about the last one",
+        *_named("cspace-sample"),
         stages=(Sample(cspace_samples, ("samples", "max_sample_distance_rad"), in_null_space=False),),
     ),
     StepQPs(
-        "nspace-sample",
-        "N-Space sample",
-        "restarts from the ends of self-motions along random null-space directions",
+        *_named("nspace-sample"),
         stages=(
             Sample(
                 lambda scene, s, where, stuck: nspace_samples(scene, s, where, stuck, (s.sample_step_rad,)),
@@ -40,11 +42,9 @@ BUILT_IN = (
             ),
         ),
     ),
-    StepQPs("nspace-sqp", "N-Space SQP", "null-space steps by sequential quadratic programming", stages=(_SQP,)),
+    StepQPs(*_named("nspace-sqp"), stages=(_SQP,)),
     StepQPs(
-        "nspace-ip",
-        "N-Space Interior Point",
-        "null-space steps by a barrier method on the sphere",
+        *_named("nspace-ip"),
         stages=(
             NullSpace(
                 lambda problem, seen, key, s: sphere.interior_point(problem, seen, start_key=_start_key(s, key)),
@@ -53,9 +53,7 @@ BUILT_IN = (
         ),
     ),
     StepQPs(
-        "nspace-cmaes",
-        "N-Space CMA-ES",
-        "null-space steps by CMA-ES",
+        *_named("nspace-cmaes"),
         stages=(
             NullSpace(
                 lambda problem, seen, key, s: sphere.cmaes(
@@ -66,23 +64,17 @@ BUILT_IN = (
         ),
     ),
     StepQPs(
-        "nspace-adam",
-        "N-Space Adam",
-        "null-space steps by Adam, projected on the sphere",
+        *_named("nspace-adam"),
         stages=(
             NullSpace(lambda problem, seen, key, s: sphere.adam(problem, seen, start_key=_start_key(s, key)), _FIRST),
         ),
     ),
     StepQPs(
-        "keep-clear",
-        "Keep clear",
-        "null-space ascent of the clearance after every target, no recovery",
+        *_named("keep-clear"),
         keep_clear=True,
     ),
     StepQPs(
-        "hybrid",
-        "Hybrid",
-        "keep clear; SQP, then null-space samples, then other configurations planned backwards; every joint path clear",
+        *_named("hybrid"),
         stages=(
             _SQP,
             Sample(
@@ -94,8 +86,6 @@ BUILT_IN = (
         check_paths=True,
     ),
     BeamSearchMethod(
-        "beam",
-        "Beam",
-        "a set of configurations at every target, connected to the start by proven motions; the best path through them",
+        *_named("beam"),
     ),
 )

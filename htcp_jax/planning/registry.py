@@ -1,5 +1,6 @@
 """Registry of planning methods; see `htcp_jax.registry`."""
 
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -18,11 +19,52 @@ def _fault(method: Any) -> str:
     return ""
 
 
-def _built_in() -> dict[str, Method]:
-    return {method.name: method for method in import_module("htcp_jax.planning.methods").BUILT_IN}
+DESCRIPTIONS = {  # titles and descriptions of the built-in methods, known before JAX is imported
+    "baseline": ("Baseline planner", "iterative convex optimisation alone, equation (9)"),
+    "cspace-sample": ("C-Space sample", "restarts from configurations sampled about the last one"),
+    "nspace-sample": ("N-Space sample", "restarts from the ends of self-motions along random null-space directions"),
+    "nspace-sqp": ("N-Space SQP", "null-space steps by sequential quadratic programming"),
+    "nspace-ip": ("N-Space Interior Point", "null-space steps by a barrier method on the sphere"),
+    "nspace-cmaes": ("N-Space CMA-ES", "null-space steps by CMA-ES"),
+    "nspace-adam": ("N-Space Adam", "null-space steps by Adam, projected on the sphere"),
+    "keep-clear": ("Keep clear", "null-space ascent of the clearance after every target, no recovery"),
+    "hybrid": (
+        "Hybrid",
+        "keep clear; SQP, then null-space samples, then other configurations planned backwards; every joint path clear",
+    ),
+    "beam": (
+        "Beam",
+        "a set of configurations at every target, connected to the start by proven motions; the best path through them",
+    ),
+}
 
 
-METHODS = Registry("htcp_jax.methods", "method", _fault, _built_in)
+class _BuiltIn(Mapping[str, Method]):
+    """The built-in methods, imported when one of them is used."""
+
+    def __getitem__(self, name: str) -> Method:
+        return {method.name: method for method in import_module("htcp_jax.planning.methods").BUILT_IN}[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in DESCRIPTIONS
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(DESCRIPTIONS)
+
+    def __len__(self) -> int:
+        return len(DESCRIPTIONS)
+
+
+METHODS = Registry("htcp_jax.methods", "method", _fault, _BuiltIn)
+
+
+def descriptions() -> dict[str, tuple[str, str]]:
+    """Return the title and the description of every method, by name; built-in ones are not imported.
+
+    A method of another package that cannot be imported is excluded, with a UserWarning.
+    """
+    others = {name: (each.title, each.description) for name, each in METHODS.all(without=DESCRIPTIONS).items()}
+    return DESCRIPTIONS | others
 
 
 def find(name: str) -> Method:

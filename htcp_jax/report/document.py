@@ -7,12 +7,13 @@ import math
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from htcp_jax.io import files
 from htcp_jax.markup import escaped
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NOTHING = "-"
 
@@ -63,7 +64,7 @@ class Picture(NamedTuple):
     """A figure. `name` is the stem of its file, `alt` its alternative text."""
 
     name: str
-    figure: Figure
+    figure: "Figure"
     alt: str
 
 
@@ -119,7 +120,7 @@ def write_csv(file: Path, table: Table) -> None:
     files.write_atomically(file.parent, file.name, stream.getvalue().encode())
 
 
-def png(figure: Figure) -> bytes:
+def png(figure: "Figure") -> bytes:
     """Return the contents of a PNG file with the figure."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})

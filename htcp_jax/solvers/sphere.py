@@ -14,7 +14,6 @@ from typing import NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import PyTree
 
 from htcp_jax.backend import backend
@@ -320,6 +319,8 @@ def adam(
         rate: Learning rate of the first step, no unit; it falls to 0 by a cosine.
         start_key: Random key for the initial direction; None: see `first_direction`.
     """
+    import optax  # here, as it imports half a second of other optimisers
+
     schedule = optax.cosine_decay_schedule(rate, iterations)
     optimiser = optax.adam(schedule)
 

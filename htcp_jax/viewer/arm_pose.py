@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from htcp_jax.device import EXECUTABLES
 from htcp_jax.model import Robot, kinematics
+from htcp_jax.pytree import without_labels
 
 
 class ArmPose(NamedTuple):
@@ -40,4 +41,5 @@ def together(row: Sequence[ArmPose]) -> kinematics.ArmShape:
 
 def arms_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> kinematics.ArmShape:
     """The arm at n configurations."""
-    return kinematics.ArmShape(*map(np.asarray, kinematics.capsules_and_tcp(robot, jnp.asarray(x))))
+    shape = EXECUTABLES.call(kinematics.capsules_and_tcp, without_labels(robot), x)
+    return kinematics.ArmShape(*map(np.asarray, shape))

@@ -4,7 +4,6 @@ The scene is drawn in orthographic projection from the side, in which a capsule'
 and two lines. Drawing needs no screen.
 """
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -20,6 +19,7 @@ from htcp_jax.motion import Plans
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
 from htcp_jax.runs import motion_summary
+from htcp_jax.viewer.arm_pose import arms_at
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -38,6 +38,8 @@ from htcp_jax.viewer.normal_glyphs import NO_GLYPHS, NormalGlyphs
 from htcp_jax.viewer.viewpoints import ShownBodies, View, flat_side
 
 DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
+LEVELS = 32  # of depth: markers of one colour are drawn in a third of the time
+PLACE = {"left": 0.045, "right": 0.985, "bottom": 0.065, "top": 0.925, "wspace": 0.03, "hspace": 0.16}
 
 
 def draw_plan(
@@ -67,11 +69,10 @@ def draw_plan(
     Returns:
         The figure, to be saved with `figure.savefig(path)`.
     """
-    figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER, layout="constrained")
+    figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER)  # a layout engine would draw it three times
     FigureCanvasAgg(figure)
-    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 0.985, 1))
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
-    grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1))
+    grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1), **PLACE)
     T = np.asarray(scenario.T_world_workpiece)
     cloud = workpiece.shown @ T[:3, :3].T + T[:3, 3]
     x_start = np.asarray(scenario.x_start)[None]
@@ -101,7 +102,7 @@ def _draw_scene(
     """Draw two views from the same side, of everything and of the workpiece, and return that side."""
     shown = shown_targets(plans, row)
     x = plans.x[row, shown] if shown else x_start
-    arm = _shape(robot, x)
+    arm = arms_at(robot, x)
     view = flat_side(
         cloud, plans.target[row], ShownBodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot))
     )
@@ -160,7 +161,10 @@ def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
     behind = np.flatnonzero(depth <= cut)
     behind = behind[np.argsort(depth[behind])]
     flat = view.flat(cloud[behind])
-    axes.scatter(*flat.T, c=cut - depth[behind], cmap=DEPTH, s=1.2, linewidths=0, rasterized=True, zorder=1)
+    look = {"linestyle": "", "marker": "o", "markersize": np.sqrt(1.2), "markeredgewidth": 0, "rasterized": True}
+    for level, part in enumerate(np.array_split(flat, LEVELS)):
+        share = 1 - level / (LEVELS - 1)
+        axes.plot(*part.T, color=DEPTH(share), zorder=1 + level * 1e-3, **look)
 
 
 def _draw_fixtures(axes: Axes, view: View, fixtures: surface.WorldGeometry) -> None:
@@ -175,11 +179,6 @@ def _draw_fixtures(axes: Axes, view: View, fixtures: surface.WorldGeometry) -> N
     flat = view.flat(triangles[order].reshape(-1, 3)).reshape(-1, 3, 2)
     look = {"facecolors": to_rgba(FIXTURE, 0.25), "edgecolors": to_rgba(FIXTURE, 0.12), "linewidths": 0.3}
     axes.add_collection(PolyCollection(flat, rasterized=True, zorder=1.5, **look))
-
-
-def _shape(robot: Robot, x: Float[np.ndarray, "W N"]) -> kinematics.ArmShape:
-    """The arm at several configurations, as numpy arrays."""
-    return kinematics.ArmShape(*map(np.asarray, kinematics.capsules_and_tcp(robot, jnp.asarray(x))))
 
 
 def _draw_arm(axes: Axes, view: View, robot: Robot, arm: kinematics.ArmShape) -> None:
@@ -202,7 +201,7 @@ def _draw_arm(axes: Axes, view: View, robot: Robot, arm: kinematics.ArmShape) ->
 
 def _draw_obstruction(axes: Axes, view: View, robot: Robot, found: Obstruction) -> None:
     """Draw the colliding body as it would be at the failed target, and its contact point on the wall."""
-    arm, k = _shape(robot, found.x[None]), robot.capsule_names.index(found.body)
+    arm, k = arms_at(robot, found.x[None]), robot.capsule_names.index(found.body)
     outline = stadium(view.flat(arm.p[0, k]), view.flat(arm.q[0, k]), float(robot.capsule_radius[k]))
     body = PolyCollection([outline], facecolors=[to_rgba(FAILED, 0.12)], edgecolors=FAILED, linewidths=1.2, zorder=4)
     body.set_linestyle("--")

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.spatial import cKDTree
 
 DIRECTIONS = 16
 ABOVE_RAD = np.radians(16.0)  # downward angle of a camera
@@ -81,7 +81,7 @@ def view_from_side(cloud: Float[np.ndarray, "P 3"], targets: Float[np.ndarray, "
 def _best_view(cloud, path, arm: ShownBodies, asides: Sequence[float], above_rad: float) -> Viewpoint:
     cloud = cloud[:: -(-len(cloud) // MOST_POINTS)]
     square = view_from_side(cloud, path)
-    apart = np.median(cKDTree(cloud).query(cloud, k=2)[0][:, 1]) if len(cloud) > 1 else 0.0
+    apart = np.median(scipy.spatial.cKDTree(cloud).query(cloud, k=2)[0][:, 1]) if len(cloud) > 1 else 0.0
     turns = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     best, least = Viewpoint(square, asides[0]), np.inf
     for turn in turns:  # the square side first: among equals the first is taken
@@ -135,7 +135,7 @@ def hidden(
     plane = np.linalg.svd(toward[None])[2][1:].T  # two directions across
     shares = np.linspace(0, 1, ALONG)[:, None, None]
     path = path[:: -(-len(path) // 40)]
-    wall = cKDTree(cloud @ plane) if len(cloud) else None
+    wall = scipy.spatial.cKDTree(cloud @ plane) if len(cloud) else None
     found = []
     for p, q in zip(arm.p, arm.q, strict=True):
         along = (1 - shares) * p + shares * q  # ALONG K 3

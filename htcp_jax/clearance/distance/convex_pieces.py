@@ -13,6 +13,7 @@ can make it smaller than the true one, never larger.
 Segments, points and boxes are pieces, too; a capsule is a segment with a radius.
 """
 
+from functools import cache
 from itertools import product as combinations
 from typing import NamedTuple
 
@@ -51,7 +52,9 @@ class PieceContact(NamedTuple):
 Body = PlacedPiece | Rod | Box | Cylinder | HalfSpace
 
 
-CUBE = convex_piece.make_piece(np.array(list(combinations((-1.0, 1.0), repeat=3))))
+@cache
+def _cube() -> ConvexPiece:
+    return convex_piece.make_piece(np.array(list(combinations((-1.0, 1.0), repeat=3))))
 
 
 def piece_contact(placed: PlacedPiece, other: Body) -> PieceContact:
@@ -123,8 +126,9 @@ def _polyhedron(other: PlacedPiece | Rod | Box) -> ConvexPiece:
         x = x / safe_norm(x)
         half = jnp.array([0.0, 0.0, 0.5]) * length
         other = Box(jnp.stack([x, jnp.cross(z, x), z], axis=1), (other.p + other.q) / 2, half)
-    vertices = product(CUBE.vertices * other.half[None], other.rotation.T) + other.centre[None]
-    return CUBE._replace(vertices=vertices, normals=product(jnp.asarray(CUBE.normals), other.rotation.T))
+    cube = _cube()
+    vertices = product(cube.vertices * other.half[None], other.rotation.T) + other.centre[None]
+    return cube._replace(vertices=vertices, normals=product(jnp.asarray(cube.normals), other.rotation.T))
 
 
 def _moved_with(body: Body, point: Vector3) -> Vector3:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+import scipy
 
 from htcp_jax.backend import backend
 from htcp_jax.clearance.distance.half_spaces_gpu import highest
@@ -60,8 +60,8 @@ def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
     directions = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])
     outermost = np.unique(np.argmax((vertices - vertices.mean(axis=0)) @ directions, axis=0))
     try:
-        return ConvexHull(vertices[outermost]).equations
-    except QhullError:
+        return scipy.spatial.ConvexHull(vertices[outermost]).equations
+    except scipy.spatial.QhullError:
         return np.array([[0.0, 0.0, 0.0, 1.0]])  # too thin for one: the empty set
 
 

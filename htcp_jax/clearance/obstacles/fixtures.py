@@ -22,7 +22,7 @@ from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle
 from htcp_jax.model import ConvexPiece, Robot, convex_piece, kinematics
 from htcp_jax.numerics import one_by_one
-from htcp_jax.pytree import register_pytree
+from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Array, Bool, Float, Int
 
 SIDES = 48  # of the prism about a cylinder: 0.2 % wider than it
@@ -40,7 +40,7 @@ class Fixtures(Obstacle):
     pieces: Polyhedron | None
     balls: Float[jax.Array, "P 4"]  # about the pieces: centre, radius [m]
     is_checked: Bool[jax.Array, "G K"]  # True: the pair is checked; the simple solids first
-    names: tuple[str, ...] = field(metadata={"static": True})
+    names: tuple[str, ...] = field(metadata=LABEL)
     solids: ConvexPiece | None = None  # all but half-spaces in the order of the names, for an arm with pieces
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float as HostFloat
-from scipy.spatial import ConvexHull
 
 from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid
@@ -24,7 +24,7 @@ from htcp_jax.clearance.obstacles.fixtures import fixtures
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles
 from htcp_jax.model import Fixture, Robot, mesh_points
 from htcp_jax.numerics import product
-from htcp_jax.pytree import register_pytree
+from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
 
 FAR_M = 1e6  # distance between bodies and obstacles that are both fixed in the world
@@ -43,7 +43,7 @@ class PlacedCloud(Obstacle):
 
     cloud: Cloud
     T_world: Pose
-    name: str = field(metadata={"static": True})
+    name: str = field(metadata=LABEL)
     excluded: tuple[int, ...] = field(default=(), metadata={"static": True})  # links
 
     sweeps = True
@@ -195,7 +195,7 @@ def solid_of(shape: Fixture) -> Solid | None:
 
 def convex_piece(points: HostFloat[np.ndarray, "V 3"]) -> Polyhedron:
     """Return the convex hull of points that are not in one plane, world [m]."""
-    hull = ConvexHull(points)
+    hull = scipy.spatial.ConvexHull(points)
     corners, normal = points[hull.simplices], hull.equations[:, :3]
     backwards = np.einsum("fi,fi->f", np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), normal) < 0
     corners[backwards] = corners[backwards, ::-1]

@@ -6,6 +6,7 @@ from htcp_jax.clearance.obstacles.obstacle import Obstacles, RowPairs, rows_of
 from htcp_jax.model import Robot, Task
 from htcp_jax.model import robot as robots
 from htcp_jax.model import task as tasks
+from htcp_jax.pytree import without_labels
 from htcp_jax.types import Scalar
 
 
@@ -20,6 +21,10 @@ class Scene(NamedTuple):
     def rows(self) -> RowPairs:
         """The pairs that the rows of clearance are between."""
         return rows_of(self.robot, self.obstacles)
+
+    def without_labels(self) -> "Scene":
+        """Return the scene without what only messages and files need, as functions are compiled for it."""
+        return self._replace(robot=without_labels(self.robot), obstacles=tuple(map(without_labels, self.obstacles)))
 
 
 def own_scene(scene: Scene, tool_extension_m: Scalar) -> Scene:

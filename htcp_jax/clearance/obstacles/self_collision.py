@@ -29,7 +29,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import safe_divide, safe_norm
-from htcp_jax.pytree import register_pytree
+from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Float, Int
 
 USUAL = 0.99  # a start is refused where an excluded pair is deeper than in this share of random configurations
@@ -48,7 +48,7 @@ class SelfCollision(Obstacle):
     """Pairs of bodies by their numbers, the one further out first: at least one checked pair, and the excluded ones."""
 
     pairs: Pairs = field(metadata={"static": True})
-    excluded: tuple[robots.Exclusion, ...] = field(default=(), metadata={"static": True})
+    excluded: tuple[robots.Exclusion, ...] = field(default=(), metadata=LABEL)
 
     per_body = False
 

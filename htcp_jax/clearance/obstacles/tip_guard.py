@@ -12,8 +12,8 @@ sample's. The candidates from a tree of the middles are tested exactly.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
 from htcp_jax.caching import cached_for_last
 from htcp_jax.model import Workpiece, mesh_points
@@ -74,7 +74,7 @@ class TipGuard:
 
     def __init__(self, wall: WallTriangles | WallDiscs, contact_m: float):
         self._wall, self._contact = wall, contact_m
-        self._tree = cKDTree(wall.middle)
+        self._tree = scipy.spatial.cKDTree(wall.middle)
         self._reach = 1.5 * wall.grain * (1 + INCLUSIVE)
 
     def passes(self, p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.table import read_named
@@ -32,5 +32,7 @@ def read_frames(path: Path) -> PathFrames:
     quaternions = found.get(QUATERNIONS)
     if quaternions is not None and len(wrong := np.flatnonzero(~(np.linalg.norm(quaternions, axis=1) > 1e-9))):
         raise InputError(f"{path}: the quaternion of point {wrong[0] + 1} has the length 0")
-    rotations = None if quaternions is None else Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+    rotations = None
+    if quaternions is not None:
+        rotations = scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
     return PathFrames(vectors.get(NORMALS), vectors.get(TANGENTS), rotations)

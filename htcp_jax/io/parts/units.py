@@ -8,8 +8,8 @@ name the unit that would make the sizes plausible.
 import warnings
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, kinematics
@@ -114,4 +114,4 @@ def _extent(points: Float[np.ndarray, "P 3"]) -> float:
 
 def _median_distance(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> float:
     """Return the median distance of the path's points from the cloud [m]."""
-    return float(np.median(cKDTree(cloud).query(path)[0]))
+    return float(np.median(scipy.spatial.cKDTree(cloud).query(path)[0]))

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, cover_with_capsules
@@ -74,7 +74,7 @@ def _with_missing(pieces: BodyPieces | None, count: int) -> BodyPieces | None:
 def _capsules_about(name: str, points: bytes) -> tuple[Capsule, ...]:
     corners = np.frombuffer(points).reshape(-1, 3)
     try:
-        hull = ConvexHull(corners)
-    except (QhullError, ValueError):
+        hull = scipy.spatial.ConvexHull(corners)
+    except (scipy.spatial.QhullError, ValueError):
         raise InputError(f"fixture {name!r}: its points lie in one plane; a body with a volume can move") from None
     return tuple(piece.capsule for piece in cover_with_capsules(corners[hull.simplices]))

@@ -10,9 +10,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.optimize import minimize
-from scipy.spatial import ConvexHull, QhullError
 
 GRID_M = 1e-5  # ends and radius are multiples of it, the radius rounded up
 THINNEST_M = 3e-3  # radius: a thinner body would need impractically dense points on the workpiece
@@ -152,8 +151,8 @@ def _hull_volume(piece: MeshPiece) -> float:
 def hull_volume(points: Points) -> float:
     """Return the volume of the convex hull of points [m3]; 0 if they are coplanar."""
     try:
-        return float(ConvexHull(points).volume)
-    except (QhullError, ValueError):
+        return float(scipy.spatial.ConvexHull(points).volume)
+    except (scipy.spatial.QhullError, ValueError):
         return 0.0
 
 
@@ -184,8 +183,8 @@ def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: B
 def hull_corners(points: Points) -> Float[np.ndarray, "V 3"]:
     """Return the vertices of the convex hull of points [m]; all points if they are coplanar."""
     try:
-        return points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):
+        return points[scipy.spatial.ConvexHull(points).vertices]
+    except (scipy.spatial.QhullError, ValueError):
         return np.unique(points, axis=0)
 
 
@@ -299,7 +298,11 @@ def _minimise_volume(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Fl
 
     held = {"type": "ineq", "fun": depth, "jac": depth_slopes}
     least = partial(
-        minimize, lambda z: _capsule_volume(2 * _half(z), z[6]), jac=slope, constraints=held, method="SLSQP"
+        scipy.optimize.minimize,
+        lambda z: _capsule_volume(2 * _half(z), z[6]),
+        jac=slope,
+        constraints=held,
+        method="SLSQP",
     )
     found = least(z, options={"maxiter": effort.steps, "ftol": effort.tolerance}).x
     return found if np.isfinite(found).all() else z

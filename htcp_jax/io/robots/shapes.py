@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.point_cloud import load_geometry
@@ -188,8 +188,8 @@ def _moved_triangles(T: Float[np.ndarray, "4 4"], triangles: Triangles) -> Trian
 
 def _hull_triangles(points: _Vertices) -> Triangles:
     try:
-        return points[ConvexHull(points).simplices]
-    except (QhullError, ValueError):
+        return points[scipy.spatial.ConvexHull(points).simplices]
+    except (scipy.spatial.QhullError, ValueError):
         return np.empty((0, 3, 3))
 
 

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.optimize import nnls
-from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import FIRST_DIRECTIONS, TINY, Capsule, Points, hull_corners
@@ -157,9 +156,9 @@ def _holds(capsule: Capsule, piece: StoredPiece) -> bool:
 def _heights(points: Points, vertices: Vertices) -> Float[np.ndarray, "P"]:
     """Return the largest height of each point over the planes of a hull [m]: of one inside, minus its depth."""
     try:
-        faces = ConvexHull(vertices).equations
+        faces = scipy.spatial.ConvexHull(vertices).equations
         return np.max(points @ faces[:, :3].T + faces[:, 3], axis=1)
-    except (QhullError, ValueError):  # flat
+    except (scipy.spatial.QhullError, ValueError):  # flat
         normals = convex_piece.make_piece(vertices).normals
         return np.max(points @ normals.T - np.max(vertices @ normals.T, axis=0), axis=1)
 
@@ -171,5 +170,5 @@ def _distance(point: Float[np.ndarray, "3"], vertices: Points) -> float:
     """
     away = vertices - point
     size = max(float(np.abs(away).max()), TINY)
-    share, _ = nnls(np.vstack([away.T / size, np.ones(len(away))]), np.array([0.0, 0.0, 0.0, 1.0]))
+    share, _ = scipy.optimize.nnls(np.vstack([away.T / size, np.ones(len(away))]), np.array([0.0, 0.0, 0.0, 1.0]))
     return float(np.linalg.norm(share @ away)) / max(float(share.sum()), TINY)

@@ -1,0 +1,207 @@
+"""Executables kept on disk: another process loads them without tracing; nothing but one's own files is ever loaded."""
+
+import dataclasses
+import os
+import shutil
+import subprocess
+import sys
+from functools import partial
+
+import jax
+import lint
+import made_once
+import numpy as np
+import pytest
+import toy
+from jax.experimental.compilation_cache import compilation_cache
+
+from htcp_jax.cli.main import main
+from htcp_jax.device import Executor, compile_cache, executable_key, kept_executables
+from htcp_jax.device.executor import COMPILER, ExecutableCache
+from htcp_jax.device.lane_function import STEP, LaneFunction
+from htcp_jax.errors import InputError
+from htcp_jax.model.scenario import stack
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.step_functions import SETTLE, TIP
+from htcp_jax.planning.methods import BUILT_IN
+
+TRACING = "/jax/core/compile/jaxpr_trace_duration"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The folder of compiled programs, new for this test."""
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", None)
+    monkeypatch.setenv("HTCP_CACHE", str(tmp_path / "cache"))
+    compilation_cache.reset_cache()
+    yield compile_cache.enable()
+    jax.config.update("jax_compilation_cache_dir", before)
+    compilation_cache.reset_cache()
+
+
+def settled(scene=None):
+    """What a new process computes: executables in memory are not shared with other calls."""
+    inputs = lane_inputs(jax.tree.map(np.asarray, stack(toy.scenarios())), np.zeros(3, int), np.arange(3))
+    q = np.tile(toy.START, (3, 1)) + 0.1 * np.arange(12.0).reshape(3, 4)
+    return Executor(scene or toy.scene(), toy.SETTINGS, executables=ExecutableCache(on_disk=True))(SETTLE, inputs, q)
+
+
+def traced(call):
+    """The number of functions that JAX traces during a call, and its result."""
+    events = []
+    note = lambda event, *_, **__: events.append(event) if event == TRACING else None  # noqa: E731
+    jax.monitoring.register_event_duration_secs_listener(note)
+    try:
+        return call(), len(events)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(note)
+
+
+def files(folder):
+    """The short file that names the program, and the program."""
+    return sorted((folder / compile_cache.EXECUTABLES).iterdir(), key=lambda file: file.stat().st_size)
+
+
+def test_what_one_process_compiled_another_one_loads_without_tracing_with_equal_bits(folder):
+    first, count = traced(settled)
+    assert count and [file.name.partition("-")[0] for file in files(folder)] == ["settle", "settle"]
+    jax.clear_caches()
+    second, count = traced(settled)
+    assert count == 0 and first.tobytes() == second.tobytes()
+
+
+def test_arms_that_differ_in_names_and_frames_share_an_executable(folder):
+    first = settled()
+    renamed = dataclasses.replace(toy.robot(), name="other", joint_names=tuple("abcd"), frames=())
+    second, count = traced(lambda: settled(toy.scene()._replace(robot=renamed)))
+    assert count == 0 and first.tobytes() == second.tobytes()
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: b"", lambda data: b"x" + data[1:]])
+def test_a_damaged_file_is_compiled_anew_and_replaced(folder, number, damage):
+    first, file = settled(), files(folder)[number]
+    file.write_bytes(damage(file.read_bytes()))
+    for programs in folder.glob("*-cache"):  # of JAX's own cache
+        programs.unlink()
+    assert settled().tobytes() == first.tobytes()
+    assert traced(settled)[1] == 0
+
+
+def test_a_program_from_jax_s_cache_is_right_and_not_stored(folder):
+    """It cannot be serialised a second time."""
+    first = settled()
+    files(folder)[1].unlink()
+    assert settled().tobytes() == first.tobytes() and len(files(folder)) == 1
+
+
+def test_source_that_changed_without_effect_compiles_nothing(folder):
+    first = settled()
+    files(folder)[0].unlink()  # the name that depends on the source
+    compiled = folder.glob("*-cache")
+    for programs in compiled:
+        programs.unlink()
+    second, count = traced(settled)
+    assert count and second.tobytes() == first.tobytes() and not list(folder.glob("*run*-cache"))
+    assert traced(settled)[1] == 0
+
+
+def test_a_file_of_another_executable_is_not_unpickled(folder):
+    settled()
+    *_, file = files(folder)
+    other = file.with_name(file.name[:-1] + ("0" if file.name[-1] != "0" else "1"))
+    shutil.copy(file, other)
+    assert compile_cache.read_executable(file.name) and compile_cache.read_executable(other.name) is None
+
+
+def test_content_that_does_not_load_is_done_without(folder):
+    compile_cache.write_executable("a-0", b"a-1")
+    compile_cache.write_executable("a-1", b"no executable")
+    assert compile_cache.read_executable("a-1") == b"no executable"
+    assert kept_executables.find("a-0", jax.devices()[0], ()) is None
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no permissions here")
+@pytest.mark.parametrize("mode", [0o755, 0o770, 0o702])
+def test_executables_are_read_only_from_a_folder_of_the_user_alone(folder, mode):
+    settled()
+    file, _ = files(folder)
+    file.parent.chmod(mode)
+    assert compile_cache.read_executable(file.name) is None
+    file.parent.chmod(0o700)
+    assert compile_cache.read_executable(file.name)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no permissions here")
+@pytest.mark.parametrize("mode", [0o770, 0o702])
+def test_a_folder_that_others_can_write_is_refused_in_one_line(folder, mode, capsys):
+    jax.config.update("jax_compilation_cache_dir", None)
+    folder.chmod(mode)
+    with pytest.raises(InputError, match=f"chmod 700 {folder}"):
+        compile_cache.enable()
+    assert main(["doctor"]) == 2 and capsys.readouterr().err.count("\n") == 1
+
+
+def test_files_that_were_not_used_for_the_longest_time_are_removed(folder, monkeypatch):
+    for age, name in enumerate(("new", "used", "old")):
+        compile_cache.write_executable(name, bytes(1000))
+        os.utime(folder / compile_cache.EXECUTABLES / name, (1e9 - age, 1e9 - age))
+    (folder / "jit_old-cache").write_bytes(bytes(1000))  # of JAX's own cache
+    os.utime(folder / "jit_old-cache", (1e8, 1e8))
+    assert compile_cache.read_executable("used")
+    monkeypatch.setattr(compile_cache, "MOST_BYTES", 3500)
+    compile_cache.write_executable("last", bytes(1000))
+    assert {file.name for file in files(folder)} == {"last", "new", "used"} and not (folder / "jit_old-cache").exists()
+
+
+def key_of(lane_function, settings=toy.SETTINGS, tables=(), scene=None):
+    leaves, structure = jax.tree.flatten(((scene or toy.scene()).without_labels(), *tables))
+    shapes = tuple((np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves)
+    device = jax.devices()[0]
+    values = lane_function.values(settings)
+    return executable_key.source_key(lane_function, values, device, COMPILER["cpu"], structure, shapes)
+
+
+def built_in():
+    """Lane functions of the built-in methods' stages."""
+    return [stage.lane_function(k) for method in BUILT_IN for k, stage in enumerate(getattr(method, "stages", ()))]
+
+
+def test_names_are_the_same_in_every_process():
+    code = "import test_kept_executables as t; print(*[t.key_of(each) for each in (t.SETTLE, t.TIP, *t.built_in())])"
+    known = [key_of(each) for each in (SETTLE, TIP, *built_in())]
+    assert None not in known and len(set(known)) == 2 + len(set(built_in()))
+    flags = {name: str(getattr(jax.config, name)) for name in ("jax_numpy_rank_promotion", "jax_numpy_dtype_promotion")}
+    for seed in "1", "2":
+        env = {**os.environ, "PYTHONHASHSEED": seed, **{name.upper(): value for name, value in flags.items()}}
+        found = subprocess.run([sys.executable, "-c", code], cwd="tests", env=env, capture_output=True, check=True)
+        assert found.stdout.decode().split() == known
+
+
+def test_a_name_stands_for_the_scene_the_settings_and_the_shapes():
+    small = made_once.scene()
+    lane_function = BUILT_IN[3].stages[0].lane_function(0)
+    names = [key_of(TIP), key_of(TIP, tables=(np.zeros(3),)), key_of(TIP, tables=(np.zeros(4),)), key_of(SETTLE)]
+    names += [key_of(TIP, tables=(np.zeros(4, np.float32),)), key_of(TIP, scene=small), key_of(lane_function)]
+    names.append(key_of(lane_function, dataclasses.replace(toy.SETTINGS, alpha_rad=0.123)))
+    assert len(set(names)) == len(names)
+
+
+def test_code_of_others_has_no_name():
+    """Source that is not the core's may change without the name."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Row:
+        link: int
+
+    for own in (Row(1), key_of, lambda x: x, partial(key_of, 1), object(), LaneFunction("own", key_of, STEP)):
+        with pytest.raises(executable_key.UnknownSource):
+            executable_key.described((own,))
+    assert (
+        key_of(LaneFunction("own", key_of, STEP)) is None and key_of(LaneFunction("a", abs, STEP, parts=(Row,))) is None
+    )
+
+
+def test_the_source_in_a_name_is_that_of_the_core():
+    assert list(executable_key.CORE) == lint.CORE
