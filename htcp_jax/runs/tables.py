@@ -26,6 +26,7 @@
     <joint>_rad    double   configuration x, one column per joint (<joint>_m for a slide)
     tcp_x_m ...    double   tool centre point, world; three columns
     target_x_m ... double   target, world; never null
+    via_shares     list of double   of each via point, the share of the way from the target before; null likewise
 
 `scenarios`: one row per method and scenario.
 
@@ -56,7 +57,7 @@
 The tables contain no run times: the same seed writes the same bytes.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -82,6 +83,7 @@ SEGMENT_STATUSES: dict[str | None, int] = {None: int(SegmentStatus.NOT_CHECKED)}
 }
 XYZ = "xyz"
 CAUSE = "colliding_body", "colliding_with", "cause"  # columns of scenarios that could not begin
+SHARES = "via_shares"
 
 LEAST_CELLS = 1_000_000  # scenarios times targets that any file may expand to; or GROWTH times its rows
 
@@ -119,12 +121,13 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
             [_segment_status_name(code) for code in plans.segment_status[s, t].tolist()], pa.string()
         ),
         "segment_clearance_m": _doubles(plans.segment_clearance[s, t]),
-        "via_points": _via_point_column(plans, s, t),
+        "via_points": _via_point_column(plans, s, t, plans.via_points.on_segment),
         "recovery": pa.array(plans.recovery[s, t], pa.int8()),
     }
     columns |= {name: _doubles(plans.x[s, t, k]) for k, name in enumerate(joints)}
     columns |= {name: _doubles(plans.tcp[s, t, k]) for k, name in enumerate(_axes("tcp"))}
     columns |= {name: _doubles(plans.target[s, t, k]) for k, name in enumerate(_axes("target"))}
+    columns[SHARES] = _via_point_column(plans, s, t, plans.via_points.shares_on)
     return pa.table(columns)
 
 
@@ -167,6 +170,13 @@ def scenario_table(
     found = [causes.get(row) for row in range(len(points))]
     texts = [(each.body, each.other, each.description) if each else (None,) * len(CAUSE) for each in found]
     return pa.table(columns | {name: pa.array([t[k] for t in texts], pa.string()) for k, name in enumerate(CAUSE)})
+
+
+def with_shares(rows: pa.Table) -> pa.Table:
+    """Return rows of targets with the via points' shares; in runs from older versions the tool stays at them."""
+    if SHARES in rows.column_names:
+        return rows
+    return rows.append_column(SHARES, pa.nulls(len(rows), pa.list_(pa.float64())))
 
 
 def with_causes(rows: pa.Table) -> pa.Table:
@@ -236,8 +246,8 @@ def plans_of(
     plans.segment_status[s, t] = [SEGMENT_STATUSES[name] for name in targets["segment_status"].to_pylist()]
     for array, names in ((plans.x, joints), (plans.tcp, _axes("tcp")), (plans.target, _axes("target"))):
         array[s, t] = np.stack([_numpy(targets[name], np.nan) for name in names], axis=1)
-    lists = zip(s.tolist(), t.tolist(), targets["via_points"].to_pylist(), strict=True)
-    via_points = [(scenario, target, np.reshape(x, (-1, len(joints)))) for scenario, target, x in lists if x]
+    lists = zip(s.tolist(), t.tolist(), *(targets[name].to_pylist() for name in ("via_points", SHARES)), strict=True)
+    via_points = [_segment(*row, len(joints)) for row in lists if row[2]]
     return plans._replace(via_points=ViaPoints.of(via_points, len(joints)))
 
 
@@ -251,18 +261,31 @@ _COLUMN = {
 }  # fmt: skip
 
 
+def _segment(scenario: int, target: int, x: list[float], share: list[float] | None, joints: int) -> tuple:
+    """Return a segment of `ViaPoints.of`.
+
+    Raises:
+        ValueError: For another number of shares than of configurations.
+    """
+    found = np.reshape(x, (-1, joints))
+    shares = np.zeros(len(found)) if share is None else np.array(share, float)
+    if len(shares) != len(found):
+        raise ValueError(f"{len(found)} via points with {len(shares)} shares")
+    return scenario, target, found, shares
+
+
 def _segment_status_name(code: int) -> str | None:
     return None if code == SegmentStatus.NOT_CHECKED else SegmentStatus(code).name
 
 
-def _via_point_column(plans: Plans, s: np.ndarray, t: np.ndarray) -> pa.Array:
-    """Return the via points on the segment to each row, flattened."""
+def _via_point_column(
+    plans: Plans, s: np.ndarray, t: np.ndarray, on_segment: Callable[[int, int], np.ndarray]
+) -> pa.Array:
+    """Return a column of the via points on the segment to each row, flattened."""
     kind = pa.list_(pa.float64())
     if not len(plans.via_points.x):
         return pa.nulls(len(s), kind)
-    lists = [
-        plans.via_points.on_segment(*row).ravel().tolist() or None for row in zip(s.tolist(), t.tolist(), strict=True)
-    ]
+    lists = [on_segment(*row).ravel().tolist() or None for row in zip(s.tolist(), t.tolist(), strict=True)]
     return pa.array(lists, kind)
 
 
