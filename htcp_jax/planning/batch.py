@@ -90,9 +90,9 @@ def plan(
     chosen, settings = method if isinstance(method, Method) else find(method), settings_of(settings)
     method = chosen.name
     joints = len(robot.joint_names)
-    for name in ("q_weights", "path_weights"):
+    for name in ("q_weights", "path_weights", "max_joint_step_rad"):
         weights = getattr(settings, name)
-        if weights is not None and len(weights) != joints:
+        if isinstance(weights, tuple) and len(weights) != joints:
             raise InputError(f"{name} has {len(weights)} values, the robot {robot.name} has {joints} joints")
     if settings.qp.startswith("qpsolvers:"):  # refuse one that is not installed, even if the method does not use it
         from htcp_jax.solvers import QPSolversSolver
@@ -151,6 +151,8 @@ def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obst
         problem, from_home = home_motion.leave_home(problem)
         if check_starts:
             _refuse_standing_overlaps(problem)
+        most = problem.settings.max_joint_step_rad
+        problem = problem.with_scenarios(scenario_functions.with_max_joint_step(problem.scenarios, most))
         pieces = inserted_goals.pieces_of(problem.robot, problem.task, problem.scenarios, problem.settings)
         if (pieces == 1).all():
             return _with_proofs(problem, chosen, method, from_home)
