@@ -69,7 +69,7 @@ class Settings:
     path_test: Literal["bisection", "samples"] = "bisection"  # a proof, or samples at the ends of `path_steps` steps
     path_steps: Steps = 20
     path_tolerance_m: Tolerance | None = None  # allowed TCP distance from the line between targets; None: the tolerance
-    # Longest travel of a joint between two targets of the path, over all via points; one for all joints, or one per joint
+    # Longest travel of a joint between two targets of the path, over all via points; one for all, or one per joint
     max_joint_step_rad: JointStep | tuple[JointStep, ...] | None = None  # [rad, of slides m]; None: no bound
 
     # Recovery by sampling

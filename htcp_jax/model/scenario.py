@@ -41,8 +41,7 @@ class Scenario:
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status of a scenario that is not planned
     task_goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
     obstacle_numbers: Float[Anywhere, "*S P"] | None = None  # of the kinds of obstacles [m]; None: there are none
-    # Longest travel of each joint to each target [rad or m], infinite before the path; None: no bound
-    max_joint_step: Float[Anywhere, "*S T N"] | None = None
+    max_joint_step: Float[Anywhere, "*S T N"] | None = None  # most travel to a target of the path [rad or m]; None: any
 
     @property
     def begins_anywhere(self) -> Bool[Anywhere, "*S"]:

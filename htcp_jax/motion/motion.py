@@ -28,9 +28,8 @@ class Motion(NamedTuple):
     x: Float[np.ndarray, "n N"]  # [rad or m]
     target: Int[np.ndarray, "n"]  # to which the row leads; for a dwell, the one that the tool stays at
     kind: Int8[np.ndarray, "n"]  # `status.Kind`: kind of motion to this row from the one before
-    # Of the way between two targets, the shares at which the motion to this row begins and ends: 0 and 1, or by via
-    # points; None: there are none but dwells at targets
-    span: Float[np.ndarray, "n 2"] | None = None
+    # Shares of the way between two targets at which the motion to this row begins and ends, 0 and 1 without via points
+    span: Float[np.ndarray, "n 2"] | None = None  # [1]; None: there are no via points but dwells at targets
 
 
 class Motions(NamedTuple):
@@ -40,7 +39,7 @@ class Motions(NamedTuple):
     x: Float[np.ndarray, "n N"]  # [rad or m]
     target: Int[np.ndarray, "n"]
     kind: Int8[np.ndarray, "n"]
-    span: Float[np.ndarray, "n 2"]
+    span: Float[np.ndarray, "n 2"]  # [1]
 
     def of(self, scenario: int) -> Motion:
         """Return the motion of one scenario, by its row."""
@@ -113,6 +112,36 @@ def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
     found = (plans.status[:, :1] == Status.TRACKED_AFTER_RECOVERY).any(axis=1)
     found[plans.via_points.scenario[plans.via_points.target == 0]] = True
     return found
+
+
+class LargestJointSteps(NamedTuple):
+    """Largest travel of a joint between two targets of the path, of S scenarios."""
+
+    step: Float[np.ndarray, "S"]  # [rad, of a slide m]; NaN if the motion does not reach the path's second point
+    target: Int[np.ndarray, "S"]  # at the end of the segment; -1 for none, as the next
+    joint: Int[np.ndarray, "S"]  # number of the joint
+
+
+def largest_joint_steps(plans: Plans, on_path: OnPath) -> LargestJointSteps:
+    """Return the largest travel of a joint between two targets, summed over the segment's via points.
+
+    Args:
+        plans: The plans.
+        on_path: The first target that is a point of the path, of each scenario or of all.
+    """
+    found, travel = motions(plans, on_path), np.full(plans.x.shape, np.nan)
+    segment = found.target + (found.kind == Kind.DWELL)
+    rows = np.flatnonzero((found.kind == Kind.PROCESS) | (found.kind == Kind.DWELL))
+    own = found.scenario[rows], segment[rows]
+    travel[own] = 0.0
+    np.add.at(travel, own, np.abs(found.x[rows] - found.x[rows - 1]))
+    flat = np.where(np.isnan(travel), -1.0, travel).reshape(len(travel), -1)
+    best = flat.argmax(axis=1) if flat.size else np.zeros(len(flat), int)
+    step = flat[np.arange(len(flat)), best] if flat.size else np.full(len(flat), -1.0)
+    joints = max(1, plans.x.shape[2])
+    return LargestJointSteps(
+        np.where(step < 0, np.nan, step), np.where(step < 0, -1, best // joints), np.where(step < 0, -1, best % joints)
+    )
 
 
 class MotionFigures(NamedTuple):

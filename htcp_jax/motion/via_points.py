@@ -17,7 +17,7 @@ class ViaPoints(NamedTuple):
     scenario: Int[np.ndarray, "n"]  # its row in the plans
     target: Int[np.ndarray, "n"]  # end of the segment
     x: Float[np.ndarray, "n N"]  # [rad or m]
-    share: Float[np.ndarray, "n"]  # of the way from the target before to `target`, 0 to 1; 0: at the target before
+    share: Float[np.ndarray, "n"]  # of the way from the target before to `target` [1]; 0: at the target before
 
     @property
     def stays(self) -> Bool[np.ndarray, "n"]:

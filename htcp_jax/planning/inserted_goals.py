@@ -19,11 +19,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.device import tables
-from htcp_jax.model import Robot, Scenario, Task
-from htcp_jax.model.kinematics import max_reach
+from htcp_jax.model import Robot, Scenario, Task, kinematics
 from htcp_jax.motion import Plans, Problem, ViaPoints
-from htcp_jax.motion.plans import EMPTY, is_tracked
-from htcp_jax.motion.problem import ignore
+from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.settings import Settings
 from htcp_jax.status import MOTION, SegmentStatus, Status
 
@@ -77,7 +75,7 @@ def pieces_of(robot: Robot, task: Task, scenarios: Scenario, settings: Settings)
     if not len(s):
         return found
     tube_m = settings.tube_m if task.holds_tcp else task.tolerance_m
-    longest = np.sqrt(8 * max_reach(robot) * tube_m * SHARE)
+    longest = np.sqrt(8 * kinematics.max_reach(robot) * tube_m * SHARE)
     places, goals = _ends(scenarios.targets, s, t), _ends(scenarios.goals, s, t)
     length = np.linalg.norm(places[:, 1] - places[:, 0], axis=1) / longest
     most = np.maximum(length, task.turn(goals) / TURN_RAD)
@@ -102,7 +100,7 @@ def planned(plan: PlanRows, problem: Problem, pieces: Int[np.ndarray, "S T"]) ->
             break
         pieces = pieces.copy()
         pieces[rows, lost[rows]] *= 2
-        again = _planned(plan, problem, rows, pieces, ignore)
+        again = _planned(plan, problem, rows, pieces, lambda tracked, finished: None)
         ends, others = plans.outcomes, again.outcomes
         better = others.executable + others.tracked > (ends.executable + ends.tracked)[rows]
         stays = np.setdiff1d(np.arange(len(lost)), rows[better])
@@ -149,7 +147,7 @@ def folded(plans: Plans, count: Int[np.ndarray, "S"], parts: PathParts) -> Plans
     for name in (name for name in plans.arrays() if name != "start"):
         column = getattr(plans, name)
         there = exists.reshape(*exists.shape, *[1] * (column.ndim - 2))
-        arrays[name] = np.where(there, column[s, parts.row], np.asarray(EMPTY[name], column.dtype))
+        arrays[name] = np.where(there, column[s, parts.row], np.asarray(plan_arrays.EMPTY[name], column.dtype))
     found = plans._replace(**arrays)
     before = np.diff(parts.row, axis=1, prepend=-1)
     for one, t in zip(*np.nonzero(exists & (before > 1)), strict=True):
@@ -197,11 +195,11 @@ def _not_followed(plans: Plans) -> Int[np.ndarray, "S"]:
 def _fold(plans: Plans, found: Plans, s: int, t: int, own: slice) -> None:
     """Write the results of a segment's parts into the row of its target."""
     status, proofs, clear = (column[s, own] for column in (plans.status, plans.segment_status, plans.path_clear))
-    missed, unproven = np.flatnonzero(~is_tracked(status)), np.flatnonzero(~np.isin(proofs, MOTION))
+    missed, unproven = np.flatnonzero(~plan_arrays.is_tracked(status)), np.flatnonzero(~np.isin(proofs, MOTION))
     found.iterations[s, t] = plans.iterations[s, own].sum()
     if len(missed):
-        for name in set(EMPTY) - {"target", "iterations"}:
-            getattr(found, name)[s, t] = EMPTY[name]
+        for name in set(plan_arrays.EMPTY) - {"target", "iterations"}:
+            getattr(found, name)[s, t] = plan_arrays.EMPTY[name]
         found.status[s, t] = status[missed[0]]
         return
     found.status[s, t], found.recovery[s, t] = status.max(), plans.recovery[s, own].max()

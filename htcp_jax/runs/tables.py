@@ -45,6 +45,10 @@
                             executable part, null if no target, or none on the path, is executable
     motion_cost_rad2, path_step_max_rad, curvature_max_rad_m2, segment_clearance_min_m    double, see `MotionFigures`
     clearance_min_m, residual_max_m, joint_motion_rad    double, over the tracked targets
+    joint_step_max_rad double   largest travel of a joint between two targets of the path, over all via points (of a
+                            slide [m]); null as dwells, as are the next two columns
+    joint_step_target       int32    the target at the end of that segment
+    joint_step_joint        string   the joint
     start_<joint>_rad ...   double   first configuration of the plan: the job's, unless the planner starts elsewhere
     rotation_x_rad, rotation_y_rad, rotation_z_rad    double
     shift_x_m ..., tool_extension_m, margin_m    double
@@ -84,6 +88,7 @@ SEGMENT_STATUSES: dict[str | None, int] = {None: int(SegmentStatus.NOT_CHECKED)}
 XYZ = "xyz"
 CAUSE = "colliding_body", "colliding_with", "cause"  # columns of scenarios that could not begin
 SHARES = "via_shares"
+STEPS = "joint_step_max_rad", "joint_step_target", "joint_step_joint"
 
 LEAST_CELLS = 1_000_000  # scenarios times targets that any file may expand to; or GROWTH times its rows
 
@@ -167,24 +172,23 @@ def scenario_table(
     }
     columns |= _parameter_columns(points, plans.start, joints)
     columns |= {key: pa.array([point.varied[key] for point in points], pa.string()) for key in varied}
+    columns |= _joint_steps(points, plans, joints)
     found = [causes.get(row) for row in range(len(points))]
     texts = [(each.body, each.other, each.description) if each else (None,) * len(CAUSE) for each in found]
     return pa.table(columns | {name: pa.array([t[k] for t in texts], pa.string()) for k, name in enumerate(CAUSE)})
 
 
-def with_shares(rows: pa.Table) -> pa.Table:
-    """Return rows of targets with the via points' shares; in runs from older versions the tool stays at them."""
-    if SHARES in rows.column_names:
+def with_new_columns(rows: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Return rows with nulls in the columns of `schema` that runs from older versions lack.
+
+    Without shares the tool stays at the target before.
+    """
+    new = [name for name in (SHARES, *STEPS, *CAUSE) if name in schema.names and name not in rows.column_names]
+    if not new:
         return rows
-    return rows.append_column(SHARES, pa.nulls(len(rows), pa.list_(pa.float64())))
-
-
-def with_causes(rows: pa.Table) -> pa.Table:
-    """Return rows of scenarios with the columns of CAUSE, which runs from older versions lack."""
-    if CAUSE[0] not in rows.column_names:
-        for name in CAUSE:
-            rows = rows.append_column(name, pa.nulls(len(rows), pa.string()))
-    return rows
+    for name in new:
+        rows = rows.append_column(name, pa.nulls(len(rows), schema.field(name).type))
+    return rows.select(schema.names) if set(rows.column_names) == set(schema.names) else rows
 
 
 def _end_columns(ends: plan_arrays.Outcomes) -> dict[str, pa.Array]:
@@ -203,6 +207,14 @@ def _figures(points: Sequence[grid_axes.ScenarioPoint], plans: Plans) -> dict[st
     found = motion.motion_figures(plans, np.array([point.config.on_path for point in points], int))
     columns = {name: _doubles(values) for name, values in found._asdict().items()}
     return columns | {"dwells": columns["dwells"].cast(pa.int32())}
+
+
+def _joint_steps(points: Sequence[grid_axes.ScenarioPoint], plans: Plans, joints: Sequence[str]) -> dict[str, pa.Array]:
+    """Return the columns of STEPS."""
+    found = motion.largest_joint_steps(plans, np.array([point.config.on_path for point in points], int))
+    names = [joints[k].rpartition("_")[0] if k >= 0 else None for k in found.joint.tolist()]
+    target = pa.array(found.target, pa.int32(), mask=found.target < 0)
+    return dict(zip(STEPS, (_doubles(found.step), target, pa.array(names, pa.string())), strict=True))
 
 
 def empty_tables(joints: Sequence[str], varied: Sequence[str] = ()) -> dict[str, pa.Table]:

@@ -39,9 +39,7 @@ class MotionSlack(NamedTuple):
         return MotionSlack(self.clearance[which], self.tube[which], self.rows and self.rows.only(which))
 
 
-def motion_slack(
-    plans: Plans, scenario: int, motion: Motion, tube_m: float, robot: Robot | None = None
-) -> MotionSlack:
+def motion_slack(plans: Plans, scenario: int, motion: Motion, tube_m: float, robot: Robot | None = None) -> MotionSlack:
     """Return the slack of a plan's proof next to the legs of its motion.
 
     Args:

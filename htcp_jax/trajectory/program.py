@@ -65,7 +65,9 @@ class Program(NamedTuple):
         """
         time, row = self.passes()
         x = np.concatenate([self.blends[0].curve.x[:1], *(each.curve.x[1:] for each in self.blends)])
-        return self.at(time)._replace(x=x, kind=self.motion.kind[row], target=self.motion.target[row], span=self._span(row))
+        return self.at(time)._replace(
+            x=x, kind=self.motion.kind[row], target=self.motion.target[row], span=self._span(row)
+        )
 
     def passes(self) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
         """Return the times at which the motion's own configurations are passed [s], and their rows in it."""

@@ -70,9 +70,9 @@ class LaneChecks:
             requested: True to check them.
         """
         most = self._scenarios.max_joint_step
-        near = True if most is None else (
-            np.abs(x - lanes.x_previous) <= most[lanes.scenario, lanes.target]
-        ).all(axis=1)
+        near = (
+            True if most is None else (np.abs(x - lanes.x_previous) <= most[lanes.scenario, lanes.target]).all(axis=1)
+        )
         if not (requested and len(x)):
             return np.where(near, np.full(len(x), -1), 0).astype(np.int8)
         return (near & self._checker.path_clear(self.inputs(lanes), lanes.x_previous, x)).astype(np.int8)
