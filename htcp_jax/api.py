@@ -86,6 +86,7 @@ class Plan:
         facts = {
             **self.motion_summary.facts(),
             **self._length(),
+            **self._joint_step(),
             "targets tracked": f"{s.tracked} of {s.targets} ({100 * s.success_rate:.2f} %){recovered}",
             **self._distances(),
             "planning time": f"{s.run_s:.2f} s ({s.step_ms:.2f} ms per target), and {s.compile_s:.2f} s of compilation",
@@ -101,6 +102,16 @@ class Plan:
             return {}
         joints, path = (np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in (x, plans.tcp[0, here]))
         return {"motion length": f"{joints:.3g} rad in the joints; {1e3 * path:.4g} mm of the tool's path"}
+
+    def _joint_step(self) -> dict[str, str]:
+        """Return the largest travel of a joint between two targets of the path, as text."""
+        found = self.motion_summary
+        if found.joint_step_joint is None:
+            return {}
+        slides, step = self.robot.slides[found.joint_step_joint], found.joint_step_max_rad
+        size = f"{1e3 * step:.3g} mm" if slides else f"{np.rad2deg(step):.3g} deg"
+        name = self.robot.joint_names[found.joint_step_joint]
+        return {"largest joint step": f"{size} of {name}, on the segment to target {found.joint_step_target}"}
 
     def _checked(self) -> dict[str, str]:
         """Return the bodies, self-collision pairs and fixtures that are checked, as text; first those on links."""
@@ -204,6 +215,8 @@ class Plan:
         """
         known = {"method": self.job.method, "validated": None, **plan_folder.summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
+        if (joint := self.motion_summary.joint_step_joint) is not None:
+            known["motion"]["joint_step_joint"] = self.robot.joint_names[joint]
         known["colliding_body"] = self.obstruction and self.obstruction.record()
         known["cause"] = self.start_cause and self.start_cause.description
         config = self.job.model_dump()

@@ -25,6 +25,7 @@ Weight = Annotated[float, Field(ge=SMALLEST, le=1e6)]
 Distance = Annotated[float, Field(ge=0, le=1)]  # [m]
 Tolerance = Annotated[float, Field(ge=SMALLEST, le=0.1)]  # [m]
 Angle = Annotated[float, Field(ge=SMALLEST, le=3)]  # [rad]
+JointStep = Annotated[float, Field(gt=0, le=1e3)]  # [rad or m]
 Steps = Annotated[int, Field(gt=0, le=10_000)]
 Count = Annotated[int, Field(gt=0, le=100_000)]
 Rounds = Annotated[int, Field(ge=0, le=100_000)]
@@ -68,6 +69,8 @@ class Settings:
     path_test: Literal["bisection", "samples"] = "bisection"  # a proof, or samples at the ends of `path_steps` steps
     path_steps: Steps = 20
     path_tolerance_m: Tolerance | None = None  # allowed TCP distance from the line between targets; None: the tolerance
+    # Longest travel of a joint between two targets of the path, over all via points; one for all, or one per joint
+    max_joint_step_rad: JointStep | tuple[JointStep, ...] | None = None  # [rad, of slides m]; None: no bound
 
     # Recovery by sampling
     samples: Count = 50  # configurations or directions tried at one stuck target

@@ -6,6 +6,7 @@ differently; it also depends on jax_dataclasses and tyro.
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Float, Scalar, Vector3
@@ -90,3 +91,25 @@ def least_turn(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np
         square = square / np.linalg.norm(square)
         return square * (0.0 if cosine > 0 else np.pi)
     return square / sine * np.arctan2(sine, cosine)
+
+
+def turned_directions(
+    a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"], share: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return a share of the smallest rotation from unit directions a to b, applied to a."""
+    turns = np.array([least_turn(one, other) for one, other in zip(a, b, strict=True)]).reshape(-1, 3)
+    return Rotation.from_rotvec(share[:, None] * turns).apply(a) if len(a) else a
+
+
+def turned_frames(
+    a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"], share: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n 3 3"]:
+    """Return a share of the smallest rotation from frames a to b, applied to a."""
+    if not len(a):
+        return a
+    return Rotation.from_rotvec(share[:, None] * frame_turns(a, b)).as_matrix() @ a
+
+
+def frame_turns(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
+    """Return the smallest rotation vectors, in the world, that turn frames a into b [rad]."""
+    return Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).as_rotvec() if len(a) else np.zeros((0, 3))

@@ -41,6 +41,7 @@ class Scenario:
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status of a scenario that is not planned
     task_goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
     obstacle_numbers: Float[Anywhere, "*S P"] | None = None  # of the kinds of obstacles [m]; None: there are none
+    max_joint_step: Float[Anywhere, "*S T N"] | None = None  # most travel to a target of the path [rad or m]; None: any
 
     @property
     def begins_anywhere(self) -> Bool[Anywhere, "*S"]:
@@ -217,6 +218,20 @@ def with_free_approach(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> S
         for table in (scenarios.targets, scenarios.task_goals)
     )
     return replace(scenarios, targets=targets, task_goals=goals)
+
+
+def with_max_joint_step(scenarios: Scenario, most: float | Sequence[float] | None) -> Scenario:
+    """Return stacked scenarios in which a joint travels no farther between two targets of the path.
+
+    Args:
+        scenarios: Stacked scenarios.
+        most: Longest travel, one for all joints or one per joint [rad or m]; None: any.
+    """
+    if most is None:
+        return scenarios
+    after = np.arange(scenarios.targets.shape[1]) > scenarios.on_path[:, None]
+    bound = np.broadcast_to(np.asarray(most, float), scenarios.x_start.shape[1:])
+    return replace(scenarios, max_joint_step=np.where(after[..., None], bound, np.inf))
 
 
 _TCP, _LONGER = jax.jit(tcp_position), jax.jit(lengthen_tool)

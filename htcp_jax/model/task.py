@@ -95,6 +95,29 @@ class Task:
         start = self.starts[self.parts.index(TaskPoint())]
         return goal[..., start : start + 3]
 
+    def interpolated(
+        self,
+        goals: Float[np.ndarray, "n 2 G"],
+        share: Float[np.ndarray, "n"],
+        places: Float[np.ndarray, "n 2 3"] | None = None,
+    ) -> Float[np.ndarray, "n G"]:
+        """Return goals between those of two targets: places on a line, directions and frames turned evenly.
+
+        Args:
+            goals: Goals at both targets.
+            share: Share of the way from the first to the second.
+            places: Positions of the targets, world [m]; None: unknown.
+        """
+        parts = zip(self.parts, self.starts, strict=True)
+        return np.concatenate(
+            [part.interpolated(goals[..., at : at + part.numbers], share, places) for part, at in parts], axis=1
+        )
+
+    def turn(self, goals: Float[np.ndarray, "n 2 G"]) -> Float[np.ndarray, "n"]:
+        """Return the largest angle between the orientations that two goals require [rad]."""
+        parts = zip(self.parts, self.starts, strict=True)
+        return np.max([part.turn(goals[..., at : at + part.numbers]) for part, at in parts], axis=0)
+
     @property
     def starts(self) -> tuple[int, ...]:
         """Index in a goal of each part's first number."""

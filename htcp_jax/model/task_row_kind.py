@@ -15,8 +15,9 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.kinds import ExtensionKind, Slot, Template, kind_fault, numbers_of, template_of
 from htcp_jax.model.robot import Robot
+from htcp_jax.model.rotations import turned_directions
 from htcp_jax.model.row_bounds import RateBound
-from htcp_jax.model.task_rows import AIM_M, AIM_RAD, SLACK, Feature, Row
+from htcp_jax.model.task_rows import AIM_M, AIM_RAD, SLACK, Feature, Row, mixed
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.numerics import safe_norm
 from htcp_jax.registry import Registry
@@ -202,6 +203,17 @@ class GivenRow(Row):
         goals, first_own = np.tile(first, (len(share), 1)), self.template.size
         goals[:, first_own:] += (1.0 - share)[:, None] * np.append(error, short)
         return goals
+
+    def interpolated(self, goals, share, places=None):
+        """Return numbers on the line between the targets; tangents and normals are turned."""
+        found, first = mixed(goals, share), 0
+        for name, value in self.template.fields:
+            if isinstance(value, Slot):
+                own = slice(first, first + int(np.prod(value.shape)))
+                if name in ON_PATH and name != "place":
+                    found[:, own] = turned_directions(goals[:, 0, own], goals[:, 1, own], share)
+                first = own.stop
+        return found
 
     def _own(self, goal: Float[Array, "g"]) -> TaskRowKind:
         return self.template.with_numbers(goal[: self.template.size])

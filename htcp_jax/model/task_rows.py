@@ -15,7 +15,15 @@ import numpy as np
 import scipy
 
 from htcp_jax.errors import InputError
-from htcp_jax.model.rotations import angle, axis_error, least_turn, rotation_vector
+from htcp_jax.model.rotations import (
+    angle,
+    axis_error,
+    frame_turns,
+    least_turn,
+    rotation_vector,
+    turned_directions,
+    turned_frames,
+)
 from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, allowed_axes, allowed_frames, chord
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Float, Triple, Vector3
@@ -119,6 +127,25 @@ class Row:
         target; places: positions of the point that follows the path, if this row holds it.
         """
         raise NotImplementedError
+
+    def interpolated(
+        self,
+        goals: Float[np.ndarray, "n 2 g"],
+        share: Float[np.ndarray, "n"],
+        places: Float[np.ndarray, "n 2 3"] | None = None,
+    ) -> Float[np.ndarray, "n g"]:
+        """Return goals between those of two targets.
+
+        Args:
+            goals: Goals at both targets.
+            share: Share of the way from the first to the second.
+            places: Positions of the targets, world [m]; None: unknown.
+        """
+        return mixed(goals, share)
+
+    def turn(self, goals: Float[np.ndarray, "n 2 g"]) -> Float[np.ndarray, "n"]:
+        """Return the angle between the orientations that two goals require [rad]; 0 if they require none."""
+        return np.zeros(len(goals))
 
 
 @dataclass(frozen=True)
@@ -236,6 +263,20 @@ class PointAlong(Row):
         goals[:, 3 : 4 * self.count : 4] = eased if places is None else places @ across[:, :3].T
         return goals
 
+    def interpolated(self, goals, share, places=None):
+        """Return turned directions, through places on the line between the targets."""
+        found = mixed(goals, share)
+        each = goals[..., : 4 * self.count].reshape(-1, 2, self.count, 4)
+        a, b = each[:, 0, :, :3].reshape(-1, 3), each[:, 1, :, :3].reshape(-1, 3)
+        if np.array_equal(a, b):
+            return found
+        u = turned_directions(a, b, np.repeat(share, self.count)).reshape(-1, self.count, 3)
+        places = np.zeros((len(goals), 2, 3)) if places is None else places
+        off = mixed(each[..., 3] - np.einsum("ntcx,ntx->ntc", each[..., :3], places), share)
+        offset = np.einsum("ncx,nx->nc", u, mixed(places, share)) + off
+        found[:, : 4 * self.count] = np.concatenate([u, offset[..., None]], axis=2).reshape(len(goals), -1)
+        return found
+
     def _ahead(self, point: Vector3, goal: Float[Array, "g"]) -> Float[Array, "count"]:
         each = goal[: 4 * self.count].reshape(self.count, 4)
         return each[:, 3] - product(each[:, :3], point)
@@ -320,6 +361,20 @@ class AxisTowards(Row):
         turn = least_turn(start[:3], first)
         return scipy.spatial.transform.Rotation.from_rotvec(share[:, None] * turn).apply(np.array(start[:3]))
 
+    def interpolated(self, goals, share, places=None):
+        """Return turned directions; the place that an axis points at stays on the line."""
+        found = mixed(goals, share)
+        if self.looks_from_m is None:
+            found[:, :3] = turned_directions(goals[:, 0, :3], goals[:, 1, :3], share)
+        return found
+
+    def turn(self, goals):
+        """Return the angle between two directions [rad]."""
+        if self.looks_from_m is not None:
+            return np.zeros(len(goals))
+        a, b = goals[:, 0, :3], goals[:, 1, :3]
+        return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
+
     def _direction(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Vector3:
         if self.looks_from_m is None:
             return goal[:3]
@@ -390,8 +445,25 @@ class FrameOrientation(Row):
         both = transform.Rotation.from_matrix(np.stack([start.reshape(3, 3).T, first.reshape(3, 3)]))
         return transform.Slerp([0.0, 1.0], both)(share).as_matrix().reshape(-1, 9)
 
+    def interpolated(self, goals, share, places=None):
+        """Return turned frames."""
+        found, each = mixed(goals, share), goals[..., :9].reshape(-1, 2, 3, 3)
+        found[:, :9] = turned_frames(each[:, 0], each[:, 1], share).reshape(-1, 9)
+        return found
+
+    def turn(self, goals):
+        """Return the angle between two rotations [rad]."""
+        each = goals[..., :9].reshape(-1, 2, 3, 3)
+        return np.linalg.norm(frame_turns(each[:, 0], each[:, 1]), axis=1)
+
     def _to_go(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Vector3:
         return rotation_vector(product(goal[:9].reshape(3, 3), value.reshape(3, 3)))  # value: the axes are rows
+
+
+def mixed(goals: Float[np.ndarray, "n 2 *g"], share: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n *g"]:
+    """Return numbers at a share of the way from one target to the next, on a straight line."""
+    share = share.reshape(-1, *[1] * (goals.ndim - 2))
+    return (1.0 - share) * goals[:, 0] + share * goals[:, 1]
 
 
 def _wider(

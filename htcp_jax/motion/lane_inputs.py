@@ -24,6 +24,7 @@ class LaneInputs(NamedTuple):
     round: jax.Array  # of draws
     seed: jax.Array
     obstacle_numbers: jax.Array | None = None  # of kinds of obstacles, see `Scenario`
+    max_joint_step: jax.Array | None = None  # longest travel of each joint to the target [rad or m], see `Scenario`
 
 
 def lane_inputs(
@@ -50,4 +51,5 @@ def lane_inputs(
         round=np.full(row.shape, round_, np.int32),
         seed=np.full(row.shape, seed, np.int64),
         obstacle_numbers=None if (given := scenarios.obstacle_numbers) is None else given[scenario],
+        max_joint_step=None if (most := scenarios.max_joint_step) is None else most[scenario, row],
     )

@@ -28,6 +28,8 @@ class Motion(NamedTuple):
     x: Float[np.ndarray, "n N"]  # [rad or m]
     target: Int[np.ndarray, "n"]  # to which the row leads; for a dwell, the one that the tool stays at
     kind: Int8[np.ndarray, "n"]  # `status.Kind`: kind of motion to this row from the one before
+    # Shares of the way between two targets at which the motion to this row begins and ends, 0 and 1 without via points
+    span: Float[np.ndarray, "n 2"] | None = None  # [1]; None: there are no via points but dwells at targets
 
 
 class Motions(NamedTuple):
@@ -37,6 +39,7 @@ class Motions(NamedTuple):
     x: Float[np.ndarray, "n N"]  # [rad or m]
     target: Int[np.ndarray, "n"]
     kind: Int8[np.ndarray, "n"]
+    span: Float[np.ndarray, "n 2"]  # [1]
 
     def of(self, scenario: int) -> Motion:
         """Return the motion of one scenario, by its row."""
@@ -62,8 +65,8 @@ def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) 
     there = motions(plans.rows([scenario]), on_path).of(0)
     if not retract:
         return there
-    x, target, kind = (column[-2::-1] for column in there)
-    back = Motion(x, target, np.full_like(kind, Kind.RETRACT))
+    x, target, kind, span = (column[-2::-1] for column in there)
+    back = Motion(x, target, np.full_like(kind, Kind.RETRACT), span)
     return Motion(*map(np.concatenate, zip(there, back, strict=True)))
 
 
@@ -83,16 +86,20 @@ def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None 
     target = np.concatenate([np.zeros_like(begun), via_points.target[passed], t])
     x = np.concatenate([plans.start[begun], via_points.x[passed], plans.x[s, t]])
     place = np.repeat([0, 1, 2], [len(begun), passed.sum(), len(s)])  # on each segment: start, via points, row
+    end = np.concatenate([np.zeros(len(begun)), via_points.share[passed], np.ones(len(s))])
+    stays = np.concatenate([np.zeros(len(begun), bool), via_points.stays[passed], np.zeros(len(s), bool)])
     order = np.lexsort((place, target, scenario))
-    scenario, target, place = scenario[order], target[order], place[order]
-    kind = _motion_kinds(target, place, np.broadcast_to(on_path, len(rows))[scenario])
+    scenario, target, end, stays = scenario[order], target[order], end[order], stays[order]
+    kind = _motion_kinds(target, stays, np.broadcast_to(on_path, len(rows))[scenario])
     kind[transfers(plans)[scenario] & (target == 0)] = Kind.TRANSFER
-    return Motions(scenario, x[order], target - (kind == Kind.DWELL), kind)
+    same = (np.diff(scenario, prepend=-1) == 0) & (np.diff(target, prepend=-1) == 0)
+    span = np.stack([np.where(same, np.append(0.0, end[:-1]), 0.0)[: len(end)], end], axis=1)
+    return Motions(scenario, x[order], target - (kind == Kind.DWELL), kind, span)
 
 
-def _motion_kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[np.ndarray, "n"]:
+def _motion_kinds(target: np.ndarray, stays: np.ndarray, on_path: np.ndarray) -> Int8[np.ndarray, "n"]:
     """Return the kind of motion that leads to each configuration, without transfers."""
-    kind = np.where(target > on_path, np.where(place == 1, Kind.DWELL, Kind.PROCESS), Kind.APPROACH)
+    kind = np.where(target > on_path, np.where(stays, Kind.DWELL, Kind.PROCESS), Kind.APPROACH)
     return kind.astype(np.int8)
 
 
@@ -105,6 +112,36 @@ def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
     found = (plans.status[:, :1] == Status.TRACKED_AFTER_RECOVERY).any(axis=1)
     found[plans.via_points.scenario[plans.via_points.target == 0]] = True
     return found
+
+
+class LargestJointSteps(NamedTuple):
+    """Largest travel of a joint between two targets of the path, of S scenarios."""
+
+    step: Float[np.ndarray, "S"]  # [rad, of a slide m]; NaN if the motion does not reach the path's second point
+    target: Int[np.ndarray, "S"]  # at the end of the segment; -1 for none, as the next
+    joint: Int[np.ndarray, "S"]  # number of the joint
+
+
+def largest_joint_steps(plans: Plans, on_path: OnPath) -> LargestJointSteps:
+    """Return the largest travel of a joint between two targets, summed over the segment's via points.
+
+    Args:
+        plans: The plans.
+        on_path: The first target that is a point of the path, of each scenario or of all.
+    """
+    found, travel = motions(plans, on_path), np.full(plans.x.shape, np.nan)
+    segment = found.target + (found.kind == Kind.DWELL)
+    rows = np.flatnonzero((found.kind == Kind.PROCESS) | (found.kind == Kind.DWELL))
+    own = found.scenario[rows], segment[rows]
+    travel[own] = 0.0
+    np.add.at(travel, own, np.abs(found.x[rows] - found.x[rows - 1]))
+    flat = np.where(np.isnan(travel), -1.0, travel).reshape(len(travel), -1)
+    best = flat.argmax(axis=1) if flat.size else np.zeros(len(flat), int)
+    step = flat[np.arange(len(flat)), best] if flat.size else np.full(len(flat), -1.0)
+    joints = max(1, plans.x.shape[2])
+    return LargestJointSteps(
+        np.where(step < 0, np.nan, step), np.where(step < 0, -1, best // joints), np.where(step < 0, -1, best % joints)
+    )
 
 
 class MotionFigures(NamedTuple):
@@ -207,7 +244,7 @@ def narrowest_segment(plans: Plans) -> tuple[Int[np.ndarray, "S"], Float[np.ndar
 
 
 def _turns(plans: Plans) -> Bool[np.ndarray, "S T"]:
-    """Return True for executable targets whose segment has via points."""
-    found = np.zeros_like(plans.tracked)
-    found[plans.via_points.scenario, plans.via_points.target] = True
+    """Return True for executable targets on whose segment the arm changes its configuration at one place."""
+    found, via_points = np.zeros_like(plans.tracked), plans.via_points
+    found[via_points.scenario[via_points.stays], via_points.target[via_points.stays]] = True
     return found & plans.executable

@@ -103,9 +103,9 @@ class Problem:
             # Not `map`: if one fails it cancels those that have not begun, for which others may wait.
             return [each.result() for each in [pool.submit(run, number) for number in range(threads)]]
 
-    def with_scenarios(self, scenarios: Scenario) -> "Problem":
-        """Return the problem with other scenarios, and the same checkers."""
-        other = replace(self, scenarios=scenarios)
+    def with_scenarios(self, scenarios: Scenario, progress: Callable[[int, int], None] | None = None) -> "Problem":
+        """Return the problem with other scenarios, and the same checkers; `progress` replaces the callback."""
+        other = replace(self, scenarios=scenarios, progress=progress or self.progress)
         vars(other)["checkers"] = self.checkers
         return other
 

@@ -219,6 +219,8 @@ class Smoothing:
         seen, good = self._measured(paths, x)
         segments = [path.segments(at) for path, at in zip(paths, x, strict=True)]
         edges = self._motions(tables.concatenate(segments), GRAZES)
+        if self._problem.scenarios.max_joint_step is not None:
+            edges &= np.concatenate([self._keeps_steps(path, at) for path, at in zip(paths, x, strict=True)])
         found = []
         for path, at, here, counts, edge in zip(paths, x, seen, good, _split_by_path(edges, paths), strict=True):
             stays = (at == path.x).all(axis=1)
@@ -267,6 +269,13 @@ class Smoothing:
         proofs = prove_segments(self._problem, self._checker, segments)
         few = True if most_queries is None else proofs.queries <= most_queries
         return (proofs.verdict == SegmentStatus.VALID) & few
+
+    def _keeps_steps(self, path: SmoothedPath, x: Float[np.ndarray, "P1 N"]) -> Bool[np.ndarray, "P"]:
+        """Return True for joint paths on segments on which no joint moves too far."""
+        most = self._problem.scenarios.max_joint_step[path.scenario]
+        travel = np.zeros_like(most)
+        np.add.at(travel, path.target, np.abs(np.diff(x, axis=0)))
+        return (travel <= most).all(axis=1)[path.target]
 
     def _inputs(self, paths: list[SmoothedPath]) -> LaneInputs:
         scenario = np.repeat([path.scenario for path in paths], [len(path.target) for path in paths])

@@ -21,6 +21,7 @@ from htcp_jax.settings import Settings
 from htcp_jax.solvers import active_set, step_qp
 from htcp_jax.types import Anywhere, Float, Int, Joints
 
+STEP_ROUNDING = 1e-6  # share of the longest joint step that a QP solver may miss
 STEPS_PER_CHUNK = 5  # step QPs, or null-space steps, per call
 
 
@@ -47,7 +48,8 @@ def prepare(
         x_previous (Joints): The configuration at the previous target [rad or m].
         linear: Task and clearance at x_ref to first order.
     """
-    robot, task = scene.robot, scene.task.linear(*linear.task, lane.target)
+    task = scene.task.linear(*linear.task, lane.target)
+    lower, upper = joint_box(scene, lane, x_previous)
     return step_qp.assemble(
         settings,
         x_ref,
@@ -57,11 +59,26 @@ def prepare(
         linear.clearance.distance,
         linear.clearance.gradient,
         lane.margin_m + settings.aim_above_m,
-        robot.lower,
-        robot.upper,
+        lower,
+        upper,
         task.slack,
         task.gradient,
     )
+
+
+def joint_box(scene: Scene, lane: LaneInputs, x: Joints) -> tuple[Joints, Joints]:
+    """Return the joint limits that a step from the previous target keeps: the arm's, and the lane's longest step.
+
+    Args:
+        scene: The scene.
+        lane: Scenario and target.
+        x: The configuration at the previous target [rad or m].
+    """
+    robot = scene.robot
+    if lane.max_joint_step is None:
+        return robot.lower, robot.upper
+    most = (1 - STEP_ROUNDING) * lane.max_joint_step
+    return jnp.maximum(robot.lower, x - most), jnp.minimum(robot.upper, x + most)
 
 
 def advance(

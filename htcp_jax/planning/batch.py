@@ -90,9 +90,9 @@ def plan(
     chosen, settings = method if isinstance(method, Method) else find(method), settings_of(settings)
     method = chosen.name
     joints = len(robot.joint_names)
-    for name in ("q_weights", "path_weights"):
+    for name in ("q_weights", "path_weights", "max_joint_step_rad"):
         weights = getattr(settings, name)
-        if weights is not None and len(weights) != joints:
+        if isinstance(weights, tuple) and len(weights) != joints:
             raise InputError(f"{name} has {len(weights)} values, the robot {robot.name} has {joints} joints")
     if settings.qp.startswith("qpsolvers:"):  # refuse one that is not installed, even if the method does not use it
         from htcp_jax.solvers import QPSolversSolver
@@ -141,11 +141,9 @@ def plan(
 
 def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obstacles, check_starts: bool) -> Plans:
     """Return `plan`'s result, except for the times, on the problem's devices."""
-    settings, check_paths = problem.settings, problem.check_paths
     # Imported here, as methods are: no lane functions are loaded before a method is looked up.
     from htcp_jax.motion import home as home_motion
-    from htcp_jax.motion import motion_check
-    from htcp_jax.planning.tracking.record import with_separate_errors
+    from htcp_jax.planning import inserted_goals
 
     with _preparing(problem, chosen):
         if check_starts:
@@ -153,20 +151,40 @@ def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obst
         problem, from_home = home_motion.leave_home(problem)
         if check_starts:
             _refuse_standing_overlaps(problem)
-        plans = _of_these(chosen.plan(problem), problem, method)
-        problem = problem.as_planned(plans)
-        if check_paths:
-            plans = motion_check.check_remaining_paths(problem, plans)
-        plans = home_motion.begin_at_home(problem, plans, from_home)
-        if check_paths:
-            plans = motion_check.verify_motions(problem, plans)
-            if chosen.smooth if settings.smooth is None else settings.smooth:
-                from htcp_jax.motion import smoothing
+        most = problem.settings.max_joint_step_rad
+        problem = problem.with_scenarios(scenario_functions.with_max_joint_step(problem.scenarios, most))
+        pieces = inserted_goals.pieces_of(problem.robot, problem.task, problem.scenarios, problem.settings)
+        if (pieces == 1).all():
+            return _with_proofs(problem, chosen, method, from_home)
 
-                plans = motion_check.tighten(
-                    problem, motion_check.verify_motions(problem, smoothing.smooth(problem, plans))
-                )
-        return with_separate_errors(problem, plans)
+        def plan_rows(denser: Problem, rows: np.ndarray) -> Plans:
+            own = {k: from_home[s] for k, s in enumerate(rows.tolist()) if s in from_home}
+            return _with_proofs(denser, chosen, method, own)
+
+        return inserted_goals.planned(plan_rows, problem, pieces)
+
+
+def _with_proofs(problem: Problem, chosen: Method, method: str, from_home: Mapping[int, np.ndarray]) -> Plans:
+    """Return the plans from home, verified and smoothed."""
+    from htcp_jax.motion import home as home_motion
+    from htcp_jax.motion import motion_check
+    from htcp_jax.planning.tracking.record import with_separate_errors
+
+    settings, check_paths = problem.settings, problem.check_paths
+    plans = _of_these(chosen.plan(problem), problem, method)
+    problem = problem.as_planned(plans)
+    if check_paths:
+        plans = motion_check.check_remaining_paths(problem, plans)
+    plans = home_motion.begin_at_home(problem, plans, from_home)
+    if check_paths:
+        plans = motion_check.verify_motions(problem, plans)
+        if chosen.smooth if settings.smooth is None else settings.smooth:
+            from htcp_jax.motion import smoothing
+
+            plans = motion_check.tighten(
+                problem, motion_check.verify_motions(problem, smoothing.smooth(problem, plans))
+            )
+    return with_separate_errors(problem, plans)
 
 
 def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progress: Callable | None) -> Plans:

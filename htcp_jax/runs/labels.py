@@ -15,7 +15,8 @@ from htcp_jax.runs.timing_file import COLUMNS
 RESULTS = (
     "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",
     "after_recovery", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad", "executable",
-    *motion.MotionFigures._fields, *COLUMNS, "colliding_body", "colliding_with", "cause",
+    *motion.MotionFigures._fields, *COLUMNS, "joint_step_max_rad", "joint_step_target", "joint_step_joint",
+    "colliding_body", "colliding_with", "cause",
 )  # fmt: skip
 SHORT = {
     "rotation_x": "rotation x",

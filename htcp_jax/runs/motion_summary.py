@@ -19,6 +19,9 @@ class MotionSummary(NamedTuple):
     dwells: tuple[int, ...]  # targets at which the arm changes its configuration
     cost_rad2: float  # equation (3) [rad^2]
     path_step_max_rad: float
+    joint_step_max_rad: float  # largest travel of a joint between two targets of the path [rad, of a slide m]
+    joint_step_target: int | None  # the target at the end of that segment
+    joint_step_joint: int | None  # the joint's number
     curvature_max_rad_m2: float
     curvature_at: int | None  # the target of the maximum
     clearance_m: float  # guaranteed clearance along the motion
@@ -98,6 +101,8 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
     _, cost, step, bend, clearance = map(float, found)
     turning, at = np.flatnonzero(motion.dwells(alone, on_path)[0]), int(motion.narrowest_segment(alone)[0][0])
     bent = motion.curvature(alone, on_path)[0]
+    largest = motion.largest_joint_steps(alone, on_path)
+    there_is = not math.isnan(largest.step[0])
     there = motion.motions(alone, on_path)
     transfer = there.steps[there.kind == Kind.TRANSFER]
     return MotionSummary(
@@ -105,6 +110,9 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
         dwells=tuple(turning.tolist()),
         cost_rad2=cost,
         path_step_max_rad=step,
+        joint_step_max_rad=float(largest.step[0]),
+        joint_step_target=int(largest.target[0]) if there_is else None,
+        joint_step_joint=int(largest.joint[0]) if there_is else None,
         curvature_max_rad_m2=bend,
         curvature_at=None if math.isnan(bend) else int(np.nanargmax(bent)),
         clearance_m=clearance,

@@ -198,10 +198,11 @@ def _read_via_points(file: Path, record: PlanRecord, joints: int) -> ViaPoints:
     Raises:
         InputError: For arrays of the wrong shape.
     """
-    target, x = record.via_points
-    if x.shape != (len(target), joints) or target.dtype.kind not in "iu" or x.dtype.kind != "f":
+    target, x, share = record.via_points
+    kinds = target.dtype.kind in "iu" and x.dtype.kind == share.dtype.kind == "f"
+    if x.shape != (len(target), joints) or share.shape != target.shape or not kinds:
         raise InputError(f"{file}: the via points have the shape {x.shape}; damaged")
-    return ViaPoints(np.zeros(len(target), np.int32), target, x)
+    return ViaPoints(np.zeros(len(target), np.int32), target, x, share)
 
 
 def _check_shapes(file: Path, arrays: dict[str, np.ndarray], joints: int) -> None:

@@ -35,7 +35,7 @@ class PlanRecord(NamedTuple):
     config: dict
     files: dict[str, str]  # SHA-256 of the files in the configuration
     arrays: dict[str, np.ndarray]  # of `Plans`, for the one scenario
-    via_points: tuple[np.ndarray, np.ndarray]  # target (n,), x (n, N)
+    via_points: tuple[np.ndarray, np.ndarray, np.ndarray]  # target (n,), x (n, N), share (n,)
 
 
 def read_plan(folder: Path) -> PlanRecord:
@@ -49,7 +49,8 @@ def read_plan(folder: Path) -> PlanRecord:
         method, config = str(summary["method"]), dict(summary["config"])
         hashes = {str(name): str(known) for name, known in summary["files"].items()}
         found = files.read_arrays(folder / TRAJECTORY, folder, leave=("joint_names",))
-        via_points = found["via_point_target"], found["via_point_x"]
+        target, x = found["via_point_target"], found["via_point_x"]
+        via_points = target, x, found.get("via_point_share", np.zeros(len(target)))
         return PlanRecord(method, config, hashes, {name: found[name] for name in plan_arrays.ARRAYS}, via_points)
     except OSError as error:
         raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
@@ -177,7 +178,8 @@ def _write_csv(file: Path, columns: Mapping[str, Iterable]) -> None:
 def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
     """Write the arrays of `plans` for one scenario under the names of its fields; no pickles.
 
-    `start` is (N,). Further arrays: `joint_names` and the via points' `via_point_target` (n,) and `via_point_x` (n, N).
+    `start` is (N,). Further arrays: `joint_names` and the via points' `via_point_target` (n,), `via_point_x` (n, N) and
+    `via_point_share` (n,), see `ViaPoints`.
 
     Args:
         file: The file.
@@ -192,9 +194,8 @@ def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -
     via_points = plans.via_points.rows(np.array([row]))
     names = np.array(robot.joint_names)
     stream = io.BytesIO()
-    np.savez_compressed(
-        stream, joint_names=names, via_point_target=via_points.target, via_point_x=via_points.x, **arrays
-    )
+    arrays |= {f"via_point_{name}": getattr(via_points, name) for name in ("target", "x", "share")}
+    np.savez_compressed(stream, joint_names=names, **arrays)
     files.write_atomically(file.parent, file.name, stream.getvalue())
 
 

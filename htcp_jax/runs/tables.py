@@ -3,7 +3,7 @@
 `columns` describes their columns. The tables contain no run times: the same seed writes the same bytes.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -29,6 +29,8 @@ SEGMENT_STATUSES: dict[str | None, int] = {None: int(SegmentStatus.NOT_CHECKED)}
 }
 XYZ = "xyz"
 CAUSE = "colliding_body", "colliding_with", "cause"  # columns of scenarios that could not begin
+SHARES = "via_shares"
+STEPS = "joint_step_max_rad", "joint_step_target", "joint_step_joint"
 
 LEAST_CELLS = 1_000_000  # scenarios times targets that any file may expand to; or GROWTH times its rows
 
@@ -66,12 +68,13 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
             [_segment_status_name(code) for code in plans.segment_status[s, t].tolist()], pa.string()
         ),
         "segment_clearance_m": _doubles(plans.segment_clearance[s, t]),
-        "via_points": _via_point_column(plans, s, t),
+        "via_points": _via_point_column(plans, s, t, plans.via_points.on_segment),
         "recovery": pa.array(plans.recovery[s, t], pa.int8()),
     }
     columns |= {name: _doubles(plans.x[s, t, k]) for k, name in enumerate(joints)}
     columns |= {name: _doubles(plans.tcp[s, t, k]) for k, name in enumerate(_axes("tcp"))}
     columns |= {name: _doubles(plans.target[s, t, k]) for k, name in enumerate(_axes("target"))}
+    columns[SHARES] = _via_point_column(plans, s, t, plans.via_points.shares_on)
     return pa.table(columns)
 
 
@@ -111,17 +114,23 @@ def scenario_table(
     }
     columns |= _parameter_columns(points, plans.start, joints)
     columns |= {key: pa.array([point.varied[key] for point in points], pa.string()) for key in varied}
+    columns |= _joint_steps(points, plans, joints)
     found = [causes.get(row) for row in range(len(points))]
     texts = [(each.body, each.other, each.description) if each else (None,) * len(CAUSE) for each in found]
     return pa.table(columns | {name: pa.array([t[k] for t in texts], pa.string()) for k, name in enumerate(CAUSE)})
 
 
-def with_causes(rows: pa.Table) -> pa.Table:
-    """Return rows of scenarios with the columns of CAUSE, which runs from older versions lack."""
-    if CAUSE[0] not in rows.column_names:
-        for name in CAUSE:
-            rows = rows.append_column(name, pa.nulls(len(rows), pa.string()))
-    return rows
+def with_new_columns(rows: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Return rows with nulls in the columns of `schema` that runs from older versions lack.
+
+    Without shares the tool stays at the target before.
+    """
+    new = [name for name in (SHARES, *STEPS, *CAUSE) if name in schema.names and name not in rows.column_names]
+    if not new:
+        return rows
+    for name in new:
+        rows = rows.append_column(name, pa.nulls(len(rows), schema.field(name).type))
+    return rows.select(schema.names) if set(rows.column_names) == set(schema.names) else rows
 
 
 def _end_columns(ends: plan_arrays.Outcomes) -> dict[str, pa.Array]:
@@ -140,6 +149,14 @@ def _figures(points: Sequence[grid_axes.ScenarioPoint], plans: Plans) -> dict[st
     found = motion.motion_figures(plans, np.array([point.config.on_path for point in points], int))
     columns = {name: _doubles(values) for name, values in found._asdict().items()}
     return columns | {"dwells": columns["dwells"].cast(pa.int32())}
+
+
+def _joint_steps(points: Sequence[grid_axes.ScenarioPoint], plans: Plans, joints: Sequence[str]) -> dict[str, pa.Array]:
+    """Return the columns of STEPS."""
+    found = motion.largest_joint_steps(plans, np.array([point.config.on_path for point in points], int))
+    names = [joints[k].rpartition("_")[0] if k >= 0 else None for k in found.joint.tolist()]
+    target = pa.array(found.target, pa.int32(), mask=found.target < 0)
+    return dict(zip(STEPS, (_doubles(found.step), target, pa.array(names, pa.string())), strict=True))
 
 
 def empty_tables(joints: Sequence[str], varied: Sequence[str] = ()) -> dict[str, pa.Table]:
@@ -183,8 +200,8 @@ def plans_of(
     plans.segment_status[s, t] = [SEGMENT_STATUSES[name] for name in targets["segment_status"].to_pylist()]
     for array, names in ((plans.x, joints), (plans.tcp, _axes("tcp")), (plans.target, _axes("target"))):
         array[s, t] = np.stack([_numpy(targets[name], np.nan) for name in names], axis=1)
-    lists = zip(s.tolist(), t.tolist(), targets["via_points"].to_pylist(), strict=True)
-    via_points = [(scenario, target, np.reshape(x, (-1, len(joints)))) for scenario, target, x in lists if x]
+    lists = zip(s.tolist(), t.tolist(), *(targets[name].to_pylist() for name in ("via_points", SHARES)), strict=True)
+    via_points = [_segment(*row, len(joints)) for row in lists if row[2]]
     return plans._replace(via_points=ViaPoints.of(via_points, len(joints)))
 
 
@@ -198,18 +215,31 @@ _COLUMN = {
 }  # fmt: skip
 
 
+def _segment(scenario: int, target: int, x: list[float], share: list[float] | None, joints: int) -> tuple:
+    """Return a segment of `ViaPoints.of`.
+
+    Raises:
+        ValueError: For another number of shares than of configurations.
+    """
+    found = np.reshape(x, (-1, joints))
+    shares = np.zeros(len(found)) if share is None else np.array(share, float)
+    if len(shares) != len(found):
+        raise ValueError(f"{len(found)} via points with {len(shares)} shares")
+    return scenario, target, found, shares
+
+
 def _segment_status_name(code: int) -> str | None:
     return None if code == SegmentStatus.NOT_CHECKED else SegmentStatus(code).name
 
 
-def _via_point_column(plans: Plans, s: np.ndarray, t: np.ndarray) -> pa.Array:
-    """Return the via points on the segment to each row, flattened."""
+def _via_point_column(
+    plans: Plans, s: np.ndarray, t: np.ndarray, on_segment: Callable[[int, int], np.ndarray]
+) -> pa.Array:
+    """Return a column of the via points on the segment to each row, flattened."""
     kind = pa.list_(pa.float64())
     if not len(plans.via_points.x):
         return pa.nulls(len(s), kind)
-    lists = [
-        plans.via_points.on_segment(*row).ravel().tolist() or None for row in zip(s.tolist(), t.tolist(), strict=True)
-    ]
+    lists = [on_segment(*row).ravel().tolist() or None for row in zip(s.tolist(), t.tolist(), strict=True)]
     return pa.array(lists, kind)
 
 

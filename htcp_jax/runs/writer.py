@@ -137,7 +137,7 @@ def _write_manifest(run: Run) -> Run:
 
 def _write_parquet(folder: Path, table: str, name: str, rows: pa.Table) -> FileRecord:
     doubles = [field.name for field in rows.schema if pa.types.is_floating(field.type)]
-    words = [name for name in rows.column_names if name not in doubles and name != "via_points"]
+    words = [name for name in rows.column_names if name not in doubles and name not in ("via_points", "via_shares")]
     data = io_files.parquet_bytes(rows, use_dictionary=words, use_byte_stream_split=doubles)
     io_files.write_atomically(folder, f"{table}/{name}", data)
     return FileRecord(rows=len(rows), bytes=len(data), sha256=hashlib.sha256(data).hexdigest())

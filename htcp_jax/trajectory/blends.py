@@ -39,7 +39,7 @@ class MotionSlack(NamedTuple):
         return MotionSlack(self.clearance[which], self.tube[which], self.rows and self.rows.only(which))
 
 
-def motion_slack(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> MotionSlack:
+def motion_slack(plans: Plans, scenario: int, motion: Motion, tube_m: float, robot: Robot | None = None) -> MotionSlack:
     """Return the slack of a plan's proof next to the legs of its motion.
 
     Args:
@@ -47,6 +47,7 @@ def motion_slack(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> 
         scenario: Row of the plan.
         motion: Its motion.
         tube_m: `Settings.tube_m`.
+        robot: With the job's tool; needed for via points between two targets.
     """
     there = int((motion.kind != Kind.RETRACT).sum())
     target, kind = motion.target[1:there], motion.kind[1:there]
@@ -54,9 +55,23 @@ def motion_slack(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> 
     clearance = plans.segment_clearance[scenario, polyline]
     off = plans.residual[scenario]
     off = np.fmax(off[polyline], off[np.maximum(polyline - 1, 0)])
+    if robot is not None and motion.span is not None:
+        at = _off_line(plans, scenario, motion, robot)[:there]
+        off = np.maximum(off, np.maximum(at[1:], at[:-1]))
     tube = np.where(np.isin(kind, (Kind.PROCESS, Kind.DWELL)), tube_m - off, np.inf)
     back = len(motion.x) - there
     return MotionSlack(np.append(clearance, clearance[::-1][:back]), np.append(tube, np.full(back, np.inf)))
+
+
+def _off_line(plans: Plans, scenario: int, motion: Motion, robot: Robot) -> Float[np.ndarray, "n"]:
+    """Return the TCP's distance at via points between two targets from its place there [m]; 0 at other rows."""
+    off, share = np.zeros(len(motion.x)), motion.span[:, 1]
+    inner = np.flatnonzero((share > 0) & (share < 1) & np.isin(motion.kind, (Kind.PROCESS, Kind.DWELL)))
+    if len(inner):
+        end = motion.target[inner] + (motion.kind[inner] == Kind.DWELL)
+        a, b = plans.target[scenario, end - 1], plans.target[scenario, end]
+        off[inner] = np.linalg.norm(tcp_at(robot, motion.x[inner])[0] - a - share[inner, None] * (b - a), axis=1)
+    return off
 
 
 def blends(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionLimits, feed_m_s: float) -> list[Blend]:

@@ -206,11 +206,11 @@ def timed_plan(
     """
     limits = joint_limits(robot, job.program)
     whole = motion.motion(plans, scenario, job.on_path, retract=retract)
-    left = motion_slack(plans, scenario, whole, job.settings.tube_m)
+    left = motion_slack(plans, scenario, whole, job.settings.tube_m, robot)
     if job.cell.self_collision:
         left = left._replace(clearance=0.5 * left.clearance)  # two bodies may move towards each other
     if goals is not None:
-        left = with_rows(left, job, robot, whole, goals)
+        left = with_rows(left, job, robot, whole, goals, plans.target[scenario])
     return PlanProgram(time_motion(robot, whole, left, limits, feed_m_s), robot, job, limits, method)
 
 

@@ -65,7 +65,9 @@ class Program(NamedTuple):
         """
         time, row = self.passes()
         x = np.concatenate([self.blends[0].curve.x[:1], *(each.curve.x[1:] for each in self.blends)])
-        return self.at(time)._replace(x=x, kind=self.motion.kind[row], target=self.motion.target[row])
+        return self.at(time)._replace(
+            x=x, kind=self.motion.kind[row], target=self.motion.target[row], span=self._span(row)
+        )
 
     def passes(self) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
         """Return the times at which the motion's own configurations are passed [s], and their rows in it."""
@@ -87,7 +89,10 @@ class Program(NamedTuple):
             parts.append((found.x, found.first, found.second, row))
         x, velocity, acceleration, row = map(np.concatenate, zip(*parts, strict=True))
         kind, target = self.motion.kind[row], self.motion.target[row]
-        return TimedMotion(time, x, velocity, acceleration, kind, target, self.joint_names)
+        return TimedMotion(time, x, velocity, acceleration, kind, target, self.joint_names, self._span(row))
+
+    def _span(self, row: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 2"] | None:
+        return None if self.motion.span is None else self.motion.span[row]
 
     def drops(self) -> list[FeedDrop]:
         """Return the feed drops along the weld, in order."""

@@ -13,14 +13,20 @@ from htcp_jax.trajectory.row_slack import slack_of_rows
 
 
 def with_rows(
-    left: MotionSlack, job: PlanConfig, robot: Robot, motion: Motion, goals: Float[np.ndarray, "T G"]
+    left: MotionSlack,
+    job: PlanConfig,
+    robot: Robot,
+    motion: Motion,
+    goals: Float[np.ndarray, "T G"],
+    targets: Float[np.ndarray, "T 3"] | None = None,
 ) -> MotionSlack:
     """Add the slack of the job's task next to each leg, unlimited off the path.
 
     If the task does not constrain the TCP's position, the TCP has no tube.
 
-    robot: with the job's tool; goals: goals of the task at each target, see `Scenario`. Raises InputError for a task
-    with a row that has no bound between two configurations.
+    robot: with the job's tool; goals: goals of the task at each target, see `Scenario`; targets: their positions, world
+    [m], for via points between them. Raises InputError for a task with a row that has no bound between two
+    configurations.
     """
     task = build.task_of_job(job, robot)
     if task.sampled:
@@ -29,5 +35,13 @@ def with_rows(
     target, kind = motion.target[1:], motion.kind[1:]
     before = np.where(kind == Kind.DWELL, target, np.maximum(target - 1, 0))
     on = np.isin(kind, (Kind.PROCESS, Kind.DWELL))
-    rows = slack_of_rows(task, robot, motion.x, np.stack([goals[before], goals[target]], axis=1), on)
+    ends = np.stack([goals[before], goals[target]], axis=1)
+    if motion.span is not None:
+        inner = np.flatnonzero(on & (np.abs(motion.span[1:] - 0.5) < 0.5).any(axis=1))
+        end = target[inner] + (kind[inner] == Kind.DWELL)
+        both = np.stack([end - 1, end], axis=1)
+        places = None if targets is None else targets[both]
+        for side in (0, 1):
+            ends[inner, side] = task.interpolated(goals[both], motion.span[1:][inner, side], places)
+    rows = slack_of_rows(task, robot, motion.x, ends, on)
     return left._replace(tube=left.tube if task.holds_tcp else np.full_like(left.tube, np.inf), rows=rows)

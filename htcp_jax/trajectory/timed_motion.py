@@ -16,3 +16,4 @@ class TimedMotion(NamedTuple):
     kind: Int8[np.ndarray, "n"]  # `status.Kind` of the segment from the row before
     target: Int[np.ndarray, "n"]  # target to which the row leads
     joint_names: tuple[str, ...]
+    span: Float[np.ndarray, "n 2"] | None = None  # of that segment [1], see `Motion`

@@ -45,7 +45,10 @@ def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
         config,
         plans.start[number],
         *(column[number][there] for column in flags),
-        tuple(plans.via_points.on_segment(number, target) for target in range(int(there.sum()))),
+        *(
+            tuple(of(number, target) for target in range(int(there.sum())))
+            for of in (plans.via_points.on_segment, plans.via_points.shares_on)
+        ),
         *(column[number][there] for column in columns),
     )
 

@@ -33,6 +33,7 @@ class Track(NamedTuple):
     blocked: Bool[np.ndarray, "T"]  # joint path from the previous row, as saved
     proven: Bool[np.ndarray, "T"]  # True if the segment from the previous row is saved as a proven motion
     via_points: tuple[Float[np.ndarray, "k N"], ...]  # T times: via points of that segment
+    via_shares: tuple[Float[np.ndarray, "k"], ...]  # and their shares of the way from the target before
     x: Float[np.ndarray, "T N"]
     tcp: Float[np.ndarray, "T 3"]
     target: Float[np.ndarray, "T 3"]

@@ -72,6 +72,50 @@ class PartPose(NamedTuple):
         return self.rotate @ np.array(vector) + (self.translate if is_place else 0.0)
 
 
+def part_between(
+    rows: Sequence[task_row_kind.TaskRowKind],
+    rotate: Float[np.ndarray, "3 3"],
+    translate: Float[np.ndarray, "3"],
+    workpiece: WorkpieceData,
+    point: Int[np.ndarray, "n"],
+    share: Float[np.ndarray, "n"],
+) -> PartPose:
+    """Return the part's pose with n points between those of its path, whose directions are turned evenly.
+
+    Args:
+        rows: Rows of the task, whose directions are needed.
+        rotate: From the workpiece frame to the world.
+        translate: The same [m].
+        workpiece: The part.
+        point: Point of the path at the end of each segment.
+        share: Share of the way there from the point before.
+    """
+    before = point - 1 + (share == 1.0)  # at the point itself, so that nothing is rounded
+    after = np.where(share == 0.0, before, point)
+
+    def turned(table: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "n 3"]:
+        a, b = table[before], table[after]
+        square, cosine = np.cross(a, b), (a * b).sum(axis=1)
+        sine = np.linalg.norm(square, axis=1)
+        turn = square * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12))[:, None]
+        return Rotation.from_rotvec(share[:, None] * turn).apply(a) if len(a) else a
+
+    uses = {name for row in rows for name in row.uses}
+    rotations = workpiece.rotations
+    if "rotations" in uses and len(point):
+        both = Rotation.from_matrix(rotations[after] @ np.swapaxes(rotations[before], 1, 2)).as_rotvec()
+        rotations = Rotation.from_rotvec(share[:, None] * both).as_matrix() @ rotations[before]
+    a, b = workpiece.path[before], workpiece.path[after]
+    own = replace(
+        workpiece,
+        path=a + share[:, None] * (b - a),
+        given_normals=turned(workpiece.normals) if "normals" in uses else None,
+        given_tangents=turned(workpiece.tangents) if "tangents" in uses else None,
+        rotations=rotations,
+    )
+    return PartPose(rotate, translate, own, np.arange(len(point)))
+
+
 def check_rows(
     rows: Sequence[task_row_kind.TaskRowKind],
     arm: MujocoArm,

@@ -18,7 +18,7 @@ from htcp_jax.validation.mujoco_arm import ArmPoses
 from htcp_jax.validation.mujoco_clearance import CheckedScene
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.result import ONE_POINT_M, ROUNDING_M
-from htcp_jax.validation.task_check import PartPose, hold_between, holds_tcp
+from htcp_jax.validation.task_check import hold_between, holds_tcp, part_between
 from htcp_jax.validation.track import from_line, required_m, scene_of
 from htcp_jax.validation.validate import parts_of
 
@@ -51,6 +51,7 @@ class _PathConfigurations(NamedTuple):
     tcp: Float[np.ndarray, "m 3"]
     before: Int[np.ndarray, "m"]
     to: Int[np.ndarray, "m"]
+    span: Float[np.ndarray, "m 2"]  # shares of the way between them, at which its part of the motion begins and ends
 
 
 def check_timed(
@@ -85,10 +86,16 @@ def check_timed(
     off, (turns_back, breaks) = np.zeros(len(timed.x)), np.zeros((2, len(timed.x)), bool)
     held = _path_configurations(timed, tcp)
     if holds_tcp(task):
-        off[held.rows] = from_line(held.tcp, targets[held.before], targets[held.to])
-        turns_back[held.rows] = _turns_back(held, targets)
+        stays = held.span[:, 0] == held.span[:, 1]
+        shares = np.where(stays, held.span.T, np.array([[0.0], [1.0]]))  # the line is that between the targets
+        line = targets[held.to] - targets[held.before]
+        begin, end = (targets[held.before] + share[:, None] * line for share in shares)
+        off[held.rows] = from_line(held.tcp, begin, end)
+        turns_back[held.rows] = _turns_back(held, end - begin)
     if task:
-        ends = [PartPose(scene.rotate, scene.translate, part, end - on_path) for end in (held.before, held.to)]
+        ends = [
+            part_between(task, scene.rotate, scene.translate, part, held.to - on_path, share) for share in held.span.T
+        ]
         inside = hold_between(task, arm, held.x, *ends, settings)
         breaks[held.rows] = ~inside.all(axis=0)
     beyond = ((timed.x < arm.lower - ROUNDING_M) | (timed.x > arm.upper + ROUNDING_M)).any(axis=1)
@@ -100,18 +107,19 @@ def check_timed(
 def _path_configurations(timed: TimedMotion, tcp: np.ndarray) -> _PathConfigurations:
     """Configurations on the path. During a dwell the arm stays at its target."""
     rows = np.flatnonzero(np.isin(timed.kind, (Kind.PROCESS, Kind.DWELL)))
-    to = timed.target[rows]
-    before = np.where(timed.kind[rows] == Kind.DWELL, to, to - 1)
-    return _PathConfigurations(rows, timed.x[rows], tcp[rows], before, to)
+    dwells = timed.kind[rows] == Kind.DWELL
+    to = timed.target[rows] + dwells
+    given = timed.span
+    span = np.stack([np.zeros(len(rows)), ~dwells], axis=1) if given is None else given[rows]
+    return _PathConfigurations(rows, timed.x[rows], tcp[rows], to - 1, to, span)
 
 
-def _turns_back(held: _PathConfigurations, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarray, "m"]:
+def _turns_back(held: _PathConfigurations, line: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
     """True if the TCP has moved backwards along its line since the previous configuration.
 
     It may pass a corner between the two, so it must move backwards along the previous configuration's line, too. A line
     of no length allows any motion.
     """
-    line = targets[held.to] - targets[held.before]
     length = np.linalg.norm(line, axis=1, keepdims=True)
     forwards = line / np.maximum(length, ONE_POINT_M)
     moved = np.diff(held.tcp, axis=0)

@@ -13,7 +13,15 @@ from htcp_jax.validation.mujoco_clearance import CheckedScene, TargetClearances,
 from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refutation
 from htcp_jax.validation.scene_rules import Results, Track, part_pose, targets_of
 from htcp_jax.validation.task_check import PartPose as RowPlace
-from htcp_jax.validation.task_check import RowCheck, check_rows, follows_all, hold_between, holds_tcp, path_follower
+from htcp_jax.validation.task_check import (
+    RowCheck,
+    check_rows,
+    follows_all,
+    hold_between,
+    holds_tcp,
+    part_between,
+    path_follower,
+)
 
 
 class JointPaths(NamedTuple):
@@ -25,6 +33,7 @@ class JointPaths(NamedTuple):
     b: Float[np.ndarray, "m N"]
     line_a: Float[np.ndarray, "m 3"]  # the line that the TCP follows, or the point where it stays
     line_b: Float[np.ndarray, "m 3"]
+    span: Float[np.ndarray, "m 2"]  # shares of the way from the target before at both ends
 
 
 class TrackCheck(NamedTuple):
@@ -213,7 +222,9 @@ def _refuted_between(
     path = np.repeat(own, len(share))
     x = paths.a[path] + np.tile(share, len(own))[:, None] * (paths.b[path] - paths.a[path])
     part = results.workpiece(track.config)
-    places = [RowPlace(scene.rotate, scene.translate, part, paths.target[path] - on_path - k) for k in (1, 0)]
+    row = paths.target[own] - on_path
+    places = [part_between(task, scene.rotate, scene.translate, part, row, paths.span[own, k]) for k in (0, 1)]
+    places = [place._replace(point=place.point[np.searchsorted(own, path)]) for place in places]
     good = hold_between(task, arm, x, *places, track.config.settings)
     found = []
     for target in np.unique(paths.target[path[~good.all(axis=0)]]).tolist():
@@ -255,12 +266,14 @@ def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -
     for k in np.flatnonzero(t == np.concatenate([[-1], t[:-1]])[: len(t)] + 1).tolist():
         x = np.concatenate([rows[k][None], track.via_points[t[k]], rows[k + 1][None]])
         count, to, before = len(x) - 1, targets[t[k]], targets[max(t[k] - 1, 0)]
-        last = (np.arange(count) == count - 1)[:, None]  # on those before it the arm changes its configuration in place
-        start = np.broadcast_to(before, (count, 3))
-        parts.append((np.full(count, t[k]), np.full(count, k), x[:-1], x[1:], start, np.where(last, to, before)))
+        share = np.concatenate([[0.0], track.via_shares[t[k]], [1.0]])  # equal ones: it changes its configuration there
+        line = before + share[:, None] * (to - before)
+        line[-1] = to
+        span = np.stack([share[:-1], share[1:]], axis=1)
+        parts.append((np.full(count, t[k]), np.full(count, k), x[:-1], x[1:], line[:-1], line[1:], span))
     if not parts:
         none, joints = np.zeros(0, int), np.zeros((0, rows.shape[1]))
-        return JointPaths(none, none, joints, joints, np.zeros((0, 3)), np.zeros((0, 3)))
+        return JointPaths(none, none, joints, joints, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))
     return JointPaths(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 

@@ -49,12 +49,15 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
     """
     robot, task = scene.robot, scene.task
     above = jnp.array([settings.beam_aim_m, settings.aim_above_m])
+    lower, upper = step_functions.joint_box(scene, lane, x)
     aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
     look = jax.jit(partial(step_functions.advance, settings))  # traced once, for the result and for the loop
 
     def going(state):
         here, _, aim, count = state
         there = (here.residual <= task.fine_m) & (here.clearance >= enough[jnp.minimum(aim, 1)])
+        if lane.max_joint_step is not None:
+            there &= jnp.all(jnp.abs(here.x - x) <= lane.max_joint_step)
         return ~there & (aim < 2) & (count <= settings.max_step_qps)
 
     def step(scene, state):
@@ -62,7 +65,7 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
         rows, held = here.linear.clearance, task.linear(*here.linear.task, lane.target)
         qp = step_qp.assemble(
             settings, here.x, x, held.error, held.jacobian,
-            rows.distance, rows.gradient, aims[aim], robot.lower, robot.upper, held.slack, held.gradient,
+            rows.distance, rows.gradient, aims[aim], lower, upper, held.slack, held.gradient,
         )  # fmt: skip
         found = active_set.solve_step(qp, settings.qp_tolerance)
         stuck = (found.status != step_qp.QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))

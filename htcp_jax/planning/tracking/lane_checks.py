@@ -62,11 +62,17 @@ class LaneChecks:
     def path_clear(self, lanes: Lanes, x: np.ndarray, requested: bool) -> np.ndarray:
         """Return 1 for each clear joint path from a lane's last target to x, 0 for others; -1 if not `requested`.
 
+        A path on which a joint moves too far is not clear, see `Scenario.max_joint_step`.
+
         Args:
             lanes: The lanes.
             x: Ends of the paths (lanes, N) [rad or m].
             requested: True to check them.
         """
+        most = self._scenarios.max_joint_step
+        near = (
+            True if most is None else (np.abs(x - lanes.x_previous) <= most[lanes.scenario, lanes.target]).all(axis=1)
+        )
         if not (requested and len(x)):
-            return np.full(len(x), -1, np.int8)
-        return self._checker.path_clear(self.inputs(lanes), lanes.x_previous, x).astype(np.int8)
+            return np.where(near, np.full(len(x), -1), 0).astype(np.int8)
+        return (near & self._checker.path_clear(self.inputs(lanes), lanes.x_previous, x)).astype(np.int8)

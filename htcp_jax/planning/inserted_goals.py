@@ -1,0 +1,226 @@
+"""Goals inserted on long segments of a path, so that planners work on short ones; their results become via points.
+
+Between two configurations joints move straight, so the TCP bows: along a segment of length L, at a distance r from the
+joint that turns, by L^2 / (8 r). A segment on which that is more than a SHARE of the allowed distance even at the arm's
+full reach, or along which the task's orientation turns by more than TURN_RAD, is cut into equal parts.
+
+An inserted goal lies on the line between its targets, with directions and frames turned evenly. Methods, proofs and
+smoothing see it as a target. Afterwards each of the file's targets has one row again, and configurations at inserted
+goals are via points of its segment. A segment that fails at an inserted goal fails at its target; its via points lead
+as far as it was followed. Where joints cannot follow one of the parts, the segment is cut into twice as many.
+"""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from htcp_jax.device import tables
+from htcp_jax.model import Robot, Scenario, Task, kinematics
+from htcp_jax.motion import Plans, Problem, ViaPoints
+from htcp_jax.motion import plans as plan_arrays
+from htcp_jax.settings import Settings
+from htcp_jax.status import MOTION, SegmentStatus, Status
+
+SHARE = 0.125  # of the allowed distance from the line; on shorter segments nothing is inserted
+TURN_RAD = 0.8  # nor on those that turn by less
+FINER = 4  # parts of a segment that is just too long, or turns just too much
+MOST_PARTS = 10_000  # of one segment
+HALVINGS = 2  # times that the parts of a segment are halved where joints cannot follow them
+
+PlanRows = Callable[[Problem, Int[np.ndarray, "_"]], Plans]  # plans of a problem, and the rows of its scenarios
+
+
+@dataclass(frozen=True, eq=False)
+class PathParts:
+    """Parts of the segments of S scenarios: T targets of the file, and R rows with the inserted goals."""
+
+    row: Int[np.ndarray, "S T"]  # of each target
+    target: Int[np.ndarray, "S R"]  # at the end of the segment that a row is on
+    begin: Float[np.ndarray, "S R"]  # share of the way from the target before, at the row before
+    end: Float[np.ndarray, "S R"]  # at this row; 1 at a target
+
+    @classmethod
+    def of(cls, pieces: Int[np.ndarray, "S T"], count: Int[np.ndarray, "S"]) -> "PathParts":
+        """Return the parts of segments.
+
+        Args:
+            pieces: Number of parts of the segment to each target.
+            count: Number of targets of each scenario.
+        """
+        pieces = np.where(np.arange(pieces.shape[1]) < count[:, None], pieces, 0)
+        last = np.cumsum(pieces, axis=1)
+        row = np.minimum(np.arange(last.max(initial=0)), last[:, -1:] - 1)  # the last one pads
+        target = (row[:, :, None] >= last[:, None]).sum(axis=2)
+        of_segment = np.take_along_axis(pieces, target, axis=1)
+        nth = row - (np.take_along_axis(last, target, axis=1) - of_segment)
+        return cls(np.maximum(last - 1, 0), target, nth / of_segment, (nth + 1) / of_segment)
+
+
+def pieces_of(robot: Robot, task: Task, scenarios: Scenario, settings: Settings) -> Int[np.ndarray, "S T"]:
+    """Return the number of equal parts into which the segment to each target is cut; 1 before the path.
+
+    Args:
+        robot: The arm.
+        task: The constraints at every target.
+        scenarios: Stacked scenarios.
+        settings: `tube_m`, the allowed distance from the line.
+    """
+    t = np.arange(scenarios.targets.shape[1])
+    found = np.ones(scenarios.targets.shape[:2], int)
+    s, t = np.nonzero((t > scenarios.on_path[:, None]) & (t < scenarios.count[:, None]))
+    if not len(s):
+        return found
+    tube_m = settings.tube_m if task.holds_tcp else task.tolerance_m
+    longest = np.sqrt(8 * kinematics.max_reach(robot) * tube_m * SHARE)
+    places, goals = _ends(scenarios.targets, s, t), _ends(scenarios.goals, s, t)
+    length = np.linalg.norm(places[:, 1] - places[:, 0], axis=1) / longest
+    most = np.maximum(length, task.turn(goals) / TURN_RAD)
+    found[s, t] = np.where(most > 1, np.clip(np.ceil(FINER * most), 1, MOST_PARTS), 1)
+    return found
+
+
+def planned(plan: PlanRows, problem: Problem, pieces: Int[np.ndarray, "S T"]) -> Plans:
+    """Return the plans of a problem, planned with goals inserted on its segments.
+
+    Args:
+        plan: Plans a problem, with all proofs; its second argument are the rows of the scenarios in `problem`.
+        problem: The problem without inserted goals.
+        pieces: Number of parts of the segment to each target, see `pieces_of`.
+    """
+    rows, report = np.arange(len(pieces)), _Progress(problem)
+    plans = _planned(plan, problem, rows, pieces, report)
+    for _ in range(HALVINGS):
+        lost = _not_followed(plans)
+        rows = np.flatnonzero((lost >= 0) & (pieces[np.arange(len(lost)), lost] > 1))
+        if not len(rows):
+            break
+        pieces = pieces.copy()
+        pieces[rows, lost[rows]] *= 2
+        again = _planned(plan, problem, rows, pieces, lambda tracked, finished: None)
+        ends, others = plans.outcomes, again.outcomes
+        better = others.executable + others.tracked > (ends.executable + ends.tracked)[rows]
+        stays = np.setdiff1d(np.arange(len(lost)), rows[better])
+        joined = Plans.concatenate([plans.rows(stays), again.rows(np.flatnonzero(better))])
+        plans = joined.rows(np.argsort(np.append(stays, rows[better])))
+    problem.progress(int(plans.tracked.sum()) - report.shown, 0)
+    return plans
+
+
+def inserted(task: Task, scenarios: Scenario, parts: PathParts) -> Scenario:
+    """Return stacked scenarios with the goals of all parts.
+
+    Args:
+        task: The constraints at every target.
+        scenarios: The scenarios.
+        parts: Parts of their segments.
+    """
+    s = np.arange(len(parts.target))[:, None]
+    targets, goals = scenarios.targets[s, parts.target], scenarios.goals[s, parts.target]
+    own = np.nonzero(parts.end < 1.0)
+    share, ends = parts.end[own], (own[0], parts.target[own])
+    places = _ends(scenarios.targets, *ends)
+    targets[own] = places[:, 0] + share[:, None] * (places[:, 1] - places[:, 0])
+    goals[own] = task.interpolated(_ends(scenarios.goals, *ends), share, places if places.shape[2] == 3 else None)
+    count = parts.row[s[:, 0], scenarios.count - 1] + 1
+    task_goals = None if scenarios.task_goals is None else goals
+    most = scenarios.max_joint_step
+    if most is not None:
+        most = most[s, parts.target] * (parts.end - parts.begin)[..., None]
+    count = count.astype(scenarios.count.dtype)
+    return replace(scenarios, targets=targets, task_goals=task_goals, count=count, max_joint_step=most)
+
+
+def folded(plans: Plans, count: Int[np.ndarray, "S"], parts: PathParts) -> Plans:
+    """Return plans with one row per target of the file.
+
+    Args:
+        plans: Plans of `inserted` scenarios.
+        count: Number of targets of each scenario, without inserted goals.
+        parts: Parts of their segments.
+    """
+    exists, s = np.arange(parts.row.shape[1]) < count[:, None], np.arange(len(count))[:, None]
+    arrays = {"start": plans.start}
+    for name in (name for name in plans.arrays() if name != "start"):
+        column = getattr(plans, name)
+        there = exists.reshape(*exists.shape, *[1] * (column.ndim - 2))
+        arrays[name] = np.where(there, column[s, parts.row], np.asarray(plan_arrays.EMPTY[name], column.dtype))
+    found = plans._replace(**arrays)
+    before = np.diff(parts.row, axis=1, prepend=-1)
+    for one, t in zip(*np.nonzero(exists & (before > 1)), strict=True):
+        last = parts.row[one, t] + 1
+        _fold(plans, found, int(one), int(t), slice(last - before[one, t], last))
+    return found._replace(via_points=_via_points(plans, parts))
+
+
+def _planned(plan: PlanRows, problem: Problem, rows: np.ndarray, pieces: np.ndarray, progress: Callable) -> Plans:
+    """Return the plans of some scenarios, one row per target of the file."""
+    scenarios = jax.tree.map(lambda leaf: leaf[rows], problem.scenarios)
+    parts = PathParts.of(pieces[rows], scenarios.count)
+    denser = problem.with_scenarios(inserted(problem.task, scenarios, parts), progress)
+    if isinstance(progress, _Progress):
+        progress.goals = int(denser.scenarios.count.sum())
+    return folded(plan(denser, rows), scenarios.count, parts)
+
+
+class _Progress:
+    """Progress of a problem with inserted goals, in targets of the file."""
+
+    def __init__(self, problem: Problem):
+        self._report, self._lock = problem.progress, threading.Lock()
+        self._targets, self._tracked = int(problem.scenarios.count.sum()), 0
+        self.goals, self.shown = self._targets, 0
+
+    def __call__(self, tracked: int, finished: int) -> None:
+        with self._lock:
+            self._tracked += tracked
+            before, self.shown = self.shown, self._tracked * self._targets // self.goals
+            more = self.shown - before
+        self._report(more, finished)
+
+
+def _not_followed(plans: Plans) -> Int[np.ndarray, "S"]:
+    """Return the first target that joints could not follow the line to, or -1: none, or another one was lost before."""
+    off = np.isin(plans.segment_status, (SegmentStatus.OFF_PATH, SegmentStatus.REVERSES))
+    lost = ~plans.tracked | off
+    first = lost.argmax(axis=1)
+    s = np.arange(len(first))
+    follows = (plans.status[s, first] == Status.PATH_BLOCKED) | (plans.tracked[s, first] & off[s, first])
+    return np.where(lost.any(axis=1) & follows, first, -1)
+
+
+def _fold(plans: Plans, found: Plans, s: int, t: int, own: slice) -> None:
+    """Write the results of a segment's parts into the row of its target."""
+    status, proofs, clear = (column[s, own] for column in (plans.status, plans.segment_status, plans.path_clear))
+    missed, unproven = np.flatnonzero(~plan_arrays.is_tracked(status)), np.flatnonzero(~np.isin(proofs, MOTION))
+    found.iterations[s, t] = plans.iterations[s, own].sum()
+    if len(missed):
+        for name in set(plan_arrays.EMPTY) - {"target", "iterations"}:
+            getattr(found, name)[s, t] = plan_arrays.EMPTY[name]
+        found.status[s, t] = status[missed[0]]
+        return
+    found.status[s, t], found.recovery[s, t] = status.max(), plans.recovery[s, own].max()
+    found.path_clear[s, t] = 0 if (clear == 0).any() else clear.min()
+    found.joint_step[s, t] = np.linalg.norm(found.x[s, t] - found.before(s, t))
+    found.segment_status[s, t] = proofs[unproven[0]] if len(unproven) else proofs.max()
+    found.segment_clearance[s, t] = np.nan if len(unproven) else plans.segment_clearance[s, own].min()
+
+
+def _via_points(plans: Plans, parts: PathParts) -> ViaPoints:
+    """Return the via points, in addition those at tracked inserted goals."""
+    known = plans.via_points
+    s, row = np.nonzero(plans.tracked & (parts.end < 1.0))
+    scenario, rows = np.append(known.scenario, s), np.append(known.target, row)
+    x = np.concatenate([known.x, plans.x[s, row]])
+    share = np.append(parts.begin[known.scenario, known.target], parts.end[s, row])
+    order = np.lexsort((np.repeat([0, 1], [len(known.x), len(s)]), rows, scenario))  # a part's dwell, then its end
+    scenario, rows, x, share = tables.gather((scenario, rows, x, share), order)
+    return ViaPoints(scenario.astype(np.int32), parts.target[scenario, rows].astype(np.int32), x, share)
+
+
+def _ends(table: Float[np.ndarray, "S T G"], s: np.ndarray, t: np.ndarray) -> Float[np.ndarray, "n 2 G"]:
+    """Return the rows at both ends of the segments to targets."""
+    return np.stack([table[s, np.maximum(t - 1, 0)], table[s, t]], axis=1)

@@ -1,0 +1,208 @@
+"""Long segments of a path: goals are inserted on them while planning, and become via points of their segment."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toy
+from scipy.spatial.transform import Rotation
+
+from htcp_jax.errors import InputError
+from htcp_jax.model import Task, Workpiece, kinematics
+from htcp_jax.model import scenario as scenarios
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, TaskPoint
+from htcp_jax.motion import motion as motions
+from htcp_jax.planning.batch import Progress, plan
+from htcp_jax.planning.inserted_goals import PathParts, inserted, pieces_of
+from htcp_jax.status import Kind, SegmentStatus, Status
+
+TOY_TASK = Task(tolerance_m=toy.SETTINGS.tolerance_m)
+CORNERS = ((0.45, -0.12, 0.3), (0.62, -0.12, 0.3), (0.62, 0.12, 0.3), (0.45, 0.12, 0.3))
+
+
+def workpiece(path) -> Workpiece:
+    return replace(toy.workpiece(), path=np.array(path, float))
+
+
+def scenario(path, number=0, **changes):
+    choices = {"rotation": (0.0, 0.0), "approach": (2, 2), "number": number} | changes
+    return make_scenario(toy.robot(), workpiece(path), toy.START, **choices)
+
+
+@cache
+def rectangle(method="beam", **changes):
+    """The plan along a rectangle of four points, and the same with all tracked targets counted."""
+    told: list[Progress] = []
+    settings = replace(toy.SETTINGS, **changes)
+    found = plan(toy.robot(), workpiece(CORNERS), [scenario(CORNERS)], method, settings, progress=told.append)
+    return found, told
+
+
+def joint_path(plans, s, t):
+    return np.concatenate([[plans.before(s, t)], plans.via_points.on_segment(s, t), [plans.x[s, t]]])
+
+
+@pytest.mark.parametrize("method", ["beam", "baseline", "hybrid"])
+def test_a_rectangle_of_four_points_has_four_results_and_its_lines_are_followed(method):
+    plans, told = rectangle(method)
+    on_path = 5
+    assert plans.status.shape == (1, on_path + len(CORNERS)) and plans.executable.all()
+    assert told[-1].targets == told[-1].targets_tracked == plans.status.shape[1]
+    for t in range(on_path + 1, on_path + len(CORNERS)):
+        shares, x = plans.via_points.shares_on(0, t), joint_path(plans, 0, t)
+        assert len(shares) >= 4 and (np.diff(shares) >= 0).all() and 0 <= shares[0] < shares[-1] < 1
+        a, b = plans.target[0, t - 1], plans.target[0, t]
+        fine = np.concatenate([x[:1], *(np.linspace(p, q, 9)[1:] for p, q in pairwise(x))])
+        tcp = np.asarray(jax.vmap(kinematics.tcp_position, (None, 0))(toy.robot(), jnp.asarray(fine)))
+        along = np.clip((tcp - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+        assert np.linalg.norm(tcp - a - along[:, None] * (b - a), axis=1).max() <= toy.SETTINGS.tolerance_m + 1e-9
+        assert plans.segment_clearance[0, t] > 0 and plans.iterations[0, t] >= 0
+    np.testing.assert_allclose(
+        plans.joint_step[0], np.linalg.norm(np.diff(np.concatenate([plans.start, plans.x[0]]), axis=0), axis=1)
+    )
+
+
+def test_via_points_on_a_line_are_part_of_the_process_and_no_dwells():
+    plans, _ = rectangle()
+    known, found = plans.via_points, motions.motion(plans, 0, 5, retract=True)
+    process, moving = found.kind == Kind.PROCESS, (known.target > 5) & ~known.stays
+    assert process.sum() == 3 + moving.sum() and moving.sum() > 10
+    assert (found.span[process][:, 0] < found.span[process][:, 1]).all()
+    assert motions.dwells(plans, 5).sum() == len(np.unique(known.target[known.stays & (known.target > 5)]))
+
+
+def test_nothing_is_inserted_on_short_segments_and_before_the_path():
+    stacked = scenarios.stack([toy.scenario(), scenario(CORNERS)])
+    pieces = pieces_of(toy.robot(), TOY_TASK, stacked, toy.SETTINGS)
+    assert (pieces[0] == 1).all() and (pieces[1, :6] == 1).all() and (pieces[1, 6:9] > 4).all()
+    assert (pieces_of(toy.robot(), TOY_TASK, stacked, replace(toy.SETTINGS, path_tolerance_m=0.1)) == 1).all()
+
+
+def test_a_scenario_with_long_segments_has_the_same_plan_in_any_batch():
+    both = plan(toy.robot(), workpiece(CORNERS), [toy.scenario(3), scenario(CORNERS)], "beam", toy.SETTINGS)
+    alone = rectangle()[0]
+    toy.same(both, 1, alone, 0, alone.status.shape[1])
+    toy.same(both, 0, toy.planned([toy.scenario(3)]), 0, toy.scenario(3).targets.shape[0])
+    np.testing.assert_array_equal(both.via_points.shares_on(1, 7), alone.via_points.shares_on(0, 7))
+
+
+def test_a_segment_that_fails_in_the_middle_fails_at_its_target_and_keeps_what_was_followed():
+    """The line leaves the arm's reach between its two points."""
+    path = (*CORNERS[:1], (0.45, 0.0, 0.3), (1.3, 0.0, 0.3))
+    far = scenario(path, beyond_reach="record")
+    far = replace(far, refused=np.asarray(scenarios.NOT_REFUSED, np.int32))
+    plans = plan(toy.robot(), workpiece(path), [far], "beam", toy.SETTINGS)
+    end = plans.outcome(0)
+    assert (end.failed, end.tracked, end.executable) == (7, 7, 7) and not end.status.tracked
+    assert np.isnan(plans.x[0, 7]).all() and plans.segment_status[0, 7] == SegmentStatus.NOT_CHECKED
+    reached = plans.via_points.shares_on(0, 7)
+    assert 0.2 < reached.max() < 0.9  # at 0.95 m of 0.45 to 1.3 m the arm is stretched
+    motion = motions.motion(plans, 0, 5)
+    assert motion.target.max() == 6 and Status(plans.status[0, 7]) != Status.NOT_ATTEMPTED
+
+
+def test_parts_are_equal_and_end_at_the_targets():
+    pieces, count = np.array([[1, 1, 3, 2], [1, 2, 1, 9]]), np.array([4, 3])
+    parts = PathParts.of(pieces, count)
+    assert parts.row.tolist()[0] == [0, 1, 4, 6] and parts.row.tolist()[1][:3] == [0, 2, 3]
+    assert parts.target[0].tolist() == [0, 1, 2, 2, 2, 3, 3] and parts.target[1, :4].tolist() == [0, 1, 1, 2]
+    np.testing.assert_array_equal(parts.end[0], [1, 1, 1 / 3, 2 / 3, 1, 0.5, 1])
+    np.testing.assert_array_equal(parts.begin[0][1:][parts.begin[0][1:] > 0], parts.end[0][:-1][parts.end[0][:-1] < 1])
+
+
+def test_inserted_goals_lie_on_the_line_and_turn_evenly():
+    rng, link = np.random.default_rng(3), None
+    rows = (
+        TaskPoint(),
+        AxisTowards(link, (0.0, 0.0, 1.0)),
+        FrameOrientation(link),
+        PointAlong(0, (0.1, 0.0, 0.0), 2, True),
+    )
+    task = Task(rows)
+    a, b = Rotation.random(rng=rng), Rotation.random(rng=rng)
+    places, cone = rng.normal(size=(2, 3)), (0.3, 0.5)
+
+    def goal(turned, place, angle):
+        u = turned.as_matrix().T[:2]
+        across = np.column_stack([u, u @ place])
+        return np.concatenate(
+            [place, turned.apply([0, 0, 1]), [angle], turned.as_matrix().ravel(), across.ravel(), [0.01]]
+        )
+
+    goals = np.stack([goal(a, places[0], cone[0]), goal(b, places[1], cone[1])])[None].repeat(3, axis=0)
+    share = np.array([0.0, 0.25, 1.0])
+    found = task.interpolated(goals, share, places[None].repeat(3, axis=0))
+    np.testing.assert_allclose(found[[0, 2]], goals[0], atol=1e-12)
+    place, way = places[0] + 0.25 * (places[1] - places[0]), (b * a.inv()).as_rotvec()
+    np.testing.assert_allclose(found[1, :3], place)
+    from_a, from_b = (np.arccos(found[1, 3:6] @ each.apply([0, 0, 1])) for each in (a, b))
+    np.testing.assert_allclose(3 * from_a, from_b)
+    assert found[1, 6] == 0.35
+    np.testing.assert_allclose(
+        found[1, 7:16].reshape(3, 3), (Rotation.from_rotvec(0.25 * way) * a).as_matrix(), atol=1e-12
+    )
+    planes = found[1, 16:24].reshape(2, 4)
+    np.testing.assert_allclose(planes[:, :3] @ place, planes[:, 3])
+    np.testing.assert_allclose(np.linalg.norm(planes[:, :3], axis=1), 1.0)
+    np.testing.assert_allclose(task.turn(goals), max(np.linalg.norm(way), from_a + from_b))
+
+
+def test_inserted_scenarios_keep_the_files_goals_to_the_last_bit():
+    stacked = scenarios.stack([toy.scenario(), scenario(CORNERS)])
+    pieces = pieces_of(toy.robot(), TOY_TASK, stacked, toy.SETTINGS)
+    parts = PathParts.of(pieces, stacked.count)
+    denser = inserted(TOY_TASK, stacked, parts)
+    for s, count in enumerate(stacked.count):
+        np.testing.assert_array_equal(denser.targets[s, parts.row[s, :count]], stacked.targets[s, :count])
+        assert denser.count[s] == parts.row[s, count - 1] + 1
+
+
+# The longest joint step
+
+
+def travelled(plans, s, t):
+    return np.abs(np.diff(joint_path(plans, s, t), axis=0)).sum(axis=0)
+
+
+@pytest.mark.parametrize("method", ["beam", "hybrid", "nspace-sqp"])
+def test_no_joint_travels_farther_between_two_targets_than_the_bound(method):
+    free = toy.planned(method=method)
+    on_path = np.array([int(one.on_path) for one in toy.scenarios()])
+    largest = motions.largest_joint_steps(free, on_path)
+    bound = 0.6 * float(np.nanmax(largest.step))
+    plans = toy.planned(method=method, settings=replace(toy.SETTINGS, max_joint_step_rad=bound))
+    seen = 0
+    for s, t in zip(*np.nonzero(plans.tracked), strict=True):
+        if t > on_path[s]:
+            assert (travelled(plans, s, t) <= bound).all()
+            seen += 1
+    assert seen > 10 and plans.tracked.sum() < free.tracked.sum() + 5
+    assert np.nanmax(motions.largest_joint_steps(plans, on_path).step) <= bound
+
+
+def test_a_bound_that_nothing_reaches_changes_nothing():
+    free, bounded = toy.planned(), toy.planned(settings=replace(toy.SETTINGS, max_joint_step_rad=(50.0,) * 4))
+    for s, one in enumerate(toy.scenarios()):
+        toy.same(free, s, bounded, s, int(one.count))
+
+
+def test_the_bound_holds_for_the_sum_over_inserted_goals():
+    whole = rectangle()[0]
+    largest = motions.largest_joint_steps(whole, 5)
+    t, j = int(largest.target[0]), int(largest.joint[0])
+    np.testing.assert_allclose(largest.step[0], travelled(whole, 0, t)[j])
+    bound = 1.5 * float(largest.step[0])
+    bounded = rectangle(max_joint_step_rad=bound)[0]
+    assert max(travelled(bounded, 0, t).max() for t in range(6, 9) if bounded.tracked[0, t]) <= bound
+
+
+@pytest.mark.parametrize("bound", [0, -1.0, [0.1, 0.0, 0.1, 0.1], [0.1, 0.1]])
+def test_a_bound_of_0_or_of_another_number_of_joints_is_refused(bound):
+    with pytest.raises(InputError, match="max_joint_step_rad") as refused:
+        toy.planned(settings={"max_joint_step_rad": bound})
+    assert "\n" not in str(refused.value)
