@@ -12,7 +12,7 @@ from htcp_jax.model import Task, Workpiece
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.motion import Plans
 from htcp_jax.motion.start_cause import start_causes
-from htcp_jax.runs.tables import CAUSE, scenario_table, with_causes
+from htcp_jax.runs.tables import CAUSE, scenario_table, with_later_columns
 from htcp_jax.status import Status
 
 HOME = (0.0, 0.0, 0.0)
@@ -108,4 +108,5 @@ def test_a_sweep_and_its_report_name_what_a_start_collides_with(job, tmp_path, c
 def test_runs_from_older_versions_have_no_causes():
     rows = scenario_table("", (), Plans.empty(np.zeros((0, 4)), np.zeros((0, 1, 3))), ("j",) * 0)
     before = rows.drop_columns(list(CAUSE))
-    assert with_causes(before).schema.equals(rows.schema) and with_causes(rows) is rows
+    assert with_later_columns(before, rows.schema).schema.equals(rows.schema)
+    assert with_later_columns(rows, rows.schema) is rows

@@ -278,8 +278,7 @@ def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table
         raise InputError(f"{file} {problem}; the same sweep plans its scenarios again")
     with io_files.opened(file, file.parents[1]) as stream:
         rows = io_files.read_parquet(stream, file, record.rows, exact=True)
-    if tables.CAUSE[0] in schema.names:
-        rows = tables.with_causes(rows)
+    rows = tables.with_later_columns(rows, schema)
     if not rows.schema.equals(schema):
         raise other_format(file.parents[1], f"{file.parent.name}/{file.name} has other columns")
     if len(rows) != record.rows:

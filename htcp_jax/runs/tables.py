@@ -26,6 +26,7 @@
     <joint>_rad    double   configuration x, one column per joint (<joint>_m for a slide)
     tcp_x_m ...    double   tool centre point, world; three columns
     target_x_m ... double   target, world; never null
+    manipulability_m_rad double   smallest singular value of the task's Jacobian, see `motion.manipulability`
 
 `scenarios`: one row per method and scenario.
 
@@ -63,6 +64,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import files
@@ -81,6 +83,7 @@ SEGMENT_STATUSES: dict[str | None, int] = {None: int(SegmentStatus.NOT_CHECKED)}
     x.name: int(x) for x in SegmentStatus
 }
 XYZ = "xyz"
+MANIPULABILITY = "manipulability_m_rad"
 CAUSE = "colliding_body", "colliding_with", "cause"  # columns of scenarios that could not begin
 
 LEAST_CELLS = 1_000_000  # scenarios times targets that any file may expand to; or GROWTH times its rows
@@ -92,7 +95,13 @@ def joint_columns(robot: Robot) -> tuple[str, ...]:
     return tuple(f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True))
 
 
-def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequence[str]) -> pa.Table:
+def target_table(
+    method: str,
+    numbers: np.ndarray,
+    plans: Plans,
+    joints: Sequence[str],
+    manipulability: Float[np.ndarray, "S T"] | None = None,
+) -> pa.Table:
     """Return the rows of existing targets.
 
     Args:
@@ -100,6 +109,7 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
         numbers: Numbers of the scenarios (S,).
         plans: Their plans.
         joints: Names of the columns of x, see `joint_columns`.
+        manipulability: At each target [m/rad]; None if unknown.
     """
     s, t = np.nonzero(plans.exists)
     status, path_clear = plans.status[s, t], plans.path_clear[s, t]
@@ -125,6 +135,8 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
     columns |= {name: _doubles(plans.x[s, t, k]) for k, name in enumerate(joints)}
     columns |= {name: _doubles(plans.tcp[s, t, k]) for k, name in enumerate(_axes("tcp"))}
     columns |= {name: _doubles(plans.target[s, t, k]) for k, name in enumerate(_axes("target"))}
+    unknown = np.full(len(s), np.nan)
+    columns[MANIPULABILITY] = _doubles(unknown if manipulability is None else manipulability[s, t])
     return pa.table(columns)
 
 
@@ -169,11 +181,11 @@ def scenario_table(
     return pa.table(columns | {name: pa.array([t[k] for t in texts], pa.string()) for k, name in enumerate(CAUSE)})
 
 
-def with_causes(rows: pa.Table) -> pa.Table:
-    """Return rows of scenarios with the columns of CAUSE, which runs from older versions lack."""
-    if CAUSE[0] not in rows.column_names:
-        for name in CAUSE:
-            rows = rows.append_column(name, pa.nulls(len(rows), pa.string()))
+def with_later_columns(rows: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Return rows with the columns of a schema that runs from older versions lack, null in all rows."""
+    for name in (*CAUSE, MANIPULABILITY):
+        if name in schema.names and name not in rows.column_names:
+            rows = rows.append_column(name, pa.nulls(len(rows), schema.field(name).type))
     return rows
 
 

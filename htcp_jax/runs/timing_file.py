@@ -8,6 +8,7 @@
     feed_held_share     double   share of the path's length on which the feed is held within 1 %
     feed_reached_m_s    double   minimum feed between the path's run-up and its run-down; 0 if the arm stops there
     feed_reason         string   cause of the minimum: "stop", or the limit and its joint; null if the feed is held
+    feed_target         int32    target that the motion leads to at the minimum; null if the feed is held
     <limit>_share       double   largest used share of the velocity, acceleration or jerk limits on the path
     <limit>_joint       string   joint with this share
     torque_share, torque_joint   as above for the effort limits, on the complete motion; null if the arm's model has no
@@ -37,6 +38,7 @@ SCHEMA = pa.schema(
         *((name, pa.float64()) for name in ("feed_m_s", "cycle_time_s", "path_time_s")),
         *((name, pa.float64()) for name in ("feed_held_share", "feed_reached_m_s")),
         ("feed_reason", pa.string()),
+        ("feed_target", pa.int32()),
         *(
             (f"{limit}_{what}", kind)
             for limit in (*LIMITS, "torque")
@@ -116,6 +118,9 @@ def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Tim
         with files.opened(file, folder, files.LARGEST) as stream:
             rows = files.read_parquet(stream, file)
         made = json.loads(rows.schema.metadata[MADE])
+        if "feed_target" not in rows.column_names:  # of an older version
+            after = SCHEMA.get_field_index("feed_target")
+            rows = rows.add_column(after, SCHEMA.field(after), pa.nulls(len(rows), pa.int32()))
         rows = rows.cast(SCHEMA)
         known = _of_results(shards, method, made["results"])
         there = [number in known for number in rows["scenario"].to_pylist()]

@@ -32,6 +32,7 @@ class ProgramFigures(NamedTuple):
     held_share: float  # share of it on which the feed is held within 1 % [1]
     reached_m_s: float  # minimum feed between the path's run-up and run-down; 0 if the arm stops there [m/s]
     reason: str | None  # cause of the minimum, as in `FeedDrop`; None if the feed is held
+    reached_target: int | None  # target that the motion leads to at the minimum; None if the feed is held
     drops: list[FeedDrop]
     shares: list[Share]
     path_shares: list[Share]  # on the path; off it the arm is always at a limit
@@ -75,17 +76,19 @@ def _seconds_by_kind(made: Program) -> dict[str, float]:
     return found
 
 
-def _reached(feeding: list[TimeScaling], drops: list[FeedDrop]) -> dict[str, float | str | None]:
+def _reached(feeding: list[TimeScaling], drops: list[FeedDrop]) -> dict[str, float | str | int | None]:
     """Return the minimum feed and its cause; the arm stops between two sections."""
     if not feeding:
-        return {"reached_m_s": np.nan, "reason": None}
+        return {"reached_m_s": np.nan, "reason": None, "reached_target": None}
     if feeding[1:]:
-        return {"reached_m_s": 0.0, "reason": "stop"}
+        inner = [drop for drop in drops if drop.reason == "stop" and drop.begin_m > drops[0].begin_m]
+        return {"reached_m_s": 0.0, "reason": "stop", "reached_target": inner[0].target if inner else None}
     place, speed = _between_ends(feeding[0])
     least = int(speed.argmin())
     around = [drop for drop in drops if drop.begin_m <= place[least] <= drop.end_m]
-    reason = min(around, key=lambda drop: drop.feed_m_s).reason if around else None
-    return {"reached_m_s": float(speed[least]), "reason": reason}
+    drop = min(around, key=lambda drop: drop.feed_m_s) if around else None
+    known = {"reason": drop and drop.reason, "reached_target": drop and drop.target}
+    return {"reached_m_s": float(speed[least]), **known}
 
 
 def _between_ends(scaling: TimeScaling) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
