@@ -92,6 +92,12 @@ class Program(NamedTuple):
         kind, target = self.motion.kind[row], self.motion.target[row]
         return TimedMotion(time, x, velocity, acceleration, kind, target, self.joint_names)
 
+    def targets_at(
+        self, blend: Blend, scaling: TimeScaling, place: Float[np.ndarray, "n"]
+    ) -> Int[np.ndarray, "n"]:
+        """Return the targets that a section leads to at positions along it [m]."""
+        return self.motion.target[blend.row[blend.curve.leg(scaling.path.u(place))]]
+
     def drops(self) -> list[FeedDrop]:
         """Return the feed drops along the weld, in order."""
         found, before = [], 0.0
@@ -133,7 +139,7 @@ def _feed_drops(blend: Blend, scaling: TimeScaling, before: float, made: Program
     """Return the feed drops of one section that begins `before` metres along the weld."""
     place, speed, _, _ = scaling.speed.at(instants(scaling.speed))
     feed, names = made.feed_m_s, made.joint_names
-    target = made.motion.target[blend.row[blend.curve.leg(scaling.path.u(place))]]
+    target = made.targets_at(blend, scaling, place)
     slow, found = np.flatnonzero(speed < HELD * feed), []
     limit = scaling.limit_at(place)
     for part in _split_at(slow, np.diff(slow) > 1):

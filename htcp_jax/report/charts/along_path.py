@@ -140,7 +140,11 @@ def clearance_along(
     """
     values = {method: 1e3 * own for method, own in clearance_m.items()}
     means = {method: f"mean {np.nanmean(own):.3g} mm" for method, own in values.items() if np.isfinite(own).any()}
-    return _bands(values, title, BANDS, means, "clearance [mm]")[0]
+    figure, panels = _bands(values, title, BANDS, means, "clearance [mm]")
+    for axes in panels.flat[: len(values)]:
+        axes.set_yscale("log")
+    decimal(panels[0, 0].yaxis)
+    return figure
 
 
 def manipulability_along(
@@ -167,13 +171,14 @@ def manipulability_along(
         at = feed_targets[method][rows] if len(rows) else rows
         style = {"color": LOW_FEED, "marker": "v", "edgecolors": PAPER, "linewidths": 0.6}
         axes.scatter(at, values[rows, at], s=36, zorder=4, clip_on=False, **style)
+    panels[0, 0].set_ylim(bottom=0)  # singular
     return figure
 
 
 def _bands(
     values: Mapping[str, Float[np.ndarray, "S T"]], title: str, note: str, merits: Mapping[str, str], label: str
 ) -> tuple[Figure, np.ndarray]:
-    """Draw values over the target's index on a logarithmic axis, one panel per method; return figure and panels."""
+    """Draw values over the target's index, one panel per method; return figure and panels."""
     across = min(3, len(values))
     down = -(-len(values) // across)
     figure = new_figure(2.35 * down + 1.1, title, note)
@@ -185,10 +190,8 @@ def _bands(
         axes.fill_between(index, low, high, color=colour, alpha=0.22, linewidth=0)
         axes.plot(index, middle, color=colour, linewidth=1.9)
         axes.plot(index, least, color=INK, linestyle="none", marker=".", markersize=3)
-        axes.set_yscale("log")
         heading(axes, method, merits.get(method, ""))
         plain_axes(axes)
-    decimal(panels[0, 0].yaxis)
     panels[0, 0].xaxis.set_major_locator(MaxNLocator(integer=True))
     blank_the_rest(panels, len(values))
     outer_labels(panels, len(values), "target", label)
