@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax import jobs, runs
 from htcp_jax.clearance import Obstacles
@@ -16,6 +17,7 @@ from htcp_jax.jobs import PlanConfig, load_config, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Motion, Plans
+from htcp_jax.motion import manipulability as manipulabilities
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.motion import start_cause as start_causes
@@ -89,10 +91,41 @@ class Plan:
             **self._joint_step(),
             "targets tracked": f"{s.tracked} of {s.targets} ({100 * s.success_rate:.2f} %){recovered}",
             **self._distances(),
+            **self._singular(),
+            "workpiece": self.workpiece_place,
             "planning time": f"{s.run_s:.2f} s ({s.step_ms:.2f} ms per target), and {s.compile_s:.2f} s of compilation",
             **self._checked(),
         }
         return facts | self._details() if verbose else facts
+
+    @property
+    def workpiece_place(self) -> str:
+        """Where the workpiece stands in the world, as text, and what was subtracted from its files' coordinates."""
+        return scenarios.place_of(self.workpiece, np.asarray(self.scenario.T_world_workpiece))
+
+    @cached_property
+    def manipulability(self) -> Float[np.ndarray, "T"]:
+        """Smallest singular value of the task's Jacobian at each target [m/rad], see `motion.manipulability`.
+
+        NaN at targets that are not tracked.
+        """
+        with devices.on(devices.choose(self.device)[0]):
+            task, goals = build.task_of_job(self.job, self.robot), np.asarray(self.scenario.goals)
+            return manipulabilities.manipulability(self.robot, task, self.plans.x[0], goals)
+
+    def _singular(self) -> dict[str, str]:
+        """Return the smallest manipulability on the path with its target, as text."""
+        at = self._least_manipulability
+        if at is None:
+            return {}
+        middle = np.nanmedian(self.manipulability)
+        return {"manipulability": f"{self.manipulability[at]:.3g} m/rad minimum, at target {at}; {middle:.3g} m/rad median"}
+
+    @property
+    def _least_manipulability(self) -> int | None:
+        """Target of the smallest manipulability; None if none is known."""
+        known = self.manipulability
+        return None if np.isnan(known).all() else int(np.nanargmin(known))
 
     def _length(self) -> dict[str, str]:
         """Return the length of the motion in the joints and of the executable part of the tool's path, as text."""
@@ -188,7 +221,8 @@ class Plan:
         """Return a table with one row per target; the columns are those of a sweep's `targets` table."""
         return runs.tables.table_frame(
             runs.tables.target_table(
-                self.job.method, np.zeros(1, int), self.plans, runs.tables.joint_columns(self.robot)
+                self.job.method, np.zeros(1, int), self.plans, runs.tables.joint_columns(self.robot),
+                self.manipulability[None],
             )
         )
 
@@ -217,6 +251,9 @@ class Plan:
         known["motion"] = self.motion_summary.record()
         if (joint := self.motion_summary.joint_step_joint) is not None:
             known["motion"]["joint_step_joint"] = self.robot.joint_names[joint]
+        at = self._least_manipulability
+        known["manipulability_min_m_rad"] = None if at is None else float(self.manipulability[at])
+        known["manipulability_min_target"] = at
         known["colliding_body"] = self.obstruction and self.obstruction.record()
         known["cause"] = self.start_cause and self.start_cause.description
         config = self.job.model_dump()
@@ -232,7 +269,7 @@ class Plan:
             retract: Append the motion back to home or the start to motion.csv.
         """
         plan_folder.write_motion_csv(folder / "motion.csv", self.robot, self.motion(retract=retract))
-        plan_folder.write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans)
+        plan_folder.write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans, self.manipulability)
         plan_folder.write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)
         plan_folder.write_json(folder / "summary.json", self.record())
         self.figure().savefig(folder / "plan.png")

@@ -43,6 +43,9 @@ def drawings() -> dict[str, Figure]:
         "survival": charts.survival(STATUS, reachability=np.array([4, 2])),
         "stops": charts.stops(STATUS),
         "clearance_along": charts.clearance_along({method: plans.clearance for method, plans in PLANS.items()}),
+        "manipulability_along": charts.manipulability_along(
+            {method: plans.clearance for method, plans in PLANS.items()}, {"hybrid": np.array([2, -1])}
+        ),
         "joint_motion": charts.joint_motion({method: plans.joint_step for method, plans in PLANS.items()}),
         "joint_motion_by_joint": charts.joint_motion_by_joint({m: p.x for m, p in PLANS.items()}, ["elbow", "wrist"]),
     }
@@ -79,6 +82,14 @@ def test_what_is_not_planned_is_not_counted_as_tracked():
 def test_the_stops_show_each_reason_that_occurs_and_no_other():
     written = texts(charts.stops(STATUS))
     assert "iteration limit" in written and "recovery exhausted" not in written
+
+
+def test_the_lowest_feed_of_each_scenario_that_has_one_is_marked():
+    values = np.array([[0.3, 0.2, 0.1], [0.4, 0.5, 0.6]])
+    figure = charts.manipulability_along({"hybrid": values}, {"hybrid": np.array([2, -1])})
+    (marks,) = figure.axes[0].collections[1:]
+    assert marks.get_offsets().tolist() == [[2.0, 0.1]] and "Triangles" in texts(figure)
+    assert "Triangles" not in texts(charts.manipulability_along({"hybrid": values}))
 
 
 def test_every_reason_to_fail_has_a_marker_of_its_own():

@@ -1,5 +1,6 @@
 """Job files: defaults from the job's own robot and workpiece, jobs that extend other jobs, files of saved plans."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
 from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.jobs.build import robot_of, scene
+from htcp_jax.model.scenario import place_of
 from htcp_jax.status import Status
 from htcp_jax.validation.records import read_results
 from htcp_jax.viewer.replay import open_replays
@@ -89,6 +91,57 @@ def test_what_a_job_states_always_stands():
     assert load_config({"config": str(CONFIGS / "duct.yaml"), "workpiece.cloud": "scan.xyz"}).workpiece == (
         PlanConfig().workpiece.model_copy(update={"cloud": "scan.xyz"})
     ), "duct.yaml states every key, so a scan of the duct stands where the duct does"
+
+
+POSE = {"neutral_translation_m": (1, 2, 3), "pivot_m": (0, 1, 0), "rotation_y_rad": 0.2, "rotation_z_rad": 0.3}
+
+
+@pytest.mark.parametrize("pose_in", ["base", "file", "override"])
+@pytest.mark.parametrize("cloud_in", ["base", "file", "override"])
+@pytest.mark.parametrize("key", [None, *POSE])
+def test_where_a_value_stands_makes_no_difference(tmp_path, cloud_in, pose_in, key):
+    """An override, else the file, else its base, else the default for the part: only what is stated counts."""
+    said = {"base": {}, "file": {}, "override": {}}
+    said[cloud_in]["cloud"] = str(tmp_path / "part.stl")
+    said[pose_in] |= {} if key is None else {key: POSE[key]}
+    for name, first in (("base", {}), ("file", {"config": "base.yaml"})):
+        (tmp_path / f"{name}.yaml").write_text(json.dumps(first | {"workpiece": said[name]}))
+    overrides = {f"workpiece.{name}": value for name, value in said["override"].items()}
+    found = load_config(tmp_path / "file.yaml", overrides).workpiece
+    assert found == load_config({"workpiece": {**said["base"], **said["file"], **said["override"]}}).workpiece
+    expected = dict.fromkeys(POSE, 0) | {"neutral_translation_m": (0, 0, 0), "pivot_m": (0, 0, 0)}
+    expected |= {} if key is None else {key: POSE[key]}
+    if key == "neutral_translation_m":
+        expected["pivot_m"] = POSE[key]  # a part turns about its own origin
+    assert {name: getattr(found, name) for name in POSE} == expected
+
+
+def test_an_override_comes_before_the_file_and_the_file_before_its_base(tmp_path):
+    (tmp_path / "base.yaml").write_text("workpiece: {rotation_y_rad: 0.1, rotation_z_rad: 0.1, rotation_x_rad: 0.1}")
+    (tmp_path / "job.yaml").write_text("config: base.yaml\nworkpiece: {rotation_y_rad: 0.2, rotation_z_rad: 0.2}")
+    part = load_config(tmp_path / "job.yaml", ["workpiece.rotation_z_rad=0.3"]).workpiece
+    assert (part.rotation_x_rad, part.rotation_y_rad, part.rotation_z_rad) == (0.1, 0.2, 0.3)
+
+
+def test_the_table_says_where_the_part_stands(pipe):
+    plan = plan_of(pipe / "job.yaml")
+    assert plan.facts()["workpiece"].startswith("origin at (0.75, 0, 0.7) m, turned by 12.8 deg; extent x 0.7")
+    text = place_of(plan.workpiece, np.eye(4))
+    low, high = plan.workpiece.cloud.min(axis=0), plan.workpiece.cloud.max(axis=0)
+    assert text.startswith("at the world's origin, not turned; extent x ")
+    assert text.endswith(f"z {low[2]:.3f} to {high[2]:.3f} m")
+
+
+def test_a_refusal_of_a_part_without_a_pose_says_first_where_it_stands(pipe):
+    own = {"neutral_translation_m": (0, 0, 0), "pivot_m": (0, 0, 0), "rotation_y_rad": 0, "rotation_z_rad": 0}
+    own |= {"cloud": "none", "path": str(pipe / "far.csv"), "inlet_m": None}
+    (pipe / "far.csv").write_text("5,0,0\n5,0,0.01\n")
+    job = load_config(pipe / "job.yaml", {f"workpiece.{key}": value for key, value in own.items()})
+    with pytest.raises(InputError, match="^the workpiece is at the world's origin, not turned, where a job without"):
+        scene(job)
+    turned = job.model_copy(update={"workpiece": job.workpiece.model_copy(update={"rotation_z_rad": 0.1})})
+    with pytest.raises(InputError, match="^target "):
+        scene(turned)
 
 
 def test_a_mapping_an_override_and_a_file_say_the_same(tmp_path):

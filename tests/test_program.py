@@ -11,6 +11,7 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
+import toy
 from made_plan import STATUSES, made_plans, with_a_dwell
 from test_joint_path import rail
 
@@ -19,9 +20,11 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.jobs.config import ProgramConfig
 from htcp_jax.jobs.feed import feed_of
+from htcp_jax.model import Task
 from htcp_jax.model.kinematics import capsules_and_tcp
 from htcp_jax.model.robot import GP50
 from htcp_jax.motion import Motion
+from htcp_jax.motion.manipulability import manipulability
 from htcp_jax.motion.motion import motion as motion_of
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.blends import SHARE, MotionSlack, motion_slack
@@ -198,6 +201,24 @@ def test_the_table_of_drops_names_the_joint_whose_limit_is_reached():
     assert reasons and all(slow.joint_names[joint] in reason for reason in reasons)
 
 
+def test_a_feed_drop_near_a_singularity_is_where_the_manipulability_is_lowest():
+    """Line of the toy arm's TCP out to 0.4 mm before the stretched arm: the elbow cannot be as fast as the feed needs."""
+    r = np.linspace(0.7, 0.9996, 60)
+    elbow = np.arccos((r**2 - 0.4**2 - 0.6**2) / (2 * 0.4 * 0.6))
+    shoulder = 1.2 - np.arctan2(0.6 * np.sin(elbow), 0.4 + 0.6 * np.cos(elbow))
+    x = np.stack([0 * r, shoulder, elbow, 0 * r], axis=1)
+    robot = replace(toy.robot(), speed=jnp.full(4, 2.0), acceleration=jnp.full(4, 40.0))
+    motion = Motion(x, np.arange(len(x)), np.full(len(x), F, np.int8))
+    made = time_motion(robot, motion, free_radius(motion), joint_limits(robot), 0.1)
+    values = manipulability(robot, Task(), x, np.zeros((len(x), 3)))
+    drop = max((drop for drop in made.drops() if drop.reason != "stop"), key=lambda drop: drop.end_m)
+    assert values[drop.target] < 0.2 * np.median(values) and values[drop.first_target] > values[drop.target]
+    assert 40 < drop.first_target <= drop.target <= drop.last_target < len(x) and drop.feed_m_s < 0.1
+    found = program_figures(made, joint_limits(robot))
+    assert drop.first_target <= found.reached_target <= drop.last_target and found.reason == drop.reason
+    assert found.reached_m_s < 0.09 and values[found.reached_target] < 0.5 * np.median(values)
+
+
 def test_the_feed_reached_is_the_least_speed_by_mujoco_between_run_up_and_run_down_and_the_joint_is_named():
     """Reached feed rate of a weld with one slow joint.
 
@@ -209,7 +230,7 @@ def test_the_feed_reached_is_the_least_speed_by_mujoco_between_run_up_and_run_do
     joint = int(slopes.argmax())
     slow = replace(robot, speed=robot.speed.at[joint].set(0.75 * 0.05 * slopes[joint]))
     held = program_figures(time_motion(robot, motion, free_radius(motion), limits, 0.05), limits)
-    assert held.reason is None and held.reached_m_s == pytest.approx(0.05, rel=0.01)
+    assert held.reason is None and held.reached_target is None and held.reached_m_s == pytest.approx(0.05, rel=0.01)
     made = time_motion(slow, motion, free_radius(motion), joint_limits(slow), 0.05)
     found = program_figures(made, joint_limits(slow))
     speed = np.linalg.norm(np.diff(tcp_by_mujoco(made.timed(STEP_S).x), axis=0), axis=1) / STEP_S

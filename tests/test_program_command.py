@@ -65,6 +65,7 @@ def test_the_table_says_how_long_it_takes_where_the_feed_drops_and_what_is_used_
     assert run(plans, "--out", "weld.csv", "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["path_m"] == pytest.approx(0.0093, abs=2e-4) and 0 < record["held_share"] < 1
+    assert all(drop["manipulability_m_rad"] > 0 and drop["target"] >= 0 for drop in record["feed_drops"])
     assert set(record["seconds"]) == {"approach", "process", "retract"}
     assert sum(record["seconds"].values()) == pytest.approx(record["duration_s"])
     assert all(0 < record["shares"][kind]["share"] <= 1 for kind in ("velocity", "acceleration", "jerk"))

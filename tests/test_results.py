@@ -25,7 +25,7 @@ PLANS = plans_with([[Status.TRACKED, Status.RECOVERY_EXHAUSTED, Status.NOT_ATTEM
 
 def test_the_csv_reads_back_exactly_and_leaves_the_unknown_empty(tmp_path):
     plans = PLANS._replace(x=PLANS.x + np.pi / 7)
-    write_trajectory_csv(tmp_path / "t.csv", gp50(), plans)
+    write_trajectory_csv(tmp_path / "t.csv", gp50(), plans, plans.residual[0])
     with open(tmp_path / "t.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["status"] for row in rows] == ["TRACKED", "RECOVERY_EXHAUSTED", "NOT_ATTEMPTED"]

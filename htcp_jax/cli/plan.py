@@ -51,6 +51,9 @@ def plan(
 
     Exit codes: 0 if a proven motion leads to the last target, 3 if not (what was tracked is saved), 2 on bad input.
 
+    A key of the job has the value that --set gives it, else that of the job file (or of a file that it builds on), else
+    the default for the job's arm and part: a part of your own lies at the world's origin, not turned.
+
     \b
     Examples:
       htcp plan                                 the default job, the generated duct

@@ -5,7 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
+from jaxtyping import Float
 from rich.text import Text
 
 from htcp_jax.cli.feed import Feed, OneWay, ProgramKeys
@@ -29,6 +31,8 @@ COLUMNS = (
     Column("begin_mm", "from", "mm", ".2f"),
     Column("end_mm", "to", "mm", ".2f"),
     Column("feed_mm_s", "lowest feed", "mm/s", ".2f"),
+    Column("target", "at target", "", "d"),
+    Column("manipulability_m_rad", "manipulability", "m/rad", ".3f"),
     Column("reason", "limited by"),
 )
 
@@ -108,7 +112,8 @@ def program(
     checked = _check_motion(run, made, scenario) if check else {}
     if overloaded := peak_torque is not None and peak_torque.share > 1:
         warnings.warn(f"torque is {_torque(peak_torque)}; --allow-effort accepts that", stacklevel=1)
-    drops, code = _drop_table(found), REFUTED if checked.get("refuted") else 0
+    manipulability = made.manipulability if found.drops else np.zeros(0)
+    drops, code = _drop_table(found, manipulability), REFUTED if checked.get("refuted") else 0
     if overloaded and not allow_effort:
         code = code or OVERLOADED
     if as_json:
@@ -126,6 +131,8 @@ def program(
     if found.drops:
         stdout().print()
         print_table(stdout(), drops)
+        middle = f"manipulability: the minimum there; its median on the path is {np.nanmedian(manipulability):.3f} m/rad."
+        stdout().print(Text(middle, style="dim"))
         if any(drop.reason == STOP for drop in found.drops):
             stdout().print(Text(f"{STOP}: the arm starts or stops there, as at both ends of the path.", style="dim"))
     return code
@@ -161,8 +168,13 @@ def _step_seconds(step_ms: float | None) -> float | None:
     return None if step_ms is None else 1e-3 * step_ms
 
 
-def _drop_table(found: figures.ProgramFigures) -> Table:
-    rows = [(1e3 * drop.begin_m, 1e3 * drop.end_m, 1e3 * drop.feed_m_s, drop.reason) for drop in found.drops]
+def _drop_table(found: figures.ProgramFigures, manipulability: Float[np.ndarray, "T"]) -> Table:
+    """Table of the feed drops, each with the smallest manipulability from its first target to its last [m/rad]."""
+    rows = []
+    for drop in found.drops:
+        low, high = sorted((drop.first_target, drop.last_target))
+        own = float(np.nanmin(manipulability[low : high + 1]))
+        rows.append((1e3 * drop.begin_m, 1e3 * drop.end_m, 1e3 * drop.feed_m_s, drop.target, own, drop.reason))
     return Table("feed_drops", COLUMNS, tuple(rows))
 
 

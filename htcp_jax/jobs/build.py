@@ -82,6 +82,9 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         pivot=part.pivot_m,
         neutral_translation=part.neutral_translation_m,
         robot=robot,
+        path_columns={} if part.path_columns is None else part.path_columns.given,
+        path_unit=part.path_unit,
+        origin=part.origin_m,
         **{name: value for name, value in stated.items() if value is not None},
     )
     body, cover_m = mesh_points.thinnest_nearby(robot), workpiece.covering_radius_m
@@ -238,4 +241,5 @@ def obstacles_key(cell: CellConfig) -> tuple:
 def walls_key(part: WorkpieceConfig) -> WorkpieceConfig:
     """Return the keys that determine the workpiece for the planner: without path and pose, which the scenario has."""
     origin = (0.0, 0.0, 0.0)
-    return part.model_copy(update={"path": "", "pivot_m": origin, "neutral_translation_m": origin})
+    path = {"path": "", "path_columns": None, "path_unit": None}
+    return part.model_copy(update={**path, "pivot_m": origin, "neutral_translation_m": origin})

@@ -7,9 +7,18 @@ A PlanConfig is made by `load_config`. Some defaults are for the GP50 and the du
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, PlainSerializer, WrapSerializer, WrapValidator, field_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    WrapSerializer,
+    WrapValidator,
+    field_validator,
+    model_validator,
+)
 
 from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
@@ -22,9 +31,12 @@ from htcp_jax.model import robot as robots
 from htcp_jax.registry import NAME
 from htcp_jax.settings import Settings
 
+FARTHEST = 1e9  # of coordinates in files [m]
 LARGEST = 1e6  # of lengths [m] and joint positions; beyond, rounding exceeds the tolerance
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 PointM = tuple[Number, Number, Number]
+FileCoordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
+FilePointM = tuple[FileCoordinate, FileCoordinate, FileCoordinate]
 Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # larger values are usually degrees
 ApproachSteps = Annotated[int, Field(ge=0, le=10_000)]
 FASTEST = 1e9  # of any rate or count
@@ -45,6 +57,18 @@ def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
     return value if value == AUTO else numbers(value)
 
 
+def _column(value: Any) -> int | str:
+    """Validate a column: its number from 1, or its name in the header.
+
+    Raises:
+        InputError: For anything else.
+    """
+    if (isinstance(value, int) and not isinstance(value, bool) and value >= 1) or (isinstance(value, str) and value):
+        return value
+    raise InputError(f"{value!r} is not a column; valid: a number from 1, or a name in the file's header")
+
+
+PathColumn = Annotated[int | str, PlainValidator(_column)]
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
 # Entries {kind: NAME, ...} of a job are of other packages; a row without a kind is a `TaskRow`.
@@ -95,12 +119,46 @@ class RobotConfig(strict_model.FileSection):
         return robots.GP50 if self.is_gp50 else Path(self.model)
 
 
+class PathColumnsConfig(strict_model.FileSection):
+    """Columns of a path's file by what they hold: points, normals, tangents, quaternions."""
+
+    x: PathColumn
+    y: PathColumn
+    z: PathColumn
+    nx: PathColumn | None = None
+    ny: PathColumn | None = None
+    nz: PathColumn | None = None
+    tx: PathColumn | None = None
+    ty: PathColumn | None = None
+    tz: PathColumn | None = None
+    qw: PathColumn | None = None
+    qx: PathColumn | None = None
+    qy: PathColumn | None = None
+    qz: PathColumn | None = None
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Self:
+        for family in (("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz")):
+            given = [name for name in family if getattr(self, name) is not None]
+            if given and len(given) < len(family):
+                raise InputError(f"path_columns has {', '.join(given)}; all of {', '.join(family)} are needed")
+        return self
+
+    @property
+    def given(self) -> dict[str, int | str]:
+        """The columns that are given."""
+        return self.model_dump(exclude_none=True)
+
+
 class WorkpieceConfig(strict_model.FileSection):
     """The cloud, the tool path in its frame, its pose, and the approach to the path."""
 
     cloud: str = DUCT  # the generated duct, a file of points or a mesh, or none
-    path: str = "weld"  # a seam of the generated duct, see `io.parts`, or a CSV file of x,y,z [m]
-    inlet_m: PointM | None = None  # centre of the inlet; None: the duct's, or none for another cloud
+    path: str = "weld"  # a seam of the generated duct, see `io.parts`, or a CSV file of x,y,z
+    path_columns: PathColumnsConfig | None = None  # of the CSV file; None: those that its header names, or the first
+    path_unit: Literal["m", "mm", "cm", "in"] | None = None  # of the CSV file; None: as its header says, or m
+    origin_m: FilePointM | None = None  # subtracted from cloud, path and inlet; None: see `load_workpiece`
+    inlet_m: FilePointM | None = None  # centre of the inlet; None: the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # boundary of the interior deeper than interior_depth_m
     interior_depth_m: float = Field(duct.INTERIOR_DEPTH_M, ge=0, le=LARGEST)
     inlet_direction: PointM | Literal["world-x"] | None = "world-x"  # into the part; see `InletDirection`

@@ -130,9 +130,9 @@ def make_scenario(
     refused = NOT_REFUSED
     try:
         _check_reach(longer, targets)
-    except OutOfReach:
+    except OutOfReach as error:
         if beyond_reach == "raise":
-            raise
+            raise OutOfReach(f"{without_pose(T_world_workpiece)}{error}") from None
         refused = Status.OUT_OF_REACH
     return Scenario(
         x_start=x_start,
@@ -172,6 +172,33 @@ def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
     """Describe the rule that bodies deep in the workpiece must lie in its hull, or the reason that it is off."""
     is_outside = np.isinf(scenario.interior_plane[3]) and len(workpiece.hull_offset)
     return "off: the robot stands beyond the inlet" if is_outside else workpiece.interior_rule
+
+
+def place_of(workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> str:
+    """Describe where a workpiece stands in the world: its frame, and the extent of its walls, or of its path.
+
+    Args:
+        workpiece: The workpiece.
+        T_world_workpiece: Its pose [m].
+    """
+    T = np.asarray(T_world_workpiece)
+    angle = np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1.0, 1.0)))
+    at = ", ".join(f"{value:.4g}" for value in np.round(T[:3, 3], 6) + 0.0)
+    place = f"origin at ({at}) m" if T[:3, 3].any() else "at the world's origin"
+    turned = f"turned by {angle:.3g} deg" if (T[:3, :3] != np.eye(3)).any() else "not turned"
+    points = workpiece.shown @ T[:3, :3].T + T[:3, 3]
+    sides = zip("xyz", points.min(axis=0) + 0.0, points.max(axis=0) + 0.0, strict=True)
+    extent = ", ".join(f"{axis} {low:.3f} to {high:.3f}" for axis, low, high in sides)
+    origin = ", ".join(f"{value:.12g}" for value in np.asarray(workpiece.origin))
+    of_files = f"; its origin is ({origin}) m of its files" if np.any(workpiece.origin) else ""
+    return f"{place}, {turned}; extent {extent} m{of_files}"
+
+
+def without_pose(T_world_workpiece: Float[np.ndarray, "4 4"]) -> str:
+    """Return the beginning of a message on a workpiece without a pose [m]: where it stands; empty if it has one."""
+    if (np.asarray(T_world_workpiece) != np.eye(4)).any():
+        return ""
+    return "the workpiece is at the world's origin, not turned, where a job without its pose puts it: "
 
 
 def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:

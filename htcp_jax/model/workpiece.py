@@ -52,6 +52,7 @@ class Workpiece:
         covering_radius_m: Largest distance from the mesh to its nearest point of the cloud; 0 for a cloud.
         tip_contact_m: Length at the TCP of the bare tip (last body to TCP) that may touch walls; None: all of it.
         frames: The path's normals, tangents and orientations, as far as given.
+        origin: The frame's origin in the coordinates of the part's files, which was subtracted from them.
         hull_normal: Unit outward normals of the cloud's convex hull, which is where hull_normal @ x <= hull_offset.
         hull_offset: Offsets of its half-spaces.
         hull_vertices: Vertices of the exact hull, with interior "none" the complete cloud.
@@ -74,6 +75,7 @@ class Workpiece:
     covering_radius_m: float = 0.0
     tip_contact_m: float | None = None
     frames: PathFrames = field(default_factory=PathFrames)
+    origin: Float[np.ndarray, "3"] | Triple = (0.0, 0.0, 0.0)
     hull_normal: Float[np.ndarray, "F 3"] = field(init=False)
     hull_offset: Float[np.ndarray, "F"] = field(init=False)
     hull_vertices: Float[np.ndarray, "V 3"] = field(init=False)
@@ -95,7 +97,7 @@ class Workpiece:
         arrays = {
             "cloud": cloud, "path": path, "inlet": inlet, "triangles": triangles,
             "inlet_direction": _direction(self.inlet_direction, hull, inlet),
-            "pivot": triple(self.pivot, "pivot"),
+            "pivot": triple(self.pivot, "pivot"), "origin": triple(self.origin, "origin"),
             "neutral_translation": triple(self.neutral_translation, "neutral_translation"),
             "hull_normal": hull.normal, "hull_offset": hull.offset, "hull_vertices": hull.vertices,
         }  # fmt: skip

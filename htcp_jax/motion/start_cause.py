@@ -17,6 +17,7 @@ from htcp_jax.clearance.obstacles import of_workpiece, self_collision
 from htcp_jax.device import devices, lane_function, tables
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import robot as robots
+from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion.home import FIRST_ROUND, ROUNDS
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.problem import Problem
@@ -36,6 +37,11 @@ class StartCause(NamedTuple):
     other: str | None = None  # the obstacle
     depth_m: float = float("nan")  # of the overlap; its least depth where several configurations were measured
     always: bool = False  # True if the pair overlaps in every configuration
+
+    def place(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> str:
+        """Beginning of the message if the workpiece has no pose, unless other bodies overlap; else empty."""
+        is_part = self.other is None or "workpiece" in self.other
+        return scenario_functions.without_pose(T_world_workpiece) if is_part else ""
 
 
 def start_causes(
@@ -65,7 +71,9 @@ def start_causes(
         return {}
     known = of_workpiece.all_obstacles(workpiece, obstacles)
     problem = Problem(robot, workpiece, scenarios, settings, task, known, devices.choose(None)[:1], 1)
-    return {s: start_cause(problem, s, Status(int(status[s])), rounds) for s in rows}
+    causes = {s: start_cause(problem, s, Status(int(status[s])), rounds) for s in rows}
+    places = {s: cause.place(scenarios.T_world_workpiece[s]) for s, cause in causes.items()}
+    return {s: cause._replace(description=places[s] + cause.description) for s, cause in causes.items()}
 
 
 def start_cause(problem: Problem, s: int, status: Status, rounds: int = ROUNDS) -> StartCause:

@@ -281,7 +281,8 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacle
         D, body, other, fixed = _start_contact(robot, workpiece, scenario, x, obstacles, fixed_first=True)
         if D <= 0:
             always = ", in every configuration, as neither moves" if fixed else ""
-            raise InputError(f"{what} is in collision: {body} is {-1e3 * D:.3f} mm inside {other}{always}")
+            place = scenario_functions.without_pose(scenario.T_world_workpiece) if "workpiece" in other else ""
+            raise InputError(f"{place}{what} is in collision: {body} is {-1e3 * D:.3f} mm inside {other}{always}")
 
 
 def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
@@ -322,7 +323,8 @@ def _refuse_standing_overlaps(problem: Problem) -> None:
     """
     for s in np.flatnonzero(problem.scenarios.refused == Status.NO_START).tolist():
         if (found := start_cause.standing_overlap(problem, s)) is not None:
-            raise InputError(f"there is no start: {found.description}")
+            place = found.place(problem.scenarios.T_world_workpiece[s])
+            raise InputError(f"{place}there is no start: {found.description}")
 
 
 def _with_refused(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raises: bool) -> Scenario:

@@ -15,7 +15,7 @@ from htcp_jax.report.best import best_of_all, best_scenarios
 from htcp_jax.report.document import Block, Heading, Picture, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.report.motions import meaning, motion_table
-from htcp_jax.report.timing import timing, timing_section
+from htcp_jax.report.timing import feed_targets, timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
 from htcp_jax.status import SegmentStatus
 
@@ -25,6 +25,10 @@ OF_TASK = "task."  # parameters of the task, over which success is drawn next to
 BLOCKED = (
     "A joint step is blocked when the straight joint path from the configuration before collides; not every planner "
     "checks that. Tracked before it: the targets of each scenario up to its first blocked step."
+)
+MANIPULABILITY = (
+    "Manipulability is the smallest singular value of the task's Jacobian: the slowest motion of the tool for a joint "
+    "velocity of length 1. It is 0 where the arm is singular; where it is low, joints have to be fast to hold the feed."
 )
 BUILT_IN = {config_file.BUILT_IN_ARM: "GP50", config_file.DUCT: "the generated duct", "weld": "its weld"}
 
@@ -78,6 +82,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         *_end_blocks(part, made["stops"], prefix),
         Heading(level, "Clearance and joint motion"),
         _clearance_picture(part, prefix),
+        *_manipulability_blocks(part, prefix),
         made["joint-steps"],
         BLOCKED,
         *_motion_pictures(part, prefix),
@@ -252,6 +257,16 @@ def _motion_ends(table: Table) -> list[Block]:
 def _clearance_picture(part: Part, prefix: str) -> Picture:
     figure = charts.clearance_along({method: plans.clearance for method, plans in part.plans.items()})
     return Picture(f"{prefix}clearance", figure, "Clearance along the path: median, band and minimum, by method")
+
+
+def _manipulability_blocks(part: Part, prefix: str) -> list[Block]:
+    """Picture of the manipulability with its meaning; empty for runs of older versions, which do not know it."""
+    known = {method: values for method, values in part.manipulability.items() if np.isfinite(values).any()}
+    if not known:
+        return []
+    figure = charts.manipulability_along(known, feed_targets(part))
+    alt = "Manipulability along the path: median, band and minimum, by method, and where the feed is lowest"
+    return [Picture(f"{prefix}manipulability", figure, alt), MANIPULABILITY]
 
 
 def _motion_pictures(part: Part, prefix: str) -> list[Picture]:

@@ -51,6 +51,7 @@ class Part:
     motions: dict[str, motion.MotionFigures]  # by method; NaN if unknown
     timing: dict[str, pa.Table | None]  # by method, rows of its scenarios as in `timing_file`; None if not timed
     timed_with: dict[str, str]  # by method that is timed: description of its feed and limits
+    manipulability: dict[str, np.ndarray]  # by method, (S, T) [m/rad], see `motion.manipulability`; NaN if unknown
     reachability: np.ndarray | None  # (S,) reachable targets in a row, a lower bound
     not_excluded: np.ndarray | None  # (S,) not proven unreachable, an upper bound
     step_s: dict[str, float]  # run time by attempted targets, over the complete run
@@ -109,7 +110,7 @@ class Part:
 
 
 def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], SceneOfRun]) -> list[Part]:
-    """Read the parts of a run, in the order of its scenarios; every file is read once.
+    """Read the parts of a run, in the order of its scenarios.
 
     Args:
         run: The run.
@@ -128,6 +129,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
     plans = {method: each.widened(longest) for method, each in plans.items()}
     parameters = {name: scenario_labels.column_of(table[name]) for name in scenario_labels.parameter_names(table)}
     motions = {method: _figures_of_method(run, method) for method in methods}
+    manipulability = {method: _manipulability_of_method(run, method, longest) for method in methods}
     timing = {method: run.timing(method) for method in methods}
     numbers, reachability = table["scenario"].to_numpy(), reachability_file.read_reachability(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
@@ -157,6 +159,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 timing={
                     m: each and _rows_of_scenarios(each.rows, numbers[here]) for m, each in timing.items() if m in own
                 },
+                manipulability={method: manipulability[method][numbers[here]] for method in own},
                 reachability=None if reachability is None else reachability.prefix[numbers[here]],
                 not_excluded=None if reachability is None else reachability.most[numbers[here]],
                 **shared,
@@ -168,6 +171,15 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
 def _rows_of_scenarios(rows: pa.Table, numbers: np.ndarray) -> pa.Table:
     """Select the rows of some scenarios."""
     return rows.filter(pa.array(np.isin(rows["scenario"].to_numpy(), numbers)))
+
+
+def _manipulability_of_method(run: Run, method: str, targets: int) -> np.ndarray:
+    """Manipulability of a method's scenarios at their targets, row s of scenario s."""
+    table = run.targets(method).select(["scenario", "target", scenario_tables.MANIPULABILITY])
+    found = np.full((run.manifest.count, targets), np.nan)
+    rows = table["scenario"].to_numpy(), table["target"].to_numpy()
+    found[rows] = table[scenario_tables.MANIPULABILITY].to_numpy()
+    return found
 
 
 def _figures_of_method(run: Run, method: str) -> motion.MotionFigures:

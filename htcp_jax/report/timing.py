@@ -103,7 +103,29 @@ def _reason_sentences(part: Part) -> list[str]:
     if not reasons:
         return []
     reported = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
-    return [f"Where the feed is not reached, it is because of {', '.join(f'{name} ({n})' for name, n in reported)}."]
+    text = f"Where the feed is not reached, it is because of {', '.join(f'{name} ({n})' for name, n in reported)}."
+    return [f"{text}{_low_manipulability(part)}"]
+
+
+def _low_manipulability(part: Part) -> str:
+    """Sentence on the manipulability where the feeds are lowest; empty if it is unknown."""
+    there, everywhere = [np.empty(0)], [np.empty(0)]
+    for method, at in feed_targets(part).items():
+        rows = np.flatnonzero(at >= 0)
+        values = part.manipulability[method]
+        there, everywhere = [*there, values[rows, at[rows]]], [*everywhere, values[rows].ravel()]
+    low, every = (values[np.isfinite(values)] for values in map(np.concatenate, (there, everywhere)))
+    if not len(low):
+        return ""
+    return (
+        f" At the lowest feed the manipulability is {np.median(low):.3g} m/rad in the median of these scenarios, at all "
+        f"of their targets {np.median(every):.3g} m/rad."
+    )
+
+
+def feed_targets(part: Part) -> dict[str, np.ndarray]:
+    """Target at which each scenario's feed is lowest (S,), by method that is timed; -1 if it is held or not known."""
+    return {method: np.nan_to_num(values, nan=-1).astype(int) for method, values in _values(part, "feed_target").items()}
 
 
 def _charts(part: Part, prefix: str, label: Callable[[str], str]) -> list[Picture]:

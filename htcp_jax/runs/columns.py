@@ -38,6 +38,7 @@ TARGETS = MappingProxyType(
         "via_points": "configurations on that segment, one after the other; null for a straight joint path",
         "via_shares": "share of the way from the target before at each via point; null for a straight joint path",
         "recovery": "0: none; k: recovery strategy k of the method; one beyond its last: planned backwards",
+        "manipulability_m_rad": "smallest singular value of the task's Jacobian, see motion.manipulability",
         "tcp": "tool centre point, world",
         "target_xyz": "target, world; never null",
     }
@@ -87,6 +88,7 @@ TIMING = MappingProxyType(
         "feed_held_share": "share of the path's length on which the feed is held within 1 %",
         "feed_reached_m_s": "minimum feed between the path's run-up and its run-down; 0 if the arm stops there",
         "feed_reason": "cause of the minimum: stop, or the limit and its joint; null if the feed is held",
+        "feed_target": "target that the motion leads to at the minimum; null if the feed is held",
         "velocity_share": "largest used share of the velocity limits on the path",
         "velocity_joint": "joint with that share",
         "acceleration_share": "largest used share of the acceleration limits on the path",
@@ -107,7 +109,7 @@ MOUNTINGS = MappingProxyType(
 )
 TABLES = MappingProxyType({"targets": TARGETS, "scenarios": SCENARIOS, "timing": TIMING, "mountings": MOUNTINGS})
 UNITS = MappingProxyType(  # by the end of a column's name; longer ends first
-    {"_rad_m2": "rad/m2", "_rad2": "rad2", "_m_s": "m/s", "_rad": "rad", "_m": "m", "_s": "s", "_share": "1"}
+    {"_rad_m2": "rad/m2", "_rad2": "rad2", "_m_s": "m/s", "_m_rad": "m/rad", "_rad": "rad", "_m": "m", "_s": "s", "_share": "1"}
 )
 
 

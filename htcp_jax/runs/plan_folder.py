@@ -106,7 +106,9 @@ def _unwritable(folder: Path, error: OSError) -> InputError:
     return InputError(f"cannot write to {folder}: {error.strerror}")
 
 
-def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
+def write_trajectory_csv(
+    file: Path, robot: Robot, plans: Plans, manipulability: Float[np.ndarray, "T"], row: int = 0
+) -> None:
     """Write one line per target; NaN in `plans`, for unknown values, becomes an empty cell.
 
     Numbers round-trip exactly.
@@ -115,6 +117,7 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
         file: The file.
         robot: The arm, for the names and units of its joints.
         plans: The plans.
+        manipulability: At each target [m/rad]; NaN if unknown.
         row: Row of the scenario.
 
     Raises:
@@ -137,6 +140,7 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
             for code in plans.segment_status[row].tolist()
         ],
         "segment_clearance_m": plans.segment_clearance[row],
+        "manipulability_m_rad": manipulability,
     }
     _write_csv(file, columns)
 

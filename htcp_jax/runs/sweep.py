@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Float
 
 from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.device import devices
@@ -26,7 +27,7 @@ from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs import grid as grids
 from htcp_jax.jobs import grid_axes
 from htcp_jax.model import task_row_kind
-from htcp_jax.motion import Plans, start_cause
+from htcp_jax.motion import Plans, manipulability, start_cause
 from htcp_jax.planning import Progress as ShardProgress
 from htcp_jax.planning import registry
 from htcp_jax.process_exit import stop_message
@@ -211,9 +212,21 @@ def tables(batch: grids.Batch, method: str, span: Span, plans: Plans) -> dict[st
     varied = tuple(points[0].varied)
     numbers = np.array([point.number for point in points])
     return {
-        "targets": target_table(method, numbers, plans, joints),
+        "targets": target_table(method, numbers, plans, joints, _manipulability(batch, span, plans)),
         "scenarios": scenario_table(method, points, plans, joints, varied, _causes(batch, span, plans)),
     }
+
+
+def _manipulability(batch: grids.Batch, span: Span, plans: Plans) -> Float[np.ndarray, "S T"]:
+    """Return the manipulability of a shard's scenarios at their targets [m/rad]."""
+    (cell, scenarios), found = scenarios_of(batch, span), np.full(plans.status.shape, np.nan)
+    s, t = np.nonzero(plans.tracked)
+    for number in np.unique(cell[s]).tolist():
+        own, here = batch.cells[number], cell[s] == number
+        where = s[here], t[here]
+        known = plans.x[where], scenarios.goals[where], scenarios.tool_extension_m[where[0]]
+        found[where] = manipulability.manipulability(own.robot, own.task, *known)
+    return found
 
 
 def _causes(batch: grids.Batch, span: Span, plans: Plans) -> dict[int, start_cause.StartCause]:

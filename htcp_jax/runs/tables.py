@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import files
@@ -28,6 +29,7 @@ SEGMENT_STATUSES: dict[str | None, int] = {None: int(SegmentStatus.NOT_CHECKED)}
     x.name: int(x) for x in SegmentStatus
 }
 XYZ = "xyz"
+MANIPULABILITY = "manipulability_m_rad"
 CAUSE = "colliding_body", "colliding_with", "cause"  # columns of scenarios that could not begin
 SHARES = "via_shares"
 STEPS = "joint_step_max_rad", "joint_step_target", "joint_step_joint"
@@ -41,7 +43,13 @@ def joint_columns(robot: Robot) -> tuple[str, ...]:
     return tuple(f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True))
 
 
-def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequence[str]) -> pa.Table:
+def target_table(
+    method: str,
+    numbers: np.ndarray,
+    plans: Plans,
+    joints: Sequence[str],
+    manipulability: Float[np.ndarray, "S T"] | None = None,
+) -> pa.Table:
     """Return the rows of existing targets.
 
     Args:
@@ -49,6 +57,7 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
         numbers: Numbers of the scenarios (S,).
         plans: Their plans.
         joints: Names of the columns of x, see `joint_columns`.
+        manipulability: At each target [m/rad]; None if unknown.
     """
     s, t = np.nonzero(plans.exists)
     status, path_clear = plans.status[s, t], plans.path_clear[s, t]
@@ -75,6 +84,8 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
     columns |= {name: _doubles(plans.tcp[s, t, k]) for k, name in enumerate(_axes("tcp"))}
     columns |= {name: _doubles(plans.target[s, t, k]) for k, name in enumerate(_axes("target"))}
     columns[SHARES] = _via_point_column(plans, s, t, plans.via_points.shares_on)
+    unknown = np.full(len(s), np.nan)
+    columns[MANIPULABILITY] = _doubles(unknown if manipulability is None else manipulability[s, t])
     return pa.table(columns)
 
 
@@ -125,7 +136,7 @@ def with_new_columns(rows: pa.Table, schema: pa.Schema) -> pa.Table:
 
     Without shares the tool stays at the target before.
     """
-    new = [name for name in (SHARES, *STEPS, *CAUSE) if name in schema.names and name not in rows.column_names]
+    new = [name for name in (MANIPULABILITY, SHARES, *STEPS, *CAUSE) if name in schema.names and name not in rows.column_names]
     if not new:
         return rows
     for name in new:

@@ -26,6 +26,7 @@ SCHEMA = pa.schema(
         *((name, pa.float64()) for name in ("feed_m_s", "cycle_time_s", "path_time_s")),
         *((name, pa.float64()) for name in ("feed_held_share", "feed_reached_m_s")),
         ("feed_reason", pa.string()),
+        ("feed_target", pa.int32()),
         *(
             (f"{limit}_{what}", kind)
             for limit in (*LIMITS, "torque")
@@ -105,6 +106,9 @@ def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Tim
         with files.opened(file, folder, files.LARGEST) as stream:
             rows = files.read_parquet(stream, file)
         made = json.loads(rows.schema.metadata[WRITTEN_BY])
+        if "feed_target" not in rows.column_names:  # of an older version
+            after = SCHEMA.get_field_index("feed_target")
+            rows = rows.add_column(after, SCHEMA.field(after), pa.nulls(len(rows), pa.int32()))
         rows = rows.cast(SCHEMA)
         known = _of_results(shards, method, made["results"])
         there = [number in known for number in rows["scenario"].to_pylist()]

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.status import Kind
+from htcp_jax.trajectory.curve import Blend
 from htcp_jax.trajectory.limits import KINDS, MotionLimits
 from htcp_jax.trajectory.program import FeedDrop, Program
 from htcp_jax.trajectory.time_scaling import TimeScaling, instants
@@ -32,6 +33,7 @@ class ProgramFigures(NamedTuple):
     held_share: float  # share of it on which the feed is held within 1 % [1]
     reached_m_s: float  # minimum feed between the path's run-up and run-down; 0 if the arm stops there [m/s]
     reason: str | None  # cause of the minimum, as in `FeedDrop`; None if the feed is held
+    reached_target: int | None  # target that the motion leads to at the minimum; None if the feed is held
     drops: list[FeedDrop]
     shares: list[Share]
     path_shares: list[Share]  # on the path; off it the arm is always at a limit
@@ -47,8 +49,8 @@ def program_figures(made: Program, limits: MotionLimits) -> ProgramFigures:
 
     Without a motion along a path, shares of it and the feed are NaN, and `path_shares` is empty.
     """
-    feeding = [scaling for blend, scaling in zip(made.blends, made.scalings, strict=True) if blend.on_process]
-    path, drops = float(sum(scaling.path.place[-1] for scaling in feeding)), made.drops()
+    feeding = [each for each in zip(made.blends, made.scalings, strict=True) if each[0].on_process]
+    path, drops = float(sum(scaling.path.place[-1] for _, scaling in feeding)), made.drops()
     off = sum(drop.end_m - drop.begin_m for drop in drops)
     held = 1 - off / path if path else np.nan
     looked_at = _sampled_shares(made, limits)
@@ -59,7 +61,7 @@ def program_figures(made: Program, limits: MotionLimits) -> ProgramFigures:
         feed_m_s=made.feed_m_s,
         path_m=path,
         held_share=held,
-        **_reached(feeding, drops),
+        **_reached(made, feeding, drops),
         drops=drops,
         shares=_largest_shares(looked_at, made.joint_names),
         path_shares=_largest_shares(on_path, made.joint_names),
@@ -75,17 +77,21 @@ def _seconds_by_kind(made: Program) -> dict[str, float]:
     return found
 
 
-def _reached(feeding: list[TimeScaling], drops: list[FeedDrop]) -> dict[str, float | str | None]:
+def _reached(
+    made: Program, feeding: list[tuple[Blend, TimeScaling]], drops: list[FeedDrop]
+) -> dict[str, float | str | int | None]:
     """Return the minimum feed and its cause; the arm stops between two sections."""
     if not feeding:
-        return {"reached_m_s": np.nan, "reason": None}
+        return {"reached_m_s": np.nan, "reason": None, "reached_target": None}
     if feeding[1:]:
-        return {"reached_m_s": 0.0, "reason": "stop"}
-    place, speed = _between_ends(feeding[0])
+        inner = [drop for drop in drops if drop.reason == "stop" and drop.begin_m > drops[0].begin_m]
+        return {"reached_m_s": 0.0, "reason": "stop", "reached_target": inner[0].target if inner else None}
+    place, speed = _between_ends(feeding[0][1])
     least = int(speed.argmin())
     around = [drop for drop in drops if drop.begin_m <= place[least] <= drop.end_m]
     reason = min(around, key=lambda drop: drop.feed_m_s).reason if around else None
-    return {"reached_m_s": float(speed[least]), "reason": reason}
+    target = None if reason is None else int(made.targets_at(*feeding[0], place[[least]])[0])
+    return {"reached_m_s": float(speed[least]), "reason": reason, "reached_target": target}
 
 
 def _between_ends(scaling: TimeScaling) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:

@@ -17,7 +17,7 @@ from htcp_jax.io import strict_model
 from htcp_jax.jobs import PlanConfig, build, config_file, feed
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model import robot as robots
-from htcp_jax.motion import Plans, motion
+from htcp_jax.motion import Plans, manipulability, motion
 from htcp_jax.runs import PlanSet
 from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
@@ -42,6 +42,14 @@ class PlanProgram(NamedTuple):
     job: PlanConfig
     limits: MotionLimits
     method: str
+    x: Float[np.ndarray, "T N"]  # configurations at the targets [rad or m]
+    goals: Float[np.ndarray, "T G"]  # the task's goals there [m]
+
+    @property
+    def manipulability(self) -> Float[np.ndarray, "T"]:
+        """Smallest singular value of the task's Jacobian at each target [m/rad], see `motion.manipulability`."""
+        task = build.task_of_job(self.job, self.robot)
+        return manipulability.manipulability(self.robot, task, self.x, self.goals)
 
     def text(self, format: str, name: str, step_s: float | None = None) -> str:
         """Return the program's file.
@@ -211,7 +219,8 @@ def timed_plan(
         left = left._replace(clearance=0.5 * left.clearance)  # two bodies may move towards each other
     if goals is not None:
         left = with_rows(left, job, robot, whole, goals, plans.target[scenario])
-    return PlanProgram(time_motion(robot, whole, left, limits, feed_m_s), robot, job, limits, method)
+    at = plans.x[scenario], plans.target[scenario] if goals is None else goals
+    return PlanProgram(time_motion(robot, whole, left, limits, feed_m_s), robot, job, limits, method, *at)
 
 
 def requested_feed(text: str | None, job: PlanConfig) -> float:

@@ -32,6 +32,9 @@ class FeedDrop(NamedTuple):
     end_m: float
     feed_m_s: float  # minimum; 0 at a stop
     reason: str  # "stop", or a limit and its joint
+    first_target: int  # that the motion leads to at its begin
+    target: int  # at its minimum
+    last_target: int  # at its end
 
 
 class Program(NamedTuple):
@@ -94,12 +97,18 @@ class Program(NamedTuple):
     def _span(self, row: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 2"] | None:
         return None if self.motion.span is None else self.motion.span[row]
 
+    def targets_at(
+        self, blend: Blend, scaling: TimeScaling, place: Float[np.ndarray, "n"]
+    ) -> Int[np.ndarray, "n"]:
+        """Return the targets that a section leads to at positions along it [m]."""
+        return self.motion.target[blend.row[blend.curve.leg(scaling.path.u(place))]]
+
     def drops(self) -> list[FeedDrop]:
         """Return the feed drops along the weld, in order."""
         found, before = [], 0.0
         for blend, scaling in zip(self.blends, self.scalings, strict=True):
             if blend.on_process:
-                found += _feed_drops(scaling, before, self.feed_m_s, self.joint_names)
+                found += _feed_drops(blend, scaling, before, self)
                 before += float(scaling.path.place[-1])
         return found
 
@@ -131,9 +140,11 @@ def time_motion(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionL
     return Program(motion, parts, scalings, robot.joint_names, feed_m_s)
 
 
-def _feed_drops(scaling: TimeScaling, before: float, feed: float, names: tuple[str, ...]) -> list[FeedDrop]:
+def _feed_drops(blend: Blend, scaling: TimeScaling, before: float, made: Program) -> list[FeedDrop]:
     """Return the feed drops of one section that begins `before` metres along the weld."""
     place, speed, _, _ = scaling.speed.at(instants(scaling.speed))
+    feed, names = made.feed_m_s, made.joint_names
+    target = made.targets_at(blend, scaling, place)
     slow, found = np.flatnonzero(speed < HELD * feed), []
     limit = scaling.limit_at(place)
     for part in _split_at(slow, np.diff(slow) > 1):
@@ -143,7 +154,8 @@ def _feed_drops(scaling: TimeScaling, before: float, feed: float, names: tuple[s
             known = piece[limit[piece] >= 0]
             reason = _named(int(limit[known[speed[known].argmin()]]), names) if len(known) else "stop"
             ends, least = before + place[piece[[0, -1]]], speed[piece].min()
-            found.append(FeedDrop(float(ends[0]), float(ends[1]), float(least), reason))
+            at = target[[piece[0], piece[speed[piece].argmin()], piece[-1]]].tolist()
+            found.append(FeedDrop(float(ends[0]), float(ends[1]), float(least), reason, *at))
     return found
 
 

@@ -249,6 +249,7 @@ def _timing_row(number: int, feed_m_s: float, one: _TimedScenario | None, peak_t
         return row
     found = one.figures
     row |= {"cycle_time_s": found.duration_s, "path_time_s": found.path_s, "feed_reason": found.reason}
+    row["feed_target"] = found.reached_target
     row |= {"feed_held_share": _or_none(found.held_share), "feed_reached_m_s": _or_none(found.reached_m_s)}
     for share in found.path_shares:
         row |= {f"{share.limit}_share": share.share, f"{share.limit}_joint": share.joint}

@@ -1,8 +1,8 @@
-"""Columns of a table with the coordinates of points, and their normals."""
+"""Columns of a table: coordinates of points with their unit, and directions, found by the header's names or by place."""
 
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +10,23 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 
+XYZ = ("x", "y", "z")
+# Names of coordinates in common exports; x, y, z take precedence.
+COORDINATES = (XYZ, *(tuple(form.format(axis) for axis in XYZ) for form in (
+    "p{}", "pos_{}", "position_{}", "point_{}", "{}_pos", "tcp_{}", "target_{}",
+)))  # fmt: skip
 NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"), ("i", "j", "k"))  # i, j, k: of tool paths
-UNIT = re.compile(r"\[[^\]]*\]|\([^)]*\)")  # x [m], y (mm)
+TANGENTS = (("tx", "ty", "tz"), ("tangent_x", "tangent_y", "tangent_z"))
+QUATERNIONS = tuple(tuple(f"{name}{part}" for part in "wxyz") for name in ("q", "q_", "quat_", "orientation_"))
+DIRECTIONS = (*NORMALS, *TANGENTS, *QUATERNIONS)
+PER_METRE = {"m": 1.0, "mm": 1e3, "cm": 1e2, "in": 1.0 / 0.0254}  # units of a table
+BRACKETS = re.compile(r"\s*(?:\[([^\]]*)\]|\(([^)]*)\))")  # x [m], y (mm)
+SEPARATORS = re.compile(r"[\s,;]+")
+SUFFIX = re.compile(rf"(.+)[_ ]({'|'.join(PER_METRE)})")  # x_mm
+KEY = "workpiece.path_columns"
 NEARLY_ALL = 0.95
 NEARLY_UNIT = 0.01
+MOST_NAMES = 200  # characters of a header in a message
 
 
 class TablePoints(NamedTuple):
@@ -23,66 +36,184 @@ class TablePoints(NamedTuple):
     normals: Float[np.ndarray, "P 3"] | None = None  # unit, or 0 where a point has none; None without such columns
 
 
+class Heading(NamedTuple):
+    """Head of a column."""
+
+    text: str  # as it stands in the file
+    name: str  # plain: small letters, without its unit
+    unit: str | None  # one of PER_METRE; None if it states none of them
+
+
 class ColumnIndices(NamedTuple):
     """Columns of coordinates and normals in a table of `width` columns, by their indices from 0."""
 
     width: int
     xyz: tuple[int, ...]
     normals: tuple[int, ...] | None
-    named: bool  # by a header; otherwise the normals are a guess that `points` checks
+    named: bool  # by a header or by the caller; otherwise the normals are a guess that `points` checks
+    unit: str | None = None  # of the coordinates, one of PER_METRE, as the header says; None if it says nothing
+    numbered: bool = False  # True if the first column counts the rows, and is ignored
 
-    def points(self, xyz: np.ndarray, normals: np.ndarray | None, source: str) -> TablePoints:
+    def points(self, xyz: np.ndarray, normals: np.ndarray | None, source: str, unit: str | None = None) -> TablePoints:
         """Return the points from these columns' numbers; a Note reports a guess.
 
         Args:
-            xyz: Coordinates (P, 3) [m].
+            xyz: Coordinates (P, 3), in `unit`.
             normals: Normals (P, 3), of any length; None without such columns.
             source: The file, for the Note.
+            unit: One of PER_METRE; None: the header's, or m without one.
         """
         normals = None if normals is None else _normalised(normals, certain=self.named)
         if not self.named and self.width > 3:
             rest = "and the others ignored" if normals is None else "the others as normals"
             text = f"{self.width} columns; the first three are taken as x, y, z, {rest}"
+            if self.numbered:
+                rest = f", {rest}" if self.width > 4 else ""
+                text = f"{self.width} columns; the first counts the rows, the next three are taken as x, y, z{rest}"
             warnings.warn(f"{source}: {text}", Note, stacklevel=4)
-        return TablePoints(xyz, normals)
+        return TablePoints(xyz / PER_METRE[unit or self.unit or "m"], normals)
 
 
-def header_names(cells: Sequence[str]) -> list[str]:
-    """Return a header's cells as plain names."""
-    return [cell.strip().strip("\"'").strip().lower() for cell in cells]
+def headings(line: str) -> list[Heading]:
+    """Return the heads of the columns in a header line."""
+    marked = _marked(line.strip())
+    found = [_heading(cell) for cell in cells_of(marked)]
+    is_blank_separated = "," not in marked and ";" not in marked
+    return [head for head in found if head.name or not is_blank_separated]
 
 
-def without_units(header: str) -> str:
-    """Return a header line without units in brackets."""
-    return UNIT.sub("", header)
+def _marked(line: str) -> str:
+    """Return a line with the texts in brackets directly behind the names, without separators."""
+    return BRACKETS.sub(lambda found: f"[{SEPARATORS.sub('_', found[1] or found[2] or '')}]", line)
 
 
-def columns_of(names: Sequence[str] | None, width: int, source: str) -> ColumnIndices:
+def _heading(cell: str) -> Heading:
+    text = cell.strip(" \t\"'")
+    name, _, inside = text.partition("[")
+    name, unit = name.strip(" \t\"'").lower(), inside.rstrip("]\"' ").lower()
+    if not unit and (found := SUFFIX.fullmatch(name)):
+        name, unit = found.groups()
+    name = re.sub(r"[.\s]+", "_", name).removeprefix("pose_")
+    return Heading(text.replace("[", " [") if inside else text, name, unit if unit in PER_METRE else None)
+
+
+def cells_of(line: str) -> list[str]:
+    """Return the cells of a line, which semicolons, commas or blanks separate."""
+    for separator in (";", ","):
+        if separator in line:
+            return line.split(separator)
+    return line.split()
+
+
+def listed(header: Sequence[Heading]) -> str:
+    """Return the names of a header as text."""
+    text = ", ".join(head.text for head in header)
+    return text if len(text) <= MOST_NAMES else f"{text[:MOST_NAMES]}..."
+
+
+def columns_of(
+    header: Sequence[Heading] | None, width: int, source: str, *, numbered: bool = False, needs_names: bool = False
+) -> ColumnIndices:
     """Find the columns of a table.
 
-    By its header's names if x, y and z are among them, else the first three, and in a table of six columns the last
-    three for normals.
+    By its header's names if one family of COORDINATES is among them, else the first three, and in a table of six
+    columns the last three for normals; both one column further if the first column counts the rows.
 
     Args:
-        names: The header's names; None without a header.
+        header: The header; None without one.
+        width: Number of columns.
+        source: The file, for messages.
+        numbered: True if the first column counts the rows.
+        needs_names: True to refuse a repeated name of a tangent or quaternion, too.
+
+    Raises:
+        InputError: If the header repeats a name, names two sets of coordinates, or contradicts the table.
+    """
+    header = list(header or ())
+    names = [head.name for head in header]
+    known = {name for family in (*COORDINATES, *(DIRECTIONS if needs_names else NORMALS)) for name in family}
+    for name in filter(known.__contains__, names) if len(names) == width else XYZ:
+        if names.count(name) > 1:
+            raise InputError(f"{source}: the header names {name} twice: {listed(header)}")
+    if len(names) == width and (found := coordinates_in(names)):
+        if len(found) > 1:
+            sets = " and ".join(" ".join(family) for family in found)
+            raise InputError(f"{source}: the header names {sets}: {listed(header)}; {KEY} chooses one of them for a path")
+        normals = next((family for family in NORMALS if all(name in names for name in family)), None)
+        xyz = tuple(names.index(name) for name in found[0])
+        indices = None if normals is None else tuple(names.index(name) for name in normals)
+        return ColumnIndices(width, xyz, indices, True, unit_of(header, xyz, source))
+    first = int(numbered)
+    misplaced = any(axis in names and names.index(axis) != first + k for k, axis in enumerate(XYZ))
+    if misplaced or (numbered and not set(names).isdisjoint(XYZ)):
+        if len(names) != width:
+            named = f"{len(names)} columns ({' '.join(names)[:40]}), the rows have {width}"
+            raise InputError(f"{source}: the header names {named}; name x, y and z, or put them first")
+        lacking = ", ".join(axis for axis in XYZ if axis not in names)
+        raise InputError(
+            f"{source}: the header names no {lacking}: {listed(header)}; name x, y and z, or put them first"
+        )
+    xyz = tuple(range(first, first + 3))
+    guess = tuple(range(first + 3, first + 6)) if width - first == 6 else None
+    return ColumnIndices(width, xyz, guess, False, unit_of(header, xyz, source), numbered)
+
+
+def coordinates_in(names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the families of COORDINATES whose names are all in a header; x, y, z alone if they are."""
+    found = [family for family in COORDINATES if all(name in names for name in family)]
+    return found[:1] if XYZ in found else found
+
+
+def chosen_columns(
+    chosen: Mapping[str, int | str], header: Sequence[Heading] | None, width: int, source: str
+) -> dict[str, int]:
+    """Return the indices of columns that the caller names.
+
+    Args:
+        chosen: Names in the header, or numbers from 1, by what the columns hold: x, y, z, nx, ...
+        header: The header; None without one.
         width: Number of columns.
         source: The file, for messages.
 
     Raises:
-        InputError: If the header names a coordinate twice, or contradicts the table.
+        InputError: For a column that is missing or ambiguous, and for one that is chosen twice.
     """
-    names = [] if names is None else list(names)
-    at = {axis: [k for k, name in enumerate(names) if name == axis] for axis in "xyz"}
-    if twice := [axis for axis, places in at.items() if len(places) > 1]:
-        raise InputError(f"{source}: the header names {twice[0]} twice")
-    if all(at.values()) and len(names) == width:
-        known = [family for family in NORMALS if all(names.count(name) == 1 for name in family)]
-        normals = tuple(names.index(name) for name in known[0]) if known else None
-        return ColumnIndices(width, tuple(places[0] for places in at.values()), normals, named=True)
-    if any(places and places[0] != k for k, places in enumerate(at.values())):
-        named = f"{len(names)} columns ({' '.join(names)[:40]}), the rows have {width}"
-        raise InputError(f"{source}: the header names {named}; name x, y and z, or put them first")
-    return ColumnIndices(width, (0, 1, 2), (3, 4, 5) if width == 6 else None, named=False)
+    header = list(header or ())
+    there = f"it has {width} columns" + (f": {listed(header)}" if header else ", without a header")
+    found: dict[str, int] = {}
+    for role, name in chosen.items():
+        where = f"{source}: {KEY}.{role} is {name!r}"
+        if isinstance(name, int):
+            if not 1 <= name <= width:
+                raise InputError(f"{where}: no such column; {there}")
+            k = name - 1
+        else:
+            if header and len(header) != width:
+                raise InputError(f"{where}, but the header has {len(header)} names: {listed(header)}; the rows have {width}")
+            wanted = _heading(_marked(name))
+            same = [k for k, head in enumerate(header) if wanted.text == head.text]
+            same = same or [k for k, head in enumerate(header) if wanted.name == head.name]
+            if len(same) != 1:
+                what = f"{len(same)} columns have this name" if same else "no such column"
+                raise InputError(f"{where}: {what}; {there}")
+            (k,) = same
+        if k in found.values():
+            other = next(other for other, place in found.items() if place == k)
+            raise InputError(f"{where}: column {k + 1} is {other} already; {there}")
+        found[role] = k
+    return found
+
+
+def unit_of(header: Sequence[Heading], xyz: Sequence[int], source: str) -> str | None:
+    """Return the unit that a header states for the coordinates; None if it states none.
+
+    Raises:
+        InputError: If it states several.
+    """
+    units = list(dict.fromkeys(header[k].unit for k in xyz if k < len(header) and header[k].unit is not None))
+    if len(units) > 1:
+        raise InputError(f"{source}: coordinates in {' and '.join(map(str, units))}: {listed(header)}")
+    return units[0] if units else None
 
 
 def _normalised(vectors: np.ndarray, certain: bool) -> Float[np.ndarray, "P 3"] | None:

@@ -1,38 +1,67 @@
-"""Normals, tangents and orientations in a path's file."""
+"""Points, normals, tangents and orientations in a path's file."""
 
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import scipy
+from jaxtyping import Float
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
+from htcp_jax.io.parts import columns
 from htcp_jax.io.parts.table import read_named
 from htcp_jax.model import PathFrames
 
-NORMALS, TANGENTS, QUATERNIONS = ("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz")
 NEARLY_UNIT = 0.01
+GUESSED = ("i", "j", "k")  # normals only if they are unit vectors; otherwise perhaps numbers of cells
 
 
-def read_frames(path: Path) -> PathFrames:
-    """Read the columns nx,ny,nz, tx,ty,tz and qw,qx,qy,qz of a path's file, as far as its header names them.
+class PathPoints(NamedTuple):
+    """Points of a path, and directions as far as its file has them."""
+
+    xyz: Float[np.ndarray, "T 3"]  # [m]
+    frames: PathFrames
+
+
+def read_path_points(
+    path: Path, chosen: Mapping[str, int | str] = MappingProxyType({}), unit: str | None = None
+) -> PathPoints:
+    """Read a path's file: points, and normals, tangents and quaternions as far as its header or the caller names them.
+
+    Args:
+        path: The file.
+        chosen: Columns by what they hold, see `columns.chosen_columns`; empty: those that the header names, or the
+            first three.
+        unit: Of the points, one of `columns.PER_METRE`; None: the header's, or m without one.
 
     Raises:
-        InputError: For a normal or tangent that is not of length 1, and for a quaternion of length 0.
+        InputError: As `read_named` does, for a normal or tangent that is not of length 1, and for a quaternion of
+            length 0.
     """
-    found = read_named(path, (NORMALS, TANGENTS, QUATERNIONS))
+    xyz, found = read_named(path, columns.DIRECTIONS, chosen, unit)
     vectors = {}
-    for names, what in ((NORMALS, "normal"), (TANGENTS, "tangent")):
-        if (columns := found.get(names)) is not None:
-            length = np.linalg.norm(columns, axis=1)
-            if len(wrong := np.flatnonzero(~(np.abs(length - 1.0) < NEARLY_UNIT))):
-                raise InputError(
-                    f"{path}: the {what} of point {wrong[0] + 1} has the length {length[wrong[0]]:.4g}; 1 is needed"
-                )
-            vectors[names] = columns / length[:, None]
-    quaternions = found.get(QUATERNIONS)
+    for families, what in ((columns.NORMALS, "normal"), (columns.TANGENTS, "tangent")):
+        for names in families:
+            if what not in vectors and names in found:
+                vectors[what] = _unit_vectors(found[names], names, what, path)
+    quaternions = next((found[names] for names in columns.QUATERNIONS if names in found), None)
     if quaternions is not None and len(wrong := np.flatnonzero(~(np.linalg.norm(quaternions, axis=1) > 1e-9))):
         raise InputError(f"{path}: the quaternion of point {wrong[0] + 1} has the length 0")
     rotations = None
     if quaternions is not None:
         rotations = scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
-    return PathFrames(vectors.get(NORMALS), vectors.get(TANGENTS), rotations)
+    return PathPoints(xyz, PathFrames(vectors.get("normal"), vectors.get("tangent"), rotations))
+
+
+def _unit_vectors(values: np.ndarray, names: tuple[str, ...], what: str, path: Path) -> np.ndarray | None:
+    length = np.linalg.norm(values, axis=1)
+    if len(wrong := np.flatnonzero(~(np.abs(length - 1.0) < NEARLY_UNIT))):
+        off = f"of point {wrong[0] + 1} has the length {length[wrong[0]]:.4g}"
+        if names != GUESSED:
+            raise InputError(f"{path}: the {what} {off}; 1 is needed")
+        warnings.warn(f"{path}: i, j, k are ignored: as a {what}, that {off}, not 1", Note, stacklevel=4)
+        return None
+    return values / length[:, None]

@@ -2,14 +2,29 @@
 
 import math
 import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.files import read_array, read_bytes
-from htcp_jax.io.parts.columns import ColumnIndices, TablePoints, columns_of, header_names, without_units
+from htcp_jax.io.parts.columns import (
+    XYZ,
+    ColumnIndices,
+    Heading,
+    TablePoints,
+    cells_of,
+    chosen_columns,
+    columns_of,
+    coordinates_in,
+    headings,
+    unit_of,
+)
 
 DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 
@@ -29,45 +44,79 @@ def read_table(path: Path) -> TablePoints:
     return reader.points()
 
 
-def read_named(path: Path, families: Sequence[tuple[str, ...]]) -> dict[tuple[str, ...], np.ndarray]:
-    """Read further columns of a text file by name: each family (P, k) whose names are all in the header.
+class NamedColumns(NamedTuple):
+    """Points of a table, and further columns by what they hold."""
+
+    xyz: Float[np.ndarray, "P 3"]  # [m]
+    found: dict[tuple[str, ...], Float[np.ndarray, "P k"]]  # by family of names
+
+
+def read_named(
+    path: Path,
+    families: Sequence[tuple[str, ...]],
+    chosen: Mapping[str, int | str] = MappingProxyType({}),
+    unit: str | None = None,
+) -> NamedColumns:
+    """Read points, and further columns of a text file by name: each family (P, k) whose names are all in the header.
+
+    Args:
+        path: The file.
+        families: Names of further columns.
+        chosen: Columns by what they hold, see `columns.chosen_columns`, in place of those that the header names; with
+            x, y and z, or empty.
+        unit: Unit of the coordinates, one of `columns.PER_METRE`; None: the header's, or m without one. A UserWarning
+            reports another one in the header.
 
     Raises:
-        InputError: As `read_table` does, and for values that are not finite numbers, naming the point.
+        InputError: As `read_table` and `chosen_columns` do, and for values that are not finite numbers, naming the
+            point.
     """
-    reader = _TableReader(path, keep=True)
+    reader = _TableReader(path, keep=True, chosen=chosen)
     reader.take_all()
-    names, found = reader.names or [], {}
-    if reader.columns is None or not reader.columns.named:
-        return found
+    xyz, found = reader.points(unit).xyz, {}
+    if reader.columns is None:
+        return NamedColumns(xyz, found)
+    if unit not in (None, reader.columns.unit or unit):
+        text = f"the header says {reader.columns.unit}, the job {unit}, which is used"
+        warnings.warn(f"{path}: {text}", UserWarning, stacklevel=3)
+    names = [head.name for head in reader.header or ()] if reader.columns.named else []
     for family in families:
-        if all(names.count(name) == 1 for name in family):
-            cells = [[row[names.index(name)] for name in family] for row in reader.rows]
-            for k, row in enumerate(cells):
-                if not all(_is_numeric_cell(cell) and math.isfinite(float(cell)) for cell in row):
-                    raise InputError(f"{path}: {','.join(family)} of point {k + 1} is {','.join(row)[:40]!r}")
-            found[family] = np.array(cells, float)
-    return found
+        places = [reader.chosen.get(name, names.index(name) if name in names else None) for name in family]
+        if None in places or len(names) not in (0, reader.columns.width):
+            continue
+        cells = [[row[k] for k in places] for row in reader.rows]
+        for k, row in enumerate(cells):
+            if not all(_is_numeric_cell(cell) and math.isfinite(float(cell)) for cell in row):
+                raise InputError(f"{path}: {','.join(family)} of point {k + 1} is {','.join(row)[:40]!r}")
+        found[family] = np.array(cells, float)
+    return NamedColumns(xyz, found)
 
 
 class _TableReader:
-    """A reader of lines; the first row determines the columns."""
+    """A reader of lines; the first row determines the columns.
 
-    def __init__(self, path: Path, keep: bool = False):
-        self.path, self.keep = path, keep
+    Rows whose first column counts, 0 1 2 or 1 2 3, are kept until one does not, or all do.
+    """
+
+    def __init__(self, path: Path, keep: bool = False, chosen: Mapping[str, int | str] = MappingProxyType({})):
+        self.path, self.keep, self._chosen = path, keep, chosen
+        self.chosen: dict[str, int] = {}  # indices of the chosen columns
         self.rows: list[list[str]] = []  # cells of all columns, if `keep`
-        self.names: list[str] | None = None
-        self.header: int | None = None  # its line
-        self.first = 0  # the line of the first row
+        self.header: list[Heading] | None = None
+        self._has_header_line = False  # otherwise the header is a comment, which need not fit
+        self.first = self.width = 0  # the line of the first row, and its number of cells
         self.columns: ColumnIndices | None = None
         self.xyz: list[list[float]] = []
         self.normals: list[list[float]] | None = None
         self.whole = False  # True if all rows so far are as 1,5,2,5,3,5, where commas may be decimal
+        self._counted: list[tuple[int, str, list[str]]] = []  # rows that are kept
 
     def take_all(self) -> None:
         lines = _table_text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
         for number, line in enumerate(lines, start=1):
             self.take(number, line)
+        if self._counted:
+            self._begin(*self._counted[0], numbered=len(self._counted) > 1)
 
     def take(self, number: int, line: str) -> None:
         content, _, comment = line.partition("#")
@@ -75,38 +124,78 @@ class _TableReader:
         if content.startswith("//"):
             content, comment = "", content[2:]
         if not content:
-            if self.columns is None and self.header is None:
+            if not self.first and not self._has_header_line:
                 self._remark(comment)
             return
-        cells = _cells(content)
-        if self.columns is None and self.header is None and not any(_is_numeric_cell(cell) for cell in cells):
+        cells = cells_of(content)
+        if not self.first and not self._has_header_line and not any(_is_numeric_cell(cell) for cell in cells):
             if decimal := _decimal_commas(content):
                 raise self._error(number, decimal)
-            self.header, self.names = number, header_names(_cells(without_units(content).strip()))
+            self._has_header_line, self.header = True, headings(content)
         else:
             self._row(number, content, cells)
 
-    def points(self) -> TablePoints:
+    def points(self, unit: str | None = None) -> TablePoints:
         if self.columns is None:
             return TablePoints(np.empty((0, 3)))
         if self.whole:
             raise self._error(self.first, ": decimal commas? A whole number in every column; write decimal points")
         xyz = np.array(self.xyz, dtype=np.float64).reshape(-1, 3)
         normals = None if self.normals is None else np.array(self.normals, dtype=np.float64)
-        return self.columns.points(xyz, normals, str(self.path))
+        return self.columns.points(xyz, normals, str(self.path), unit)
 
     def _remark(self, comment: str) -> None:
-        """Take a comment as a header if it names x, y and z."""
-        names = header_names(_cells(without_units(comment).strip()))
-        if {"x", "y", "z"} <= set(names):
-            self.names = names
+        """Take a comment as a header if it names coordinates."""
+        found = headings(comment)
+        if coordinates_in([head.name for head in found]):
+            self.header = found
 
     def _row(self, number: int, content: str, cells: list[str]) -> None:
-        if len(cells) < 3 or (self.columns is not None and len(cells) != self.columns.width):
-            need = "3 are needed (x y z)" if len(cells) < 3 else f"line {self.first} has {self.columns.width}"
+        if len(cells) < 3 or (self.first and len(cells) != self.width):
+            need = "3 are needed (x y z)" if len(cells) < 3 else f"line {self.first} has {self.width}"
             raise self._error(number, _decimal_commas(content) or f" has {len(cells)} columns, {need}")
+        if not self.first:
+            self._know(number, cells)
+        if self.columns is None and self._counts(cells):
+            self._counted.append((number, content, cells))
+            return
         if self.columns is None:
-            self._begin(number, content, cells)
+            self._begin(number, content, cells, numbered=False)
+        self._take_row(number, content, cells)
+
+    def _know(self, number: int, cells: list[str]) -> None:
+        """Learn the number of columns from the first row."""
+        self.first, self.width = number, len(cells)
+        if not self._has_header_line and self.header is not None and len(self.header) != self.width:
+            self.header = None
+
+    def _counts(self, cells: list[str]) -> bool:
+        """True if all rows so far count in a first column that the header does not name, or has no name for."""
+        names = [head.name for head in self.header or ()]
+        if self.width < 4 or self._chosen or (len(names) != self.width - 1 and (coordinates_in(names) or "x" in names[:1])):
+            return False
+        first = _bare(self._counted[0][2][0] if self._counted else cells[0])
+        counts = first in ("0", "1") and _bare(cells[0]) == str(int(first) + len(self._counted))
+        return counts and all(map(_is_numeric_cell, cells[1:4]))
+
+    def _begin(self, number: int, content: str, cells: list[str], numbered: bool) -> None:
+        source = str(self.path)
+        if numbered and self.header is not None and len(self.header) == self.width - 1:
+            self.header = [Heading("", "", None), *self.header]
+        known = self.header
+        if self._chosen:
+            self.chosen = chosen_columns(self._chosen, known, self.width, source)
+            xyz = tuple(self.chosen[axis] for axis in XYZ)
+            self.columns = ColumnIndices(self.width, xyz, None, True, unit_of(known or (), xyz, source))
+        else:
+            self.columns = columns_of(known, self.width, source, numbered=numbered, needs_names=self.keep)
+        self.normals = None if self.columns.normals is None else []
+        self.whole = not (self.columns.named or numbered) and self.width > 3 and ";" not in content and "," in content
+        for row in self._counted:
+            self._take_row(*row)
+        self._counted = []
+
+    def _take_row(self, number: int, content: str, cells: list[str]) -> None:
         row = []
         for k in self.columns.xyz:
             if not _is_numeric_cell(cells[k]):
@@ -121,14 +210,6 @@ class _TableReader:
         self.whole = self.whole and all(cell.strip().lstrip("+-").isdigit() for cell in cells)
         if self.normals is not None:
             self._normal(cells)
-
-    def _begin(self, number: int, content: str, cells: list[str]) -> None:
-        names = self.names
-        if self.header is None and names is not None and len(names) != len(cells):
-            names = None  # a comment need not fit
-        self.first, self.columns = number, columns_of(names, len(cells), str(self.path))
-        self.normals = None if self.columns.normals is None else []
-        self.whole = not self.columns.named and len(cells) > 3 and ";" not in content and "," in content
 
     def _normal(self, cells: list[str]) -> None:
         if all(_is_numeric_cell(cells[k]) for k in self.columns.normals):
@@ -169,11 +250,8 @@ def _table_text(path: Path) -> str:
         raise InputError(f"{path}: not a text file of points (it is not UTF-8)") from None
 
 
-def _cells(line: str) -> list[str]:
-    for separator in (";", ","):
-        if separator in line:
-            return line.split(separator)
-    return line.split()
+def _bare(cell: str) -> str:
+    return cell.strip().strip("\"'").strip()
 
 
 def _is_numeric_cell(cell: str) -> bool:

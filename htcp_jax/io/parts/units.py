@@ -15,6 +15,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, kinematics
 
 METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometres": 1e3}  # the likely ones first
+PATH_UNITS = {"millimetres": "mm", "inches": "in", "centimetres": "cm"}  # as `workpiece.path_unit` names them
 LARGE = 2.0  # times the reach
 ABSURD = 5.0  # times the reach, or thinner than the thinnest body
 STAND_OFF = 0.5  # largest distance of a path from its part [m], and times the part's extent
@@ -100,7 +101,8 @@ def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) 
         # With too small a unit any path is at the origin, but too short.
         right_length = 0.05 * extent <= metres * _extent(path) <= 2.0 * extent
         if right_length and _median_distance(cloud, metres * path) <= 0.5 * extent:
-            return f"the path seems to be in {unit}, metres are needed (factor {metres:g})"
+            key = f", or workpiece.path_unit: {PATH_UNITS[unit]}" if unit in PATH_UNITS else ""
+            return f"the path seems to be in {unit}, metres are needed (factor {metres:g}){key}"
     return "both have to be in metres and in the same frame"
 
 

@@ -4,21 +4,23 @@ A `WorkpieceSource` states the source of the walls: `GeneratedDuct`, `PointCloud
 points on its walls, and the defaults of its kind.
 """
 
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io.files import known_ending
 from htcp_jax.io.parts.duct_seams import SEAMS, seam
-from htcp_jax.io.parts.path_file import read_frames
+from htcp_jax.io.parts.path_file import PathPoints, read_path_points
 from htcp_jax.io.parts.point_cloud import TEXT, load_geometry
-from htcp_jax.io.parts.table import read_table
 from htcp_jax.io.parts.units import check_extent, check_path_unit
 from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
-from htcp_jax.types import Anywhere
+from htcp_jax.types import Anywhere, Triple
 
 MOST_POINTS = 10_000_000  # of the generated duct
 # Where the duct's wall is convex nearly every point is a vertex of the hull: 22,914 facets. With this tolerance there
@@ -140,21 +142,31 @@ def read_source(file: str | Path, spacing_m: float | None = None) -> PointCloud 
     return TriangleMesh(triangles, str(file), spacing_m) if len(triangles) else PointCloud(points, str(file))
 
 
+FAR_M = 10_000.0  # coordinates beyond it are those of a map, such as UTM's, not of a part
+
+
 def load_workpiece(
     source: WorkpieceSource | str | Path | Anywhere = DUCT,
     path: str | Path | Anywhere | None = None,
     *,
     robot: Robot | None = None,
+    path_columns: Mapping[str, int | str] = MappingProxyType({}),
+    path_unit: str | None = None,
+    origin: Anywhere | Triple | None = None,
     **fields: Any,
 ) -> Workpiece:
     """Load a workpiece; by default the generated duct and its weld.
 
     Args:
         source: Its walls; a file is read by `read_source`, and an array (P, 3) is a `PointCloud` [m].
-        path: A file, see `read_path`, or points (T, 3) [m]; None: the seam of a `GeneratedDuct`.
+        path: A file, see `read_path_points`, or points (T, 3) [m]; None: the seam of a `GeneratedDuct`.
         robot: The arm for which the sizes of part and path must be plausible, see `units`, and whose thinnest body
             near the part determines the spacing of points on a mesh; None: neither.
-        **fields: Fields of `Workpiece`, in place of the source's own.
+        path_columns: Columns of the path's file, see `read_path_points`.
+        path_unit: Unit of the path's file, see `read_path_points`.
+        origin: Point that is subtracted from the coordinates of cloud, path and inlet (3,) [m]; None: the centre of a
+            part further than FAR_M away, or of its path without a cloud, in whole metres, with a Note; else 0.
+        **fields: Fields of `Workpiece`, in place of the source's own; the inlet in the coordinates of the files.
 
     Raises:
         InputError: For an invalid file or number, and for a cloud or a mesh without a path.
@@ -162,19 +174,59 @@ def load_workpiece(
     if path is None and not isinstance(source, GeneratedDuct):
         label = source if _is_file(source) else getattr(source, "label", "cloud")
         raise InputError(f"{label}: a cloud needs a tool path of its own (x,y,z rows in a CSV file)")
+    for key, value in (("path_columns", path_columns), ("path_unit", path_unit)):
+        if value and not _is_file(path):
+            what = "a seam of the generated duct" if path is None else "an array"
+            raise InputError(f"workpiece.{key} is {value!r}; it describes a path's file, and the path is {what}")
     if _is_file(source):
         source = read_source(source)
     elif not isinstance(source, WorkpieceSource):
         source = PointCloud(arrays.points(source, "cloud", 4))
-    track = source.path() if path is None else read_path(path)
-    name, frames = (Path(path).stem, read_frames(Path(path))) if _is_file(path) else ("path", PathFrames())
-    own = {"name": name, "frames": frames, **source.defaults, **fields}
+    track = PathPoints(source.path(), PathFrames()) if path is None else _read_track(path, path_columns, path_unit)
+    own = {"name": Path(path).stem if _is_file(path) else "path", "frames": track.frames, **source.defaults, **fields}
     if robot is not None and isinstance(source, PointCloud | TriangleMesh):
-        check_extent(robot, source.points, track, own["name"])
+        check_extent(robot, source.points, track.xyz, own["name"])
+    own["origin"] = _origin(source, track.xyz, own["name"]) if origin is None else arrays.triple(origin, "origin")
+    source, track = _moved(source, track, own)
     surface = source.walls(None if robot is None else mesh_points.thinnest_nearby(robot))
     if robot is not None and not isinstance(source, NoCloud):
-        check_path_unit(surface.points, track, own["name"])
-    return Workpiece(cloud=surface.points, path=track, covering_radius_m=surface.radius_m, **own)
+        check_path_unit(surface.points, track.xyz, own["name"])
+    return Workpiece(cloud=surface.points, path=track.xyz, covering_radius_m=surface.radius_m, **own)
+
+
+def _origin(source: WorkpieceSource, path: Float[np.ndarray, "T 3"], name: str) -> Float[np.ndarray, "3"]:
+    """Return the point that is subtracted from all coordinates, with a Note if it is not 0."""
+    if isinstance(source, GeneratedDuct):
+        return np.zeros(3)
+    points = path if isinstance(source, NoCloud) else source.points
+    centre = np.round(0.5 * (points.min(axis=0) + points.max(axis=0)))
+    if np.abs(centre).max() <= FAR_M:
+        return np.zeros(3)
+    text = ", ".join(f"{value:.0f}" for value in centre)
+    what = f"{name} is far from the origin; ({text}) m is subtracted from cloud, path and inlet (workpiece.origin_m)"
+    warnings.warn(what, Note, stacklevel=3)
+    rounding = float(np.spacing(np.float32(np.abs(points).max())))
+    if (points == points.astype(np.float32)).all():
+        what = f"{name}: its coordinates are numbers of 32 bits, rounded to {1e3 * rounding:.3g} mm so far from the origin"
+        warnings.warn(what, UserWarning, stacklevel=3)
+    return centre
+
+
+def _moved(source: WorkpieceSource, track: PathPoints, own: dict[str, Any]) -> tuple[WorkpieceSource, PathPoints]:
+    """Return walls and path with the origin subtracted, and the fields with mesh and inlet changed likewise."""
+    origin = own["origin"]
+    if not origin.any():
+        return source, track
+    if isinstance(source, GeneratedDuct):
+        raise InputError("workpiece.origin_m is for files; the generated duct has an origin of its own")
+    if own.get("inlet") is not None:
+        own["inlet"] = arrays.triple(own["inlet"], "inlet") - origin
+    if isinstance(source, TriangleMesh):
+        source = source._replace(triangles=source.triangles - origin)
+        own["triangles"] = source.triangles
+    elif isinstance(source, PointCloud):
+        source = source._replace(points=source.points - origin)
+    return source, track._replace(xyz=track.xyz - origin)
 
 
 def _is_file(given: object) -> bool:
@@ -191,12 +243,16 @@ def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
     Raises:
         InputError: For an unreadable or empty file, an invalid line (naming it) and NaN.
     """
+    return _read_track(path, {}, None).xyz
+
+
+def _read_track(path: str | Path | Anywhere, columns: Mapping[str, int | str], unit: str | None) -> PathPoints:
     if not _is_file(path):
-        return arrays.points(path, "path", 1)
+        return PathPoints(arrays.points(path, "path", 1), PathFrames())
     path = Path(path)
     known_ending(path, TEXT)
-    points = read_table(path).xyz
-    if not len(points):
+    found = read_path_points(path, columns, unit)
+    if not len(found.xyz):
         raise InputError(f"{path}: the tool path is empty")
-    arrays.check_points(points, str(path), at_least=1)
-    return points
+    arrays.check_points(found.xyz, str(path), at_least=1)
+    return found

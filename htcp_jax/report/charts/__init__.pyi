@@ -1,4 +1,4 @@
-from .along_path import clearance_along, joint_motion, joint_motion_by_joint, stops, survival
+from .along_path import clearance_along, joint_motion, joint_motion_by_joint, manipulability_along, stops, survival
 from .success import Axis, success, success_line, success_map, success_slices
 
 __all__ = [
@@ -6,6 +6,7 @@ __all__ = [
     "clearance_along",
     "joint_motion",
     "joint_motion_by_joint",
+    "manipulability_along",
     "stops",
     "success",
     "success_line",

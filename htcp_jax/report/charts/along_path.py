@@ -1,6 +1,7 @@
 """Charts along the path: survival, failures, clearance, joint motion. See `charts`."""
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float, Int, Int8
@@ -24,6 +25,8 @@ from htcp_jax.report.charts.style import (
 )
 from htcp_jax.status import Status
 
+BANDS = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: minimum."
+LOW_FEED = "#d55e00"
 REASONS = {
     Status.QP_INFEASIBLE: ("#e69f00", "s"),
     Status.ITERATION_LIMIT: ("#0072b2", "o"),
@@ -135,26 +138,64 @@ def clearance_along(
         clearance_m: Clearance D at the targets by method; NaN where not tracked.
         title: The title of the figure.
     """
-    across = min(3, len(clearance_m))
-    down = -(-len(clearance_m) // across)
-    note = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: minimum."
+    values = {method: 1e3 * own for method, own in clearance_m.items()}
+    means = {method: f"mean {np.nanmean(own):.3g} mm" for method, own in values.items() if np.isfinite(own).any()}
+    figure, panels = _bands(values, title, BANDS, means, "clearance [mm]")
+    for axes in panels.flat[: len(values)]:
+        axes.set_yscale("log")
+    decimal(panels[0, 0].yaxis)
+    return figure
+
+
+def manipulability_along(
+    manipulability_m_rad: Mapping[str, Float[np.ndarray, "S T"]],
+    feed_targets: Mapping[str, Int[np.ndarray, "S"]] = MappingProxyType({}),
+    *,
+    title: str = "Manipulability along the path",
+) -> Figure:
+    """Draw the manipulability over the target's index, one panel per method, and mark the lowest feeds.
+
+    Each has the minimum, the median and the band from 10 to 90 % over the scenarios that track the target.
+
+    Args:
+        manipulability_m_rad: Smallest singular value of the task's Jacobian by method; NaN where not tracked.
+        feed_targets: By method that is timed, the target at which each scenario's feed is lowest; negative if it is
+            held, or not timed.
+        title: The title of the figure.
+    """
+    least = {m: f"minimum {np.nanmin(v):.3g} m/rad" for m, v in manipulability_m_rad.items() if np.isfinite(v).any()}
+    note = f"{BANDS} Triangles: where the feed is lowest." if feed_targets else BANDS
+    figure, panels = _bands(manipulability_m_rad, title, note, least, "manipulability [m/rad]")
+    for axes, (method, values) in zip(panels.flat, manipulability_m_rad.items(), strict=False):
+        rows = np.flatnonzero(feed_targets.get(method, np.empty(0, int)) >= 0)
+        at = feed_targets[method][rows] if len(rows) else rows
+        style = {"color": LOW_FEED, "marker": "v", "edgecolors": PAPER, "linewidths": 0.6}
+        axes.scatter(at, values[rows, at], s=36, zorder=4, clip_on=False, **style)
+    panels[0, 0].set_ylim(bottom=0)  # singular
+    return figure
+
+
+def _bands(
+    values: Mapping[str, Float[np.ndarray, "S T"]], title: str, note: str, merits: Mapping[str, str], label: str
+) -> tuple[Figure, np.ndarray]:
+    """Draw values over the target's index, one panel per method; return figure and panels."""
+    across = min(3, len(values))
+    down = -(-len(values) // across)
     figure = new_figure(2.35 * down + 1.1, title, note)
     panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    for axes, (method, values) in zip(panels.flat, clearance_m.items(), strict=False):
+    for axes, (method, own) in zip(panels.flat, values.items(), strict=False):
         colour = line_of(method)[0]
-        low, middle, high, least = _over_scenarios(1e3 * values)
+        low, middle, high, least = _over_scenarios(own)
         index = np.arange(len(middle))
         axes.fill_between(index, low, high, color=colour, alpha=0.22, linewidth=0)
         axes.plot(index, middle, color=colour, linewidth=1.9)
         axes.plot(index, least, color=INK, linestyle="none", marker=".", markersize=3)
-        axes.set_yscale("log")
-        heading(axes, method, f"mean {1e3 * np.nanmean(values):.3g} mm" if np.isfinite(values).any() else "")
+        heading(axes, method, merits.get(method, ""))
         plain_axes(axes)
-    decimal(panels[0, 0].yaxis)
     panels[0, 0].xaxis.set_major_locator(MaxNLocator(integer=True))
-    blank_the_rest(panels, len(clearance_m))
-    outer_labels(panels, len(clearance_m), "target", "clearance [mm]")
-    return figure
+    blank_the_rest(panels, len(values))
+    outer_labels(panels, len(values), "target", label)
+    return figure, panels
 
 
 def joint_motion(

@@ -1,0 +1,62 @@
+"""Manipulability along plans: the smallest singular value of the task's Jacobian, which is 0 where it is singular.
+
+It is the slowest motion of the task for a joint velocity of length 1: to move at the feed v in the worst direction, the
+joints need |dx/dt| >= v / manipulability. Unlike Yoshikawa's product of all singular values it has a unit that does not
+depend on the number of rows. Source: Klein and Blaho, Dexterity measures for the design and control of kinematically
+redundant manipulators, International Journal of Robotics Research 6(2), 1987, section 2.3.
+"""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.clearance import Scene
+from htcp_jax.device import Executor, lane_function
+from htcp_jax.model import Robot, Task
+from htcp_jax.settings import Settings
+
+
+class _AtTarget(NamedTuple):
+    """Inputs of a lane."""
+
+    target: jax.Array  # the task's goal
+    tool_extension_m: jax.Array
+
+
+def manipulability(
+    robot: Robot,
+    task: Task,
+    x: Float[np.ndarray, "n N"],
+    goals: Float[np.ndarray, "n G"],
+    tool_extension_m: Float[np.ndarray, "n"] | float = 0.0,
+) -> Float[np.ndarray, "n"]:
+    """Return the smallest singular value of the task's Jacobian at configurations [m/rad, or 1 along slides].
+
+    Angles that the task constrains count as lengths, as in its residual: `tolerance_rad` as `tolerance_m`.
+
+    Args:
+        robot: The robot.
+        task: The task.
+        x: Configurations [rad or m]; NaN where there are none.
+        goals: The task's goals at each of them [m].
+        tool_extension_m: Of the robot's tool.
+
+    Returns:
+        The values; NaN where x is, and for a task without equations.
+    """
+    found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
+    if task.rows and known.any():
+        lanes = _AtTarget(goals[known], np.broadcast_to(np.asarray(tool_extension_m, float), len(x))[known])
+        slopes = Executor(Scene(robot, (), task), Settings())(JACOBIAN, lanes, x[known])
+        found[known] = np.linalg.svd(slopes, compute_uv=False)[:, -1]
+    return found
+
+
+def _jacobian(settings, scene: Scene, lane: _AtTarget, x):
+    """Return the Jacobian of the task's equations at x."""
+    return scene.task.linear_at(scene.robot, x, lane.target).jacobian
+
+
+JACOBIAN = lane_function.LaneFunction("task_jacobian", _jacobian, lane_function.STEP)

@@ -1,0 +1,207 @@
+"""Path files as other programs export them, and parts in coordinates of a map."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from htcp_jax.cli import main
+from htcp_jax.errors import InputError, Note
+from htcp_jax.io.parts.path_file import read_path_points
+from htcp_jax.io.parts.point_cloud import read_points
+from htcp_jax.io.parts.workpiece_source import GeneratedDuct, NoCloud, PointCloud, TriangleMesh, load_workpiece
+
+RNG = np.random.default_rng(1)
+POINTS = RNG.uniform(-0.5, 0.5, (6, 3))
+NORMALS = (lambda n: n / np.linalg.norm(n, axis=1, keepdims=True))(RNG.normal(size=(6, 3)))
+QUATERNIONS = (lambda q: q / np.linalg.norm(q, axis=1, keepdims=True))(RNG.normal(size=(6, 4)))
+NUMBERS = np.arange(1.0, 7.0)[:, None]
+MAP = np.array([500_321.0, 4_600_123.0, 312.0])
+
+
+def write(folder, header, *columns, separator=","):
+    rows = np.concatenate(columns, axis=1)
+    lines = [separator.join(f"{value:.17g}" for value in row) for row in rows]
+    file = folder / "path.csv"
+    file.write_text(header + "\n".join(lines) + "\n")
+    return file
+
+
+def read(file, **choices):
+    """Points and frames of a path's file, and the warnings about it."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        found = read_path_points(file, **choices)
+    return found, [(one.category, str(one.message).removeprefix(f"{file}: ")) for one in said]
+
+
+def refusal(file, **choices) -> str:
+    with pytest.raises(InputError) as error:
+        read(file, **choices)
+    assert "\n" not in str(error.value)
+    return str(error.value).removeprefix(f"{file}: ")
+
+
+@pytest.mark.parametrize("header, per_metre", [
+    ("x,y,z", 1), ("X,Y,Z", 1), ("x_m,y_m,z_m", 1), ("x_mm,y_mm,z_mm", 1e3), ("X [mm],Y [mm],Z [mm]", 1e3),
+    ("X (cm),Y (cm),Z (cm)", 1e2), ("x [in],y [in],z [in]", 1 / 0.0254), ('"x [mm]","y [mm]","z [mm]"', 1e3),
+    ("px,py,pz", 1), ("position.x,position.y,position.z", 1), ("Pos X,Pos Y,Pos Z", 1), ("tcp_x_mm,tcp_y_mm,tcp_z_mm", 1e3),
+    ("pose.position.x,pose.position.y,pose.position.z", 1), ("x,y,z [mm]", 1e3),
+])  # fmt: skip
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_common_headers_name_coordinates_and_their_unit(tmp_path, header, per_metre, separator):
+    header = separator.join(["No", *header.split(",")]) + "\n"
+    found, said = read(write(tmp_path, header, NUMBERS, per_metre * POINTS, separator=separator))
+    assert np.allclose(found.xyz, POINTS, rtol=1e-15, atol=0) and said == []
+
+
+def test_a_header_between_blanks_has_units_in_brackets(tmp_path):
+    found, _ = read(write(tmp_path, "# x [mm] y [mm] z [mm] nx ny nz\n", 1e3 * POINTS, NORMALS, separator=" "))
+    assert np.allclose(found.xyz, POINTS, rtol=1e-15, atol=0) and np.allclose(found.frames.normals, NORMALS)
+
+
+@pytest.mark.parametrize("header, others", [("", []), ("No,East,North,Up\n", []), ("", [NORMALS]), ("x,y,z\n", [])])
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_first_column_that_counts_the_rows_is_ignored_with_a_note(tmp_path, header, others, first):
+    file = write(tmp_path, header, NUMBERS - 1 + first, POINTS, *others)
+    found, said = read(file)
+    assert np.array_equal(found.xyz, POINTS)
+    assert not said or (said[0][0] is Note and "the first counts the rows, the next three are taken as x, y, z" in said[0][1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Note)
+        assert np.array_equal(read_points(file).xyz, POINTS), "a cloud is read alike"
+
+
+@pytest.mark.parametrize("column", [NUMBERS + 0.5, 2 * NUMBERS, NUMBERS + 1, NUMBERS[::-1]])
+def test_a_first_column_that_does_not_count_from_0_or_1_is_x(tmp_path, column):
+    found, _ = read(write(tmp_path, "", column, POINTS))
+    assert np.array_equal(found.xyz[:, 0], column[:, 0])
+
+
+def test_a_single_row_does_not_count(tmp_path):
+    assert read(write(tmp_path, "", NUMBERS[:1], POINTS[:1]))[0].xyz[0, 0] == 1.0
+
+
+def test_a_named_x_is_no_row_number(tmp_path):
+    found, said = read(write(tmp_path, "x,y,z,speed\n", NUMBERS, POINTS))
+    assert np.array_equal(found.xyz[:, 0], NUMBERS[:, 0]) and said == []
+
+
+@pytest.mark.parametrize("names", ["qw,qx,qy,qz", "qx,qy,qz,qw", "quat_w,quat_x,quat_y,quat_z"])
+def test_quaternions_are_found_by_name_in_any_order(tmp_path, names):
+    order = ["wxyz".index(name[-1]) for name in names.split(",")]
+    found, _ = read(write(tmp_path, f"x_mm,y_mm,z_mm,{names}\n", 1e3 * POINTS, QUATERNIONS[:, order]))
+    plain, _ = read(write(tmp_path, "x,y,z,qw,qx,qy,qz\n", POINTS, QUATERNIONS))
+    assert np.array_equal(found.frames.rotations, plain.frames.rotations)
+
+
+def test_i_j_k_are_normals_if_they_are_unit_vectors(tmp_path):
+    found, said = read(write(tmp_path, "x,y,z,i,j,k\n", POINTS, NORMALS))
+    assert np.allclose(found.frames.normals, NORMALS) and said == []
+    found, said = read(write(tmp_path, "x,y,z,i,j,k\n", POINTS, 3 * NORMALS))
+    assert found.frames.normals is None and "i, j, k are ignored" in said[0][1]
+
+
+def test_columns_are_chosen_by_number_and_by_name(tmp_path):
+    file = write(tmp_path, "A;X [mm];Y [mm];Z [mm];U;V;W\n", 7 * NUMBERS, 1e3 * POINTS, NORMALS, separator=";")
+    chosen = {"x": 2, "y": "Y [mm]", "z": "z", "nx": "u", "ny": 6, "nz": "W"}
+    found, said = read(file, chosen=chosen)
+    assert np.allclose(found.xyz, POINTS, rtol=1e-15, atol=0) and np.allclose(found.frames.normals, NORMALS)
+    assert said == []
+
+
+def test_chosen_columns_need_no_header(tmp_path):
+    file = write(tmp_path, "", POINTS, QUATERNIONS[:, [1, 2, 3, 0]])
+    found, said = read(file, chosen={"x": 3, "y": 2, "z": 1, "qx": 4, "qy": 5, "qz": 6, "qw": 7})
+    assert np.array_equal(found.xyz, POINTS[:, ::-1]) and found.frames.rotations is not None and said == []
+
+
+@pytest.mark.parametrize("chosen, words", [
+    ({"x": 5}, "workpiece.path_columns.x is 5: no such column; it has 4 columns: No, X, Y, X"),
+    ({"x": "Q"}, "workpiece.path_columns.x is 'Q': no such column; it has 4 columns: No, X, Y, X"),
+    ({"x": "X"}, "workpiece.path_columns.x is 'X': 2 columns have this name; it has 4 columns: No, X, Y, X"),
+    ({"x": 2, "y": 2}, "workpiece.path_columns.y is 2: column 2 is x already"),
+])  # fmt: skip
+def test_a_chosen_column_that_is_missing_or_ambiguous_is_refused_with_what_there_is(tmp_path, chosen, words):
+    file = write(tmp_path, "No,X,Y,X\n", NUMBERS, POINTS)
+    assert words in refusal(file, chosen={"x": 2, "y": 3, "z": 4} | chosen)
+
+
+def test_a_name_without_a_header_is_refused(tmp_path):
+    words = refusal(write(tmp_path, "", POINTS), chosen={"x": "X", "y": 2, "z": 3})
+    assert words == "workpiece.path_columns.x is 'X': no such column; it has 3 columns, without a header"
+
+
+@pytest.mark.parametrize("header, words", [
+    ("x,y,z,nx,ny,nz,nx", "the header names nx twice: x, y, z, nx, ny, nz, nx"),
+    ("x,y,z,qw,qx,qy,qw", "the header names qw twice"),
+    ("x,y,z,X [mm],b,c,d", "the header names x twice: x, y, z, X [mm], b, c, d"),
+    ("a,tcp_x,tcp_y,tcp_z,target_x,target_y,target_z", "the header names tcp_x tcp_y tcp_z and target_x target_y target_z"),
+    ("a,x,y,h,b,c,d", "the header names no z: a, x, y, h, b, c, d"),
+    ("x [mm],y [mm],z [in],b,c,d,e", "coordinates in mm and in: x [mm], y [mm], z [in], b"),
+])  # fmt: skip
+def test_a_header_that_is_ambiguous_is_refused_with_its_names(tmp_path, header, words):
+    assert words in refusal(write(tmp_path, f"{header}\n", POINTS, QUATERNIONS))
+
+
+def test_the_job_s_unit_takes_precedence_over_the_header_s_with_a_warning(tmp_path):
+    found, said = read(write(tmp_path, "x_m,y_m,z_m\n", 1e3 * POINTS), unit="mm")
+    assert np.allclose(found.xyz, POINTS, rtol=1e-15, atol=0)
+    assert said == [(UserWarning, "the header says m, the job mm, which is used")]
+    assert read(write(tmp_path, "x,y,z\n", 1e3 * POINTS), unit="mm")[1] == []
+
+
+@pytest.mark.parametrize("key, value, words", [
+    ("path_unit", "furlong", "workpiece.path_unit is 'furlong': input should be 'm', 'mm', 'cm' or 'in'"),
+    ("path_columns", "{x: 1, y: 2}", "workpiece.path_columns.z"),
+    ("path_columns", "{x: 0, y: 2, z: 3}", "0 is not a column; valid: a number from 1, or a name"),
+    ("path_columns", "{x: 1, y: 2, z: 3, nx: 4}", "path_columns has nx; all of nx, ny, nz are needed"),
+    ("path_unit", "mm", "workpiece.path_unit is 'mm'; it describes a path's file, and the path is a seam"),
+    ("origin_m", "[1, 2]", "workpiece.origin_m"),
+])  # fmt: skip
+def test_bad_keys_are_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys, key, value, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(["plan", "--set", f"workpiece.{key}={value}"]) == 2
+    reported = capsys.readouterr().err
+    assert words in reported and reported.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+# Coordinates of a map
+
+CUBE = np.stack(np.meshgrid(*[np.linspace(-0.3, 0.3, 5)] * 3), axis=-1).reshape(-1, 3)
+CORNERS = CUBE[:9].reshape(3, 3, 3)
+HERE = {"pivot": (0.0, 0.0, 0.0), "neutral_translation": (0.0, 0.0, 0.0), "interior": "none"}
+
+
+@pytest.mark.parametrize("source", [PointCloud(CUBE), TriangleMesh(CORNERS, spacing_m=0.1), NoCloud()])
+def test_a_part_on_a_map_is_the_part_about_the_origin(source):
+    moved = source._replace(points=source.points + MAP) if isinstance(source, PointCloud) else source
+    moved = source._replace(triangles=CORNERS + MAP) if isinstance(source, TriangleMesh) else moved
+    with pytest.warns(Note, match=r"\(500321, 4600123, 312\) m is subtracted from cloud, path and inlet"):
+        far = load_workpiece(moved, POINTS + MAP, inlet=MAP + 0.1, **HERE)
+    near = load_workpiece(source, POINTS, inlet=(0.1, 0.1, 0.1), **HERE)
+    assert np.array_equal(far.origin, MAP) and not near.origin.any()
+    for name in ("path", "inlet", "triangles") + (("cloud",) if isinstance(source, PointCloud) else ()):
+        assert np.allclose(getattr(far, name), getattr(near, name), atol=2e-9), name
+
+
+def test_a_part_that_is_10_km_away_at_most_stays_where_it_is():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        part = load_workpiece(PointCloud(CUBE + [10_000.0, 0, 0]), POINTS + [10_000.0, 0, 0], **HERE)
+    assert not part.origin.any() and part.path[0, 0] > 9_999
+
+
+def test_the_origin_may_be_given():
+    part = load_workpiece(PointCloud(CUBE), POINTS, origin=(0.1, 0.2, 0.3), inlet=(0.1, 0.2, 0.3), **HERE)
+    assert np.array_equal(part.cloud, CUBE - (0.1, 0.2, 0.3)) and not part.inlet.any()
+    stays = load_workpiece(PointCloud(CUBE + MAP), POINTS + MAP, origin=(0.0, 0.0, 0.0), **HERE)
+    assert np.array_equal(stays.path, POINTS + MAP)
+    with pytest.raises(InputError, match="origin_m is for files"):
+        load_workpiece(GeneratedDuct(100), origin=(1.0, 0.0, 0.0))
+
+
+@pytest.mark.filterwarnings("ignore::htcp_jax.errors.Note")
+def test_coordinates_of_a_map_in_32_bits_are_reported():
+    with pytest.warns(UserWarning, match="numbers of 32 bits, rounded to 500 mm"):
+        load_workpiece(PointCloud((CUBE + MAP).astype(np.float32).astype(float)), POINTS + MAP, **HERE)
