@@ -1,6 +1,7 @@
 from . import (
     collision_checker,
     configuration_tree,
+    dead_ends,
     home,
     lane_inputs,
     manipulability,
@@ -27,6 +28,7 @@ __all__ = [
     "ViaPoints",
     "collision_checker",
     "configuration_tree",
+    "dead_ends",
     "home",
     "lane_inputs",
     "manipulability",

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
+from htcp_jax.motion.dead_ends import DeadEnds
 from htcp_jax.motion.via_points import ViaPoints
 from htcp_jax.status import MOTION, SegmentStatus, Status
 
@@ -121,6 +122,7 @@ class Plans(NamedTuple):
     via_points: ViaPoints  # via points of segments that are not straight joint paths
     compile_s: float  # wall time spent waiting for compilation, or for processes to start [s]
     run_s: float  # wall time spent planning, compilation apart [s]
+    dead_ends: DeadEnds = DeadEnds.of({})  # dead ends of the search, and what was tried after them
 
     @classmethod
     def empty(
@@ -156,6 +158,7 @@ class Plans(NamedTuple):
             via_points=ViaPoints.concatenate([part.via_points for part in parts], [len(part.status) for part in parts]),
             compile_s=sum(part.compile_s for part in parts),
             run_s=sum(part.run_s for part in parts),
+            dead_ends=DeadEnds.concatenate([part.dead_ends for part in parts], [len(part.status) for part in parts]),
         )
 
     @property
@@ -214,7 +217,7 @@ class Plans(NamedTuple):
         """Return the plans of some scenarios; the seconds remain those of all."""
         numbers = np.arange(len(self.status))[which]
         kept: dict[str, Any] = {name: array[which] for name, array in self.arrays().items()}
-        return self._replace(**kept, via_points=self.via_points.rows(numbers))
+        return self._replace(**kept, via_points=self.via_points.rows(numbers), dead_ends=self.dead_ends.rows(numbers))
 
     def widened(self, targets: int) -> "Plans":
         """Return the plans with columns for this many targets, T or more; the new ones do not exist."""
@@ -248,7 +251,7 @@ class Plans(NamedTuple):
         return np.pad(array, [(0, 0), (0, more)] + [(0, 0)] * (array.ndim - 2), constant_values=EMPTY[name])
 
 
-ARRAYS = tuple(name for name in Plans._fields if name not in ("via_points", "compile_s", "run_s"))
+ARRAYS = tuple(name for name in Plans._fields if name not in ("via_points", "compile_s", "run_s", "dead_ends"))
 
 # Values for targets that a scenario does not have; targets not attempted differ in their status.
 EMPTY = {

@@ -11,7 +11,6 @@ from jaxtyping import Float
 from htcp_jax.device import tables
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.joint_search import Limits, join
-from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.selection import dispersed
 from htcp_jax.motion.step_functions import State
@@ -34,17 +33,26 @@ def other_configurations(problem: Problem, checker: CollisionChecker, s: int, ro
         round_: Number of the round.
         target: The target.
     """
-    scenarios, settings = problem.scenarios, problem.settings
-    inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
-    x = _unwound(
-        checker.project(inputs, drawn_configurations(problem, checker, s, round_)),
-        checker.executor.limits,
-        _about(problem, s),
-    )
-    here = checker.states(inputs, x)._replace(x=x, linear=None)
-    found = tables.gather(here, checker.valid(inputs, here))
+    settings, drawn = problem.settings, drawn_configurations(problem, checker, s, round_)
+    here = projected(problem, checker, s, target, drawn)
+    found = tables.gather(here, checker.valid(problem.inputs(s, target, len(drawn)), here))
     one = np.zeros(len(found.x), int)
     return tables.gather(found, dispersed(found.x, one, settings.beam_width, settings.beam_separation_rad))
+
+
+def projected(problem: Problem, checker: CollisionChecker, s: int, target: int, x: Float[np.ndarray, "n N"]) -> State:
+    """Return configurations of one scenario brought onto a target, as far as inverse kinematics gets, and measured.
+
+    Args:
+        problem: The problem.
+        checker: Collision checker of the scene.
+        s: Row of the scenario.
+        target: The target.
+        x: The configurations [rad or m].
+    """
+    inputs = problem.inputs(s, target, len(x))
+    x = _unwound(checker.project(inputs, x), checker.executor.limits, _about(problem, s))
+    return checker.states(inputs, x)._replace(x=x, linear=None)
 
 
 def drawn_configurations(

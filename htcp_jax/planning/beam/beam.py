@@ -6,6 +6,7 @@
     approach if no straight line leads to the path: search again from configurations at its first point, joined in free
              space
     transfer if all that fails, and it is allowed: search again from other configurations at the first target
+    retry    after a dead end: search backwards from configurations at the lost target, and join, see `dead_ends`
 
 A local optimiser follows one configuration and stops at the first dead end; the beam has several, on both sides of each
 fork. All accepted configurations form a tree whose root is the start, and the chosen path leads to the leaf with the
@@ -29,12 +30,15 @@ from htcp_jax.motion import (
     Problem,
     ViaPoints,
     collision_checker,
+    dead_ends,
     lane_inputs,
     motion_check,
     step_functions,
     transfers,
 )
-from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION
+from htcp_jax.motion.dead_ends import Tried
+from htcp_jax.planning.beam.dead_ends import DeadEnds
+from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION, inputs_and_tubes
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
 from htcp_jax.planning.beam.tree import BeamTree
@@ -65,11 +69,13 @@ class BeamSearchMethod(Method):
             # Two per GPU: while it computes for one, the other builds its tables.
             threads = max(threads, 2 * len(problem.checkers))
 
-        def work(checker: CollisionChecker, share: slice) -> list[ViaPointRow]:
+        def work(checker: CollisionChecker, share: slice) -> tuple[list[ViaPointRow], dict[tuple[int, int], Tried]]:
             return BeamSearch(problem, plans, checker).run(iter(problem.to_plan[share].tolist()))
 
-        via_points = [row for part in problem.in_threads(work, threads) for row in part]
-        return plans._replace(via_points=ViaPoints.of(via_points, plans.x.shape[2]))
+        parts = problem.in_threads(work, threads)
+        via_points = ViaPoints.of([row for rows, _ in parts for row in rows], plans.x.shape[2])
+        tried = {key: value for _, part in parts for key, value in part.items()}
+        return plans._replace(via_points=via_points, dead_ends=dead_ends.DeadEnds.of(tried))
 
 
 def _calls(problem: Problem) -> list[tuple]:
@@ -91,19 +97,26 @@ class BeamSearch:
         self._tree = BeamTree(plans.x.shape[2])
         self._searches = Searches(problem.settings, self._tree, checker.executor.freedom > 0)
         self._record = BeamRecord(problem, plans, checker, self._searches)
+        self._dead_ends = DeadEnds(problem, checker, self._searches)
 
-    def run(self, scenarios: Iterator[int]) -> list[ViaPointRow]:
-        """Plan until the iterator is exhausted; return the via points of all segments that have some."""
+    def run(self, scenarios: Iterator[int]) -> tuple[list[ViaPointRow], dict[tuple[int, int], Tried]]:
+        """Plan until the iterator is exhausted.
+
+        Returns:
+            Via points of all segments that have some, and what was tried after dead ends.
+        """
         via_points, searches, most = [], self._searches, max(1, self._checker.executor.lanes // IN_FLIGHT)
         while True:
             before = searches.tracked
             self._begin(list(islice(scenarios, most - int(searches.going.sum()))))
             if not searches.going.any():
-                return via_points
+                return via_points, self._dead_ends.tried
             self._extend()
             self._spread()
+            self._dead_ends.meet()
             tracked, target = searches.tracked - before, searches.columns.target
-            finished = [search for search in searches.pop_ended() if not self._begin_elsewhere(search)]
+            ended = searches.pop_ended()
+            finished = [one for one in ended if not (self._begin_elsewhere(one) or self._dead_ends.retry(one))]
             for last in finished:
                 search, *path = self._record.chosen(last)
                 via_points += self._record.write(search, *path)
@@ -122,7 +135,7 @@ class BeamSearch:
         for k in np.flatnonzero(self._problem.begins_anywhere[new]).tolist():
             others = self._other_configurations(new[k], 0, 0)
             roots[k] = others if len(others) else roots[k]
-        self._searches.begin(new, self._problem.scenarios.count[new].tolist(), roots)
+        self._searches.begin(new, (self._problem.scenarios.count[new] - 1).tolist(), roots)
 
     def _begin_elsewhere(self, search: int) -> bool:
         """Begin a search from other configurations after one has failed, and return True if there are any.
@@ -134,11 +147,12 @@ class BeamSearch:
         on_path, anywhere = int(scenarios.on_path[s]), bool(self._problem.begins_anywhere[s])
         off_path = 0 <= first < on_path and not anywhere
         may = off_path or self._problem.settings.transfers or (scenarios.auto_start[s] and not anywhere)
-        if columns.status[search] == NONE or not may or len(chain) > MOST_TRANSFERS:
+        spent = len(chain) > MOST_TRANSFERS or self._dead_ends.has_begun(s)
+        if columns.status[search] == NONE or not may or spent:
             return False
         roots = self._other_configurations(s, len(chain) - 1 + anywhere, on_path if off_path else 0)
         if len(roots):
-            self._searches.begin([s], [int(scenarios.count[s])], [roots], search)
+            self._searches.begin([s], [int(scenarios.count[s]) - 1], [roots], search)
         return len(roots) > 0
 
     def _other_configurations(self, s: int, round_: int, target: int) -> np.ndarray:
@@ -149,9 +163,10 @@ class BeamSearch:
         searches, pending = self._searches, self._searches.pending
         if not len(pending.node):
             return
-        scenario, target = searches.columns.scenario[pending.search], self._tree.target[pending.node] + 1
-        x = self._tree.x[pending.node]
-        inputs, tube = self._inputs(scenario, target, np.zeros_like(target), False)
+        scenario, step = tables.gather((searches.columns.scenario, searches.columns.step), pending.search)
+        x, before = self._tree.x[pending.node], self._tree.target[pending.node]
+        target, zero = before + step, np.zeros_like(before)
+        inputs = lane_inputs.lane_inputs(self._problem.scenarios, scenario, target, seed=self._problem.settings.seed)
         extended = self._checker.executor(EXTEND, inputs, x)
         good = self._checker.valid(inputs, extended.at)
         if inputs.max_joint_step is not None:
@@ -159,7 +174,9 @@ class BeamSearch:
             good &= (travel <= inputs.max_joint_step).all(axis=1)
         proven = good.copy()
         if good.any():
-            edges = self._checker.edges(*tables.gather((inputs, x, extended.at.x, tube), good))
+            segments, tube = inputs_and_tubes(self._problem, scenario, np.maximum(before, target), zero, False)
+            a, b = _in_order_of_travel(step, x, extended.at.x)
+            edges = self._checker.edges(*tables.gather((segments, a, b, tube), good))
             proven[good] = edges.verdict == SegmentStatus.VALID
         new = self._tree.grow(*tables.gather((pending.node, extended.at, target, extended.step_qps), proven))
         arrived = Members(pending.search[proven], new)
@@ -171,15 +188,16 @@ class BeamSearch:
         searches, (origins, motion_number) = self._searches, self._searches.origins()
         if not len(origins.node):
             return
-        scenario, draws = tables.gather((searches.columns.scenario, searches.columns.draws), origins.search)
+        columns = searches.columns
+        scenario, draws, way = tables.gather((columns.scenario, columns.draws, columns.step), origins.search)
         target, x = self._tree.target[origins.node], self._tree.x[origins.node]
-        inputs, tube = self._inputs(scenario, target, draws, True)
+        inputs, tube = inputs_and_tubes(self._problem, scenario, target, draws, True)
         moved = self._checker.executor(SELF_MOTION, inputs, x, motion_number.astype(np.int32))
         lane, step = np.nonzero(np.arange(moved.path.x.shape[1]) < moved.steps[:, None])
         before = np.concatenate([x[:, None], moved.path.x], axis=1)
         proven = np.zeros(moved.path.clearance.shape, bool)
         if len(lane):  # the tip is checked only at a self-motion's end
-            edges = before[lane, step], before[lane, step + 1]
+            edges = _in_order_of_travel(way[lane], before[lane, step], before[lane, step + 1])
             proof = self._checker.edges(tables.gather(inputs, lane), *edges, tables.gather(tube, lane), tip=False)
             proven[lane, step] = proof.verdict == SegmentStatus.VALID
         if (most := self._problem.scenarios.max_joint_step) is not None:
@@ -209,9 +227,8 @@ class BeamSearch:
             collides = self._checker.states(inputs, scenarios.x_start[s]).clearance <= 0
             columns.failure[lost[collides]] = Status.START_IN_COLLISION
 
-    def _inputs(self, scenario: np.ndarray, target: np.ndarray, draws: np.ndarray, turns: bool):
-        """Return the inputs and tubes of lanes: on the segment to their target, or during a self-motion at it."""
-        problem = self._problem
-        inputs = lane_inputs.lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
-        towards, which = target + turns, np.full(len(target), turns)
-        return inputs, motion_check.tubes(problem, scenario, towards, which)
+
+def _in_order_of_travel(step: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of joint paths in the order in which the arm passes them; a search backwards has them reversed."""
+    forwards = step[:, None] > 0
+    return np.where(forwards, a, b), np.where(forwards, b, a)

@@ -9,17 +9,20 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance.proof import motion_proof
 from htcp_jax.device import Loop, lane_function
 from htcp_jax.model import inverse_kinematics, kinematics
-from htcp_jax.motion import lane_inputs, step_functions
+from htcp_jax.motion import Problem, lane_inputs, motion_check, step_functions
 from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import active_set, step_qp
 
 ENOUGH = 0.9  # sufficient share of the goal above the margin
 PATIENCE = 6  # step QPs with the higher goal before the lower one is used
+REACHING_STEPS = 24  # most steps towards another configuration
 LEAST_STEP = 0.3  # minimum share of a step's length; shorter ones are blocked by joint limits
 
 
@@ -124,13 +127,65 @@ def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
         path = jax.tree.map(lambda all_, new: all_.at[steps].set(jnp.where(good, new, all_[steps])), path, here)
         return good, there, direction, path, steps + good.astype(jnp.int32)
 
-    n, most = len(x), settings.self_motion_steps
-    names = {"x": (n,), "clearance": (), "residual": (), "tcp": (3,)}
-    path = step_functions.State(**{name: jnp.zeros((most, *shape)) for name, shape in names.items()})
+    path = _empty_path(len(x), settings.self_motion_steps)
     # The first direction is drawn in the null space, in the first entries of this vector.
     first = jax.random.normal(towards, x.shape)
     start = (jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32))
     return Loop(start, going, step, lambda state: SelfMotion(*state[3:]))
+
+
+class Reaching(NamedTuple):
+    """A lane's self-motion towards another configuration, step by step."""
+
+    path: step_functions.State  # (REACHING_STEPS, ...), of which the first `steps` are valid
+    steps: jax.Array
+    arrives: jax.Array  # True if the last one is within a step's length of the other configuration
+
+
+def move_towards(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, end) -> Loop:
+    """Move from x (N,) [rad or m], on its target, towards another configuration there, as long as each step is valid.
+
+    Args:
+        settings: Length of a step.
+        scene: Arm, obstacles and task.
+        lane: The lane's inputs.
+        x: Configuration on the lane's target (N,) [rad or m].
+        end: The other one (N,).
+
+    Returns:
+        A loop whose result is `Reaching`.
+    """
+    robot, task, length = scene.robot, scene.task, settings.self_motion_step_rad
+
+    def going(state):
+        good, x, _, steps = state
+        return good & (steps < REACHING_STEPS) & (safe_norm(end - x) > length)
+
+    def step(_, state):
+        _, x, path, steps = state
+        basis = null_basis(task.linear_at(robot, x, lane.target).jacobian)
+        direction = product(basis, product(end - x, basis))
+        direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
+        ahead = jnp.clip(x + length * direction, robot.lower, robot.upper)
+        there, residual = inverse_kinematics.reanchor(robot, ahead, lane.target, task.fine_m, task=task)
+        D = clearance(robot, scene.obstacles, lane, there)
+        good = task.is_satisfied(D, residual, lane.margin_m)
+        good &= safe_norm(end - there) <= safe_norm(end - x) - LEAST_STEP * length
+        here = step_functions.State(there, clearance=D, residual=residual, tcp=kinematics.tcp_position(robot, there))
+        path = jax.tree.map(lambda all_, new: all_.at[steps].set(jnp.where(good, new, all_[steps])), path, here)
+        return good, jnp.where(good, there, x), path, steps + good.astype(jnp.int32)
+
+    def reached(state) -> Reaching:
+        _, x, path, steps = state
+        return Reaching(path, steps, safe_norm(end - x) <= length)
+
+    start = (jnp.full((), True), x, _empty_path(len(x), REACHING_STEPS), jnp.zeros((), jnp.int32))
+    return Loop(start, going, step, reached)
+
+
+def _empty_path(joints: int, most: int) -> step_functions.State:
+    names = {"x": (joints,), "clearance": (), "residual": (), "tcp": (3,)}
+    return step_functions.State(**{name: jnp.zeros((most, *shape)) for name, shape in names.items()})
 
 
 EXTEND = lane_function.LaneFunction(
@@ -140,3 +195,22 @@ EXTEND = lane_function.LaneFunction(
 SELF_MOTION = lane_function.LaneFunction(
     "self_motion", self_motion, lane_function.TRACKED, ("self_motion_steps", "self_motion_step_rad")
 )
+MOVE_TOWARDS = lane_function.LaneFunction(
+    "move_towards", move_towards, lane_function.TRACKED, ("self_motion_step_rad",)
+)
+
+
+def inputs_and_tubes(
+    problem: Problem, scenario: np.ndarray, target: np.ndarray, draws: np.ndarray, turns: bool
+) -> tuple[lane_inputs.LaneInputs, motion_proof.Tube]:
+    """Return the inputs and tubes of lanes: on the segment to their target, or during a self-motion at it.
+
+    Args:
+        problem: The problem.
+        scenario: Row of each lane's scenario (n,).
+        target: Each lane's target (n,).
+        draws: Its round of draws (n,).
+        turns: True for self-motions.
+    """
+    inputs = lane_inputs.lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
+    return inputs, motion_check.tubes(problem, scenario, target + turns, np.full(len(target), turns))

@@ -30,11 +30,14 @@ class BeamRecord:
         """
         searches, scenarios = self._searches, self._problem.scenarios
         s, chain = int(searches.columns.scenario[last]), searches.chain(last)
-        for search in sorted(chain[::-1], key=lambda one: -searches.columns.target[one]):
+        forwards = [one for one in chain[::-1] if searches.columns.step[one] > 0]
+        for search in sorted(forwards, key=lambda one: -searches.columns.target[one]):
             leaves = searches.beam_of(search)
             if search == chain[-1] or self._problem.begins_anywhere[s]:
                 return search, leaves[0], None
             roots = {leaf: int(self._tree.path(leaf)[0]) for leaf in leaves}
+            if self._tree.target[roots[leaves[0]]] < 0:
+                return search, leaves[0], None
             start = self._tree.x[self._row_0(chain[-1])] if self._is_approach(search) else scenarios.x_start[s]
             distinct = list(dict.fromkeys(roots.values()))
             via_points = transfers.joined(self._problem, self._checker, s, start, self._tree.x[distinct])

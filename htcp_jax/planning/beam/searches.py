@@ -12,6 +12,7 @@ from htcp_jax.device import tables
 from htcp_jax.motion import selection
 from htcp_jax.planning.beam.tree import BeamTree, best_first
 from htcp_jax.settings import Settings
+from htcp_jax.status import Status
 
 NONE = -1  # no status yet; no earlier search
 
@@ -42,10 +43,12 @@ class SearchColumns(NamedTuple):
 
     scenario: Int[np.ndarray, "n"]
     target: Int[np.ndarray, "n"]  # of its beam
-    targets: Int[np.ndarray, "n"]  # number of targets
+    last: Int[np.ndarray, "n"]  # target at which it ends with success
+    step: Int[np.ndarray, "n"]  # 1 forwards, -1 backwards: the next target is target + step
     earlier: Int[np.ndarray, "n"]  # the search before, if this one begins at other configurations; or NONE
     rounds: Int[np.ndarray, "n"]  # rounds of self-motions at this target
     draws: Int[np.ndarray, "n"]  # rounds of self-motions in total
+    work: Int[np.ndarray, "n"]  # configurations extended and self-motions so far
     failure: Int[np.ndarray, "n"]  # its Status if no more configurations reach the next target
     status: Int[np.ndarray, "n"]  # Status of a search that ended before the last target; or NONE
 
@@ -64,14 +67,17 @@ class Searches:
         self.beam = self.pending = self.arrived = Members.none()
         self._ended: dict[int, np.ndarray] = {}  # the beams of searches that have ended
 
-    def begin(self, scenario: list[int], targets: list[int], roots: list[np.ndarray], earlier: int = NONE) -> None:
+    def begin(
+        self, scenario: list[int], last: list[int], roots: list[np.ndarray], earlier: int = NONE, backwards: bool = False
+    ) -> None:
         """Add searches, each of one scenario, all at one target.
 
         Args:
             scenario: Row of the scenario, per search.
-            targets: Number of its targets, per search.
+            last: Target at which it ends with success, per search.
             roots: One or more tree rows to begin from, per search.
             earlier: The search before, if these begin at other configurations; or NONE.
+            backwards: True if they go from target to target towards the start.
         """
         count, draws = len(scenario), 0 if earlier == NONE else self.columns.draws[earlier]
         first = len(self.going)
@@ -80,8 +86,8 @@ class Searches:
         new = SearchColumns(
             np.array(scenario),
             target,
-            np.array(targets),
-            *(np.full(count, value) for value in (earlier, 0, draws, NONE, NONE)),
+            np.array(last),
+            *(np.full(count, value) for value in (-1 if backwards else 1, earlier, 0, draws, 0, NONE, NONE)),
         )
         self.columns, self.going = tables.concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
         self.beam, self.pending = tables.concatenate([self.beam, held]), tables.concatenate([self.pending, held])
@@ -108,7 +114,8 @@ class Searches:
     def store_extended(self, arrived: Members) -> None:
         """Store the results of extending all `pending` rows."""
         now, count, extended = self.columns, self._count(arrived), self.has(self.pending)
-        last = now.target == now.targets - 2
+        now.work[:] += self._count(self.pending)
+        last = now.target + now.step == now.last
         thin = extended & (count > 0) & (count < self._settings.min_beam_width) & ~last & self._has_self_motions
         self.pending, self.arrived = Members.none(), arrived.of(thin)
         self._lose(extended & (count == 0) & ((now.target < 0) | (not self._has_self_motions) | self._rounds_spent))
@@ -131,6 +138,7 @@ class Searches:
         """Store the results of one round of self-motions."""
         moved, wide = self.has(origins), self.has(self.arrived)
         self.columns.draws[moved] += 1
+        self.columns.work[:] += self._count(origins)
         arrived, self.arrived = self.arrived.appended(found.of(wide)), Members.none()
         self._select_beams(arrived)
         stuck = moved & ~wide
@@ -138,6 +146,10 @@ class Searches:
         new = self._dispersed(found.of(stuck), known=self.beam.of(stuck))
         self.beam, self.pending = self.beam.appended(new), self.pending.appended(new)
         self._lose(stuck & ~self.has(new) & self._rounds_spent)
+
+    def stop(self, which: Bool[np.ndarray, "searches"]) -> None:
+        """End searches as they are, by failure."""
+        self.columns.status[which & self.going & ~self._done] = Status.RECOVERY_EXHAUSTED
 
     def pop_ended(self) -> list[int]:
         """Stop and return the searches that have ended, by success or failure."""
@@ -164,7 +176,7 @@ class Searches:
 
     @property
     def _done(self) -> Bool[np.ndarray, "searches"]:
-        return (self.columns.status != NONE) | (self.columns.target == self.columns.targets - 1)
+        return (self.columns.status != NONE) | (self.columns.target == self.columns.last)
 
     @property
     def _rounds_spent(self) -> Bool[np.ndarray, "searches"]:
@@ -181,7 +193,7 @@ class Searches:
         which = self.has(arrived)
         new = self._dispersed(arrived, most=self._settings.beam_width)
         self.beam, self.pending = self.beam.of(~which).appended(new), self.pending.appended(new)
-        self.columns.target[which] += 1
+        self.columns.target[which] += self.columns.step[which]
         self.columns.rounds[which] = 0
 
     def _dispersed(self, members: Members, most: int | None = None, known: Members | None = None) -> Members:

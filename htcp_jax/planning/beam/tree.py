@@ -97,16 +97,21 @@ class BeamTree(configuration_tree.Tree):
         """True if there are more than twice as many nodes as after the last pruning."""
         return self._count > 2 * self._kept
 
-    def prune(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "n"]:
-        """Remove all nodes but these and their ancestors; return the new row of each old one."""
+    def with_ancestors(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "k"]:
+        """Return the rows of these nodes and of all their ancestors, in order."""
         alive, parent = np.zeros(self._count, bool), self._table.parent
         while len(rows):
             alive[rows] = True
             rows = np.unique(parent[rows])
             rows = rows[rows != configuration_tree.NO_PARENT]
             rows = rows[~alive[rows]]
-        moved = np.cumsum(alive) - 1
-        kept = tables.gather(self._table, np.flatnonzero(alive))
+        return np.flatnonzero(alive)
+
+    def prune(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "n"]:
+        """Remove all nodes but these and their ancestors; return the new row of each old one."""
+        kept_rows, moved = self.with_ancestors(rows), np.full(self._count, -1)
+        moved[kept_rows] = np.arange(len(kept_rows))
+        kept = tables.gather(self._table, kept_rows)
         kept.parent[:] = np.where(
             kept.parent == configuration_tree.NO_PARENT, configuration_tree.NO_PARENT, moved[kept.parent]
         )

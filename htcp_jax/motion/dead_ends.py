@@ -1,0 +1,55 @@
+"""Dead ends of plans: the targets at which a search had no successor, and what was tried after them."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+
+class Tried(NamedTuple):
+    """What was tried after one dead end."""
+
+    searches: int = 0  # from configurations found at the lost target
+    configurations: int = 0  # sampled, extended or moved
+    found: int = 0  # valid configurations at the lost target
+    connected: int = 0  # of these, to the start by a proven motion, or to a configuration where the motion may begin
+
+
+class DeadEnds(NamedTuple):
+    """Dead ends of S scenarios, sorted by scenario and target."""
+
+    scenario: Int[np.ndarray, "n"]  # its row in the plans
+    target: Int[np.ndarray, "n"]  # the lost target
+    searches: Int[np.ndarray, "n"]  # as in `Tried`, as are the next three
+    configurations: Int[np.ndarray, "n"]
+    found: Int[np.ndarray, "n"]
+    connected: Int[np.ndarray, "n"]
+
+    @classmethod
+    def of(cls, tried: Mapping[tuple[int, int], Tried]) -> "DeadEnds":
+        """Return dead ends from what was tried, by scenario and target."""
+        rows = [(*key, *tried[key]) for key in sorted(tried)]
+        return cls(*np.array(rows, np.int32).reshape(-1, len(cls._fields)).T)
+
+    @classmethod
+    def concatenate(cls, parts: "Sequence[DeadEnds]", rows: Sequence[int]) -> "DeadEnds":
+        """Concatenate the dead ends of consecutive plans.
+
+        Args:
+            parts: The dead ends of each.
+            rows: Number of scenarios in each.
+        """
+        first = np.concatenate([[0], np.cumsum(rows)[:-1]]).astype(np.int32)
+        moved = [part._replace(scenario=part.scenario + before) for part, before in zip(parts, first, strict=True)]
+        return cls(*(np.concatenate(column) for column in zip(*moved, strict=True)))
+
+    def rows(self, which: Int[np.ndarray, "R"]) -> "DeadEnds":
+        """Select scenarios by their rows, renumbered in the order of `which`."""
+        found = [self.on(old) for old in which.tolist()]
+        return DeadEnds.of({(new, t): tried for new, own in enumerate(found) for t, tried in own.items()})
+
+    def on(self, scenario: int) -> dict[int, Tried]:
+        """Return what was tried in one scenario, by lost target."""
+        own = np.flatnonzero(self.scenario == scenario)
+        return {int(self.target[k]): Tried(*(int(column[k]) for column in self[2:])) for k in own}

@@ -1,0 +1,242 @@
+"""Dead ends of a beam search: searches backwards from configurations at the lost target, joined with the beam's tree.
+
+    sample    configurations at the first target that the beam did not reach, the clearest of many pushed clear
+    backwards a beam from these towards the start, with the same proofs; each segment is proven in the direction of travel
+    meet      at each target, by self-motions from the tree's configurations to those nearest to them
+    arrive    if the motion may begin in another configuration: at the first target, to be joined in free space
+    graft     the reversed motions become branches of the tree, and the search goes on forwards from the lost target
+
+A dead end of the beam is rarely one of the arm: the configurations that lead on were dropped or never sampled at earlier
+targets. Seen from the lost target nothing has to be guessed: whatever is extended backwards leads there. `settings.effort`
+bounds the work, in configurations.
+"""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.device import tables
+from htcp_jax.motion import CollisionChecker, Problem, lane_inputs, selection, step_functions, transfers
+from htcp_jax.motion.dead_ends import Tried
+from htcp_jax.planning.beam.functions import MOVE_TOWARDS, inputs_and_tubes
+from htcp_jax.planning.beam.searches import NONE, Searches
+from htcp_jax.planning.tracking import stages
+from htcp_jax.status import SegmentStatus
+
+FIRST_ROUND = 100_000  # rounds of draws; smaller ones belong to other searches
+ROUNDS = 4  # of draws at a time
+PUSHED = 24  # the clearest draws that are far apart; these are pushed clear
+APART_RAD = 0.2
+NEAR_RAD = 0.4  # standard deviation of draws around known configurations
+SHARE = 0.25  # of the effort where the motion cannot begin elsewhere: the two have to meet, near the dead end or not at all
+MEET_RAD, PAIRS = 1.5, 4  # largest distance of configurations that are joined, and pairs tried at each target
+
+
+class Meeting(NamedTuple):
+    """A motion at one target from the tree to a configuration of a search backwards."""
+
+    begin: Float[np.ndarray, "N"] | None  # the tree's configuration [rad or m]; None if the motion begins in the other
+    between: step_functions.State | None
+    row: int  # tree row of the other one
+
+
+class DeadEnds:
+    """Searches after dead ends, for all scenarios of one tree."""
+
+    def __init__(self, problem: Problem, checker: CollisionChecker, searches: Searches):
+        self._problem, self._checker, self._searches, self._tree = problem, checker, searches, searches.tree
+        self._rounds: dict[int, int] = {}  # rounds of draws so far, by scenario
+        self._sampled_on: dict[int, int] = {}  # configurations on the target that they gave, every step of a push included
+        self._open: dict[int, tuple[int, dict[int, np.ndarray]]] = {}  # search backwards: the joined one, its tree's x
+        self._meetings: dict[int, list[Meeting]] = {}
+        self.tried: dict[tuple[int, int], Tried] = {}  # by scenario and lost target
+
+    def has_begun(self, scenario: int) -> bool:
+        """Return True if searches were begun after a dead end of the scenario."""
+        return scenario in self._rounds
+
+    def retry(self, ended: int) -> bool:
+        """Begin another search after one has ended, and return True; False if the scenario is finished."""
+        columns, chain = self._searches.columns, self._searches.chain(ended)
+        s, scenarios = int(columns.scenario[ended]), self._problem.scenarios
+        last = int(scenarios.count[s]) - 1
+        if ended in self._open:
+            lost = int(columns.target[self._open[ended][0]]) + 1
+            self._count(s, lost, configurations=int(columns.work[ended]))
+            if rows := self._grafted(ended):
+                self._count(s, lost, connected=len(rows))
+                self._searches.begin([s], [last], [np.array(rows)], ended)
+                return True
+        elif columns.status[ended] == NONE:
+            return False
+        best = self._farthest(chain)
+        lost, on_path = int(columns.target[best]) + 1, int(scenarios.on_path[s])
+        off_path = lost <= on_path and not self._problem.begins_anywhere[s]
+        tree = self._ancestors(best)
+        at = {int(t): self._tree.x[tree[self._tree.target[tree] == t]] for t in range(lost)}
+        while lost > 0 and self._left(chain) > 0:
+            before = self._sampled_on.get(s, 0)
+            anywhere = off_path or self._may_arrive(s, best)
+            roots = self._sampled(s, on_path if off_path else lost, None if anywhere else at[lost - 1])
+            self._count(s, lost, configurations=self._sampled_on[s] - before, found=len(roots))
+            if len(roots):
+                self._count(s, lost, searches=1)
+                if not off_path:
+                    self._open[len(columns.target)] = best, at
+                first = last if off_path else self._first(best)
+                self._searches.begin([s], [first], [roots], ended, backwards=not off_path)
+                return True
+        return False
+
+    def meet(self) -> None:
+        """Join the beams of searches backwards with the trees at their targets, where they are near; stop what is done.
+
+        A search that meets a tree is done, and so is one whose effort is spent.
+        """
+        columns, pairs = self._searches.columns, []
+        stop = np.zeros(len(columns.target), bool)
+        for search in self._open:
+            if not self._searches.going[search]:
+                continue
+            tree_x = self._open[search][1].pop(int(columns.target[search]), None)  # pairs are tried once
+            pairs += [] if tree_x is None else self._nearest(search, tree_x)
+            stop[search] = self._left(self._searches.chain(search)) <= 0
+        for search, meeting in self._joined(pairs):
+            self._meetings.setdefault(search, []).append(meeting)
+            stop[search] = True
+        self._searches.stop(stop)
+
+    def _left(self, chain: list[int]) -> float:
+        """Return the configurations that may still be spent: on draws, and on extending them backwards."""
+        columns = self._searches.columns
+        forwards = columns.step[chain] > 0
+        spent = self._sampled_on.get(int(columns.scenario[chain[0]]), 0) + columns.work[chain][~forwards].sum()
+        s = int(columns.scenario[chain[0]])
+        share = 1.0 if self._may_arrive(s, self._farthest(chain)) else SHARE
+        return share * self._problem.settings.effort * columns.work[chain][forwards].sum() - spent
+
+    def _farthest(self, chain: list[int]) -> int:
+        """Return the search that came farthest, the first of several."""
+        columns = self._searches.columns
+        return max((each for each in chain[::-1] if columns.step[each] > 0), key=lambda each: columns.target[each])
+
+    def _first(self, search: int) -> int:
+        """Return the target at which a search backwards ends: where the joined one begins."""
+        return max(0, int(self._tree.target[self._tree.path(self._searches.beam_of(search)[0])[0]]))
+
+    def _ancestors(self, search: int) -> Int[np.ndarray, "n"]:
+        return self._tree.with_ancestors(np.array(self._searches.beam_of(search)))
+
+    def _may_arrive(self, s: int, best: int) -> bool:
+        """Return True if the motion may begin in another configuration than the joined search."""
+        elsewhere = self._problem.settings.transfers or bool(self._problem.scenarios.auto_start[s])
+        return elsewhere or self._first(best) > 0
+
+    def _sampled(self, s: int, target: int, near: Float[np.ndarray, "n N"] | None) -> Int[np.ndarray, "m"]:
+        """Return tree rows of valid configurations at a target, far apart: the clearest of new draws, pushed clear.
+
+        The draws are uniform within the joint limits; if only a meeting helps, around the configurations `near`.
+        """
+        problem, checker = self._problem, self._checker
+        first = FIRST_ROUND + self._rounds.get(s, 0)
+        rounds = range(first, first + (ROUNDS if near is None else 1))
+        drawn = np.concatenate([transfers.drawn_configurations(problem, checker, s, k) for k in rounds])
+        if near is not None:
+            rng = np.random.default_rng([problem.settings.seed, int(problem.scenarios.number[s]), first])
+            drawn = near[rng.integers(len(near), size=len(drawn))] + NEAR_RAD * rng.standard_normal(drawn.shape)
+            drawn = np.clip(drawn, *checker.executor.limits)
+        self._rounds[s] = self._rounds.get(s, 0) + len(rounds)
+        here = transfers.projected(problem, checker, s, target, drawn)
+        reached = np.flatnonzero(problem.task.reached(here.residual))
+        order = reached[np.argsort(-here.clearance[reached], kind="stable")]
+        apart = order[selection.first_apart(here.x[order], PUSHED, APART_RAD)]
+        pushes = len(apart) * problem.settings.max_null_space_steps
+        self._sampled_on[s] = self._sampled_on.get(s, 0) + len(reached) + pushes
+        inputs = problem.inputs(s, target, len(apart))
+        pushed = checker.executor(stages.PUSH, inputs, here.x[apart]) if len(apart) else here
+        at = checker.states(inputs, pushed.x)._replace(x=pushed.x, linear=None) if len(apart) else here
+        good = np.flatnonzero(checker.valid(inputs, at)) if len(apart) else apart
+        good = good[np.argsort(-at.clearance[good], kind="stable")]
+        separation, zero = problem.settings.beam_separation_rad, np.zeros(len(good), int)
+        good = good[selection.dispersed(at.x[good], zero, problem.settings.beam_width, separation)]
+        return self._tree.plant(tables.gather(at, good), target)
+
+    def _nearest(self, search: int, tree_x: Float[np.ndarray, "n N"]) -> list[tuple[int, np.ndarray, int]]:
+        """Return the pairs to join: search, configuration of the tree, tree row of the search's."""
+        beam = self._searches.beam.node[self._searches.beam.search == search]
+        away = np.linalg.norm(tree_x[:, None] - self._tree.x[beam][None], axis=2)
+        order = np.argsort(away, axis=None, kind="stable")[:PAIRS]
+        a, b = np.unravel_index(order[away.ravel()[order] <= MEET_RAD], away.shape)
+        return [(search, tree_x[i], int(beam[j])) for i, j in zip(a.tolist(), b.tolist(), strict=True)]
+
+    def _joined(self, pairs: list[tuple[int, np.ndarray, int]]) -> list[tuple[int, Meeting]]:
+        """Return the meetings of pairs that are joined by proven self-motions."""
+        if not pairs:
+            return []
+        columns, (search, begin, row) = self._searches.columns, (np.array(column) for column in zip(*pairs, strict=True))
+        columns.work[:] += np.bincount(search, minlength=len(columns.work))
+        target, end = self._tree.target[row], self._tree.x[row]
+        inputs, tube = inputs_and_tubes(self._problem, columns.scenario[search], target, np.zeros_like(target), True)
+        moved = self._checker.executor(MOVE_TOWARDS, inputs, begin, end)
+        count = moved.steps + 1  # of segments, with that to the end itself
+        lane = np.repeat(np.arange(len(row)), count)
+        step = np.arange(len(lane)) - np.repeat(np.cumsum(count) - count, count)
+        x = np.concatenate([begin[:, None], moved.path.x, end[:, None]], axis=1)
+        after = np.where(step == moved.steps[lane], x.shape[1] - 1, step + 1)
+        proof = self._checker.edges(
+            tables.gather(inputs, lane), x[lane, step], x[lane, after], tables.gather(tube, lane), tip=False
+        )
+        bad = np.bincount(lane, proof.verdict != SegmentStatus.VALID, len(row)) > 0
+        bad |= ~moved.arrives
+        return [
+            (int(search[k]), Meeting(begin[k], jax.tree.map(lambda leaf, k=k: leaf[k, : moved.steps[k]], moved.path), row_))
+            for k, row_ in enumerate(row.tolist())
+            if not bad[k]
+        ]
+
+    def _grafted(self, search: int) -> list[int]:
+        """Return tree rows at the lost target: the ends of branches from the tree along motions found backwards.
+
+        There is one for each configuration at the lost target that is connected.
+        """
+        columns, (best, _) = self._searches.columns, self._open.pop(search)
+        s, tree, found = int(columns.scenario[search]), self._ancestors(best), {}
+        meetings = self._meetings.pop(search, [])
+        if not meetings and columns.status[search] == NONE and self._may_arrive(s, best):
+            meetings = [Meeting(None, None, row) for row in self._searches.beam_of(search)]
+        for begin, between, row in meetings:
+            path = self._tree.path(row)
+            if (root := int(path[0])) in found:
+                continue
+            parent = None
+            if begin is not None:
+                here = tree[self._tree.target[tree] == self._tree.target[row]]
+                parent = int(here[(self._tree.x[here] == begin).all(axis=1)][0])
+            found[root] = self._branch(parent, between, path[::-1], int(self._problem.scenarios.on_path[s]))
+        return list(found.values())
+
+    def _branch(
+        self, parent: int | None, between: step_functions.State | None, path: Int[np.ndarray, "k"], on_path: int
+    ) -> int:
+        """Return the end of a new branch from a node, or from a new root: `between`, then copies of the nodes on `path`."""
+        nodes = self._tree.nodes(path)
+        at, target, step_qps = nodes.at, nodes.target, nodes.step_qps
+        if between is not None:
+            at, zero = jax.tree.map(lambda a, b: np.concatenate([a, b]), between, at), np.zeros(len(between.x), int)
+            target, step_qps = np.append(zero + target[0], target), np.append(zero, step_qps)
+        first = 0 if parent is not None else 1
+        row = np.array([parent]) if first == 0 else self._tree.plant(tables.gather(at, np.arange(1)), int(target[0]))
+        turns = False
+        for k in range(first, len(target)):
+            turned, turns = turns, bool(target[k] == self._tree.target[row[0]])
+            begins = turns and not turned and target[k] >= on_path
+            here = tables.gather(at, np.array([k]))
+            row = self._tree.grow(row, here, target[k], step_qps[k], by_self_motion=turns, dwells=int(begins))
+        return int(row[0])
+
+    def _count(self, s: int, lost: int, **more: int) -> None:
+        """Add to the record of a dead end."""
+        known = self.tried.get((s, lost), Tried())
+        self.tried[s, lost] = known._replace(**{name: getattr(known, name) + value for name, value in more.items()})
