@@ -48,6 +48,12 @@ class Reach(IntEnum):
         return self.name.lower().replace("_", " ")
 
     @property
+    def label(self) -> str:
+        """The name for tables and pictures: "excluded: out of reach"."""
+        is_excluded = Reach.REACHABLE < self < Reach.UNDECIDED
+        return f"excluded: {self.words}" if is_excluded else self.words
+
+    @property
     def message(self) -> str:
         """Description in a few words."""
         return _MESSAGES[self]
@@ -62,7 +68,11 @@ _MESSAGES = {
     Reach.ARM: "excluded: the tool or the arm behind it collides",
     Reach.UNDECIDED: "no clear configuration was found, and none excluded",
 }
-_REASONS = {exclusion.Bodies.NONE: Reach.OUT_OF_REACH, exclusion.Bodies.TOOL: Reach.TOOL, exclusion.Bodies.WRIST: Reach.WRIST}
+_REASONS = {
+    exclusion.Bodies.NONE: Reach.OUT_OF_REACH,
+    exclusion.Bodies.TOOL: Reach.TOOL,
+    exclusion.Bodies.WRIST: Reach.WRIST,
+}
 
 
 class EachTarget(NamedTuple):

@@ -155,7 +155,11 @@ def tool_cells(
 
 
 def excluded(
-    executor: Executor, robot: Robot, inputs: lane_inputs.LaneInputs, most: int, bodies: exclusion.Bodies = exclusion.Bodies.ARM
+    executor: Executor,
+    robot: Robot,
+    inputs: lane_inputs.LaneInputs,
+    most: int,
+    bodies: exclusion.Bodies = exclusion.Bodies.ARM,
 ) -> Bool[np.ndarray, "n"]:
     """Return True for each of n targets that is proven to have no configuration that keeps the margin.
 
