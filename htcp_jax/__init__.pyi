@@ -22,6 +22,7 @@ from .planning.method import Method
 from .planning.registry import register
 from .planning.tracking.null_space import null_space_objective
 from .report import charts
+from .report.reach_study import reach_study
 from .report.report import make_report
 from .runs.run_folder import open_run
 from .runs.sweep import sweep
@@ -65,6 +66,7 @@ __all__ = [
     "place",
     "plan",
     "point_of",
+    "reach_study",
     "reanchor",
     "register",
     "sweep",

@@ -25,7 +25,7 @@ from htcp_jax.report import Column, Table, make_report, paper, tables, write_rep
 from htcp_jax.report.best import best_scenarios
 from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.chapter import chapter, choice, label, part_facts, tables_of
-from htcp_jax.report.document import Heading, html, markdown
+from htcp_jax.report.document import Heading, Picture, html, markdown
 from htcp_jax.report.groups import read_parts
 from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.report import overview
@@ -131,7 +131,7 @@ def part_of(folder, name: str):
 
 
 def rows_of(table: Table) -> dict[str, dict]:
-    return {row["method"]: row for row in table.records()}
+    return {next(iter(row.values())): row for row in table.records()}
 
 
 @pytest.mark.parametrize("table", [paper.ROBOT, paper.WORKPIECE], ids=lambda table: table.sweep)
@@ -361,6 +361,26 @@ def test_an_unfinished_run_is_reported_as_far_as_it_is(folder, tmp_path):
     assert rows_of(tables.results(first))["hybrid"]["scenarios"] == 1
     assert "Scenarios still to plan: hybrid 4, keep-clear 5." in " ".join(part_facts(second))
     assert list(second.plans) == ["baseline"]
+
+
+def test_the_reach_of_each_target_is_a_table_and_a_picture_and_an_unknown_word_is_refused(folder):
+    file = folder / "one" / REACHABILITY
+    each = [["not judged"] * 3 + ["reachable"] * 8 + ["tool", "undecided"]] * 2
+    known = {"prefix": [11, 11], "most": [11, 11], "resolution_rad": 0.1, "seed": 0}
+    try:
+        file.write_text(json.dumps(known | {"each": each}))
+        rows = rows_of(tables.reach_table(part_of(folder, "one")))
+        assert {reach: row["targets"] for reach, row in rows.items()} == {
+            "reachable": 16,
+            "excluded: tool": 2,
+            "undecided": 2,
+        }
+        assert "reach" in {block.name for block in make_report([folder / "one"]).blocks if isinstance(block, Picture)}
+        file.write_text(json.dumps(known | {"each": [["perhaps"]] * 2}))
+        with pytest.raises(InputError, match=REACHABILITY):
+            part_of(folder, "one")
+    finally:
+        file.unlink()
 
 
 def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tmp_path):

@@ -1,14 +1,12 @@
 """`htcp reachability`: bounds on the reachable targets of every scenario, compared with a run's methods."""
 
 import signal
-from collections.abc import Sequence
-from operator import itemgetter
 from pathlib import Path
 from typing import Annotated
 
-import jax
 import numpy as np
 import typer
+from rich.progress import TaskID
 from rich.text import Text
 
 from htcp_jax.cli.output import (
@@ -16,9 +14,9 @@ from htcp_jax.cli.output import (
     Json,
     Limit,
     Overrides,
-    SweepFile,
     print_facts,
     print_json,
+    print_table,
     progress_bars,
     stdout,
 )
@@ -26,16 +24,14 @@ from htcp_jax.device import tables
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs import grid
 from htcp_jax.model import Scenario
-from htcp_jax.reachability import (
-    PROOF_CELLS,
-    RESOLUTION_RAD,
-    Reachability,
-    SearchStopped,
-    initial_reachability,
-    reachable_prefixes,
-)
+from htcp_jax.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, SearchStopped
+from htcp_jax.report import reach_study
 from htcp_jax.runs import Run, manifest, open_run, plan_folder, reachability_file
 
+File = Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Sweep file, job file, or example.")]
+Each = Annotated[
+    bool, typer.Option("--each", help="Judge every target on the path by itself, in any order and behind gaps.")
+]
 Resolution = Annotated[
     float,
     typer.Option(metavar="RAD", min=0.01, help="Angular resolution of the tool orientations searched."),
@@ -47,7 +43,8 @@ Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Output folder, an
 
 
 def reachability(
-    file: SweepFile,
+    file: File,
+    each: Each = False,
     resolution: Resolution = RESOLUTION_RAD,
     proof_cells: ProofCells = PROOF_CELLS,
     out: Out = None,
@@ -58,9 +55,12 @@ def reachability(
 ) -> int:
     """Bound the number of consecutive targets in each scenario that any method can reach.
 
+    With --each also judge every target by itself: reachable, excluded with the reason, or undecided.
+
     Lower bound: a collision-free configuration was found. Upper bound: the next target is proven to be unreachable.
     Writes reachability.json into the run folder, for htcp report, and lists methods of that run that get further. After
-    a signal, the targets searched so far are saved and marked as incomplete, unless the file exists.
+    a signal, the targets searched so far are saved and marked as incomplete, unless the file exists. With --each also
+    writes reach.csv, a row for each target, and reach.png, a picture of the part with its targets.
 
     Exit codes: 0, 2 on bad input, 130 or 143 after a signal.
 
@@ -68,28 +68,24 @@ def reachability(
     Examples:
       htcp reachability sweeps/workpiece                     into out/workpiece, where the sweep writes
       htcp reachability sweeps/workpiece --resolution 0.06
+      htcp reachability job.yaml --each                      one job; a table and a picture in out/job
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
-    batch = (spec := grid.load_sweep(file, config, overrides or ())).batch(limit)
+    batch = (spec := grid.load_sweep_or_job(file, config, overrides or ())).batch(limit)
     run = open_run(out) if (out / manifest.MANIFEST).exists() else None
 
     def record_of(found: Reachability) -> dict:
-        return {
-            "prefix": found.prefix.tolist(),
-            "best_mm": [None if np.isnan(b) else 1e3 * b for b in found.best],
-            "most": found.most.tolist(),
-            "resolution_rad": _resolution(batch, found, resolution),
-            "proof_cells": proof_cells,
-            "seed": spec.config.settings.seed,
-            "targets": int(batch.scenarios.count.sum()),
-            "beaten_by": {} if run is None else _beaten_scenarios(run, batch, found),
-        }
+        own = reach_study.record_of(batch, found, resolution, proof_cells, spec.config.settings.seed)
+        return own | {"beaten_by": {} if run is None else _beaten_scenarios(run, batch, found)}
 
     try:
         with plan_folder.written_whole(out) as folder:
-            found = _search_parts(batch, resolution, proof_cells)
+            found = _search(batch, resolution, proof_cells, each)
             record = record_of(found)
+            study = reach_study.ReachStudy(spec.name, batch, found, resolution, proof_cells, record["seed"])
+            if each:
+                study.write(folder)
             plan_folder.write_json(folder / reachability_file.REACHABILITY, record)
     except SearchStopped as stop:
         if not stop.found.prefix.any() or (out / reachability_file.REACHABILITY).exists():
@@ -105,45 +101,24 @@ def reachability(
         print_json(record)
     else:
         _print_bounds(spec.name, batch, found, record, out)
+        if each:
+            stdout().print()
+            print_table(stdout(), study.summary())
     return 0
 
 
-def _search_parts(batch: grid.Batch, resolution_rad: float, proof_cells: int) -> Reachability:
+def _search(batch: grid.Batch, resolution_rad: float, proof_cells: int, each: bool) -> Reachability:
+    """Return the reachability of a batch, with a progress bar for each of its cells."""
     with progress_bars() as bars:
-        parts = []
-        for number, cell in enumerate(batch.cells):
-            task = bars.add_task("targets", total=batch.scenarios.targets.shape[1])
-            rows = np.flatnonzero(batch.cell == number)
-            try:
-                found = reachable_prefixes(
-                    cell.robot,
-                    cell.workpiece,
-                    jax.tree.map(itemgetter(rows), batch.scenarios),
-                    cell.settings,
-                    task=cell.task,
-                    obstacles=cell.obstacles,
-                    resolution_rad=resolution_rad,
-                    proof_cells=proof_cells,
-                    progress=lambda row, rows, task=task: bars.update(task, completed=row, total=rows),
-                )
-            except SearchStopped as stop:
-                left = np.flatnonzero(batch.cell > number)
-                later = initial_reachability(jax.tree.map(itemgetter(left), batch.scenarios))
-                raise SearchStopped(_in_order([*parts, (rows, stop.found), (left, later)])) from None
-            parts.append((rows, found))
-    return _in_order(parts)
+        started: dict[int, TaskID] = {}
 
+        def progress(number: int, done: int, count: int) -> None:
+            if number not in started:
+                started[number] = bars.add_task("targets", total=count)
+            bars.update(started[number], completed=done, total=count)
 
-def _in_order(parts: Sequence[tuple[np.ndarray, Reachability]]) -> Reachability:
-    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
-    return tables.gather(tables.concatenate([found for _, found in parts]), order)
-
-
-def _resolution(batch: grid.Batch, found: Reachability, requested_rad: float) -> float | None:
-    """Coarsest angular resolution of the search [rad]; None if a task does not hold the TCP."""
-    if not all(cell.task.holds_tcp for cell in batch.cells):
-        return None
-    return max(requested_rad, float(found.resolution_rad.max()))
+        progress(0, 0, batch.scenarios.targets.shape[1])
+        return reach_study.search_batch(batch, resolution_rad, proof_cells, each, progress)
 
 
 def _beaten_scenarios(run: Run, batch: grid.Batch, found: Reachability) -> dict[str, list[int]]:
@@ -186,7 +161,7 @@ def _print_bounds(name: str, batch: grid.Batch, found: Reachability, record: dic
         "resolution": "none: the task leaves the TCP free, so configurations spread over the joint limits were tried"
         if (resolution := record["resolution_rad"]) is None
         else f"tool orientations every {resolution:.3g} rad",
-        "files": str(out / "reachability.json"),
+        "files": str(out if found.each is not None else out / "reachability.json"),
     }
     print_facts(name, rows)
     for method, scenarios in record["beaten_by"].items():

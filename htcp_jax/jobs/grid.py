@@ -42,7 +42,7 @@ from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
 from htcp_jax.jobs.examples import read_mapping
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, ScenarioPoint, read_grid
 from htcp_jax.jobs.grid_points import points_of
-from htcp_jax.jobs.load_config import read_config
+from htcp_jax.jobs.load_config import load_config, read_config
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
@@ -197,6 +197,31 @@ def load_sweep(
     if (size := sum(group.size for group in groups)) > MOST:
         raise InputError(f"{path}: the grid has {size:,} scenarios; at most {MOST:,} make a sweep")
     return Sweep(path.stem, base, robot, tuple(groups), frozenset(stated.intersection((*DEPENDENT, "start_rad"))))
+
+
+def load_sweep_or_job(
+    spec: str | Path | Mapping[str, Any],
+    config: str | Path | Mapping[str, Any] | None = None,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+) -> Sweep:
+    """Load a sweep, or a job as a sweep of one scenario.
+
+    Args:
+        spec: As of `load_sweep`, or a job's; a job has neither `grid` nor `groups`.
+        config: Configuration in place of the sweep's own.
+        overrides: Changes to the configuration.
+
+    Raises:
+        InputError: As `load_sweep` and `load_config`, and for a job with another configuration.
+    """
+    path, raw = read_mapping(spec, "sweep")
+    if not isinstance(raw, dict) or {"grid", "groups"} & raw.keys():
+        return load_sweep(spec, config, overrides)
+    if config is not None:
+        raise InputError(f"{path} is a job; only a sweep takes another configuration")
+    job = load_config(spec, overrides)
+    name = "job" if isinstance(spec, Mapping) else path.stem
+    return Sweep(name, job, robot_of(job.robot, job.cell), (Group(None, ()),), frozenset(), alone=True)
 
 
 def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder: Path) -> dict[str, Any]:

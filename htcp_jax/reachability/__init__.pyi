@@ -1,4 +1,5 @@
 from . import obstruction
+from .each_target import EachTarget, Reach
 from .obstruction import Obstruction
 from .reachability import (
     PROOF_CELLS,
@@ -12,7 +13,9 @@ from .reachability import (
 __all__ = [
     "PROOF_CELLS",
     "RESOLUTION_RAD",
+    "EachTarget",
     "Obstruction",
+    "Reach",
     "Reachability",
     "SearchStopped",
     "initial_reachability",

@@ -37,6 +37,7 @@ SPREAD = 2**13  # known configurations tried if there are no cells
 STEPS, DAMPING = 12, 1e-5  # of Newton's method [m2/rad2]
 PUSHED = 64  # configurations pushed clear at a target
 APART_RAD = 0.2  # closer configurations count as one
+CARRIED = 6  # configurations carried from a target to the next
 HOPS, HOPPED = 2, 8  # rounds of random moves, and how many of the clearest are moved and pushed again
 HOP = 0.15  # standard deviation of the moves in the first round [rad or m]
 LENGTH_M = 0.3  # weight of tool rotation: 1 rad counts as this distance of its tip
@@ -142,6 +143,37 @@ def search(
     np.maximum.at(coarsest, lane, radius_rad)
     residual = np.where(best > -np.inf, 0.0, np.inf)  # excludes empty rows
     return SearchResult(step_functions.State(x, clearance=best, residual=residual), coarsest)
+
+
+def carried(checker: CollisionChecker, inputs: lane_inputs.LaneInputs, beam: list[np.ndarray]) -> list[np.ndarray]:
+    """Return, for each target, the configurations of its `beam` that are clear there, far apart, clearest first."""
+    lane = np.repeat(np.arange(len(beam)), [len(own) for own in beam])
+    here = checker.executor(stages.PUSH, tables.gather(inputs, lane), np.concatenate(beam))
+    return _clear(checker, tables.gather(inputs, lane), lane, len(beam), here)
+
+
+def searched(
+    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, here: step_functions.State
+) -> list[np.ndarray]:
+    """Return, for each target, the configurations found by a search that are clear, far apart, clearest first."""
+    lanes = len(here.x)
+    lane = np.repeat(np.arange(lanes), PUSHED)
+    at = jax.tree.map(lambda table: table.reshape(len(lane), *table.shape[2:]), here)
+    return _clear(checker, tables.gather(inputs, lane), lane, lanes, at)
+
+
+def _clear(
+    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, lane: np.ndarray, lanes: int, here: step_functions.State
+) -> list[np.ndarray]:
+    good = checker.valid(inputs, here)
+    return [_dispersed(here.x[own], here.clearance[own]) for own in (good & (lane == k) for k in range(lanes))]
+
+
+def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
+    """Return up to CARRIED configurations: the clearest, then always the one farthest from those chosen."""
+    if not len(x):
+        return x
+    return x[selection.farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]
 
 
 def _push(

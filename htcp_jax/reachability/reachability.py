@@ -24,19 +24,18 @@ from htcp_jax.clearance import Obstacles, Scene
 from htcp_jax.clearance.obstacles import of_workpiece, tip_guard
 from htcp_jax.device import Executor, devices, tables
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario
-from htcp_jax.motion import CollisionChecker, lane_inputs, selection, step_functions
-from htcp_jax.planning.tracking import stages
+from htcp_jax.motion import CollisionChecker, lane_inputs
 from htcp_jax.reachability.configuration_search import (
-    APART_RAD,
-    PUSHED,
     KnownConfigurations,
+    carried,
     known_configurations,
     search,
+    searched,
 )
+from htcp_jax.reachability.each_target import EachTarget, judge_each
 from htcp_jax.reachability.tool_cells import excluded
 from htcp_jax.settings import Settings
 
-CARRIED = 6  # configurations carried from a target to the next
 RESOLUTION_RAD = 0.11
 PROOF_CELLS = 2048
 COARSE_FIRST = (4, 1)  # successive search resolutions, as multiples of the requested one
@@ -52,6 +51,7 @@ class Reachability(NamedTuple):
     # (S,) of the search there; 0 if all are found, or the tool alone collides, or it cannot satisfy the rows about its
     # orientation; pi if the task does not constrain the TCP's position, and only spread configurations are tried
     resolution_rad: np.ndarray
+    each: EachTarget | None = None  # every target on the path by itself; None if that was not required
 
 
 class SearchStopped(KeyboardInterrupt):
@@ -72,6 +72,7 @@ def reachable_prefixes(
     obstacles: Obstacles = (),
     resolution_rad: float = RESOLUTION_RAD,
     proof_cells: int = PROOF_CELLS,
+    each: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
     """Return the reachable prefixes of stacked scenarios, which one thread per core share.
@@ -86,7 +87,9 @@ def reachable_prefixes(
         obstacles: In addition to the workpiece; proofs ignore them.
         resolution_rad: Resolution of the tool's orientations at a target where carrying over fails.
         proof_cells: See `tool_cells.excluded`; 0: no proofs.
-        progress: Called with (target, targets) after each target.
+        each: True judges every target on the path by itself, too.
+        progress: Called with (target, targets) after each target; then, with `each`, with the number of targets that
+            are settled, and of all.
 
     Raises:
         SearchStopped: On Ctrl-C.
@@ -118,6 +121,21 @@ def reachable_prefixes(
     pool = ThreadPoolExecutor(threads)
     try:
         list(pool.map(work, range(threads)))
+        if each:
+            found = tables.interleaved(parts)
+            judged = judge_each(
+                checker,
+                known,
+                robot,
+                scenarios,
+                found.x,
+                seed=settings.seed,
+                resolution_rad=resolution_rad,
+                proof_cells=proof_cells if task.holds_tcp else 0,
+                mapped=lambda function, chunks: list(pool.map(function, chunks)),
+                progress=progress or (lambda done, count: None),
+            )
+            return found._replace(most=np.minimum(found.most, judged.first_excluded), each=judged)
     except KeyboardInterrupt:
         raise SearchStopped(tables.interleaved(parts)) from None
     finally:
@@ -187,14 +205,14 @@ def _clear_configurations(
 
     Also, at targets without any, the best clearance [m] and the resolution [rad], elsewhere NaN and 0.
     """
-    clear = _carried(checker, inputs, beam)
+    clear = carried(checker, inputs, beam)
     best, coarsest = np.full(len(beam), np.nan), np.zeros(len(beam))
     for coarser in COARSE_FIRST if checker.task.holds_tcp else (1,):
         which = np.flatnonzero([not len(own) for own in clear])
         if not len(which):
             break
         here = search(checker, known, tables.gather(inputs, which), coarser * resolution_rad)
-        for k, own in zip(which, _search_targets(checker, tables.gather(inputs, which), here.at), strict=True):
+        for k, own in zip(which, searched(checker, tables.gather(inputs, which), here.at), strict=True):
             clear[k] = own
         lost = np.array([not len(clear[k]) for k in which])
         best[which], coarsest[which] = np.where(lost, here.at.clearance[:, 0], np.nan), lost * here.resolution_rad
@@ -227,34 +245,3 @@ def _upper_bounds(executor: Executor, robot: Robot, scenarios: Scenario, found: 
         none = excluded(executor, robot, lane_inputs.lane_inputs(scenarios, open_, middle), cells)
         high[open_[none]], low[open_[~none]] = middle[none], middle[~none]
     return high
-
-
-def _carried(checker: CollisionChecker, inputs: lane_inputs.LaneInputs, beam: list[np.ndarray]) -> list[np.ndarray]:
-    """Return, for each target, the configurations of its `beam` that are clear there, far apart, clearest first."""
-    lane = np.repeat(np.arange(len(beam)), [len(own) for own in beam])
-    here = checker.executor(stages.PUSH, tables.gather(inputs, lane), np.concatenate(beam))
-    return _clear(checker, tables.gather(inputs, lane), lane, len(beam), here)
-
-
-def _search_targets(
-    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, here: step_functions.State
-) -> list[np.ndarray]:
-    """Return, for each target, the configurations found by a search that are clear, far apart, clearest first."""
-    lanes = len(here.x)
-    lane = np.repeat(np.arange(lanes), PUSHED)
-    at = jax.tree.map(lambda table: table.reshape(len(lane), *table.shape[2:]), here)
-    return _clear(checker, tables.gather(inputs, lane), lane, lanes, at)
-
-
-def _clear(
-    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, lane: np.ndarray, lanes: int, here: step_functions.State
-) -> list[np.ndarray]:
-    good = checker.valid(inputs, here)
-    return [_dispersed(here.x[own], here.clearance[own]) for own in (good & (lane == k) for k in range(lanes))]
-
-
-def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
-    """Return up to CARRIED configurations: the clearest, then always the one farthest from those chosen."""
-    if not len(x):
-        return x
-    return x[selection.farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from htcp_jax.clearance import Scene
-from htcp_jax.clearance.proof import arm_exclusion
+from htcp_jax.clearance.proof import arm_exclusion, exclusion
 from htcp_jax.device import Executor, lane_function, tables
 from htcp_jax.model import Robot, rotations
 from htcp_jax.motion import lane_inputs
@@ -65,7 +65,9 @@ class Cells(NamedTuple):
         )
 
 
-def tool(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quaternion, rho) -> arm_exclusion.CellBounds:
+def tool(
+    settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quaternion, rho, bodies
+) -> arm_exclusion.CellBounds:
     """Return the `CellBounds` of the tool's orientations within `rho` of a quaternion.
 
     An orientation that violates a row of the task counts as colliding.
@@ -76,14 +78,17 @@ def tool(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quatern
         lane: The lane's inputs.
         quaternion: Orientation of the last link (4,), w first.
         rho: Radius [rad].
+        bodies: The `Bodies` to use.
     """
     robot, task = scene.robot, scene.task
-    cell = arm_exclusion.tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho)
+    cell = arm_exclusion.tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho, bodies)
     turn = task.least_turn(robot, rotations.quaternion_matrix(quaternion), lane.target)
     return cell._replace(collides=cell.collides | (turn > rho + ROUNDING_RAD))
 
 
-def cell_bounds(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, cube, half) -> arm_exclusion.CellBounds:
+def cell_bounds(
+    settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, cube, half, bodies
+) -> arm_exclusion.CellBounds:
     """Return the `CellBounds` of a box of the joints before the wrist.
 
     The box is a cube in coordinates in which -1 to 1 is each joint's range; the range of a hinge is one revolution at
@@ -95,6 +100,7 @@ def cell_bounds(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
         lane: The lane's inputs.
         cube: Centre of the cube (d,), no unit.
         half: Half of its side, no unit.
+        bodies: The `Bodies` to use.
     """
     robot = scene.robot
     lower = jnp.where(jnp.isfinite(robot.lower), robot.lower, -jnp.pi)
@@ -102,14 +108,19 @@ def cell_bounds(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
     x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, arm_exclusion.WRIST)))
     turns = 0.5 * (upper - lower) * half
     place = scene.task.tcp_place(lane.target)
-    return arm_exclusion.arm_cell(scene, lane, lane.margin_m, place, x, turns)
+    return arm_exclusion.arm_cell(scene, lane, lane.margin_m, place, x, turns, bodies)
 
 
 TOOL, ARM = lane_function.LaneFunction("tool", tool, MANY), lane_function.LaneFunction("arm", cell_bounds, MANY)
 
 
 def tool_cells(
-    executor: Executor, inputs: lane_inputs.LaneInputs, resolution_rad: float, most: int, before_wrist: int = 0
+    executor: Executor,
+    inputs: lane_inputs.LaneInputs,
+    resolution_rad: float,
+    most: int,
+    before_wrist: int = 0,
+    bodies: exclusion.Bodies = exclusion.Bodies.ARM,
 ) -> Cells:
     """Return the cells in which the tool may be clear, for n targets.
 
@@ -122,13 +133,14 @@ def tool_cells(
         resolution_rad: Radius of a cell below which it is not halved.
         most: Maximum number of cells in either cover at a target.
         before_wrist: Number of joints in the second cover; 0: none.
+        bodies: The bodies that may exclude a cell.
     """
     lanes = len(inputs.row)
     covers = [_complete_cover(lanes, FACES, 3)] + ([_complete_cover(lanes, 1, before_wrist)] if before_wrist else [])
     going, done = np.ones(lanes, bool), []
     while going.any():
         turn = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)
-        halved = [_halved_cells(executor, number, inputs, cells, turn) for number, cells in enumerate(covers)]
+        halved = [_halved_cells(executor, number, inputs, cells, turn, bodies) for number, cells in enumerate(covers)]
         halved = [tables.gather(own, _meets(own, other)) for own, other in zip(halved, halved[::-1], strict=True)]
         left = np.array([np.bincount(cells.lane, minlength=lanes) for cells in halved])
         too_many = (left > most).any(axis=0)
@@ -142,7 +154,13 @@ def tool_cells(
     return tables.gather(found, np.argsort(found.lane, kind="stable"))
 
 
-def excluded(executor: Executor, robot: Robot, inputs: lane_inputs.LaneInputs, most: int) -> Bool[np.ndarray, "n"]:
+def excluded(
+    executor: Executor,
+    robot: Robot,
+    inputs: lane_inputs.LaneInputs,
+    most: int,
+    bodies: exclusion.Bodies = exclusion.Bodies.ARM,
+) -> Bool[np.ndarray, "n"]:
     """Return True for each of n targets that is proven to have no configuration that keeps the margin.
 
     Args:
@@ -150,10 +168,10 @@ def excluded(executor: Executor, robot: Robot, inputs: lane_inputs.LaneInputs, m
         robot: The arm.
         inputs: The lanes' inputs, one row per target.
         most: Maximum number of cells in either cover at a target.
+        bodies: The bodies that the proof uses.
     """
-    left = tool_cells(
-        executor, inputs, 0.0, most, len(robot.slides) - arm_exclusion.WRIST if arm_exclusion.has_wrist(robot) else 0
-    )
+    before_wrist = len(robot.slides) - arm_exclusion.WRIST if arm_exclusion.has_wrist(robot) else 0
+    left = tool_cells(executor, inputs, 0.0, most, before_wrist, bodies)
     return ~np.isin(np.arange(len(inputs.row)), left.lane)
 
 
@@ -172,7 +190,12 @@ def _largest(cells: Cells, column: np.ndarray, lanes: int) -> np.ndarray:
 
 
 def _halved_cells(
-    executor: Executor, number: int, inputs: lane_inputs.LaneInputs, cells: Cells, turn: Int[np.ndarray, "lanes"]
+    executor: Executor,
+    number: int,
+    inputs: lane_inputs.LaneInputs,
+    cells: Cells,
+    turn: Int[np.ndarray, "lanes"],
+    bodies: exclusion.Bodies,
 ) -> Cells:
     """Return a cover after halving the cells of the targets with `turn` equal to `number`, without colliding halves."""
     now = turn[cells.lane] == number
@@ -180,7 +203,8 @@ def _halved_cells(
     if not len(fresh.lane):
         return cells
     lane_function, where = (ARM, (fresh.cube, fresh.half)) if number else (TOOL, (fresh.quaternion, fresh.radius_rad))
-    found = executor(lane_function, tables.gather(inputs, fresh.lane), *where)
+    use = np.full(len(fresh.lane), int(bodies))
+    found = executor(lane_function, tables.gather(inputs, fresh.lane), *where, use)
     fresh = tables.gather(fresh._replace(wrist=found.wrist, moves=found.moves), ~found.collides)
     return tables.concatenate([tables.gather(cells, ~now), fresh])
 

@@ -1,4 +1,4 @@
-from . import chapter, charts, gate, tables, timing, validation
+from . import chapter, charts, gate, reach_study, tables, timing, validation
 from .document import Column, Table
 from .place_pictures import draw_search
 from .report import make_report, report_record, write_report
@@ -11,6 +11,7 @@ __all__ = [
     "draw_search",
     "gate",
     "make_report",
+    "reach_study",
     "report_record",
     "tables",
     "timing",

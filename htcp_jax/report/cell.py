@@ -7,14 +7,16 @@ import warnings
 from collections.abc import Mapping
 from functools import cached_property
 
+import numpy as np
+from jaxtyping import Int
 from matplotlib.figure import Figure
 
 from htcp_jax.errors import InputError
 from htcp_jax.motion import Plans
-from htcp_jax.reachability import Obstruction
+from htcp_jax.reachability import Obstruction, Reach
 from htcp_jax.runs import Run
 from htcp_jax.runs import open as plan_sets
-from htcp_jax.viewer import draw_cell
+from htcp_jax.viewer import ReachPanel, draw_cell, draw_reach, reach_picture
 from htcp_jax.viewer import replay as recordings
 
 
@@ -65,3 +67,27 @@ class OpenedScene:
         replay = replays.replay(number, method)
         plans = self._plans[method].rows([number]).narrowed()
         return draw_cell(replay.robot, replay.cloud, replay.x[:1], plans, title, replay.fixtures)
+
+    def reach_picture(self, numbers: Int[np.ndarray, "S"], reach: Int[np.ndarray, "S T"], name: str) -> Figure | None:
+        """Draw the part with the targets by their reach; None if there is no scene.
+
+        Args:
+            numbers: The scenarios.
+            reach: Numbers of `Reach`.
+            name: Name of the scenarios.
+        """
+        replays, _ = self._opened
+        if replays is None:
+            return None
+        panels = []
+        for number, own in zip(numbers[: reach_picture.PANELS].tolist(), reach, strict=False):
+            method = next((each for each, plans in self._plans.items() if plans.exists[number].any()), None)
+            if method is None:
+                continue
+            replay = replays.replay(number, method)
+            path = own[: len(replay.target)] != Reach.NOT_JUDGED
+            base = np.asarray(replay.robot.T_parent_joint)[0, :3, 3]
+            reached = own[: len(path)][path]
+            panels.append(ReachPanel(f"scenario {number}", replay.cloud, replay.target[path], reached, base))
+        first = f"; the first {len(panels)} of {len(numbers)} scenarios" if len(panels) < len(numbers) else ""
+        return draw_reach(panels, f"{name}: targets by their reach{first}")

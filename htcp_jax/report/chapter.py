@@ -38,6 +38,7 @@ TABLES = (
     tables.paper,
     best_scenarios,
     tables.reachability_table,
+    tables.reach_table,
     motion_table,
     tables.motion_ends,
     timing,
@@ -69,6 +70,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         *_notes_on_results(part),
         *_next_to_the_paper(part, made["paper"], level + 1),
         *_reachability_blocks(part, made["reachability"]),
+        *_reach_blocks(part, made["reach"], prefix),
         Picture(f"{prefix}success", _success(part, made), f"Success of each method on {part.name}"),
         *_maps(part, prefix),
         Heading(level, "Best scenarios"),
@@ -322,6 +324,16 @@ def _reachability_blocks(part: Part, table: Table) -> list[Block]:
         "Not excluded are those that are not proven to have none: an upper bound."
     )
     return [table, " ".join([what, *_beaten_sentences(part)])]
+
+
+def _reach_blocks(part: Part, table: Table, prefix: str) -> list[Block]:
+    if part.reach is None:
+        return []
+    what = "Every target on the path by itself, whatever lies before it; excluded are those with a proof."
+    figure = part.scene.reach_picture(part.numbers, part.reach, part.name)
+    if figure is None:
+        return [what, table]
+    return [what, table, Picture(f"{prefix}reach", figure, f"The part with the targets of {part.name}, by their reach")]
 
 
 def _beaten_sentences(part: Part) -> list[str]:

@@ -54,6 +54,7 @@ class Part:
     manipulability: dict[str, np.ndarray]  # by method, (S, T) [m/rad], see `motion.manipulability`; NaN if unknown
     reachability: np.ndarray | None  # (S,) reachable targets in a row, a lower bound
     not_excluded: np.ndarray | None  # (S,) not proven unreachable, an upper bound
+    reach: np.ndarray | None  # (S, T) numbers of `Reach`, every target by itself
     step_s: dict[str, float]  # run time by attempted targets, over the complete run
     joints: tuple[str, ...]
     run: Run
@@ -162,6 +163,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 manipulability={method: manipulability[method][numbers[here]] for method in own},
                 reachability=None if reachability is None else reachability.prefix[numbers[here]],
                 not_excluded=None if reachability is None else reachability.most[numbers[here]],
+                reach=None if reachability is None or reachability.each is None else reachability.each[numbers[here]],
                 **shared,
             )
         )

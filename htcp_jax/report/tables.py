@@ -13,6 +13,7 @@ from jaxtyping import Int
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.motion import Plans, motion
 from htcp_jax.motion import plans as plan_arrays
+from htcp_jax.reachability import Reach
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.runs import summary, timing_file
@@ -43,6 +44,12 @@ PAPER = (
     Column("paper_tcp_distance_mm", "paper", "mm", ".4f", quiet=True),
     Column("clearance_mean_mm", "safe distance", "mm", ".4f"),
     Column("paper_safe_distance_mm", "paper", "mm", ".4f", quiet=True),
+)
+REACH = (
+    Column("reach", "reach"),
+    Column("targets", "targets", "", ",d"),
+    Column("percent", "of all", "%", ".1f"),
+    Column("meaning", "meaning"),
 )
 REACHABILITY = (
     Column("method", "method"),
@@ -155,6 +162,18 @@ def reachability_table(part: Part) -> Table:
             }
         )
     return _table_of_rows("reachability", REACHABILITY, rows)
+
+
+def reach_table(part: Part) -> Table:
+    """Table of the targets on the paths by their reach, each target by itself; no rows if that is unknown."""
+    judged = np.empty(0, int) if part.reach is None else part.reach[part.reach != Reach.NOT_JUDGED]
+    counts = {reach: int((judged == reach).sum()) for reach in Reach}
+    rows = [
+        {"reach": reach.label, "targets": count, "percent": percent(count, judged.size), "meaning": reach.message}
+        for reach, count in counts.items()
+        if count
+    ]
+    return _table_of_rows("reach", REACH, rows)
 
 
 def steps(part: Part) -> Table:

@@ -8,6 +8,7 @@ import numpy as np
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import files
+from htcp_jax.reachability import Reach
 from htcp_jax.runs.run_folder import Run
 
 REACHABILITY = "reachability.json"
@@ -20,6 +21,10 @@ class ReachabilityBounds(NamedTuple):
     most: np.ndarray  # (S,) upper bound: targets not proven unreachable
     resolution_rad: float | None  # of the search; None if it sampled configurations within the joint limits
     seed: int
+    each: np.ndarray | None = None  # (S, T) numbers of `Reach`, every target by itself; None if that was not required
+
+
+WORDS = {reach.words: int(reach) for reach in Reach}
 
 
 def read_reachability(run: Run) -> ReachabilityBounds | None:
@@ -39,7 +44,8 @@ def read_reachability(run: Run) -> ReachabilityBounds | None:
         return None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{file} is damaged or no result of htcp reachability: {files.cause(error, file)}") from None
-    if any(counts.shape != (run.manifest.count,) for counts in found[:2]):
+    counts = [found.prefix, found.most] + ([] if found.each is None else [found.each[:, 0]])
+    if any(each.shape != (run.manifest.count,) for each in counts):
         raise InputError(f"{file} holds {found.prefix.size} scenarios, the run has {run.manifest.count}")
     return found
 
@@ -47,4 +53,7 @@ def read_reachability(run: Run) -> ReachabilityBounds | None:
 def _read_record(record: dict) -> ReachabilityBounds:
     prefix, most = (np.asarray(record[name], int) for name in ("prefix", "most"))
     resolution_rad = None if record["resolution_rad"] is None else float(record["resolution_rad"])
-    return ReachabilityBounds(prefix, most, resolution_rad, int(record["seed"]))
+    each = record.get("each")
+    if each is not None:
+        each = np.array([[WORDS[word] for word in words] for words in each], np.int8).reshape(len(each), -1)
+    return ReachabilityBounds(prefix, most, resolution_rad, int(record["seed"]), each)

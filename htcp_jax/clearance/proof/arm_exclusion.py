@@ -16,17 +16,19 @@ from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.exclusion import (
     PIECES,
+    Bodies,
     SweptCapsules,
     cut_capsules,
     seen_from,
     surely_touches,
     tool_collides,
+    unused_m,
 )
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.model import Robot, kinematics, rotations
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product, safe_divide, safe_norm
-from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
+from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
 WRIST = 3  # joints
 
@@ -74,7 +76,13 @@ def wrist(robot: Robot) -> Wrist:
 
 
 def tool_cell(
-    scene: Scene, where: HasWorkpiecePose, margin_m: Scalar, target: Vector3, quaternion: Float[Array, "4"], rho: Scalar
+    scene: Scene,
+    where: HasWorkpiecePose,
+    margin_m: Scalar,
+    target: Vector3,
+    quaternion: Float[Array, "4"],
+    rho: Scalar,
+    bodies: Int[Array, ""] | Bodies = Bodies.ARM,
 ) -> CellBounds:
     """Return the cell of all configurations of `exclusion.tool_collides`.
 
@@ -85,15 +93,22 @@ def tool_cell(
         target: The target, world [m].
         quaternion: Orientation of the last link, w first, without a unit.
         rho: Largest angle from it [rad].
+        bodies: The `Bodies` to use.
     """
     arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
     moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
-    collides = tool_collides(scene, where, margin_m, target, quaternion, rho)
+    collides = tool_collides(scene, where, margin_m, target, quaternion, rho, bodies)
     return CellBounds(collides, target + product(rotations.quaternion_matrix(quaternion), arm), moves + ROUNDING_M)
 
 
 def arm_cell(
-    scene: Scene, where: HasWorkpiecePose, margin_m: Scalar, target: Vector3, x: Joints, turns: Joints
+    scene: Scene,
+    where: HasWorkpiecePose,
+    margin_m: Scalar,
+    target: Vector3,
+    x: Joints,
+    turns: Joints,
+    use: Int[Array, ""] | Bodies = Bodies.ARM,
 ) -> CellBounds:
     """Return the cell of all configurations near x that have the TCP within the tolerance of the target.
 
@@ -107,6 +122,7 @@ def arm_cell(
         target: The target, world [m].
         x: Middle of the cell [rad or m]; the values of the last three joints are ignored.
         turns: Largest distance of every joint from x [rad or m]; likewise.
+        use: The `Bodies` to use.
     """
     robot, tool = scene.robot, wrist(scene.robot)
     first = len(robot.slides) - WRIST
@@ -119,7 +135,7 @@ def arm_cell(
     length = safe_norm(tool.on_tool - robot.T_link_tcp[:3, 3])
     off = jnp.abs(safe_norm(at[0] - target) - length) > moves[0] + scene.task.tolerance_m
     (p, q), (of_p, of_q) = jnp.split(at[1:], 2), jnp.split(moves[1:], 2)
-    bodies = SweptCapsules(p, q, radius, aside + jnp.maximum(of_p, of_q))
+    bodies = SweptCapsules(p, q, radius, aside + jnp.maximum(of_p, of_q) + unused_m(use, Bodies.ARM))
     return CellBounds(off | surely_touches(scene.obstacles, where, margin_m, bodies), at[0], moves[0])
 
 

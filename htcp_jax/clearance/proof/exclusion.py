@@ -9,6 +9,7 @@ distance r from the tip moves by at most 2 r sin(rho / 2). The link before it tu
 moves with the tool: as seen from the axis, a body of that link is never further away than its own distance from it.
 """
 
+from enum import IntEnum
 from functools import partial
 from typing import NamedTuple
 
@@ -22,9 +23,19 @@ from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
 from htcp_jax.model import Robot, rotations
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product, safe_norm
-from htcp_jax.types import Array, Bool, Float, Scalar, Vector3
+from htcp_jax.types import Array, Bool, Float, Int, Scalar, Vector3
 
+UNUSED_M = 1e6  # displacement of bodies that a proof does not use: they touch nothing for sure
 PIECES = 3  # per capsule: the part near the tip moves less than the complete one
+
+
+class Bodies(IntEnum):
+    """The bodies of the arm that a proof uses; each value includes those before it."""
+
+    NONE = 0  # the proof is by the arm's lengths and the task alone
+    TOOL = 1  # those of the last link
+    WRIST = 2  # and of the link before it
+    ARM = 3  # and of all links up to the wrist
 
 
 class SweptCapsules(NamedTuple):
@@ -58,6 +69,7 @@ def tool_collides(
     target: Vector3,
     quaternion: Float[Array, "4"],
     rho: Scalar,
+    bodies: Int[Array, ""] | Bodies = Bodies.ARM,
 ) -> Bool[jax.Array, ""]:
     """Return True if the tool, or the link before it, has less than the margin in every configuration of a cell.
 
@@ -71,8 +83,9 @@ def tool_collides(
         target: The target, world [m].
         quaternion: Orientation of the last link, w first, without a unit.
         rho: Largest angle from it [rad].
+        bodies: The `Bodies` to use.
     """
-    R, own = rotations.quaternion_matrix(quaternion), _about_tip(scene.robot)
+    R, own = rotations.quaternion_matrix(quaternion), _about_tip(scene.robot, bodies)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
     at = partial(jnp.add, target[None])
@@ -84,7 +97,7 @@ def tool_collides(
     )
 
 
-def _about_tip(robot: Robot) -> SweptCapsules:
+def _about_tip(robot: Robot, bodies: Int[Array, ""] | Bodies) -> SweptCapsules:
     """Return the tool's bodies relative to the TCP, in the last link's frame, and those of the link before it.
 
     The latter are placed on the last joint's axis.
@@ -93,12 +106,18 @@ def _about_tip(robot: Robot) -> SweptCapsules:
     links, tip = np.array(robot.capsule_link), robot.T_link_tcp[:3, 3]
     tool, wrist = np.flatnonzero(links == last), np.flatnonzero((links == last - 1) & (links >= 0))
     p, q = robot.capsule_p[tool], robot.capsule_q[tool]
-    moves = jnp.zeros(len(tool))
+    moves = jnp.zeros(len(tool)) + unused_m(bodies, Bodies.TOOL)
     if not robot.slides[last] and len(wrist):
         (a, off_a), (b, off_b) = (_on_axis(robot, end[wrist]) for end in (robot.capsule_p, robot.capsule_q))
         p, q = jnp.concatenate([p, a]), jnp.concatenate([q, b])
-        moves, tool = jnp.concatenate([moves, jnp.maximum(off_a, off_b)]), np.concatenate([tool, wrist])
+        off = jnp.maximum(off_a, off_b) + unused_m(bodies, Bodies.WRIST)
+        moves, tool = jnp.concatenate([moves, off]), np.concatenate([tool, wrist])
     return cut_capsules(SweptCapsules(p - tip[None], q - tip[None], robots.core_radius(robot)[tool], moves))
+
+
+def unused_m(bodies: Int[Array, ""] | Bodies, own: Bodies) -> Scalar:
+    """Return the displacement of bodies for not being used [m]: 0 if `bodies` includes `own`, else UNUSED_M."""
+    return jnp.where(bodies >= own, 0.0, UNUSED_M)
 
 
 def _on_axis(robot: Robot, points: Float[Array, "n 3"]):

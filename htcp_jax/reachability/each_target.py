@@ -1,0 +1,238 @@
+"""Reach of each target by itself, in any order and behind gaps: reachable, excluded with the reason, or undecided.
+
+A target is reachable if a clear configuration was found there. Configurations of the nearest targets that are reachable
+are carried over, re-anchored and pushed clear; where that fails, the target is searched at a coarse resolution, then
+proofs of exclusion are tried, and what they leave is searched at the requested resolution (`configuration_search`).
+
+An excluded target has a proof that no configuration is clear there (`tool_cells.excluded`). Its reason is the smallest
+set of bodies that the proof needs: none (out of reach), the tool, the link before it (wrist), or the arm.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from enum import IntEnum
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from htcp_jax.clearance.proof import exclusion
+from htcp_jax.device import tables
+from htcp_jax.model import Robot, Scenario, kinematics
+from htcp_jax.motion import CollisionChecker, lane_inputs
+from htcp_jax.reachability.configuration_search import CARRIED, KnownConfigurations, carried, search, searched
+from htcp_jax.reachability.tool_cells import excluded
+
+TOGETHER, SEARCHED = 64, 4  # targets in one call, carried over or proven, and searched
+COARSER = 4  # first search resolution, as a multiple of the requested one
+
+Pairs = Int[np.ndarray, "n 2"]  # scenarios and targets
+Mapped = Callable[[Callable[[Pairs], tuple], Sequence[Pairs]], list[tuple]]  # map over chunks, which threads share
+
+
+class Reach(IntEnum):
+    """What is known of one target; stored as int8, NOT_JUDGED for targets that are not on the path."""
+
+    NOT_JUDGED = -1
+    REACHABLE = 0
+    OUT_OF_REACH = 1
+    TOOL = 2
+    WRIST = 3
+    ARM = 4
+    UNDECIDED = 5
+
+    @property
+    def words(self) -> str:
+        """The name as text, for files: "out of reach"."""
+        return self.name.lower().replace("_", " ")
+
+    @property
+    def label(self) -> str:
+        """The name for tables and pictures: "excluded: out of reach"."""
+        is_excluded = Reach.REACHABLE < self < Reach.UNDECIDED
+        return f"excluded: {self.words}" if is_excluded else self.words
+
+    @property
+    def message(self) -> str:
+        """Description in a few words."""
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    Reach.NOT_JUDGED: "not on the path",
+    Reach.REACHABLE: "a clear configuration was found",
+    Reach.OUT_OF_REACH: "excluded: the arm does not get there",
+    Reach.TOOL: "excluded: the tool collides",
+    Reach.WRIST: "excluded: the tool, or the link before it, collides",
+    Reach.ARM: "excluded: the tool or the arm behind it collides",
+    Reach.UNDECIDED: "no clear configuration was found, and none excluded",
+}
+_REASONS = {
+    exclusion.Bodies.NONE: Reach.OUT_OF_REACH,
+    exclusion.Bodies.TOOL: Reach.TOOL,
+    exclusion.Bodies.WRIST: Reach.WRIST,
+}
+
+
+class EachTarget(NamedTuple):
+    """Result for each of T targets in S scenarios."""
+
+    reach: Int[np.ndarray, "S T"]  # numbers of `Reach`
+    clearance_m: Float[np.ndarray, "S T"]  # largest that was found where undecided; -inf: no configuration, else NaN
+    x: Float[np.ndarray, "S T N"]  # a clear configuration, or where undecided that one [rad or m]; NaN: none
+
+    @property
+    def first_excluded(self) -> Int[np.ndarray, "S"]:
+        """The first excluded target in each scenario; T if there is none."""
+        is_excluded = (self.reach > Reach.REACHABLE) & (self.reach < Reach.UNDECIDED)
+        return np.where(is_excluded.any(axis=1), is_excluded.argmax(axis=1), self.reach.shape[1])
+
+
+def judge_each(
+    checker: CollisionChecker,
+    known: KnownConfigurations,
+    robot: Robot,
+    scenarios: Scenario,
+    x: Float[np.ndarray, "S T N"],
+    *,
+    seed: int,
+    resolution_rad: float,
+    proof_cells: int,
+    mapped: Mapped,
+    progress: Callable[[int, int], None],
+) -> EachTarget:
+    """Judge every target on the path by itself.
+
+    Args:
+        checker: Collision checker of the scene.
+        known: From `known_configurations`.
+        robot: The arm, its tool not extended.
+        scenarios: S stacked scenarios.
+        x: Clear configurations that are known already [rad or m]; NaN elsewhere.
+        seed: For random moves.
+        resolution_rad: Resolution of the tool's orientations.
+        proof_cells: See `tool_cells.excluded`; 0: no proofs.
+        mapped: Maps a function over chunks of targets.
+        progress: Called with the number of targets that are settled, and of all.
+    """
+    judge = _Judge(checker, scenarios, x, seed, mapped, progress)
+    judge.carry_over()
+    if checker.task.holds_tcp:
+        judge.search(known, COARSER * resolution_rad)
+        judge.carry_over()
+    if proof_cells:
+        judge.exclude(robot, proof_cells)
+    judge.search(known, resolution_rad)
+    judge.carry_over()
+    is_open = judge.reach == Reach.UNDECIDED
+    known_at = (judge.reach == Reach.REACHABLE) | (is_open & (judge.clearance_m > -np.inf))
+    clearance_m, x = np.where(is_open, judge.clearance_m, np.nan), np.where(known_at[..., None], judge.x, np.nan)
+    return EachTarget(judge.reach, clearance_m, x)
+
+
+class _Judge:
+    """State of `judge_each`. Its arguments are those; a target's result does not depend on the chunk that it is in."""
+
+    def __init__(
+        self,
+        checker: CollisionChecker,
+        scenarios: Scenario,
+        x: Float[np.ndarray, "S T N"],
+        seed: int,
+        mapped: Mapped,
+        progress: Callable[[int, int], None],
+    ):
+        self._checker, self._scenarios, self._seed = checker, scenarios, seed
+        self._mapped, self._progress = mapped, progress
+        index = np.arange(scenarios.targets.shape[1])
+        on_path = (index >= scenarios.on_path[:, None]) & (index < scenarios.count[:, None])
+        self.x, self.clearance_m = np.where(on_path[..., None], x, np.nan), np.full(on_path.shape, -np.inf)
+        self.reach = np.where(on_path, Reach.UNDECIDED, Reach.NOT_JUDGED).astype(np.int8)
+        self.reach[~np.isnan(self.x).any(axis=2)] = Reach.REACHABLE
+        self._count = int(on_path.sum())
+
+    def carry_over(self) -> None:
+        """Carry configurations over from the nearest reachable targets until no further target is reached."""
+        tried: dict[tuple[int, int], tuple[int, ...]] = {}
+        while True:
+            near = {pair: own for pair, own in self._nearest().items() if tried.get(pair) != own}
+            if not near:
+                return
+            tried |= near
+            before = (self.reach == Reach.REACHABLE).sum()
+            self._each(partial(self._carried, near), np.array(list(near)), TOGETHER)
+            if (self.reach == Reach.REACHABLE).sum() == before:
+                return
+
+    def search(self, known: KnownConfigurations, resolution_rad: float) -> None:
+        """Search the open targets at a resolution of the tool's orientations."""
+        self._each(partial(self._searched, known, resolution_rad), self._open(), SEARCHED)
+
+    def exclude(self, robot: Robot, cells: int) -> None:
+        """Try to exclude the open targets by proof, with covers of at most `cells` cells."""
+        self._each(partial(self._excluded, robot, cells), self._open(), TOGETHER // 4)
+
+    def _open(self) -> Pairs:
+        return np.argwhere(self.reach == Reach.UNDECIDED)
+
+    def _each(self, function: Callable[[Pairs], tuple], pairs: Pairs, together: int) -> None:
+        """Store what a function finds at pairs: the reach, and where it has any, a configuration and its clearance."""
+        chunks = [pairs[first : first + together] for first in range(0, len(pairs), together)]
+
+        def work(own: Pairs) -> None:
+            reach, x, clearance_m = function(own)
+            at = tuple(own.T)
+            better = (reach == Reach.REACHABLE) | (clearance_m > self.clearance_m[at])
+            self.reach[at], self.x[at] = reach, np.where(better[:, None], x, self.x[at])
+            self.clearance_m[at] = np.where(better, clearance_m, self.clearance_m[at])
+            self._progress(int((self.reach != Reach.UNDECIDED).sum() - self.reach.size + self._count), self._count)
+
+        self._mapped(work, chunks)
+
+    def _inputs(self, pairs: Pairs) -> lane_inputs.LaneInputs:
+        return lane_inputs.lane_inputs(self._scenarios, *pairs.T, seed=self._seed)
+
+    def _nearest(self) -> dict[tuple[int, int], tuple[int, ...]]:
+        """Return the nearest reachable targets of each open pair in a scenario that has any."""
+        found = {}
+        for s in np.unique(self._open()[:, 0]).tolist():
+            reached, left = (np.flatnonzero(self.reach[s] == one) for one in (Reach.REACHABLE, Reach.UNDECIDED))
+            if not len(reached):
+                continue
+            targets = self._scenarios.targets[s]
+            near = cKDTree(targets[reached]).query(targets[left], k=range(1, min(CARRIED, len(reached)) + 1))[1]
+            found |= {(s, t): tuple(own) for t, own in zip(left.tolist(), reached[near].tolist(), strict=True)}
+        return found
+
+    def _carried(self, near: Mapping[tuple[int, int], tuple[int, ...]], pairs: Pairs) -> tuple:
+        beam = [self.x[s, list(near[s, t])] for s, t in pairs.tolist()]
+        return self._reached(pairs, carried(self._checker, self._inputs(pairs), beam))
+
+    def _searched(self, known: KnownConfigurations, resolution_rad: float, pairs: Pairs) -> tuple:
+        inputs = self._inputs(pairs)
+        here = search(self._checker, known, inputs, resolution_rad).at
+        reach, x, _ = self._reached(pairs, searched(self._checker, inputs, here))
+        is_reached = reach == Reach.REACHABLE
+        return reach, np.where(is_reached[:, None], x, here.x[:, 0]), here.clearance[:, 0]
+
+    def _reached(self, pairs: Pairs, clear: Sequence[Float[np.ndarray, "n N"]]) -> tuple:
+        x = np.stack([own[0] if len(own) else np.full(self.x.shape[2], np.nan) for own in clear])
+        found = ~np.isnan(x).any(axis=1)
+        return np.where(found, Reach.REACHABLE, Reach.UNDECIDED), x, np.where(found, np.inf, -np.inf)
+
+    def _excluded(self, robot: Robot, cells: int, pairs: Pairs) -> tuple:
+        executor, inputs = self._checker.executor, self._inputs(pairs)
+        reach = np.where(excluded(executor, robot, inputs, cells), Reach.ARM, Reach.UNDECIDED)
+        reach[self._beyond(robot, inputs)] = Reach.OUT_OF_REACH
+        for bodies, reason in _REASONS.items():
+            left = np.flatnonzero(reach == Reach.ARM)
+            if len(left):
+                reach[left[excluded(executor, robot, tables.gather(inputs, left), cells, bodies)]] = reason
+        return reach, np.full((len(pairs), self.x.shape[2]), np.nan), np.full(len(pairs), -np.inf)
+
+    def _beyond(self, robot: Robot, inputs: lane_inputs.LaneInputs) -> Bool[np.ndarray, "n"]:
+        """Return True for targets that are farther away than the arm is long."""
+        task = self._checker.task
+        away = np.linalg.norm(task.tcp_place(inputs.target) - np.asarray(robot.T_parent_joint)[0, :3, 3], axis=1)
+        return away > kinematics.max_reach(robot) + inputs.tool_extension_m + task.tolerance_m

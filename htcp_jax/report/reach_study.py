@@ -1,0 +1,301 @@
+"""Reach study: what is reachable of every target of a job or a sweep, as a table and a picture of the part.
+
+`htcp reachability --each` is this, a progress bar and files.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from operator import itemgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+import pyarrow as pa
+from matplotlib.figure import Figure
+
+from htcp_jax.clearance.obstacles import of_workpiece
+from htcp_jax.device import tables as lanes
+from htcp_jax.io import files
+from htcp_jax.jobs import grid
+from htcp_jax.motion import lane_inputs
+from htcp_jax.notebook import html_facts
+from htcp_jax.reachability import (
+    PROOF_CELLS,
+    RESOLUTION_RAD,
+    EachTarget,
+    Reach,
+    Reachability,
+    SearchStopped,
+    initial_reachability,
+    obstruction,
+    reachable_prefixes,
+)
+from htcp_jax.report.document import Column, Table, png, write_csv
+from htcp_jax.report.tables import percent
+from htcp_jax.runs import plan_folder, reachability_file, tables
+from htcp_jax.viewer import ReachPanel, draw_reach
+
+if TYPE_CHECKING:
+    import pandas
+
+
+TABLE, PICTURE = "reach.csv", "reach.png"  # files next to reachability_file.REACHABILITY
+LISTED = 12  # ranges of targets in a row of the table
+SUMMARY = (
+    Column("reach", "reach"),
+    Column("targets", "targets", "", ",d"),
+    Column("percent", "of all", "%", ".1f"),
+    Column("which", "which"),
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ReachStudy:
+    """Reach of every target on the path of a job, or of a sweep's scenarios."""
+
+    name: str
+    batch: grid.Batch
+    found: Reachability
+    requested_rad: float  # resolution of the tool's orientations
+    proof_cells: int
+    seed: int
+
+    @property
+    def each(self) -> EachTarget:
+        """Result for every target; the path begins at the scenario's `on_path`."""
+        return self.found.each
+
+    @cached_property
+    def counts(self) -> dict[Reach, int]:
+        """Number of targets by reach, over all scenarios."""
+        return {reach: int((self.each.reach == reach).sum()) for reach in Reach if reach != Reach.NOT_JUDGED}
+
+    @cached_property
+    def reasons(self) -> dict[tuple[int, int], str]:
+        """Reason in words for every target that is not reachable, by scenario and target."""
+        reach = self.each.reach
+        found = {(s, t): Reach(int(reach[s, t])).message for s, t in np.argwhere(reach > Reach.REACHABLE).tolist()}
+        for number, cell in enumerate(self.batch.cells):
+            open_ = np.argwhere((reach == Reach.UNDECIDED) & (self.batch.cell == number)[:, None])
+            own, measured = open_[~np.isnan(self.each.x[tuple(open_.T)]).any(axis=1)], []
+            if len(own):
+                inputs, x = lane_inputs.lane_inputs(self.batch.scenarios, *own.T), self.each.x[tuple(own.T)]
+                walls = of_workpiece.all_obstacles(cell.workpiece, cell.obstacles)
+                measured = obstruction.obstructions(
+                    cell.robot, walls, inputs, x, inputs.target, cell.settings, cell.task
+                )
+            found |= {(s, t): "undecided: no configuration was found on the target" for s, t in open_.tolist()}
+            for (s, t), at in zip(own.tolist(), measured, strict=True):
+                found[s, t] = self._closest(s, t, at)
+        return found
+
+    def _closest(self, s: int, t: int, at: obstruction.Obstruction) -> str:
+        """Describe the clearest configuration that was found at an undecided target."""
+        clearance_m, margin_m = self.each.clearance_m[s, t], self.batch.scenarios.margin_m[s]
+        if clearance_m >= margin_m:
+            return "undecided: in every clear configuration found, the bare tip passes through a wall"
+        how = f"{1e3 * abs(clearance_m):.3g} mm"
+        how = f"{how} inside" if clearance_m <= 0 else f"only {how} clear of"
+        return f"undecided: in the clearest configuration found, {at.body_label or at.body} is {how} {at.other}"
+
+    def summary(self) -> Table:
+        """Table of the number of targets by reach; of a single scenario with the targets."""
+        total, rows = sum(self.counts.values()), []
+        for reach, count in self.counts.items():
+            if count:
+                which = _ranges(np.flatnonzero(self.each.reach[0] == reach)) if len(self.each.reach) == 1 else None
+                rows.append((reach.label, count, percent(count, total), which))
+        columns = SUMMARY if len(self.each.reach) == 1 else SUMMARY[:-1]
+        return Table("reach-summary", columns, tuple(row[: len(columns)] for row in rows))
+
+    def table(self) -> Table:
+        """Table of every target on the path: place in the world, reach, reason, and a configuration."""
+        joints = tables.joint_columns(self.batch.robot)
+        columns = (
+            *(Column(key, key, "", "d") for key in ("scenario", "target", "waypoint")),
+            *(Column(f"target_{axis}_m", axis, "m", ".4f") for axis in "xyz"),
+            Column("reach", "reach"),
+            Column("reason", "reason"),
+            *(Column(name, name, "", ".4f") for name in joints),
+        )
+        scenarios, rows = self.batch.scenarios, []
+        for s, t in np.argwhere(self.each.reach != Reach.NOT_JUDGED).tolist():
+            reach = Reach(int(self.each.reach[s, t]))
+            place, x = scenarios.targets[s, t].tolist(), self.each.x[s, t]
+            x = x.tolist() if reach == Reach.REACHABLE else [None] * len(joints)
+            waypoint = t - int(scenarios.on_path[s])
+            number = self.batch.points[s].number
+            rows.append((number, t, waypoint, *place, reach.words, self.reasons.get((s, t)), *x))
+        return Table("reach", columns, tuple(rows))
+
+    def frame(self) -> "pandas.DataFrame":
+        """Return `table` as a pandas frame.
+
+        Raises:
+            InputError: Without pandas.
+        """
+        return tables.table_frame(pa.Table.from_pylist(self.table().records()))
+
+    def figure(self) -> Figure:
+        """Draw the part with every target coloured by its reach."""
+        panels = []
+        for s, point in enumerate(self.batch.points):
+            cell, T = self.batch.cells[self.batch.cell[s]], np.asarray(self.batch.scenarios.T_world_workpiece[s])
+            own = self.each.reach[s] != Reach.NOT_JUDGED
+            panels.append(
+                ReachPanel(
+                    f"scenario {point.number}" if len(self.batch.points) > 1 else "",
+                    cell.workpiece.shown @ T[:3, :3].T + T[:3, 3],
+                    np.asarray(self.batch.scenarios.targets[s])[own],
+                    self.each.reach[s][own],
+                    np.asarray(cell.robot.T_parent_joint)[0, :3, 3],
+                )
+            )
+        return draw_reach(panels, f"{self.name}: {self.counts[Reach.REACHABLE]:,} of {self._total:,} targets reachable")
+
+    @property
+    def _total(self) -> int:
+        return sum(self.counts.values())
+
+    def record(self) -> dict[str, Any]:
+        """Return the contents of reachability.json."""
+        return record_of(self.batch, self.found, self.requested_rad, self.proof_cells, self.seed)
+
+    def write(self, folder: Path) -> None:
+        """Write reachability.json, reach.csv and reach.png into an existing folder."""
+        plan_folder.write_json(folder / reachability_file.REACHABILITY, self.record())
+        write_csv(folder / TABLE, self.table())
+        files.write_atomically(folder, PICTURE, png(self.figure()))
+
+    def save(self, folder: str | Path) -> None:
+        """Write the three files into `folder`, see `write`, all of them or none.
+
+        Raises:
+            InputError: If that fails.
+        """
+        with plan_folder.written_whole(Path(folder)) as scratch:
+            self.write(scratch)
+
+    def __repr__(self) -> str:
+        return f"ReachStudy({self.name}, {self.counts[Reach.REACHABLE]} of {self._total} targets reachable)"
+
+    def _repr_html_(self) -> str:
+        return html_facts(self.name, {str(row[0]): f"{row[1]:,} ({row[2]:.1f} %)" for row in self.summary().rows})
+
+
+def reach_study(
+    config: str | Path | Mapping[str, Any],
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    *,
+    limit: int | None = None,
+    resolution_rad: float = RESOLUTION_RAD,
+    proof_cells: int = PROOF_CELLS,
+    progress: Callable[[int, int], None] | None = None,
+) -> ReachStudy:
+    """Judge every target of a job, or of a sweep, by itself.
+
+    Args:
+        config: A job's or a sweep's file or example, or a mapping of its keys.
+        overrides: Changes to the job, as for `plan`.
+        limit: The number of scenarios of a sweep; None: all.
+        resolution_rad: Angular resolution of the tool orientations searched.
+        proof_cells: Size of a proof that a target is unreachable; 0: no proofs.
+        progress: Called with the number of targets that are done, and of all.
+
+    Raises:
+        InputError: For bad input.
+    """
+    spec = grid.load_sweep_or_job(config, None, overrides)
+    batch = spec.batch(limit)
+    report = progress or (lambda done, count: None)
+    found = search_batch(batch, resolution_rad, proof_cells, True, lambda _, done, count: report(done, count))
+    return ReachStudy(spec.name, batch, found, resolution_rad, proof_cells, spec.config.settings.seed)
+
+
+def search_batch(
+    batch: grid.Batch,
+    resolution_rad: float,
+    proof_cells: int,
+    each: bool,
+    progress: Callable[[int, int, int], None],
+) -> Reachability:
+    """Return the reachability of a batch.
+
+    Args:
+        batch: The scenarios.
+        resolution_rad: Angular resolution of the tool orientations searched.
+        proof_cells: Size of a proof; 0: no proofs.
+        each: True judges every target on the path by itself, too.
+        progress: Called with the number of the cell, and as in `reachable_prefixes`.
+
+    Raises:
+        SearchStopped: On Ctrl-C.
+    """
+    parts = []
+    for number, cell in enumerate(batch.cells):
+        rows = np.flatnonzero(batch.cell == number)
+        try:
+            found = reachable_prefixes(
+                cell.robot,
+                cell.workpiece,
+                jax.tree.map(itemgetter(rows), batch.scenarios),
+                cell.settings,
+                task=cell.task,
+                obstacles=cell.obstacles,
+                resolution_rad=resolution_rad,
+                proof_cells=proof_cells,
+                each=each,
+                progress=lambda done, count, number=number: progress(number, done, count),
+            )
+        except SearchStopped as stop:
+            left = np.flatnonzero(batch.cell > number)
+            later = initial_reachability(jax.tree.map(itemgetter(left), batch.scenarios))
+            done = [(own, part._replace(each=None)) for own, part in parts]
+            raise SearchStopped(_in_order([*done, (rows, stop.found), (left, later)])) from None
+        parts.append((rows, found))
+    return _in_order(parts)
+
+
+def _in_order(parts: Sequence[tuple[np.ndarray, Reachability]]) -> Reachability:
+    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
+    return lanes.gather(lanes.concatenate([found for _, found in parts]), order)
+
+
+def record_of(batch: grid.Batch, found: Reachability, requested_rad: float, proof_cells: int, seed: int) -> dict:
+    """Return the contents of reachability.json, except for the methods of a run that get further.
+
+    Args:
+        batch: The scenarios.
+        found: Their reachability.
+        requested_rad: Angular resolution that was required.
+        proof_cells: Size of a proof.
+        seed: Seed of the search, an identity without a unit.
+    """
+    record = {
+        "prefix": found.prefix.tolist(),
+        "best_mm": [None if np.isnan(b) else 1e3 * b for b in found.best],
+        "most": found.most.tolist(),
+        "resolution_rad": _resolution(batch, found, requested_rad),
+        "proof_cells": proof_cells,
+        "seed": seed,
+        "targets": int(batch.scenarios.count.sum()),
+    }
+    if found.each is not None:
+        record["each"] = [[Reach(number).words for number in row] for row in found.each.reach.tolist()]
+    return record
+
+
+def _resolution(batch: grid.Batch, found: Reachability, requested_rad: float) -> float | None:
+    """Coarsest angular resolution of the search [rad]; None if a task does not hold the TCP."""
+    if not all(cell.task.holds_tcp for cell in batch.cells):
+        return None
+    return max(requested_rad, float(found.resolution_rad.max()))
+
+
+def _ranges(numbers: np.ndarray) -> str:
+    """Return numbers as ranges, "3-17, 22", shortened after LISTED of them."""
+    parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    words = [f"{own[0]}-{own[-1]}" if len(own) > 1 else f"{own[0]}" for own in parts]
+    return ", ".join(words[:LISTED]) + (", ..." if len(words) > LISTED else "")

@@ -1,0 +1,129 @@
+"""Reach of each target by itself: behind gaps, in any order, with the reason where no configuration exists."""
+
+import csv
+import json
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toy
+
+import htcp_jax
+from htcp_jax.cli import main
+from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.device import Executor
+from htcp_jax.model import Workpiece
+from htcp_jax.model.kinematics import max_reach, tcp_position
+from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.reachability import Reach, reachable_prefixes
+from htcp_jax.reachability.tool_cells import excluded
+from htcp_jax.settings import Settings
+
+FAR = (5.0, 0.0, 0.5)
+SEARCH = {"resolution_rad": 0.9, "proof_cells": 64, "each": True}
+
+
+def judged(path, cloud=None, **changes):
+    """The toy arm's reach at every point of a path, without an approach."""
+    shelf = toy.workpiece()
+    part = Workpiece("part", shelf.cloud if cloud is None else cloud, path, interior="none", pivot=np.zeros(3),
+                     neutral_translation=np.zeros(3))  # fmt: skip
+    one = make_scenario(toy.robot(), part, None, beyond_reach="record", **changes)
+    return one, reachable_prefixes(toy.robot(), part, stack([one]), toy.SETTINGS, **SEARCH)
+
+
+@pytest.fixture(scope="module")
+def with_a_gap():
+    path = toy.workpiece().path.copy()
+    path[3] = FAR
+    return judged(path)
+
+
+def test_targets_behind_a_gap_are_judged_and_the_gap_has_its_reason(with_a_gap):
+    one, found = with_a_gap
+    reach = found.each.reach[0, int(one.on_path) :]
+    assert found.prefix[0] == one.on_path + 3 and found.most[0] == found.prefix[0]
+    assert reach[3] == Reach.OUT_OF_REACH
+    assert (np.delete(reach, 3) == Reach.REACHABLE).all()
+
+
+def test_the_configuration_at_every_reachable_target_is_clear_and_on_it(with_a_gap):
+    one, found = with_a_gap
+    obstacle = make_obstacle(toy.workpiece())
+    for t in np.flatnonzero(found.each.reach[0] == Reach.REACHABLE):
+        x = jnp.asarray(found.each.x[0, t])
+        assert clearance(toy.robot(), obstacle, one, x) >= one.margin_m
+        assert np.linalg.norm(tcp_position(toy.robot(), x) - one.targets[t]) <= toy.SETTINGS.tolerance_m
+
+
+def test_the_order_of_the_targets_changes_nothing(with_a_gap):
+    path = toy.workpiece().path.copy()
+    path[3] = FAR
+    one, found = judged(path[::-1])
+    first, was = with_a_gap
+    own, before = found.each.reach[0, int(one.on_path) :], was.each.reach[0, int(first.on_path) :]
+    np.testing.assert_array_equal(own[::-1], before)
+
+
+def test_a_target_at_which_the_tool_is_walled_in_is_excluded_by_the_tool():
+    k = np.arange(4000) + 0.5
+    z, turn = 1 - 2 * k / 4000, np.pi * (1 + 5**0.5) * k
+    ball = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    target = np.array([0.5, 0.0, 0.5])
+    path, wide = np.stack([target, [0.5, 0.3, 0.6]]), {"margin_m": 0.08}  # a wide margin, so that few cells prove it
+    found = judged(path, target + 0.05 * ball, **wide)[1]
+    assert found.each.reach[0, -2:].tolist() == [Reach.TOOL, Reach.REACHABLE]
+
+
+def test_no_sampled_valid_configuration_is_at_an_excluded_target():
+    """Valid configurations of the arm beneath the shelf: at each one's TCP a proof would be wrong."""
+    robot, scene, one = toy.robot(), toy.scene(), toy.scenario()
+    x = np.random.default_rng(4).uniform(robot.lower, robot.upper, (400, 4))
+    D, tcp = jax.jit(jax.vmap(lambda x: (clearance(robot, scene.obstacles, one, x), tcp_position(robot, x))))(x)
+    tcp = np.asarray(tcp)[np.asarray(D) >= one.margin_m]
+    assert len(tcp) > 100
+    one = replace(one, targets=tcp, count=np.asarray(len(tcp), np.int32))
+    inputs = lane_inputs(stack([one]), np.zeros(len(tcp), int), np.arange(len(tcp)))
+    assert not excluded(Executor(scene, Settings()), robot, inputs, 256).any()
+    assert (np.linalg.norm(tcp - [0, 0, 0.3], axis=1) <= max_reach(robot)).all()
+
+
+@pytest.fixture
+def job(tmp_path):
+    (tmp_path / "toy.xml").write_text(toy.ARM)
+    path = toy.workpiece().path.copy()
+    path[3] = FAR
+    np.savetxt(tmp_path / "path.csv", path, delimiter=",", header="x,y,z", comments="")
+    np.savetxt(tmp_path / "shelf.xyz", toy.workpiece().cloud)
+    (tmp_path / "job.yaml").write_text(
+        "robot: {model: toy.xml, limits: model}\n"
+        "workpiece: {cloud: shelf.xyz, path: path.csv, interior: none, tip_contact_m: null}\n"
+        "start_rad: auto\n"
+    )
+    return tmp_path / "job.yaml"
+
+
+def test_one_command_judges_a_job_and_writes_a_table_and_a_picture(job, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["reachability", str(job), "--each", "--resolution", "0.9", "--proof-cells", "64", "--out", str(out)]
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "reachable" in text and "excluded: out of reach" in text
+    rows = list(csv.DictReader((out / "reach.csv").open()))
+    assert [row["reach"] for row in rows] == ["reachable"] * 3 + ["out of reach"] + ["reachable"] * 6
+    assert rows[3]["reason"] == Reach.OUT_OF_REACH.message and rows[4]["j1_rad"]
+    assert json.loads((out / "reachability.json").read_text())["each"][0][-10:] == [row["reach"] for row in rows]
+    assert (out / "reach.png").read_bytes().startswith(b"\x89PNG")
+    assert main([*words, "--config", str(job)]) == 2
+    assert "only a sweep takes another configuration" in capsys.readouterr().err
+
+
+def test_the_study_from_python_has_the_counts_and_a_row_for_each_target(job):
+    study = htcp_jax.reach_study(job, resolution_rad=0.9, proof_cells=64)
+    assert study.counts[Reach.REACHABLE] == 9 and study.counts[Reach.OUT_OF_REACH] == 1
+    assert len(study.table().rows) == sum(study.counts.values()) == 10
+    assert len(study.figure().axes) == 2
