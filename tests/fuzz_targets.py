@@ -331,6 +331,7 @@ def check_robot(folder: Path, case: tuple[str, bytes]) -> bool:
     fields = refusal(lambda: read_robot_file(written(folder, f"arm{ending}", data), "tcp", "model", np.eye(4), None))
     if fields is None:
         return False
+    fields.pieces()
     arrays = fields.arrays
     assert (arrays["lower"] < arrays["upper"]).all() and (arrays["capsule_radius"] > 0).all()
     try:

@@ -51,15 +51,18 @@ def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexP
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     used, vertex = np.unique(np.arange(len(points)).repeat(len(thickened))[hull.simplices], return_inverse=True)
     corners, vertices = vertex.reshape(-1, 3), points[used]
-    edges = {}
-    for facet, neighbours in enumerate(hull.neighbors):
-        for opposite, other in enumerate(neighbours):  # the neighbour is opposite of the corner
-            (a, b), sides = np.delete(corners[facet], opposite), (face[facet], face[other])
-            if facet < other and sides[0] != sides[1] and a != b:
-                forwards = np.cross(*normals[list(sides)]) @ (vertices[b] - vertices[a]) > 0
-                edges[(a, b) if forwards else (b, a), sides] = None
-    pairs = np.array(list(edges) or [((0, 0), (0, 0))])
-    return ConvexPiece(vertices, normals, pairs[:, 0], pairs[:, 1], np.asarray(radius, float))
+    ends = corners[:, [[1, 2], [0, 2], [0, 1]]]  # of the edge towards each neighbour, which is opposite of a corner
+    sides = np.stack(np.broadcast_arrays(face[:, None], face[hull.neighbors]), axis=2)
+    is_edge = (np.arange(len(face))[:, None] < hull.neighbors) & (sides[..., 0] != sides[..., 1])
+    is_edge &= ends[..., 0] != ends[..., 1]
+    ends, sides = ends[is_edge], sides[is_edge]
+    along = np.cross(normals[sides[:, 0]], normals[sides[:, 1]])
+    forwards = np.sum(along * (vertices[ends[:, 1]] - vertices[ends[:, 0]]), axis=1) > 0
+    edges = np.column_stack([np.where(forwards[:, None], ends, ends[:, ::-1]), sides])
+    if not len(edges):
+        edges = np.zeros((1, 4), int)
+    edges = edges[np.sort(np.unique(edges, axis=0, return_index=True)[1])]
+    return ConvexPiece(vertices, normals, edges[:, :2], edges[:, 2:], np.asarray(radius, float))
 
 
 def stack_pieces(pieces: list[ConvexPiece]) -> ConvexPiece:
@@ -84,9 +87,11 @@ def _enclosing_planes(piece: ConvexPiece) -> Float[np.ndarray, "D 4"]:
     """Return the planes of a piece's faces, and those over its sharp edges and corners."""
     sides = piece.normals[piece.sides]
     edges = sides[np.sum(sides[:, 0] * sides[:, 1], axis=1) < SHARP].sum(axis=1)
+    is_side = np.zeros((len(piece.vertices), len(piece.normals)), bool)
+    is_side[piece.edges[:, :, None], piece.sides[:, None, :]] = True
     corners = []
-    for vertex in range(len(piece.vertices)):
-        own = piece.normals[np.unique(piece.sides[np.any(piece.edges == vertex, axis=1)])]
+    for sides_of_vertex in is_side:
+        own = piece.normals[sides_of_vertex]
         middle = own.sum(axis=0)
         if len(own) and np.linalg.norm(middle) > FLAT and (own @ middle).min() < SHARP * np.linalg.norm(middle):
             corners.append(middle)

@@ -1,12 +1,14 @@
 """The arm's own bodies as an obstacle: pairs of capsules that must not touch.
 
-A row is a body against the bodies of one link before it; its contact is that of the nearest pair.
+A row is a body against the bodies of one link before it; its contact is that of the nearest pair. Of many pairs, only
+these contacts are made, and the others' distances alone.
 
 Pairs that need no check are excluded, see self_exclusions.py.
 """
 
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
@@ -15,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.distance.segments import nearest_points
+from htcp_jax.clearance.distance.segments import nearest_columns, nearest_points
 from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, RowPairs
 from htcp_jax.clearance.obstacles.self_exclusions import (
@@ -28,10 +30,11 @@ from htcp_jax.clearance.obstacles.self_exclusions import (
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
-from htcp_jax.numerics import safe_divide, safe_norm
+from htcp_jax.numerics import one_by_one, safe_divide, safe_norm
 from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Float, Int
+from htcp_jax.types import Array, Float, Int
 
+FEW_PAIRS = 128  # up to which all contacts are made: arms made by hand
 USUAL = 0.99  # a start is refused where an excluded pair is deeper than in this share of random configurations
 RULES = {
     "a": "by the model",
@@ -58,17 +61,14 @@ class SelfCollision(Obstacle):
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the nearest points of the axes of the nearest pair of every row."""
-        every, nearest = self._nearest(robot, bodies.p, bodies.q)
-        found = jax.tree.map(lambda leaf: leaf[nearest], every)
+        every = _measured(robot, self.pairs, bodies.p, bodies.q)
+        found = every.contacts(self._nearest_of(every.distance, list(self._rows(robot).values())))
         return found if robot.pieces is None else self._by_pieces(robot, where, bodies, every, found)
 
     def _by_pieces(
-        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, every: Contacts, capsules: Contacts
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, every: "_MeasuredPairs", capsules: Contacts
     ) -> Contacts:
-        """Return the contacts of capsules, or of the pieces in them where these are in doubt, see `narrow_phase`.
-
-        `every` has the contacts of all pairs.
-        """
+        """Return the contacts of capsules, or of the pieces in them where these are in doubt, see `narrow_phase`."""
         rows = list(self._rows(robot).values())
         row = np.argsort(np.concatenate(rows)), np.repeat(np.arange(len(rows)), list(map(len, rows)))
         row_of_pair = jnp.asarray(row[1][row[0]])
@@ -77,7 +77,7 @@ class SelfCollision(Obstacle):
         doubt = narrow_phase.in_doubt(every.distance, excess[first] + excess[second], limit)
         doubt &= (capsules.distance < limit)[row_of_pair]
         certain = self._nearest_of(jnp.where(doubt, jnp.inf, every.distance), rows)
-        exact = jax.tree.map(lambda leaf: leaf[certain], every)
+        exact = every.contacts(certain)
         far = narrow_phase.undecided(capsules, limit)
         is_near = (exact.distance < limit) & ~doubt[certain]
         best = narrow_phase.chosen(is_near, exact, far)
@@ -88,7 +88,7 @@ class SelfCollision(Obstacle):
 
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "n"]:
         """Return the distance of every pair, in their order."""
-        return _pair_contacts(robot, self.pairs, p, q).distance
+        return _measured(robot, self.pairs, p, q).distance
 
     def nearest_name(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """Return the name of the capsule nearest to the body of a row, for messages."""
@@ -108,11 +108,6 @@ class SelfCollision(Obstacle):
         for number, (a, b) in enumerate(self.pairs):
             found.setdefault((a, robot.capsule_link[b]), []).append(number)
         return found
-
-    def _nearest(self, robot: Robot, p: Ends, q: Ends) -> tuple[Contacts, Int[jax.Array, "R"]]:
-        """Return the contacts of all pairs, and the number of the nearest pair in every row."""
-        every, rows = _pair_contacts(robot, self.pairs, p, q), list(self._rows(robot).values())
-        return every, self._nearest_of(every.distance, rows)
 
     def _nearest_of(self, distance: Float[jax.Array, "n"], rows: list[list[int]]) -> Int[jax.Array, "R"]:
         """Return the number of the pair with the smallest distance in every row."""
@@ -210,15 +205,50 @@ def _usual_depths(arm: _Hashable, pairs: Pairs) -> Float[np.ndarray, "R"]:
     return np.quantile(-distances(robot, pairs, samples(robot)), USUAL, axis=0)
 
 
-def _pair_contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:
+class _MeasuredPairs(NamedTuple):
+    """Pairs of capsules at one configuration."""
+
+    distance: Float[jax.Array, "n"]  # [m]
+    contacts: Callable[[Int[jax.Array, "R"]], Contacts]  # of pairs by their numbers
+
+
+def _measured(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> _MeasuredPairs:
     a, b = (np.array(side) for side in zip(*pairs, strict=True))
+    if len(pairs) <= FEW_PAIRS:
+        every = _pair_contacts(robot, a, b, p, q)
+        return _MeasuredPairs(every.distance, lambda numbers: jax.tree.map(lambda leaf: leaf[numbers], every))
+    away = _many_distances((a, b), p.T, q.T, robot.capsule_radius)
+    first, second = jnp.asarray(a), jnp.asarray(b)
+    return _MeasuredPairs(away, lambda numbers: _column_contacts(robot, first[numbers], second[numbers], p.T, q.T))
+
+
+def _pair_contacts(robot: Robot, a: np.ndarray, b: np.ndarray, p: Ends, q: Ends) -> Contacts:
     _, _, on_a, on_b = nearest_points(p[a], q[a], p[b], q[b])
-    arm, reach = on_a - on_b, robot.capsule_radius[a] + robot.capsule_radius[b]
+    return _contacts(on_a, on_b, robot.capsule_radius[a] + robot.capsule_radius[b])
+
+
+def _contacts(on_a: Float[jax.Array, "n 3"], on_b: Float[jax.Array, "n 3"], reach: Float[jax.Array, "n"]) -> Contacts:
+    arm = on_a - on_b
     length = safe_norm(arm)
     normal = safe_divide(arm, jnp.broadcast_to(length[:, None], arm.shape))
     return Contacts(length - reach, on_a, normal, reach, jnp.zeros(length.shape, bool))
 
 
+@one_by_one
+def _many_distances(shared, p, q, radius):
+    a, b = shared
+    return nearest_columns(p[:, a], q[:, a], p[:, b], q[:, b])[2] - (radius[a] + radius[b])
+
+
+def _column_contacts(
+    robot: Robot, a: Int[jax.Array, "n"], b: Int[jax.Array, "n"], p: Float[Array, "3 K"], q: Float[Array, "3 K"]
+) -> Contacts:
+    ends = p[:, a], q[:, a], p[:, b], q[:, b]
+    t, u, _ = nearest_columns(*ends)
+    on_a, on_b = ends[0] + t * (ends[1] - ends[0]), ends[2] + u * (ends[3] - ends[2])
+    return _contacts(on_a.T, on_b.T, robot.capsule_radius[a] + robot.capsule_radius[b])
+
+
 @jax.jit
 def _nearest_capsule(own: SelfCollision, robot: Robot, p: Ends, q: Ends) -> Int[jax.Array, "R"]:
-    return own._nearest(robot, p, q)[1]
+    return own._nearest_of(own.distances(robot, p, q), list(own._rows(robot).values()))

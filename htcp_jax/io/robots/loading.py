@@ -42,7 +42,7 @@ def load_robot(
     """
     fields = read_robot_file(Path(path), tcp_site, limits, tools.pose(base_m, base_rpy_rad), tool)
     meshes = MeshesInFile(Path(path).resolve()) if fields.facts["listed"] else None
-    return Robot(**jax.device_put(fields.arrays), **fields.facts, pieces=jax.device_put(fields.pieces), meshes=meshes)
+    return Robot(**jax.device_put(fields.arrays), **fields.facts, pieces=jax.device_put(fields.pieces()), meshes=meshes)
 
 
 def gp50(limits: str = "simulation") -> Robot:

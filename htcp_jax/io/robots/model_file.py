@@ -35,7 +35,12 @@ class RobotFields(NamedTuple):
 
     arrays: dict[str, np.ndarray]
     facts: dict[str, Any]
-    pieces: BodyPieces | None
+    stored: dict[str, StoredPiece]  # by the capsules' names
+    held: dict[str, tuple[Capsule, np.ndarray]]  # see `pieces_of`
+
+    def pieces(self) -> BodyPieces | None:
+        """Return the capsules' convex pieces; making them takes longer than reading the file."""
+        return pieces_of(self.stored, self.held) if self.stored else None
 
 
 class _Capsule(NamedTuple):
@@ -122,7 +127,7 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         "base_frames": _named_frames(model, frames, moving=False),
     }
     held = {each.name: (Capsule(each.p, each.q, each.radius), frames[each.body][1]) for each in capsules}
-    return RobotFields(arrays, facts, pieces_of(stored, held) if stored else None)
+    return RobotFields(arrays, facts, stored, held)
 
 
 # The file
