@@ -110,7 +110,7 @@ class Plan:
         NaN at targets that are not tracked.
         """
         with devices.on(devices.choose(self.device)[0]):
-            task, goals = build.task_of_job(self.job, self.robot), np.asarray(self.scenario.goals)
+            task, goals = jobs.build.task_of_job(self.job, self.robot), np.asarray(self.scenario.goals)
             return manipulabilities.manipulability(self.robot, task, self.plans.x[0], goals)
 
     def _singular(self) -> dict[str, str]:
