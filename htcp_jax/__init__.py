@@ -21,8 +21,11 @@ functions (see `compile_cache`), as the command does, and lets a notebook show f
 import importlib
 import os
 import sys
+import time
 
 import lazy_loader
+
+_imported_s = time.time()  # source files that are newer may not be what this process runs, see `executable_key`
 
 # On a CPU, XLA compiles a loop in an executable to a series of small kernels, which it hands one by one to its own
 # threads, or to a library (YNNPACK). Our loops consist of hundreds of tiny ones: as one native function each they take

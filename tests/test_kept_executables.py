@@ -15,6 +15,7 @@ import pytest
 import toy
 from jax.experimental.compilation_cache import compilation_cache
 
+import htcp_jax
 from htcp_jax.cli.main import main
 from htcp_jax.device import Executor, compile_cache, executable_key, kept_executables
 from htcp_jax.device.executor import COMPILER, ExecutableCache
@@ -201,6 +202,14 @@ def test_code_of_others_has_no_name():
     assert (
         key_of(LaneFunction("own", key_of, STEP)) is None and key_of(LaneFunction("a", abs, STEP, parts=(Row,))) is None
     )
+
+
+def test_source_that_changed_while_the_process_runs_has_no_name(monkeypatch):
+    """The process may run what was in the file before."""
+    assert key_of(TIP)
+    newest = max(file.stat().st_mtime for file in executable_key._source_files())
+    monkeypatch.setattr(htcp_jax, "_imported_s", newest)
+    assert key_of(TIP) is None
 
 
 def test_the_source_in_a_name_is_that_of_the_core():

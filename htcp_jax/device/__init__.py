@@ -7,8 +7,8 @@ a GPU all lanes side by side. `by_chunks` runs such a loop for joint paths that 
 result does not depend on the other rows of its batch.
 
 `devices` chooses CPU or GPU and the number of threads, `processes` shares scenarios among worker processes,
-`compile_cache` keeps compiled programs on disk, and `tables` has functions for tables of arrays with one row per lane:
-gather, scatter, concatenate.
+`compile_cache` is the folder of compiled programs, which `EXECUTABLES` loads without tracing, and `tables` has
+functions for tables of arrays with one row per lane: gather, scatter, concatenate.
 """
 
 import lazy_loader

@@ -25,7 +25,9 @@ from typing import Any
 import jax
 import numpy as np
 
-PACKAGE = __name__.partition(".")[0]
+import htcp_jax
+
+PACKAGE, ROOT = htcp_jax.__name__, Path(htcp_jax.__file__).parent
 CORE = "model", "solvers", "clearance", "device", "motion", "planning", "reachability"  # of lane functions
 LIBRARIES = "jax", "jaxlib", "numpy", "optax"  # that they use
 WITHOUT_EFFECT = re.compile("cache|platforms|default_device|log|traceback|dump")  # on programs, of JAX's configuration
@@ -52,10 +54,10 @@ def source_key(
         shapes: Shape and type of every leaf.
     """
     try:
-        about = described((function, values, shapes)), _described_structure(structure)
+        about = _source(), described((function, values, shapes)), _described_structure(structure)
     except UnknownSource:
         return None
-    return _name(function.name, (_source(), _machine(device, options), about))
+    return _name(function.name, (_machine(device, options), about))
 
 
 def program_key(name: str, lowered: jax.stages.Lowered, device: jax.Device, options: dict) -> str:
@@ -90,14 +92,31 @@ def _machine(device: jax.Device, options: dict) -> tuple:
     return _installation(), what, sorted(settings)
 
 
-@cache
 def _source() -> str:
-    """Digest of the core's source."""
-    root, digest = Path(__file__).parent.parent, hashlib.blake2b()
-    files = [*root.glob("*.py"), *(file for name in CORE for file in (root / name).rglob("*.py"))]
-    for file in sorted(files):
+    """Digest of the core's source.
+
+    Raises:
+        UnknownSource: If a file changed since this process imported the package, or cannot be read.
+    """
+    try:
+        if max(os.stat(file).st_mtime for file in _source_files()) >= htcp_jax._imported_s:
+            raise UnknownSource
+        return _source_digest()
+    except OSError:
+        raise UnknownSource from None
+
+
+@cache
+def _source_files() -> tuple[Path, ...]:
+    return tuple(sorted([*ROOT.glob("*.py"), *(file for name in CORE for file in (ROOT / name).rglob("*.py"))]))
+
+
+@cache
+def _source_digest() -> str:
+    digest = hashlib.blake2b()
+    for file in _source_files():
         content = file.read_bytes()
-        digest.update(f"{file.relative_to(root).as_posix()} {len(content)} ".encode() + content)
+        digest.update(f"{file.relative_to(ROOT).as_posix()} {len(content)} ".encode() + content)
     return digest.hexdigest()
 
 
