@@ -22,12 +22,13 @@ from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.motion import start_cause as start_causes
 from htcp_jax.notebook import html_facts
-from htcp_jax.planning import batch, registry
+from htcp_jax.planning import batch, inserted_goals, registry
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import motion_summary as motion_summaries
 from htcp_jax.runs import plan_folder, provenance
 from htcp_jax.runs import summary as summaries
+from htcp_jax.status import NOT_TRIED
 
 if TYPE_CHECKING:
     import pandas
@@ -188,8 +189,10 @@ class Plan:
         """The colliding body and obstacle at the failed target; None if there is none, see `blocked_target`."""
         if (failed := obstructions.blocked_target(self.plans, 0)) is None:
             return None
-        x_last = self.plans.before(0, failed)
-        known = self.robot, self.workpiece, self.scenario
+        x_last, scenario = self.plans.before(0, failed), self.scenario
+        if (lost := self._lost_place) is not None:
+            x_last, scenario = lost.x_last, lost.scenario
+        known = self.robot, self.workpiece, scenario
         with devices.on(devices.choose(self.device)[0]):
             task = jobs.build.task_of_job(self.job, self.robot)
             return obstructions.obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
@@ -205,10 +208,21 @@ class Plan:
             )
         return found.get(0)
 
+    @cached_property
+    def _lost_place(self) -> inserted_goals.LostPlace | None:
+        """The place between two targets at which the plan failed; None if it did not, or at a target."""
+        if (failed := self.outcome.failed) is None or self.outcome.status in NOT_TRIED:
+            return None
+        task = build.task_of_job(self.job, self.robot)
+        return inserted_goals.lost_place(self.robot, task, self.scenario, self.job.settings, self.plans, failed)
+
     def failure(self) -> dict[str, str]:
         """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
         end = self.outcome
         facts = {} if end.status is None else {f"failed at target {end.failed}": end.status.message}
+        if (lost := self._lost_place) is not None:
+            place = f"{100 * lost.share:.0f} % of the way from target {end.failed - 1}"
+            facts[f"failed at target {end.failed}"] += f"; at {place}"
         if self.start_cause is not None:
             facts["cause"] = self.start_cause.description
         elif self.obstruction is not None:

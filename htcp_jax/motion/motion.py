@@ -135,12 +135,14 @@ def largest_joint_steps(plans: Plans, on_path: OnPath) -> LargestJointSteps:
     own = found.scenario[rows], segment[rows]
     travel[own] = 0.0
     np.add.at(travel, own, np.abs(found.x[rows] - found.x[rows - 1]))
-    flat = np.where(np.isnan(travel), -1.0, travel).reshape(len(travel), -1)
-    best = flat.argmax(axis=1) if flat.size else np.zeros(len(flat), int)
-    step = flat[np.arange(len(flat)), best] if flat.size else np.full(len(flat), -1.0)
-    joints = max(1, plans.x.shape[2])
+    count, targets, joints = travel.shape
+    flat = np.full((count, 1 + targets * joints), -1.0)  # the first column: none
+    flat[:, 1:] = np.where(np.isnan(travel), -1.0, travel).reshape(count, targets * joints)
+    best = flat.argmax(axis=1)
+    target, joint = np.divmod(best - 1, max(1, joints))
+    step = flat[np.arange(count), best]
     return LargestJointSteps(
-        np.where(step < 0, np.nan, step), np.where(step < 0, -1, best // joints), np.where(step < 0, -1, best % joints)
+        np.where(best > 0, step, np.nan), np.where(best > 0, target, -1), np.where(best > 0, joint, -1)
     )
 
 

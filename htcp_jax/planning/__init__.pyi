@@ -1,4 +1,4 @@
-from . import batch, methods, registry
+from . import batch, inserted_goals, methods, registry
 from .batch import Progress, start_clearance
 from .method import Method
 
@@ -6,6 +6,7 @@ __all__ = [
     "Method",
     "Progress",
     "batch",
+    "inserted_goals",
     "methods",
     "registry",
     "start_clearance",

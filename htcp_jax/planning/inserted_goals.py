@@ -13,6 +13,7 @@ as far as it was followed. Where joints cannot follow one of the parts, the segm
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -20,6 +21,7 @@ from jaxtyping import Float, Int
 
 from htcp_jax.device import tables
 from htcp_jax.model import Robot, Scenario, Task, kinematics
+from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion import Plans, Problem, ViaPoints
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.settings import Settings
@@ -108,6 +110,47 @@ def planned(plan: PlanRows, problem: Problem, pieces: Int[np.ndarray, "S T"]) ->
         plans = joined.rows(np.argsort(np.append(stays, rows[better])))
     problem.progress(int(plans.tracked.sum()) - report.shown, 0)
     return plans
+
+
+class LostPlace(NamedTuple):
+    """Place at which a segment with inserted goals was lost."""
+
+    share: float  # of the way from the target before
+    x_last: Float[np.ndarray, "N"]  # the last configuration that was reached [rad or m]
+    scenario: Scenario  # with that place instead of the target
+
+
+def lost_place(
+    robot: Robot, task: Task, scenario: Scenario, settings: Settings, plans: Plans, target: int
+) -> LostPlace | None:
+    """Return the place at which a plan lost a segment; None for a segment without inserted goals.
+
+    Args:
+        robot: The arm.
+        task: The constraints at every target.
+        scenario: The plan's scenario.
+        settings: Settings of the planner.
+        plans: The plan, in row 0.
+        target: The target at the segment's end.
+    """
+    stacked = scenario_functions.stack([scenario])
+    pieces = int(pieces_of(robot, task, stacked, settings)[0, target])
+    if pieces == 1:
+        return None
+    known = plans.via_points
+    reached = np.unique(np.append(0.0, known.shares_on(0, target)))
+    if len(reached) > 1:
+        pieces = max(pieces, round(1.0 / float(np.diff(reached).min())))
+    nth = min(round(float(reached[-1]) * pieces) + 1, pieces)
+    x_last = np.concatenate([plans.before(0, target)[None], known.on_segment(0, target)])[-1]
+    counts = np.ones(stacked.targets.shape[:2], int)
+    counts[0, target] = pieces
+    denser = inserted(task, stacked, PathParts.of(counts, stacked.count))
+    targets, goals = scenario.targets.copy(), None if scenario.task_goals is None else scenario.task_goals.copy()
+    targets[target] = denser.targets[0, target + nth - 1]
+    if goals is not None:
+        goals[target] = denser.goals[0, target + nth - 1]
+    return LostPlace(nth / pieces, x_last, replace(scenario, targets=targets, task_goals=goals))
 
 
 def inserted(task: Task, scenarios: Scenario, parts: PathParts) -> Scenario:
