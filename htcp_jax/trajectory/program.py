@@ -92,9 +92,7 @@ class Program(NamedTuple):
         kind, target = self.motion.kind[row], self.motion.target[row]
         return TimedMotion(time, x, velocity, acceleration, kind, target, self.joint_names)
 
-    def targets_at(
-        self, blend: Blend, scaling: TimeScaling, place: Float[np.ndarray, "n"]
-    ) -> Int[np.ndarray, "n"]:
+    def targets_at(self, blend: Blend, scaling: TimeScaling, place: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """Return the targets that a section leads to at positions along it [m]."""
         return self.motion.target[blend.row[blend.curve.leg(scaling.path.u(place))]]
 
