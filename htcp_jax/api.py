@@ -120,7 +120,9 @@ class Plan:
         if at is None:
             return {}
         middle = np.nanmedian(self.manipulability)
-        return {"manipulability": f"{self.manipulability[at]:.3g} m/rad minimum, at target {at}; {middle:.3g} m/rad median"}
+        return {
+            "manipulability": f"{self.manipulability[at]:.3g} m/rad minimum, at target {at}; {middle:.3g} m/rad median"
+        }
 
     @property
     def _least_manipulability(self) -> int | None:

@@ -137,10 +137,10 @@ def test_a_refusal_of_a_part_without_a_pose_says_first_where_it_stands(pipe):
     own |= {"cloud": "none", "path": str(pipe / "far.csv"), "inlet_m": None}
     (pipe / "far.csv").write_text("5,0,0\n5,0,0.01\n")
     job = load_config(pipe / "job.yaml", {f"workpiece.{key}": value for key, value in own.items()})
-    with pytest.raises(InputError, match="^the workpiece is at the world's origin, not turned, where a job without"):
+    with pytest.raises(InputError, match=r"^the workpiece is at the world's origin, not turned, where a job without"):
         scene(job)
     turned = job.model_copy(update={"workpiece": job.workpiece.model_copy(update={"rotation_z_rad": 0.1})})
-    with pytest.raises(InputError, match="^target "):
+    with pytest.raises(InputError, match=r"^target "):
         scene(turned)
 
 

@@ -1,13 +1,17 @@
 """Manipulability: the smallest singular value of the task's Jacobian, in results and next to feed drops."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
 import pytest
 import toy
 
 from htcp_jax.model import Task, kinematics
 from htcp_jax.motion.manipulability import manipulability
-from htcp_jax.runs.tables import MANIPULABILITY, joint_columns, target_table
+from htcp_jax.runs import timing_file
+from htcp_jax.runs.tables import MANIPULABILITY, joint_columns, target_table, with_later_columns
 
 POSITION = Task()
 X = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 4))
@@ -63,3 +67,17 @@ def test_the_table_of_targets_has_it_where_a_target_is_tracked():
     assert rows.column_names[-1] == MANIPULABILITY
     assert {value for value in rows[MANIPULABILITY].to_pylist() if value is not None} == {0.25}
     assert rows[MANIPULABILITY].null_count == int((plans.exists & ~plans.tracked).sum())
+
+
+def test_targets_and_times_of_older_versions_are_read_with_empty_columns(tmp_path):
+    plans = toy.planned(toy.scenarios()[:1])
+    rows = target_table("beam", np.arange(1), plans, joint_columns(toy.robot()), plans.residual)
+    older = with_later_columns(rows.drop_columns([MANIPULABILITY]), rows.schema)
+    assert older.schema.equals(rows.schema) and older[MANIPULABILITY].null_count == len(rows)
+    shard = SimpleNamespace(method="beam", first=0, last=0, targets=SimpleNamespace(sha256="0"))
+    times = pa.Table.from_pylist([{"scenario": 0, "cycle_time_s": 2.0, "feed_target": 3}], timing_file.SCHEMA)
+    for kept, expected in ((times, [3]), (times.drop_columns(["feed_target"]), [None])):
+        (tmp_path / "timing").mkdir(exist_ok=True)
+        written = timing_file.timing_bytes(timing_file.Timing(0.02, {}, kept), [shard], "beam")
+        timing_file.timing_file(tmp_path, "beam").write_bytes(written)
+        assert timing_file.read_timing(tmp_path, [shard], "beam").rows["feed_target"].to_pylist() == expected

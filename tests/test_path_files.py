@@ -17,6 +17,7 @@ NORMALS = (lambda n: n / np.linalg.norm(n, axis=1, keepdims=True))(RNG.normal(si
 QUATERNIONS = (lambda q: q / np.linalg.norm(q, axis=1, keepdims=True))(RNG.normal(size=(6, 4)))
 NUMBERS = np.arange(1.0, 7.0)[:, None]
 MAP = np.array([500_321.0, 4_600_123.0, 312.0])
+EAST = np.array([10_000.0, 0.0, 0.0])
 
 
 def write(folder, header, *columns, separator=","):
@@ -45,7 +46,8 @@ def refusal(file, **choices) -> str:
 @pytest.mark.parametrize("header, per_metre", [
     ("x,y,z", 1), ("X,Y,Z", 1), ("x_m,y_m,z_m", 1), ("x_mm,y_mm,z_mm", 1e3), ("X [mm],Y [mm],Z [mm]", 1e3),
     ("X (cm),Y (cm),Z (cm)", 1e2), ("x [in],y [in],z [in]", 1 / 0.0254), ('"x [mm]","y [mm]","z [mm]"', 1e3),
-    ("px,py,pz", 1), ("position.x,position.y,position.z", 1), ("Pos X,Pos Y,Pos Z", 1), ("tcp_x_mm,tcp_y_mm,tcp_z_mm", 1e3),
+    ("px,py,pz", 1), ("position.x,position.y,position.z", 1), ("Pos X,Pos Y,Pos Z", 1),
+    ("tcp_x_mm,tcp_y_mm,tcp_z_mm", 1e3),
     ("pose.position.x,pose.position.y,pose.position.z", 1), ("x,y,z [mm]", 1e3),
 ])  # fmt: skip
 @pytest.mark.parametrize("separator", [",", ";"])
@@ -66,7 +68,9 @@ def test_a_first_column_that_counts_the_rows_is_ignored_with_a_note(tmp_path, he
     file = write(tmp_path, header, NUMBERS - 1 + first, POINTS, *others)
     found, said = read(file)
     assert np.array_equal(found.xyz, POINTS)
-    assert not said or (said[0][0] is Note and "the first counts the rows, the next three are taken as x, y, z" in said[0][1])
+    assert not said or (
+        said[0][0] is Note and "the first counts the rows, the next three are taken as x, y, z" in said[0][1]
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", Note)
         assert np.array_equal(read_points(file).xyz, POINTS), "a cloud is read alike"
@@ -136,7 +140,8 @@ def test_a_name_without_a_header_is_refused(tmp_path):
     ("x,y,z,nx,ny,nz,nx", "the header names nx twice: x, y, z, nx, ny, nz, nx"),
     ("x,y,z,qw,qx,qy,qw", "the header names qw twice"),
     ("x,y,z,X [mm],b,c,d", "the header names x twice: x, y, z, X [mm], b, c, d"),
-    ("a,tcp_x,tcp_y,tcp_z,target_x,target_y,target_z", "the header names tcp_x tcp_y tcp_z and target_x target_y target_z"),
+    ("a,tcp_x,tcp_y,tcp_z,target_x,target_y,target_z",
+     "the header names tcp_x tcp_y tcp_z and target_x target_y target_z"),
     ("a,x,y,h,b,c,d", "the header names no z: a, x, y, h, b, c, d"),
     ("x [mm],y [mm],z [in],b,c,d,e", "coordinates in mm and in: x [mm], y [mm], z [in], b"),
 ])  # fmt: skip
@@ -188,7 +193,7 @@ def test_a_part_on_a_map_is_the_part_about_the_origin(source):
 def test_a_part_that_is_10_km_away_at_most_stays_where_it_is():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        part = load_workpiece(PointCloud(CUBE + [10_000.0, 0, 0]), POINTS + [10_000.0, 0, 0], **HERE)
+        part = load_workpiece(PointCloud(CUBE + EAST), POINTS + EAST, **HERE)
     assert not part.origin.any() and part.path[0, 0] > 9_999
 
 

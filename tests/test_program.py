@@ -202,7 +202,7 @@ def test_the_table_of_drops_names_the_joint_whose_limit_is_reached():
 
 
 def test_a_feed_drop_near_a_singularity_is_where_the_manipulability_is_lowest():
-    """Line of the toy arm's TCP out to 0.4 mm before the stretched arm: the elbow cannot be as fast as the feed needs."""
+    """Line of the toy arm's TCP to 0.4 mm before the stretched arm, where the elbow cannot be as fast as needed."""
     r = np.linspace(0.7, 0.9996, 60)
     elbow = np.arccos((r**2 - 0.4**2 - 0.6**2) / (2 * 0.4 * 0.6))
     shoulder = 1.2 - np.arctan2(0.6 * np.sin(elbow), 0.4 + 0.6 * np.cos(elbow))

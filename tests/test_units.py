@@ -71,7 +71,9 @@ def test_a_path_that_stays_far_from_its_part_is_refused_with_its_unit(unit, fact
     """Path far from its part: refused with its probable unit."""
     said = refusal(box(1.0, UNITS[unit], at))
     assert said.startswith("half of the path is ")
-    assert said.endswith(f"; the path seems to be in {unit}, metres are needed (factor {factor})")
+    key = {"millimetres": "mm", "inches": "in", "centimetres": "cm"}[unit]
+    hint = f"metres are needed (factor {factor}), or workpiece.path_unit: {key}"
+    assert said.endswith(f"; the path seems to be in {unit}, {hint}")
 
 
 def test_a_path_in_another_frame_is_refused_without_a_guess():

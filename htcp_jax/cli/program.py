@@ -131,7 +131,9 @@ def program(
     if found.drops:
         stdout().print()
         print_table(stdout(), drops)
-        middle = f"manipulability: the minimum there; its median on the path is {np.nanmedian(manipulability):.3f} m/rad."
+        middle = (
+            f"manipulability: the minimum there; its median on the path is {np.nanmedian(manipulability):.3f} m/rad."
+        )
         stdout().print(Text(middle, style="dim"))
         if any(drop.reason == STOP for drop in found.drops):
             stdout().print(Text(f"{STOP}: the arm starts or stops there, as at both ends of the path.", style="dim"))

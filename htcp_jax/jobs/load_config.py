@@ -2,8 +2,8 @@
 
     load_config("plan.yaml", ["margin_m=0.001", "settings.alpha_rad=0.05"]) -> PlanConfig
 
-A key has the value that an override gives it, else that of the file (or of a file that it builds on), else the default for
-the job's arm and part, see `defaults`: a part of one's own lies at the world's origin, not turned.
+A key has the value that an override gives it, else that of the file (or of a file that it builds on), else the default
+for the job's arm and part, see `defaults`: a part of one's own lies at the world's origin, not turned.
 
 A file may have a base file, see `config_file`. File names in a YAML file are relative to its folder, those in an
 override to the working folder.

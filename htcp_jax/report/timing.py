@@ -118,14 +118,16 @@ def _low_manipulability(part: Part) -> str:
     if not len(low):
         return ""
     return (
-        f" At the lowest feed the manipulability is {np.median(low):.3g} m/rad in the median of these scenarios, at all "
-        f"of their targets {np.median(every):.3g} m/rad."
+        f" At the lowest feed the manipulability is {np.median(low):.3g} m/rad in the median of these scenarios, at "
+        f"all of their targets {np.median(every):.3g} m/rad."
     )
 
 
 def feed_targets(part: Part) -> dict[str, np.ndarray]:
     """Target at which each scenario's feed is lowest (S,), by method that is timed; -1 if it is held or not known."""
-    return {method: np.nan_to_num(values, nan=-1).astype(int) for method, values in _values(part, "feed_target").items()}
+    return {
+        method: np.nan_to_num(values, nan=-1).astype(int) for method, values in _values(part, "feed_target").items()
+    }
 
 
 def _charts(part: Part, prefix: str, label: Callable[[str], str]) -> list[Picture]:

@@ -224,8 +224,8 @@ def _manipulability(batch: grids.Batch, span: Span, plans: Plans) -> Float[np.nd
     for number in np.unique(cell[s]).tolist():
         own, here = batch.cells[number], cell[s] == number
         where = s[here], t[here]
-        known = plans.x[where], scenarios.goals[where], scenarios.tool_extension_m[where[0]]
-        found[where] = manipulability.manipulability(own.robot, own.task, *known)
+        goals, longer = np.asarray(scenarios.goals)[where], np.asarray(scenarios.tool_extension_m)[where[0]]
+        found[where] = manipulability.manipulability(own.robot, own.task, plans.x[where], goals, longer)
     return found
 
 

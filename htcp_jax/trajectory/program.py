@@ -97,9 +97,7 @@ class Program(NamedTuple):
     def _span(self, row: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 2"] | None:
         return None if self.motion.span is None else self.motion.span[row]
 
-    def targets_at(
-        self, blend: Blend, scaling: TimeScaling, place: Float[np.ndarray, "n"]
-    ) -> Int[np.ndarray, "n"]:
+    def targets_at(self, blend: Blend, scaling: TimeScaling, place: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """Return the targets that a section leads to at positions along it [m]."""
         return self.motion.target[blend.row[blend.curve.leg(scaling.path.u(place))]]
 

@@ -1,4 +1,4 @@
-"""Columns of a table: coordinates of points with their unit, and directions, found by the header's names or by place."""
+"""Columns of a table: coordinates of points with their unit, and directions, by the header's names or by place."""
 
 import re
 import warnings
@@ -138,7 +138,9 @@ def columns_of(
     if len(names) == width and (found := coordinates_in(names)):
         if len(found) > 1:
             sets = " and ".join(" ".join(family) for family in found)
-            raise InputError(f"{source}: the header names {sets}: {listed(header)}; {KEY} chooses one of them for a path")
+            raise InputError(
+                f"{source}: the header names {sets}: {listed(header)}; {KEY} chooses one of them for a path"
+            )
         normals = next((family for family in NORMALS if all(name in names for name in family)), None)
         xyz = tuple(names.index(name) for name in found[0])
         indices = None if normals is None else tuple(names.index(name) for name in normals)
@@ -189,7 +191,9 @@ def chosen_columns(
             k = name - 1
         else:
             if header and len(header) != width:
-                raise InputError(f"{where}, but the header has {len(header)} names: {listed(header)}; the rows have {width}")
+                raise InputError(
+                    f"{where}, but the header has {len(header)} names: {listed(header)}; the rows have {width}"
+                )
             wanted = _heading(_marked(name))
             same = [k for k, head in enumerate(header) if wanted.text == head.text]
             same = same or [k for k, head in enumerate(header) if wanted.name == head.name]

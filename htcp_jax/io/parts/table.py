@@ -172,7 +172,11 @@ class _TableReader:
     def _counts(self, cells: list[str]) -> bool:
         """True if all rows so far count in a first column that the header does not name, or has no name for."""
         names = [head.name for head in self.header or ()]
-        if self.width < 4 or self._chosen or (len(names) != self.width - 1 and (coordinates_in(names) or "x" in names[:1])):
+        if (
+            self.width < 4
+            or self._chosen
+            or (len(names) != self.width - 1 and (coordinates_in(names) or "x" in names[:1]))
+        ):
             return False
         first = _bare(self._counted[0][2][0] if self._counted else cells[0])
         counts = first in ("0", "1") and _bare(cells[0]) == str(int(first) + len(self._counted))

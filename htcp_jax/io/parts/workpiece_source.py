@@ -207,7 +207,9 @@ def _origin(source: WorkpieceSource, path: Float[np.ndarray, "T 3"], name: str) 
     warnings.warn(what, Note, stacklevel=3)
     rounding = float(np.spacing(np.float32(np.abs(points).max())))
     if (points == points.astype(np.float32)).all():
-        what = f"{name}: its coordinates are numbers of 32 bits, rounded to {1e3 * rounding:.3g} mm so far from the origin"
+        what = (
+            f"{name}: its coordinates are numbers of 32 bits, rounded to {1e3 * rounding:.3g} mm so far from the origin"
+        )
         warnings.warn(what, UserWarning, stacklevel=3)
     return centre
 
