@@ -11,9 +11,9 @@ import pytest
 import toy
 
 import htcp_jax
-from htcp_jax.cli import main
-from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.cli import main
 from htcp_jax.device import Executor
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import max_reach, tcp_position
