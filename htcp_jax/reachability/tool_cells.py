@@ -140,9 +140,7 @@ def tool_cells(
     going, done = np.ones(lanes, bool), []
     while going.any():
         turn = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)
-        halved = [
-            _halved_cells(executor, number, inputs, covers, turn, bodies) for number in range(len(covers))
-        ]
+        halved = [_halved_cells(executor, number, inputs, cells, turn, bodies) for number, cells in enumerate(covers)]
         halved = [tables.gather(own, _meets(own, other)) for own, other in zip(halved, halved[::-1], strict=True)]
         left = np.array([np.bincount(cells.lane, minlength=lanes) for cells in halved])
         too_many = (left > most).any(axis=0)
@@ -195,32 +193,20 @@ def _halved_cells(
     executor: Executor,
     number: int,
     inputs: lane_inputs.LaneInputs,
-    covers: list[Cells],
+    cells: Cells,
     turn: Int[np.ndarray, "lanes"],
     bodies: exclusion.Bodies,
 ) -> Cells:
-    """Return a cover after halving the cells of the targets with `turn` equal to `number`, without colliding halves.
-
-    With two covers, halves that cannot meet the other one are removed first: that costs less than their clearance.
-    """
-    cells = covers[number]
+    """Return a cover after halving the cells of the targets with `turn` equal to `number`, without colliding halves."""
     now = turn[cells.lane] == number
     fresh = tables.gather(cells, now).halves()
-    if len(covers) > 1 and bodies > exclusion.Bodies.NONE:
-        fresh = _bounded(executor, number, inputs, fresh, exclusion.Bodies.NONE)
-        fresh = tables.gather(fresh, _meets(fresh, covers[1 - number]))
-    return tables.concatenate([tables.gather(cells, ~now), _bounded(executor, number, inputs, fresh, bodies)])
-
-
-def _bounded(
-    executor: Executor, number: int, inputs: lane_inputs.LaneInputs, cells: Cells, bodies: exclusion.Bodies
-) -> Cells:
-    """Return cells of a cover with the wrist's position, without those that certainly collide."""
-    if not len(cells.lane):
+    if not len(fresh.lane):
         return cells
-    lane_function, where = (ARM, (cells.cube, cells.half)) if number else (TOOL, (cells.quaternion, cells.radius_rad))
-    found = executor(lane_function, tables.gather(inputs, cells.lane), *where, np.full(len(cells.lane), int(bodies)))
-    return tables.gather(cells._replace(wrist=found.wrist, moves=found.moves), ~found.collides)
+    lane_function, where = (ARM, (fresh.cube, fresh.half)) if number else (TOOL, (fresh.quaternion, fresh.radius_rad))
+    use = np.full(len(fresh.lane), int(bodies))
+    found = executor(lane_function, tables.gather(inputs, fresh.lane), *where, use)
+    fresh = tables.gather(fresh._replace(wrist=found.wrist, moves=found.moves), ~found.collides)
+    return tables.concatenate([tables.gather(cells, ~now), fresh])
 
 
 def _meets(own: Cells, other: Cells) -> Bool[np.ndarray, "n"]:
