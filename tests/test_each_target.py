@@ -11,15 +11,16 @@ import pytest
 import toy
 
 import htcp_jax
-from htcp_jax.cli import main
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.cli import main
 from htcp_jax.device import Executor
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import max_reach, tcp_position
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.reachability import Reach, reachable_prefixes
+from htcp_jax.reachability import Reach, initial_reachability, reachable_prefixes
+from htcp_jax.reachability.reachability import _upper_bounds
 from htcp_jax.reachability.tool_cells import excluded
 from htcp_jax.settings import Settings
 
@@ -69,14 +70,31 @@ def test_the_order_of_the_targets_changes_nothing(with_a_gap):
     np.testing.assert_array_equal(own[::-1], before)
 
 
-def test_a_target_at_which_the_tool_is_walled_in_is_excluded_by_the_tool():
+def walled_in(target):
+    """Points of a ball about a target, and a margin so wide that few cells prove that no tool gets in."""
     k = np.arange(4000) + 0.5
     z, turn = 1 - 2 * k / 4000, np.pi * (1 + 5**0.5) * k
     ball = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    return target + 0.05 * ball, {"margin_m": 0.08}
+
+
+def test_a_target_at_which_the_tool_is_walled_in_is_excluded_by_the_tool():
     target = np.array([0.5, 0.0, 0.5])
-    path, wide = np.stack([target, [0.5, 0.3, 0.6]]), {"margin_m": 0.08}  # a wide margin, so that few cells prove it
-    found = judged(path, target + 0.05 * ball, **wide)[1]
+    ball, wide = walled_in(target)
+    found = judged(np.stack([target, [0.5, 0.3, 0.6]]), ball, **wide)[1]
     assert found.each.reach[0, -2:].tolist() == [Reach.TOOL, Reach.REACHABLE]
+
+
+def test_excluded_targets_are_found_on_a_path_that_comes_back_into_the_open():
+    target, away = np.array([0.5, 0.0, 0.5]), np.array([0.5, 0.3, 0.6])
+    ball, wide = walled_in(target)
+    path = np.concatenate([np.tile(away, (3, 1)), np.tile(target, (8, 1)), np.tile(away, (20, 1))])
+    part = Workpiece("ball", ball, path, interior="none", pivot=np.zeros(3), neutral_translation=np.zeros(3))
+    scenarios = stack([make_scenario(toy.robot(), part, None, **wide)])
+    prefix = np.array([int(scenarios.on_path[0]) + 3])
+    found = initial_reachability(scenarios)._replace(prefix=prefix, resolution_rad=np.ones(1))
+    executor = Executor(Scene(toy.robot(), make_obstacle(part)), Settings())
+    assert _upper_bounds(executor, toy.robot(), scenarios, found, 64) == prefix
 
 
 def test_no_sampled_valid_configuration_is_at_an_excluded_target():
@@ -113,7 +131,7 @@ def test_one_command_judges_a_job_and_writes_a_table_and_a_picture(job, tmp_path
     assert main(words) == 0
     text = capsys.readouterr().out
     assert "reachable" in text and "excluded: out of reach" in text
-    rows = list(csv.DictReader((out / "reach.csv").open()))
+    rows = list(csv.DictReader((out / "reach.csv").read_text().splitlines()))
     assert [row["reach"] for row in rows] == ["reachable"] * 3 + ["out of reach"] + ["reachable"] * 6
     assert rows[3]["reason"] == Reach.OUT_OF_REACH.message and rows[4]["j1_rad"]
     assert json.loads((out / "reachability.json").read_text())["each"][0][-10:] == [row["reach"] for row in rows]

@@ -38,6 +38,7 @@ from htcp_jax.settings import Settings
 
 RESOLUTION_RAD = 0.11
 PROOF_CELLS = 2048
+FIRST_AHEAD = 4  # targets from the last one found to the first one tried by a proof; then twice as many, and so on
 COARSE_FIRST = (4, 1)  # successive search resolutions, as multiples of the requested one
 
 
@@ -235,13 +236,18 @@ def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> 
 def _upper_bounds(executor: Executor, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
     """Return the number of targets (S,) before one that is proven out of reach.
 
-    Bisection between the last one found and the end of the path: a later target is usually excluded more easily, and if
-    it is not the bound is larger.
+    Targets 4, 8, 16, ... behind the last one found are tried, and bisection between the first of them that is excluded
+    and the one tried before it: a few targets on, a target is usually excluded more easily, but on a path that comes
+    back into the open its end is not. If another one is excluded earlier, the bound is larger than it could be.
     """
     short, no_cell = found.prefix < scenarios.count, found.resolution_rad == 0
     low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
+    ahead, is_bounded = FIRST_AHEAD, short & no_cell
     while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:
-        middle = (low + high)[open_] // 2
-        none = excluded(executor, robot, lane_inputs.lane_inputs(scenarios, open_, middle), cells)
-        high[open_[none]], low[open_[~none]] = middle[none], middle[~none]
+        further = np.minimum(found.prefix - 1 + ahead, high - 1)
+        target = np.where(is_bounded, (low + high) // 2, further)[open_]
+        none = excluded(executor, robot, lane_inputs.lane_inputs(scenarios, open_, target), cells)
+        high[open_[none]], low[open_[~none]] = target[none], target[~none]
+        is_bounded[open_[none]] = True
+        ahead *= 2
     return high
