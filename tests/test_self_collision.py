@@ -1,5 +1,6 @@
 """Self-collision: pairs of capsules as MuJoCo measures them, and joint paths proven clear of them."""
 
+import dataclasses
 from functools import partial
 
 import jax
@@ -11,9 +12,10 @@ import pytest
 from test_joint_path import rail
 
 from htcp_jax.clearance import Scene, clearances
-from htcp_jax.clearance.distance.segments import nearest_points
-from htcp_jax.clearance.obstacles.obstacles import clearance_rows
-from htcp_jax.clearance.obstacles.self_collision import SelfCollision, self_collision
+from htcp_jax.clearance.distance.segments import nearest_columns, nearest_points
+from htcp_jax.clearance.obstacles.obstacles import clearance_rows, contacts
+from htcp_jax.clearance.obstacles.self_collision import FEW_PAIRS, SelfCollision, self_collision
+from htcp_jax.clearance.obstacles.self_exclusions import candidates
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import row_travel_bound
 from htcp_jax.clearance.proof.motion_bound import travel_bound
@@ -68,11 +70,46 @@ def test_nearly_parallel_segments_and_points_are_measured_as_exactly():
     s[25:35] = r[25:35]
     _, _, a, b = nearest_points(*map(jnp.asarray, (p, q, r, s)))
     found = np.linalg.norm(a - b, axis=1)
+    t, u, distance = nearest_columns(*map(jnp.asarray, (p.T, q.T, r.T, s.T)))
+    np.testing.assert_allclose(distance, found, atol=1e-12)
+    t, u = np.asarray(t)[:, None], np.asarray(u)[:, None]
+    np.testing.assert_allclose(distance, np.linalg.norm(p + t * (q - p) - r - u * (s - r), axis=1), atol=1e-12)
     for k in range(40):
         apart = lambda v, k=k: np.sum((p[k] + v[0] * (q - p)[k] - r[k] - v[1] * (s - r)[k]) ** 2)  # noqa: E731
         starts = [(0, 0), (0, 1), (1, 0), (1, 1), (0.5, 0.5)]
         best = min(minimize(apart, v, bounds=[(0, 1)] * 2, tol=1e-15).fun for v in starts)
         assert found[k] <= np.sqrt(best) + 1e-9 and found[k] >= np.sqrt(best) - 1e-5
+
+
+def test_the_row_of_an_arm_with_many_capsules_is_that_of_the_row_alone():
+    """Contacts of an arm whose capsules are cut in eight, compared with those of one row at a time."""
+    arm, parts = made_once.gp50(), np.linspace(0, 1, 9)
+    cut = lambda shares: np.concatenate([arm.capsule_p + share * (arm.capsule_q - arm.capsule_p) for share in shares])  # noqa: E731
+    many = dataclasses.replace(
+        arm,
+        capsule_p=jnp.asarray(cut(parts[:-1])),
+        capsule_q=jnp.asarray(cut(parts[1:])),
+        capsule_radius=jnp.tile(arm.capsule_radius, 8),
+        on_tool=jnp.tile(arm.on_tool, (8, 1)),
+        capsule_names=tuple(f"{name}-{part}" for part in range(8) for name in arm.capsule_names),
+        capsule_link=arm.capsule_link * 8,
+    )
+    pairs = tuple((a, b) for a, b in candidates(many) if a < len(arm.capsule_link))
+    own, where = SelfCollision(pairs), made_once.nominal()
+    assert len(pairs) > FEW_PAIRS
+    measured = lambda own, x: contacts(many, (own,), where, x)  # noqa: E731
+    rows, x = own.rows(many), made_once.configurations(many, 20)
+    found = jax.jit(jax.vmap(partial(measured, own)))(x)
+    for row in range(0, len(rows.body), 7):
+        body, other = rows.body[row], rows.other[row]
+        alone = SelfCollision(tuple((a, b) for a, b in pairs if a == body and many.capsule_link[b] == other))
+        assert len(alone.pairs) <= FEW_PAIRS
+        expected = jax.jit(jax.vmap(partial(measured, alone)))(x)
+        np.testing.assert_allclose(found.distance[:, row], expected.distance[:, 0], atol=1e-12)
+        np.testing.assert_allclose(found.radius[:, row], expected.radius[:, 0], atol=1e-12)
+        np.testing.assert_allclose(found.point[:, row], expected.point[:, 0], atol=1e-7)
+        apart = (found.distance + found.radius)[:, row, None]
+        np.testing.assert_allclose(apart * found.normal[:, row], apart * expected.normal[:, 0], atol=1e-7)
 
 
 def test_a_pairs_body_moves_no_further_than_the_bound_as_seen_from_the_other(tmp_path):

@@ -43,7 +43,7 @@ def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexP
     The points may lie in a plane or on a line.
     """
     middle = points.mean(axis=0)
-    _, size, axes = np.linalg.svd(np.concatenate([points - middle, np.zeros((3, 3))]))
+    _, size, axes = np.linalg.svd(np.concatenate([points - middle, np.zeros((3, 3))]), full_matrices=False)
     missing = axes[int(np.sum(size > FLAT * size[0])) :] * (size[0] or 1.0)
     thickened = np.array(list(combinations((-1, 1), repeat=len(missing)))) @ missing
     hull = scipy.spatial.ConvexHull((points[:, None] + thickened[None]).reshape(-1, 3))
@@ -93,7 +93,8 @@ def _enclosing_planes(piece: ConvexPiece) -> Float[np.ndarray, "D 4"]:
     for sides_of_vertex in is_side:
         own = piece.normals[sides_of_vertex]
         middle = own.sum(axis=0)
-        if len(own) and np.linalg.norm(middle) > FLAT and (own @ middle).min() < SHARP * np.linalg.norm(middle):
+        size = np.linalg.norm(middle)
+        if size > FLAT and (own @ middle).min() < SHARP * size:
             corners.append(middle)
     over = np.concatenate([edges, np.reshape(corners, (-1, 3))])
     length = np.linalg.norm(over, axis=1, keepdims=True)

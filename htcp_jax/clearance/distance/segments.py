@@ -4,8 +4,8 @@ Either both lie within their segments, or one is an end. The first case is Erics
 section 5.1.9), which loses precision for nearly parallel segments; there an end is as near. All five candidates are
 measured.
 
-`nearest_columns` is the same for many pairs: a CPU measures pairs whose coordinates lie one after the other thirty times
-as fast. Results may differ in the last digit.
+`nearest_columns` does the same for many pairs. Their coordinates lie one after the other, and a CPU measures several
+pairs at once. Results may differ in the last digit.
 """
 
 from typing import NamedTuple
@@ -75,7 +75,7 @@ def nearest_columns(
         (on_first(zero + 1), zero + 1),
     )
     for t, u in pairs:
-        apart = w + t * d - u * e
+        apart = w + t[None] * d - u[None] * e
         square = _column_dot(apart, apart)
         best = tuple(jnp.where(square < best[2], new, old) for new, old in zip((t, u, square), best, strict=True))
     return best[0], best[1], jnp.sqrt(best[2])

@@ -245,7 +245,7 @@ def _column_contacts(
 ) -> Contacts:
     ends = p[:, a], q[:, a], p[:, b], q[:, b]
     t, u, _ = nearest_columns(*ends)
-    on_a, on_b = ends[0] + t * (ends[1] - ends[0]), ends[2] + u * (ends[3] - ends[2])
+    on_a, on_b = ends[0] + t[None] * (ends[1] - ends[0]), ends[2] + u[None] * (ends[3] - ends[2])
     return _contacts(on_a.T, on_b.T, robot.capsule_radius[a] + robot.capsule_radius[b])
 
 
