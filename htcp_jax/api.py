@@ -215,7 +215,7 @@ class Plan:
         """The place between two targets at which the plan failed; None if it did not, or at a target."""
         if (failed := self.outcome.failed) is None or self.outcome.status in NOT_TRIED:
             return None
-        task = build.task_of_job(self.job, self.robot)
+        task = jobs.build.task_of_job(self.job, self.robot)
         return inserted_goals.lost_place(self.robot, task, self.scenario, self.job.settings, self.plans, failed)
 
     def failure(self) -> dict[str, str]:

@@ -53,3 +53,16 @@ class DeadEnds(NamedTuple):
         """Return what was tried in one scenario, by lost target."""
         own = np.flatnonzero(self.scenario == scenario)
         return {int(self.target[k]): Tried(*(int(column[k]) for column in self[2:])) for k in own}
+
+    def moved(self, target: Int[np.ndarray, "S R"]) -> "DeadEnds":
+        """Return the dead ends at other targets, added up where two come to the same one.
+
+        Args:
+            target: The target in place of each one, per scenario.
+        """
+        found: dict[tuple[int, int], Tried] = {}
+        for scenario in np.unique(self.scenario).tolist():
+            for old, tried in self.on(scenario).items():
+                key = scenario, int(target[scenario, old])
+                found[key] = Tried(*map(sum, zip(found.get(key, Tried()), tried, strict=True)))
+        return DeadEnds.of(found)

@@ -196,7 +196,7 @@ def folded(plans: Plans, count: Int[np.ndarray, "S"], parts: PathParts) -> Plans
     for one, t in zip(*np.nonzero(exists & (before > 1)), strict=True):
         last = parts.row[one, t] + 1
         _fold(plans, found, int(one), int(t), slice(last - before[one, t], last))
-    return found._replace(via_points=_via_points(plans, parts))
+    return found._replace(via_points=_via_points(plans, parts), dead_ends=plans.dead_ends.moved(parts.target))
 
 
 def _planned(plan: PlanRows, problem: Problem, rows: np.ndarray, pieces: np.ndarray, progress: Callable) -> Plans:

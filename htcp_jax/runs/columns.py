@@ -109,7 +109,8 @@ MOUNTINGS = MappingProxyType(
 )
 TABLES = MappingProxyType({"targets": TARGETS, "scenarios": SCENARIOS, "timing": TIMING, "mountings": MOUNTINGS})
 UNITS = MappingProxyType(  # by the end of a column's name; longer ends first
-    {"_rad_m2": "rad/m2", "_rad2": "rad2", "_m_s": "m/s", "_m_rad": "m/rad", "_rad": "rad", "_m": "m", "_s": "s", "_share": "1"}
+    {"_rad_m2": "rad/m2", "_rad2": "rad2", "_m_s": "m/s", "_m_rad": "m/rad"}
+    | {"_rad": "rad", "_m": "m", "_s": "s", "_share": "1"}
 )
 
 

@@ -136,7 +136,8 @@ def with_new_columns(rows: pa.Table, schema: pa.Schema) -> pa.Table:
 
     Without shares the tool stays at the target before.
     """
-    new = [name for name in (MANIPULABILITY, SHARES, *STEPS, *CAUSE) if name in schema.names and name not in rows.column_names]
+    later = (MANIPULABILITY, SHARES, *STEPS, *CAUSE)
+    new = [name for name in later if name in schema.names and name not in rows.column_names]
     if not new:
         return rows
     for name in new:
