@@ -170,7 +170,7 @@ def test_validation_turns_directions_between_targets_as_inserted_goals_do():
     path, turns = rng.normal(size=(3, 3)), Rotation.random(3, rng=rng)
     normals = turns.apply([0.0, 0.0, 1.0])
     part = WorkpieceData(path, path, None, False, 0.0, normals, None, turns.as_matrix())
-    rows = TaskRow(axis="tcp.z", towards="normal"), TaskRow(orientation="path")
+    rows = TaskRow(axis="tcp.z", towards="path.normal"), TaskRow(orientation="path")
     point, share = np.array([1, 2, 2, 1]), np.array([0.0, 0.4, 1.0, 0.7])
     found = part_between(rows, np.eye(3), np.zeros(3), part, point, share)
     columns = np.concatenate([path, normals, turns.as_matrix().reshape(3, 9)], axis=1)
