@@ -12,7 +12,7 @@ import toy
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
-from htcp_jax.model import Task, Workpiece, kinematics
+from htcp_jax.model import Task, TaskRow, Workpiece, kinematics
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, TaskPoint
@@ -20,6 +20,8 @@ from htcp_jax.motion import motion as motions
 from htcp_jax.planning.batch import Progress, plan
 from htcp_jax.planning.inserted_goals import PathParts, inserted, pieces_of
 from htcp_jax.status import Kind, SegmentStatus, Status
+from htcp_jax.validation.scene_rules import WorkpieceData
+from htcp_jax.validation.task_check import part_between
 
 TOY_TASK = Task(tolerance_m=toy.SETTINGS.tolerance_m)
 CORNERS = ((0.45, -0.12, 0.3), (0.62, -0.12, 0.3), (0.62, 0.12, 0.3), (0.45, 0.12, 0.3))
@@ -163,6 +165,22 @@ def test_inserted_scenarios_keep_the_files_goals_to_the_last_bit():
         assert denser.count[s] == parts.row[s, count - 1] + 1
 
 
+def test_validation_turns_directions_between_targets_as_inserted_goals_do():
+    rng = np.random.default_rng(5)
+    path, turns = rng.normal(size=(3, 3)), Rotation.random(3, rng=rng)
+    normals = turns.apply([0.0, 0.0, 1.0])
+    part = WorkpieceData(path, path, None, False, 0.0, normals, None, turns.as_matrix())
+    rows = TaskRow(axis="tcp.z", towards="path.normal"), TaskRow(orientation="path")
+    point, share = np.array([1, 2, 2, 1]), np.array([0.0, 0.4, 1.0, 0.7])
+    found = part_between(rows, np.eye(3), np.zeros(3), part, point, share)
+    columns = np.concatenate([path, normals, turns.as_matrix().reshape(3, 9)], axis=1)
+    task = Task((TaskPoint(), AxisTowards(None, (0.0, 0.0, 1.0), cone=False), FrameOrientation(None)))
+    goals = task.interpolated(np.stack([columns[point - 1], columns[point]], axis=1), share)
+    np.testing.assert_allclose(found.workpiece.path[found.point], goals[:, :3], atol=1e-12)
+    np.testing.assert_allclose(found.workpiece.normals[found.point], goals[:, 3:6], atol=1e-12)
+    np.testing.assert_allclose(found.workpiece.rotations[found.point].reshape(4, 9), goals[:, 6:], atol=1e-12)
+
+
 # The longest joint step
 
 
@@ -170,7 +188,7 @@ def travelled(plans, s, t):
     return np.abs(np.diff(joint_path(plans, s, t), axis=0)).sum(axis=0)
 
 
-@pytest.mark.parametrize("method", ["beam", "hybrid", "nspace-sqp"])
+@pytest.mark.parametrize("method", ["beam", pytest.param("hybrid", marks=pytest.mark.slow)])
 def test_no_joint_travels_farther_between_two_targets_than_the_bound(method):
     free = toy.planned(method=method)
     on_path = np.array([int(one.on_path) for one in toy.scenarios()])
@@ -182,7 +200,7 @@ def test_no_joint_travels_farther_between_two_targets_than_the_bound(method):
         if t > on_path[s]:
             assert (travelled(plans, s, t) <= bound).all()
             seen += 1
-    assert seen > 10 and plans.tracked.sum() < free.tracked.sum() + 5
+    assert seen > 5 and plans.tracked.sum() < free.tracked.sum() + 5
     assert np.nanmax(motions.largest_joint_steps(plans, on_path).step) <= bound
 
 
@@ -192,18 +210,20 @@ def test_a_bound_that_nothing_reaches_changes_nothing():
         toy.same(free, s, bounded, s, int(one.count))
 
 
-def test_the_bound_holds_for_the_sum_over_inserted_goals():
-    whole = rectangle()[0]
+@pytest.mark.parametrize("method", ["beam", "baseline"])
+def test_the_bound_holds_for_the_sum_over_inserted_goals(method):
+    whole = rectangle(method)[0]
     largest = motions.largest_joint_steps(whole, 1)
     t, j = int(largest.target[0]), int(largest.joint[0])
     np.testing.assert_allclose(largest.step[0], travelled(whole, 0, t)[j])
     bound = 1.5 * float(largest.step[0])
-    bounded = rectangle(max_joint_step_rad=bound)[0]
+    bounded = rectangle(method, max_joint_step_rad=bound)[0]
+    assert bounded.tracked[0, 2:].any()
     assert max(travelled(bounded, 0, t).max() for t in range(2, 5) if bounded.tracked[0, t]) <= bound
 
 
-@pytest.mark.parametrize("bound", [0, -1.0, [0.1, 0.0, 0.1, 0.1], [0.1, 0.1]])
+@pytest.mark.parametrize("bound", [0, -1.0, (0.1, 0.0, 0.1, 0.1), (0.1, 0.1)])
 def test_a_bound_of_0_or_of_another_number_of_joints_is_refused(bound):
     with pytest.raises(InputError, match="max_joint_step_rad") as refused:
-        toy.planned(settings={"max_joint_step_rad": bound})
+        toy.planned(settings=replace(toy.SETTINGS, max_joint_step_rad=bound))
     assert "\n" not in str(refused.value)

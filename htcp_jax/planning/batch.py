@@ -120,6 +120,7 @@ def plan(
         if shared and worker_processes.portable(how):
             return _spread(processes, how, shared, scenarios, progress)
     began = time.perf_counter()
+    scenarios = scenario_functions.with_max_joint_step(scenarios, settings.max_joint_step_rad)
     with compute_devices.on(devices[0]):
         problem = Problem(
             robot,
@@ -151,8 +152,6 @@ def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obst
         problem, from_home = home_motion.leave_home(problem)
         if check_starts:
             _refuse_standing_overlaps(problem)
-        most = problem.settings.max_joint_step_rad
-        problem = problem.with_scenarios(scenario_functions.with_max_joint_step(problem.scenarios, most))
         pieces = inserted_goals.pieces_of(problem.robot, problem.task, problem.scenarios, problem.settings)
         if (pieces == 1).all():
             return _with_proofs(problem, chosen, method, from_home)
