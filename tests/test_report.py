@@ -279,6 +279,9 @@ class _Found:
     def picture(self, number, method, title):
         return None
 
+    def reach_picture(self, numbers, reach, name):
+        return None
+
 
 def test_a_body_counts_as_colliding_only_where_it_collides_and_else_the_end_of_the_search_is_reported(folder):
     """Stops by colliding body, else by the end of the search (regression: bodies that were 41 to 75 mm clear)."""

@@ -41,7 +41,7 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
         for line in chapter.part_facts(part):
             console.print(Text(line, style="dim"))
         print_table(console, tables["results"])
-        for name in ("paper", "reachability", "timing"):
+        for name in ("paper", "reachability", "reach", "timing"):
             if tables[name].rows:
                 console.print()
                 print_table(console, tables[name])

@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Int
 from matplotlib.figure import Figure
 
 from htcp_jax.motion import Plans, motion
@@ -36,6 +37,15 @@ class SceneOfRun(Protocol):
             number: The scenario.
             method: The method.
             title: The title of the figure.
+        """
+
+    def reach_picture(self, numbers: Int[np.ndarray, "S"], reach: Int[np.ndarray, "S T"], name: str) -> Figure | None:
+        """Draw the part with the targets by their reach; None if there is no scene.
+
+        Args:
+            numbers: The scenarios.
+            reach: Numbers of `Reach`.
+            name: Name of the scenarios.
         """
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from htcp_jax.reachability import Reach
-from htcp_jax.viewer.colours import INK, PAPER, QUIET, WALL
+from htcp_jax.viewer.colours import INK, PAPER, WALL
 from htcp_jax.viewer.viewpoints import View, view_from_side
 
 PANELS, ACROSS = 12, 3  # most scenarios in one picture, and in a row
@@ -80,7 +80,8 @@ def draw_reach(panels: Sequence[ReachPanel], title: str) -> Figure:
                color=look.colour, label=f"{reach.label} ({count[reach]:,})")
         for reach, look in LOOKS.items() if count[reach]
     ]  # fmt: skip
-    figure.legend(handles=handles, loc="outside lower left", ncols=6, frameon=False, fontsize=11, labelcolor=INK)
+    handles.append(Line2D([], [], linestyle="", marker="+", markersize=9, color=INK, label="arm's base"))
+    figure.legend(handles=handles, loc="outside lower left", ncols=7, frameon=False, fontsize=10, labelcolor=INK)
     return figure
 
 
@@ -106,7 +107,6 @@ def _draw(axes: Axes, panel: ReachPanel, view: View) -> None:
         axes.scatter(*own.T, zorder=3 + order, **style)
     base = view.flat(panel.base[None])
     axes.scatter(*base.T, color=INK, marker="+", s=90, linewidths=1.6, zorder=12)
-    axes.annotate("arm's base", base[0], (7, 5), textcoords="offset points", color=QUIET, fontsize=9, zorder=12)
     axes.set_aspect("equal", anchor="NW")
     axes.margins(0.06)
     axes.autoscale_view()
