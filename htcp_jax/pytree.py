@@ -52,6 +52,6 @@ def without_labels(value: Value) -> Value:
 
 
 def _empty(label):
-    if isinstance(label, tuple):
+    if type(label) is tuple:
         return ("",) * len(label) if all(isinstance(each, str) for each in label) else ()
     return "" if isinstance(label, str) else None

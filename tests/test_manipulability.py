@@ -11,7 +11,7 @@ import toy
 from htcp_jax.model import Task, kinematics
 from htcp_jax.motion.manipulability import manipulability
 from htcp_jax.runs import timing_file
-from htcp_jax.runs.tables import MANIPULABILITY, joint_columns, target_table, with_later_columns
+from htcp_jax.runs.tables import MANIPULABILITY, joint_columns, target_table, with_new_columns
 
 POSITION = Task()
 X = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 4))
@@ -72,7 +72,7 @@ def test_the_table_of_targets_has_it_where_a_target_is_tracked():
 def test_targets_and_times_of_older_versions_are_read_with_empty_columns(tmp_path):
     plans = toy.planned(toy.scenarios()[:1])
     rows = target_table("beam", np.arange(1), plans, joint_columns(toy.robot()), plans.residual)
-    older = with_later_columns(rows.drop_columns([MANIPULABILITY]), rows.schema)
+    older = with_new_columns(rows.drop_columns([MANIPULABILITY]), rows.schema)
     assert older.schema.equals(rows.schema) and older[MANIPULABILITY].null_count == len(rows)
     shard = SimpleNamespace(method="beam", first=0, last=0, targets=SimpleNamespace(sha256="0"))
     times = pa.Table.from_pylist([{"scenario": 0, "cycle_time_s": 2.0, "feed_target": 3}], timing_file.SCHEMA)

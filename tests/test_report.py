@@ -412,11 +412,11 @@ def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(fold
     output = capsys.readouterr()
     assert re.search(r"baseline +98\.60 +5,073 +5,145 +49 +0\.95 +13 +49", output.out) and output.err == ""
     page = (tmp_path / "report" / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 8
+    assert page.count("data:image/png;base64,") == 9
     assert not re.search(r"<script|src=\"(?!data:)|href=|url\(|@import", page)
     text = (tmp_path / "report" / "report.md").read_text()
     pictures = re.findall(r"!\[.+\]\((.+)\)", text)
-    assert len(pictures) == 8 and all((tmp_path / "report" / name).stat().st_size for name in pictures)
+    assert len(pictures) == 9 and all((tmp_path / "report" / name).stat().st_size for name in pictures)
     assert str(folder) not in page + text
     with open(tmp_path / "report" / "results.csv", newline="") as stream:
         (base, hybrid) = csv.DictReader(stream)

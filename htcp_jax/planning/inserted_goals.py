@@ -2,7 +2,8 @@
 
 Between two configurations joints move straight, so the TCP bows: along a segment of length L, at a distance r from the
 joint that turns, by L^2 / (8 r). A segment on which that is more than a SHARE of the allowed distance even at the arm's
-full reach, or along which the task's orientation turns by more than TURN_RAD, is cut into equal parts.
+full reach, or along which the task's orientation turns by more than TURN_RAD, is cut into equal parts. Jobs that do not
+require motions between targets (`settings.path_check`) have none.
 
 An inserted goal lies on the line between its targets, with directions and frames turned evenly. Methods, proofs and
 smoothing see it as a target. Afterwards each of the file's targets has one row again, and configurations at inserted
@@ -63,18 +64,20 @@ class PathParts:
 
 
 def pieces_of(robot: Robot, task: Task, scenarios: Scenario, settings: Settings) -> Int[np.ndarray, "S T"]:
-    """Return the number of equal parts into which the segment to each target is cut; 1 before the path.
+    """Return the number of equal parts into which the segment to each target is cut.
+
+    It is 1 before the path, and without `settings.path_check`.
 
     Args:
         robot: The arm.
         task: The constraints at every target.
         scenarios: Stacked scenarios.
-        settings: `tube_m`, the allowed distance from the line.
+        settings: `tube_m`, the allowed distance from the line, and `path_check`.
     """
     t = np.arange(scenarios.targets.shape[1])
     found = np.ones(scenarios.targets.shape[:2], int)
     s, t = np.nonzero((t > scenarios.on_path[:, None]) & (t < scenarios.count[:, None]))
-    if not len(s):
+    if not len(s) or settings.path_check != "all":
         return found
     tube_m = settings.tube_m if task.holds_tcp else task.tolerance_m
     longest = np.sqrt(8 * kinematics.max_reach(robot) * tube_m * SHARE)

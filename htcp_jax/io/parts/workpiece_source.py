@@ -18,6 +18,7 @@ from htcp_jax.io.files import known_ending
 from htcp_jax.io.parts.duct_seams import SEAMS, seam
 from htcp_jax.io.parts.path_file import PathPoints, read_path_points
 from htcp_jax.io.parts.point_cloud import TEXT, load_geometry
+from htcp_jax.io.parts.table import read_named
 from htcp_jax.io.parts.units import check_extent, check_path_unit
 from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
 from htcp_jax.types import Anywhere, Triple
@@ -245,15 +246,17 @@ def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
     Raises:
         InputError: For an unreadable or empty file, an invalid line (naming it) and NaN.
     """
-    return _read_track(path, {}, None).xyz
+    return _read_track(path, {}, None, directions=False).xyz
 
 
-def _read_track(path: str | Path | Anywhere, columns: Mapping[str, int | str], unit: str | None) -> PathPoints:
+def _read_track(
+    path: str | Path | Anywhere, columns: Mapping[str, int | str], unit: str | None, directions: bool = True
+) -> PathPoints:
     if not _is_file(path):
         return PathPoints(arrays.points(path, "path", 1), PathFrames())
     path = Path(path)
     known_ending(path, TEXT)
-    found = read_path_points(path, columns, unit)
+    found = read_path_points(path, columns, unit) if directions else PathPoints(read_named(path, ()).xyz, PathFrames())
     if not len(found.xyz):
         raise InputError(f"{path}: the tool path is empty")
     arrays.check_points(found.xyz, str(path), at_least=1)
