@@ -94,13 +94,14 @@ def is_trusted(path: Path, mode: int = 0o022) -> bool:
 def read_executable(key: str) -> bytes | None:
     """Return the contents that `write_executable` wrote under this key; None if there are none, or others."""
     try:
-        handle = os.open(_executables() / key, READ | NO_LINK)
+        file = _executables() / key
+        handle = os.open(file, READ | NO_LINK)
         with open(handle, "rb") as stream:
             if hasattr(os, "geteuid") and os.fstat(handle).st_uid != os.geteuid():
                 return None
             data = stream.read()
             with contextlib.suppress(OSError):
-                os.utime(handle)  # used now, see `_remove_oldest`
+                os.utime(file)  # used now, see `_remove_oldest`
     except OSError:
         return None
     return data[DIGEST:] if data[:DIGEST] == _digest(key, data[DIGEST:]) else None

@@ -25,9 +25,7 @@ from typing import Any
 import jax
 import numpy as np
 
-import htcp_jax
-
-PACKAGE, ROOT = htcp_jax.__name__, Path(htcp_jax.__file__).parent
+PACKAGE, ROOT = __name__.partition(".")[0], Path(__file__).parent.parent
 CORE = "model", "solvers", "clearance", "device", "motion", "planning", "reachability"  # of lane functions
 LIBRARIES = "jax", "jaxlib", "numpy", "optax"  # that they use
 WITHOUT_EFFECT = re.compile("cache|platforms|default_device|log|traceback|dump")  # on programs, of JAX's configuration
@@ -99,7 +97,8 @@ def _source() -> str:
         UnknownSource: If a file changed since this process imported the package, or cannot be read.
     """
     try:
-        if max(os.stat(file).st_mtime for file in _source_files()) >= htcp_jax._imported_s:
+        imported_s = vars(sys.modules[PACKAGE])["_imported_s"]
+        if max(os.stat(file).st_mtime for file in _source_files()) >= imported_s:
             raise UnknownSource
         return _source_digest()
     except OSError:
