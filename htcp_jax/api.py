@@ -16,7 +16,7 @@ from htcp_jax.device import devices
 from htcp_jax.jobs import PlanConfig, build, load_config, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
 from htcp_jax.model import scenario as scenarios
-from htcp_jax.motion import Motion, Plans
+from htcp_jax.motion import Motion, Plans, Tried
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.motion import start_cause as start_causes
@@ -162,10 +162,17 @@ class Plan:
             )
         return found.get(0)
 
+    @property
+    def dead_ends(self) -> dict[int, Tried]:
+        """What was tried after dead ends of the search, by the target that had no successor of the one before."""
+        return self.plans.dead_ends.on(0)
+
     def failure(self) -> dict[str, str]:
         """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
         end = self.outcome
         facts = {} if end.status is None else {f"failed at target {end.failed}": end.status.message}
+        if end.failed in self.dead_ends:
+            facts[f"after the dead end at target {end.failed}"] = self.dead_ends[end.failed].description
         if self.start_cause is not None:
             facts["cause"] = self.start_cause.description
         elif self.obstruction is not None:
@@ -202,6 +209,7 @@ class Plan:
         known = {"method": self.job.method, "validated": None, **plan_folder.summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
         known["colliding_body"] = self.obstruction and self.obstruction.record()
+        known["dead_ends"] = [{"target": target} | tried._asdict() for target, tried in self.dead_ends.items()]
         known["cause"] = self.start_cause and self.start_cause.description
         config = self.job.model_dump()
         files = input_files.file_hashes(input_files.anchor_files(config))

@@ -14,6 +14,7 @@ from . import (
     transfers,
 )
 from .collision_checker import CollisionChecker
+from .dead_ends import Tried
 from .motion import Motion
 from .plans import Plans
 from .problem import Problem
@@ -24,6 +25,7 @@ __all__ = [
     "Motion",
     "Plans",
     "Problem",
+    "Tried",
     "ViaPoints",
     "collision_checker",
     "configuration_tree",
