@@ -16,7 +16,7 @@ from htcp_jax.device import devices
 from htcp_jax.jobs import PlanConfig, load_config, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
 from htcp_jax.model import scenario as scenarios
-from htcp_jax.motion import Motion, Plans
+from htcp_jax.motion import Motion, Plans, Tried
 from htcp_jax.motion import manipulability as manipulabilities
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
@@ -218,6 +218,11 @@ class Plan:
         task = jobs.build.task_of_job(self.job, self.robot)
         return inserted_goals.lost_place(self.robot, task, self.scenario, self.job.settings, self.plans, failed)
 
+    @property
+    def dead_ends(self) -> dict[int, Tried]:
+        """What was tried after dead ends of the search, by the target that had no successor of the one before."""
+        return self.plans.dead_ends.on(0)
+
     def failure(self) -> dict[str, str]:
         """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
         end = self.outcome
@@ -225,6 +230,8 @@ class Plan:
         if (lost := self._lost_place) is not None:
             place = f"{100 * lost.share:.0f} % of the way from target {end.failed - 1}"
             facts[f"failed at target {end.failed}"] += f"; at {place}"
+        if end.failed in self.dead_ends:
+            facts[f"after the dead end at target {end.failed}"] = self.dead_ends[end.failed].description
         if self.start_cause is not None:
             facts["cause"] = self.start_cause.description
         elif self.obstruction is not None:
@@ -271,6 +278,7 @@ class Plan:
         known["manipulability_min_m_rad"] = None if at is None else float(self.manipulability[at])
         known["manipulability_min_target"] = at
         known["colliding_body"] = self.obstruction and self.obstruction.record()
+        known["dead_ends"] = [{"target": target} | tried._asdict() for target, tried in self.dead_ends.items()]
         known["cause"] = self.start_cause and self.start_cause.description
         config = self.job.model_dump()
         files = runs.input_files.file_hashes(runs.input_files.anchor_files(config))

@@ -95,8 +95,8 @@ class Settings:
     self_motion_steps: Steps = 12  # most steps of one self-motion
     self_motion_step_rad: Angle = 0.1  # length of each of them
     self_motion_rounds: Count = 12  # at a target without a successor
-    # Configurations sampled or extended after a dead end, as a multiple of those of the search before; 0: none
-    effort: Annotated[float, Field(ge=0, le=1e6)] = 2.0
+    # Configurations sampled or extended after a dead end, as a multiple of the search before; 0: none
+    effort: Annotated[float, Field(ge=0, le=1e6)] = 2.0  # no unit
     transfers: bool = False  # True: the arm may change its configuration before the path, if that leads further
 
     # Complete path, equation (3)

@@ -23,7 +23,7 @@ def begun(targets, settings=FEW, has_self_motions=True) -> Searches:
     """Start a search for each of these counts of targets, from one start."""
     searches = Searches(settings, BeamTree(2), has_self_motions)
     roots = searches.tree.plant(at(np.zeros((len(targets), 2))), -1)
-    searches.begin(list(range(len(targets))), list(targets), list(roots[:, None]))
+    searches.begin(list(range(len(targets))), [count - 1 for count in targets], list(roots[:, None]))
     return searches
 
 
@@ -91,6 +91,25 @@ def test_a_dead_end_is_moved_from_in_turn_until_the_rounds_are_over():
     assert searches.columns.status.tolist() == [NONE]
     searches.store_self_motions(origins, Members.none())
     assert searches.columns.status.tolist() == [Status.PATH_BLOCKED] and searches.pop_ended() == [0]
+
+
+def test_a_search_backwards_ends_at_its_last_target_or_when_it_is_stopped():
+    searches = begun([3])
+    extended(searches, [2])
+    roots = searches.tree.plant(at([[0.0, 0.0], [1.0, 1.0]]), 5)
+    for last in (3, 0):
+        searches.begin([0], [last], [roots], 0, backwards=True)
+    for target in (4, 3):
+        search, parent = searches.pending.search[searches.pending.search > 0], searches.pending.node[-4:]
+        x = searches.tree.x[parent] + 1.0
+        node = searches.tree.grow(parent, at(x), target)
+        searches.pending = searches.pending.of(np.array([False, True, True]))
+        searches.store_extended(Members(search, node))
+        searches.store_self_motions(Members.none(), Members.none())
+    assert searches.columns.target.tolist() == [0, 3, 3] and searches.columns.work.tolist()[1:] == [4, 4]
+    searches.stop(np.array([False, True, True]))
+    assert searches.columns.status.tolist() == [NONE, NONE, Status.RECOVERY_EXHAUSTED]  # the first had arrived
+    assert searches.pop_ended() == [1, 2]
 
 
 @pytest.mark.parametrize("last", [False, True])

@@ -15,6 +15,7 @@ from . import (
     transfers,
 )
 from .collision_checker import CollisionChecker
+from .dead_ends import Tried
 from .motion import Motion
 from .plans import Plans
 from .problem import Problem
@@ -25,6 +26,7 @@ __all__ = [
     "Motion",
     "Plans",
     "Problem",
+    "Tried",
     "ViaPoints",
     "collision_checker",
     "configuration_tree",

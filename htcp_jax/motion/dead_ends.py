@@ -15,6 +15,15 @@ class Tried(NamedTuple):
     found: int = 0  # valid configurations at the lost target
     connected: int = 0  # of these, to the start by a proven motion, or to a configuration where the motion may begin
 
+    @property
+    def description(self) -> str:
+        """What was tried, in one line."""
+        connected = str(self.connected) if self.connected else "none"
+        searches = f"{self.searches} search{'es' if self.searches != 1 else ''} backwards"
+        work = f"{searches}, {self.configurations:,} configurations sampled or extended"
+        found = f"{self.found} clear configuration{'s' if self.found != 1 else ''} found at the target"
+        return f"{work}; {found}" + (f", {connected} connected" if self.found else "")
+
 
 class DeadEnds(NamedTuple):
     """Dead ends of S scenarios, sorted by scenario and target."""

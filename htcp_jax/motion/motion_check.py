@@ -53,7 +53,8 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
         return motion_proof.Tube(
             np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows
         )
-    a, b = (task.tcp_place(scenarios.goals[scenario, row]) for row in (np.maximum(target - 1, 0), target))
+    ends = np.maximum(target - 1, 0), np.minimum(target, scenarios.goals.shape[1] - 1)  # after the last one no segment
+    a, b = (task.tcp_place(scenarios.goals[scenario, row]) for row in ends)
     a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
     return motion_proof.Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, problem.settings.tube_m), *rows)
 

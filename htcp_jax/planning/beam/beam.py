@@ -28,6 +28,7 @@ from htcp_jax.motion import (
     CollisionChecker,
     Plans,
     Problem,
+    Tried,
     ViaPoints,
     collision_checker,
     dead_ends,
@@ -36,7 +37,6 @@ from htcp_jax.motion import (
     step_functions,
     transfers,
 )
-from htcp_jax.motion.dead_ends import Tried
 from htcp_jax.planning.beam.dead_ends import DeadEnds
 from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION, inputs_and_tubes
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
@@ -229,6 +229,6 @@ class BeamSearch:
 
 
 def _in_order_of_travel(step: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of joint paths in the order in which the arm passes them; a search backwards has them reversed."""
+    """Return the ends of joint paths in the order in which the arm passes them, which searches backwards reverse."""
     forwards = step[:, None] > 0
     return np.where(forwards, a, b), np.where(forwards, b, a)

@@ -1,25 +1,23 @@
 """Dead ends of a beam search: searches backwards from configurations at the lost target, joined with the beam's tree.
 
     sample    configurations at the first target that the beam did not reach, the clearest of many pushed clear
-    backwards a beam from these towards the start, with the same proofs; each segment is proven in the direction of travel
+    backwards a beam from these towards the start, with the same proofs, in the direction of travel
     meet      at each target, by self-motions from the tree's configurations to those nearest to them
     arrive    if the motion may begin in another configuration: at the first target, to be joined in free space
     graft     the reversed motions become branches of the tree, and the search goes on forwards from the lost target
 
-A dead end of the beam is rarely one of the arm: the configurations that lead on were dropped or never sampled at earlier
-targets. Seen from the lost target nothing has to be guessed: whatever is extended backwards leads there. `settings.effort`
-bounds the work, in configurations.
+The configurations that lead on were often dropped, or never sampled, at earlier targets. Whatever is extended backwards
+from the lost target leads there. `settings.effort` bounds the work, in configurations.
 """
 
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from htcp_jax.device import tables
-from htcp_jax.motion import CollisionChecker, Problem, lane_inputs, selection, step_functions, transfers
-from htcp_jax.motion.dead_ends import Tried
+from htcp_jax.motion import CollisionChecker, Problem, Tried, selection, step_functions, transfers
 from htcp_jax.planning.beam.functions import MOVE_TOWARDS, inputs_and_tubes
 from htcp_jax.planning.beam.searches import NONE, Searches
 from htcp_jax.planning.tracking import stages
@@ -30,7 +28,7 @@ ROUNDS = 4  # of draws at a time
 PUSHED = 24  # the clearest draws that are far apart; these are pushed clear
 APART_RAD = 0.2
 NEAR_RAD = 0.4  # standard deviation of draws around known configurations
-SHARE = 0.25  # of the effort where the motion cannot begin elsewhere: the two have to meet, near the dead end or not at all
+SHARE = 0.25  # of the effort where the motion cannot begin elsewhere: they meet near the dead end or not at all
 MEET_RAD, PAIRS = 1.5, 4  # largest distance of configurations that are joined, and pairs tried at each target
 
 
@@ -48,7 +46,7 @@ class DeadEnds:
     def __init__(self, problem: Problem, checker: CollisionChecker, searches: Searches):
         self._problem, self._checker, self._searches, self._tree = problem, checker, searches, searches.tree
         self._rounds: dict[int, int] = {}  # rounds of draws so far, by scenario
-        self._sampled_on: dict[int, int] = {}  # configurations on the target that they gave, every step of a push included
+        self._sampled_on: dict[int, int] = {}  # configurations on the target that they gave, with each step of a push
         self._open: dict[int, tuple[int, dict[int, np.ndarray]]] = {}  # search backwards: the joined one, its tree's x
         self._meetings: dict[int, list[Meeting]] = {}
         self.tried: dict[tuple[int, int], Tried] = {}  # by scenario and lost target
@@ -175,7 +173,8 @@ class DeadEnds:
         """Return the meetings of pairs that are joined by proven self-motions."""
         if not pairs:
             return []
-        columns, (search, begin, row) = self._searches.columns, (np.array(column) for column in zip(*pairs, strict=True))
+        search, begin, row = (np.array(column) for column in zip(*pairs, strict=True))
+        columns = self._searches.columns
         columns.work[:] += np.bincount(search, minlength=len(columns.work))
         target, end = self._tree.target[row], self._tree.x[row]
         inputs, tube = inputs_and_tubes(self._problem, columns.scenario[search], target, np.zeros_like(target), True)
@@ -188,13 +187,12 @@ class DeadEnds:
         proof = self._checker.edges(
             tables.gather(inputs, lane), x[lane, step], x[lane, after], tables.gather(tube, lane), tip=False
         )
-        bad = np.bincount(lane, proof.verdict != SegmentStatus.VALID, len(row)) > 0
-        bad |= ~moved.arrives
-        return [
-            (int(search[k]), Meeting(begin[k], jax.tree.map(lambda leaf, k=k: leaf[k, : moved.steps[k]], moved.path), row_))
-            for k, row_ in enumerate(row.tolist())
-            if not bad[k]
-        ]
+        bad = (np.bincount(lane, proof.verdict != SegmentStatus.VALID, len(row)) > 0) | ~moved.arrives
+        met = []
+        for k in np.flatnonzero(~bad).tolist():
+            between = jax.tree.map(lambda leaf, k=k: leaf[k, : moved.steps[k]], moved.path)
+            met.append((int(search[k]), Meeting(begin[k], between, int(row[k]))))
+        return met
 
     def _grafted(self, search: int) -> list[int]:
         """Return tree rows at the lost target: the ends of branches from the tree along motions found backwards.
@@ -220,7 +218,7 @@ class DeadEnds:
     def _branch(
         self, parent: int | None, between: step_functions.State | None, path: Int[np.ndarray, "k"], on_path: int
     ) -> int:
-        """Return the end of a new branch from a node, or from a new root: `between`, then copies of the nodes on `path`."""
+        """Return the end of a new branch from a node, or from a new root: `between`, then copies of nodes on `path`."""
         nodes = self._tree.nodes(path)
         at, target, step_qps = nodes.at, nodes.target, nodes.step_qps
         if between is not None:

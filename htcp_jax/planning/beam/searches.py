@@ -68,7 +68,12 @@ class Searches:
         self._ended: dict[int, np.ndarray] = {}  # the beams of searches that have ended
 
     def begin(
-        self, scenario: list[int], last: list[int], roots: list[np.ndarray], earlier: int = NONE, backwards: bool = False
+        self,
+        scenario: list[int],
+        last: list[int],
+        roots: list[np.ndarray],
+        earlier: int = NONE,
+        backwards: bool = False,
     ) -> None:
         """Add searches, each of one scenario, all at one target.
 
