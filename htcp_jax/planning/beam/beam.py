@@ -170,7 +170,7 @@ class BeamSearch:
         extended = self._checker.executor(EXTEND, inputs, x)
         good = self._checker.valid(inputs, extended.at)
         if inputs.max_joint_step is not None:
-            travel = self._tree.travel(pending.node) + np.abs(extended.at.x - x)
+            travel = self._tree.travel(pending.node) * (step[:, None] > 0) + np.abs(extended.at.x - x)
             good &= (travel <= inputs.max_joint_step).all(axis=1)
         proven = good.copy()
         if good.any():
@@ -202,7 +202,8 @@ class BeamSearch:
             proven[lane, step] = proof.verdict == SegmentStatus.VALID
         if (most := self._problem.scenarios.max_joint_step) is not None:
             travel = self._tree.travel(origins.node)[:, None] + np.abs(np.diff(before, axis=1)).cumsum(axis=1)
-            proven &= (travel <= most[scenario, target + 1][:, None]).all(axis=2)
+            following = np.minimum(target + 1, most.shape[1] - 1)
+            proven &= (travel <= most[scenario, following][:, None]).all(axis=2)
         steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
         last = moved.path.x[np.arange(len(x)), np.maximum(steps - 1, 0)]
         good = self._checker.tip_free(inputs, last, steps > 0)

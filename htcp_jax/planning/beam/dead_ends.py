@@ -212,8 +212,20 @@ class DeadEnds:
             if begin is not None:
                 here = tree[self._tree.target[tree] == self._tree.target[row]]
                 parent = int(here[(self._tree.x[here] == begin).all(axis=1)][0])
-            found[root] = self._branch(parent, between, path[::-1], int(self._problem.scenarios.on_path[s]))
+            end = self._branch(parent, between, path[::-1], int(self._problem.scenarios.on_path[s]))
+            if self._keeps_joint_steps(s, end):
+                found[root] = end
         return list(found.values())
+
+    def _keeps_joint_steps(self, s: int, row: int) -> bool:
+        """Return True if no joint travels farther between two targets than allowed, on the way to a node."""
+        if (most := self._problem.scenarios.max_joint_step) is None:
+            return True
+        nodes = self._tree.nodes(self._tree.path(row))
+        stays = np.diff(nodes.target) == 0
+        travel = np.zeros((most.shape[1] + 1, most.shape[2]))
+        np.add.at(travel, nodes.target[1:] + stays, np.abs(np.diff(nodes.at.x, axis=0)))
+        return bool((travel[:-1] <= most[s]).all())
 
     def _branch(
         self, parent: int | None, between: step_functions.State | None, path: Int[np.ndarray, "k"], on_path: int

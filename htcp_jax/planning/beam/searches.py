@@ -95,7 +95,9 @@ class Searches:
             *(np.full(count, value) for value in (-1 if backwards else 1, earlier, 0, draws, 0, NONE, NONE)),
         )
         self.columns, self.going = tables.concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
-        self.beam, self.pending = tables.concatenate([self.beam, held]), tables.concatenate([self.pending, held])
+        goes_on = np.append(np.zeros(first, bool), target != last)  # the others have arrived already
+        self.beam = tables.concatenate([self.beam, held])
+        self.pending = tables.concatenate([self.pending, held.of(goes_on)])
 
     def has(self, members: Members) -> Bool[np.ndarray, "searches"]:
         """Return True for searches that have any of these."""
