@@ -60,8 +60,8 @@ class LaneFunction:
     """A function of one lane, function(*parts, settings, scene, lane, ...), and how it is compiled.
 
     The robot of its scene has the lane's own tool, and no labels: names are empty, and frames are missing. If it
-    returns a `Loop`, its step is step(scene, state), with a scene computed inside the loop: a robot that is carried into it is
-    compiled to other instructions, which round differently.
+    returns a `Loop`, its step is step(scene, state), with a scene computed inside the loop: a robot that is carried
+    into it is compiled to other instructions, which round differently.
 
     settings: names of those that it reads. Executables are compiled for these values only, so a new seed, for example,
     compiles nothing. Reading a setting that is not named raises AttributeError when the lane function is compiled.

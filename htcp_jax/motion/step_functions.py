@@ -223,7 +223,7 @@ def task_rows(
 
 # Lane functions by name, each with the settings that it reads
 
-MEASURED = ("clearance_rows",)  # by `measured`
+MEASURED: tuple[str, ...] = ("clearance_rows",)  # by `measured`
 _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
 
 PREPARE = lane_function.LaneFunction("prepare", prepare, lane_function.STEP, _STEP_QP)
