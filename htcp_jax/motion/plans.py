@@ -141,7 +141,7 @@ class Plans(NamedTuple):
         shape, joints = target.shape[:2], start.shape[1]
         count = np.broadcast_to(shape[1] if count is None else count, shape[:1])
         exists = np.arange(shape[1])[None, :] < count[:, None]
-        arrays = {name: np.full((*shape, *([joints] if name == "x" else [])), EMPTY[name], kind)
+        arrays: dict[str, Any] = {name: np.full((*shape, *([joints] if name == "x" else [])), EMPTY[name], kind)
                   for name, kind in _KINDS.items()}  # fmt: skip
         arrays["tcp"] = np.full((*shape, 3), EMPTY["tcp"])
         arrays["status"][exists] = Status.NOT_ATTEMPTED
