@@ -227,7 +227,7 @@ class Plan:
         """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
         end = self.outcome
         facts = {} if end.status is None else {f"failed at target {end.failed}": end.status.message}
-        if (lost := self._lost_place) is not None:
+        if (lost := self._lost_place) is not None and end.failed is not None:
             place = f"{100 * lost.share:.0f} % of the way from target {end.failed - 1}"
             facts[f"failed at target {end.failed}"] += f"; at {place}"
         if end.failed in self.dead_ends:
