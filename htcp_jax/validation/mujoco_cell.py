@@ -128,7 +128,7 @@ class MujocoCell:
             for g in solids
             if link > 0 and link not in excluded.get(g, ())
         ]
-        first = {self._bodies[k] for k in range(len(arm.links)) if arm.links[k] == 1}
+        first = {self._bodies[k] for k in range(len(arm.links)) if arm.links[k] == 1 and not arm.root}
         at_zero = self._distances(plain.arm_poses(np.zeros((1, len(plain.joints)))), checked).min(axis=0)
         self._pairs += [pair for pair, D in zip(checked, at_zero, strict=True) if D > 0 or pair[0] not in first]
         self._carried_pairs = self._pairs_of_carried(solids, excluded, cell.self_collision)
