@@ -78,9 +78,7 @@ def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
         torque = np.empty_like(x)
         with jax.numpy_rank_promotion("allow"):  # MJX has its own style
             for first in range(0, len(x), AT_ONCE):
-                own = [
-                    np.resize(part[first : first + AT_ONCE, order], (AT_ONCE, x.shape[1])) for part in (x, v, a)
-                ]
+                own = [np.resize(part[first : first + AT_ONCE, order], (AT_ONCE, x.shape[1])) for part in (x, v, a)]
                 torque[first : first + AT_ONCE] = np.asarray(at(*own))[: len(x) - first, joints]
         return torque
 
