@@ -30,6 +30,7 @@ WORDS = {
     "plan": "plan job.yaml --out out",
     "program": "program plan --feed 20mm/s --out out/weld.csv --check",
     "robot": f"robot {GP50} --out out/capsules.xml",
+    "cell": f"cell {GP50} --tool tcp --part link1 --out out/cell.xml",
     "sweep": "sweep grid.yaml --methods baseline --shard 2 --out out",
     "report": "report run --out out",
     "validate": "validate run",

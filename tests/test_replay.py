@@ -26,7 +26,7 @@ GRID = "config: job.yaml\ngrid:\n  - start_rad.joint3: {offsets: [-0.1, 0, 0.1]}
 def folder(tmp_path_factory):
     """A run of three scenarios with 13 targets, the last of which lies in the wall, and the plan of the second."""
     folder = tmp_path_factory.mktemp("shelf")
-    (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")
+    (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.3,0.1708\n")
     np.save(folder / "cloud.npy", duct_cloud(3000))
     (folder / "job.yaml").write_text(
         f"config: {DUCT}\nworkpiece: {{cloud: cloud.npy, path: path.csv, inlet_m: [0, 0, 0.19138]}}\nmethod: baseline\n"

@@ -28,6 +28,7 @@ COMMANDS = {
     "plan": "Plan one job: motion, summary, picture.",
     "program": "Time a plan and write it as a robot program.",
     "robot": "Convert a URDF or MJCF model to an arm of capsules.",
+    "cell": "Convert a URDF or MJCF model in which the part moves.",
     "sweep": "Plan every scenario of a parameter grid by several methods.",
     "report": "Summarise sweeps in tables and charts.",
     "validate": "Check results independently with MuJoCo.",

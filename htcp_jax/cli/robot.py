@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -92,7 +92,34 @@ def robot(
       htcp robot panda.urdf --tcp panda_hand --fit-tolerance 5mm --out panda.xml
       htcp robot pipe/arm.xml --fix a3=0.2 --out six.xml
     """
-    fixed, tolerance_m = _fixed_values(fix or ()), _length_m(fit_tolerance)
+    options = {"most": most, "visual": visual, "srdf": srdf}
+    return convert(model, out, fix or (), fit_tolerance, replace, as_json, tcp=tcp, **options)
+
+
+def convert(
+    model: Path,
+    out: Path,
+    fix: Iterable[str],
+    fit_tolerance: str | None,
+    replace: bool,
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Import a model, write it with its picture, and print what it consists of.
+
+    Args:
+        model: The vendor's model.
+        out: The file to write.
+        fix: Joints to freeze, as on the command line.
+        fit_tolerance: The tolerance, as on the command line.
+        replace: Overwrite existing files.
+        as_json: Print JSON.
+        **options: Further arguments of `robots.import_robot`.
+
+    Returns:
+        The exit code.
+    """
+    fixed, tolerance_m = _fixed_values(fix), _length_m(fit_tolerance)
     if out.suffix.lower() != ".xml":
         raise InputError(f"--out is {out}; an arm is an MJCF file and ends in .xml")
     picture = out.with_suffix(".png")
@@ -100,9 +127,7 @@ def robot(
         if file.exists() and not replace:
             raise InputError(f"{file} exists; --replace overwrites it, manual changes included")
     with progress_bar("bodies") as progress:
-        arm = robots.import_robot(
-            model, tcp, most=most, tolerance_m=tolerance_m, visual=visual, srdf=srdf, fixed=fixed, progress=progress
-        )
+        arm = robots.import_robot(model, tolerance_m=tolerance_m, fixed=fixed, progress=progress, **options)
     source = os.path.relpath(model, out.parent)
     from htcp_jax.viewer import draw_arm  # here, because bad input is refused before matplotlib is loaded
 
@@ -115,7 +140,8 @@ def robot(
             plan_folder.write_text(folder / out.name, text)
             made = robots.load_robot(folder / out.name)
             own = self_collision.self_collision(made)
-            shown = f"{len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
+            carried = "" if arm.part is None else f", part on {arm.part}"
+            shown = f"{len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}{carried}"
             title = f"{made.name}: {shown}"
             draw_arm(arm, text, title).savefig(folder / picture.name)
     table, facts = (
@@ -206,6 +232,7 @@ def _robot_table(arm: robots.ImportedArm) -> Table:
 def _robot_facts(arm: robots.ImportedArm) -> dict[str, str | tuple[str, ...]]:
     return {
         "TCP": arm.tip.name,
+        **({} if arm.part is None else {"part": arm.part, "chain": robots.chain_text(arm)}),
         "joints": arm.joint_names,
         "frozen": arm.frozen,
         "fixed": mjcf.fixed_text(arm),

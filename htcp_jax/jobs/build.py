@@ -12,7 +12,7 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import obstacle_kind, of_cell, self_collision
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
-from htcp_jax.io.robots import load_robot
+from htcp_jax.io.robots import load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.given_kinds import shapes_in_world
@@ -45,7 +45,7 @@ def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL) -> Robot:
         cell: Its fixtures on links become bodies of the robot.
 
     Raises:
-        InputError: As `load_robot` and `with_carried` do, and for a tool that is longer than the arm.
+        InputError: As `load_robot` and `with_carried` do, and for a tool that is longer than an arm in the world.
     """
     robot = load_robot(
         arm.file,
@@ -61,7 +61,8 @@ def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL) -> Robot:
         raise InputError(
             f"robot.bodies: {arm.model} has no convex pieces of meshes; valid: capsules, or a file made by htcp robot"
         )
-    parts.check_tool(robot, arm.tool_extension_m)
+    if not robot.part_moves:  # else the TCP may be anywhere in the world
+        parts.check_tool(robot, arm.tool_extension_m)
     return cell_shapes.with_carried(robot, cell)
 
 
@@ -71,6 +72,8 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     Points on a mesh are as dense as the thinnest body near it requires. A UserWarning reports a cloud between whose
     points that body fits, and a mesh whose covering radius is not smaller than that body's radius.
     """
+    if robot.part_moves and part.is_along_world_x:
+        raise InputError("workpiece.inlet_direction is world-x, but the part moves; give x,y,z in its link's frame")
     direction = workpieces.InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
     stated = {"inlet": part.inlet_m, "inlet_direction": direction}
     workpiece = parts.load_workpiece(
@@ -191,7 +194,16 @@ def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:
 
 
 def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
-    """Build the collision objects in addition to the workpiece."""
+    """Build the collision objects in addition to the workpiece.
+
+    Raises:
+        InputError: As `standing_cell` does, and if the part moves for bodies of the world that cannot be tested.
+    """
+    if robot.part_moves and cell.obstacles:
+        raise InputError(f"cell.obstacles: {cell.obstacles[0].name!r} stands in the world, and the part moves")
+    if robot.part_moves and robot.attached and not cell.self_collision:
+        name = robot.capsule_names[robot.attached[0]]
+        raise InputError(f"cell.self_collision is false, but {name!r} moves relative to the part; it must be true")
     standing = cell_shapes.standing_cell(cell, robot)
     clouds = tuple(
         of_cell.placed_cloud(
@@ -220,9 +232,11 @@ _APPROACH = {"approach_to_inlet": 0, "approach_to_path": 0}
 
 def robot_key(job: PlanConfig) -> tuple[RobotConfig, CellConfig]:
     """Return the keys that determine the robot, `robot_of`'s arguments; equal for scenarios that share it."""
-    cell = job.cell
+    cell, arm = job.cell, job.robot.model_copy(update={"tool_extension_m": 0.0})
+    if not job.robot.is_gp50 and part_moves(job.robot.file):
+        return arm, cell.model_copy(update={"self_collision": False, "obstacles": ()})
     carried = cell.is_carried and CellConfig(model=cell.model, clouds=cell.clouds, fixtures=cell.fixtures)
-    return job.robot.model_copy(update={"tool_extension_m": 0.0}), carried or NO_CELL
+    return arm, carried or NO_CELL
 
 
 def workpiece_key(job: PlanConfig) -> WorkpieceConfig:

@@ -1,6 +1,7 @@
 """Shapes and clouds of a cell, with the link that carries each, and the links that each is not tested against.
 
-What stands still is an obstacle. What a moving link carries is part of the arm: capsules about its convex hull.
+What stands still is an obstacle. What a moving link carries is part of the arm: capsules about its convex hull. If the
+part moves, so does the world, as seen from the part: what stands in the workshop is carried by a link.
 """
 
 from collections.abc import Mapping
@@ -54,16 +55,14 @@ def standing_cell(cell: CellConfig, robot: Robot) -> StandingCell:
     Raises:
         InputError: For a file that cannot be read, a move of no model, and unknown names in `fixtures`.
     """
-    shapes, carried = _shapes(cell, moved=True), _carriers(cell, robot)
-    if any(each.frame is not robots.WORLD for each in carried.values()):
-        shapes = tuple(
-            shape if _carrier(carried, shape.name).frame is robots.WORLD else _placed(own, carried[own.name].T)
-            for shape, own in zip(shapes, _shapes(cell, moved=False), strict=True)
-            if not _carrier(carried, shape.name).moves
-        )
-    clouds = [(each, _carrier(carried, name_of(each))) for each in cell.clouds]
+    carried = _carriers(cell, robot)
+    clouds = [(each, _carrier(robot, carried, name_of(each))) for each in cell.clouds]
     return StandingCell(
-        shapes,
+        tuple(
+            shape if own.frame == robots.WORLD else _placed(shape, own.T)
+            for shape, own in _with_carriers(cell, robot, carried)
+            if not own.moves
+        ),
         tuple((each, own.T @ tool.pose(each.base_m, each.base_rpy_rad)) for each, own in clouds if not own.moves),
         {name: own.excluded for name, own in carried.items()},
     )
@@ -75,16 +74,16 @@ def with_carried(robot: Robot, cell: CellConfig) -> Robot:
     Raises:
         InputError: For unknown names in `fixtures`, and for a body that cannot move: other than a box or a mesh.
     """
-    if not cell.is_carried:
+    if not (cell.is_carried or robot.part_moves):
         return robot
-    carried = {name: own for name, own in _carriers(cell, robot).items() if own.moves}
+    carried = _carriers(cell, robot)
     bodies = [
         attached.AttachedBody(shape.name, _points(shape, own.T), own.frame.link, own.excluded)
-        for shape in _shapes(cell, moved=False)
-        if (own := carried.get(shape.name)) is not None
+        for shape, own in _with_carriers(cell, robot, carried)
+        if own.moves
     ]
     for cloud in cell.clouds:
-        if (own := carried.get(name := name_of(cloud))) is not None:
+        if (own := _carrier(robot, carried, name := name_of(cloud))).moves:
             if not len(triangles := parts.load_geometry(cloud.cloud).triangles):
                 raise InputError(f"fixture {name!r} is a cloud of points; a box or a mesh can move with a link")
             T = own.T @ tool.pose(cloud.base_m, cloud.base_rpy_rad)
@@ -128,8 +127,19 @@ def _carriers(cell: CellConfig, robot: Robot) -> dict[str, Carried]:
     return found
 
 
-def _carrier(carried: Mapping[str, Carried], name: str) -> Carried:
-    return carried.get(name, Carried(robots.WORLD, ()))
+def _carrier(robot: Robot, carried: Mapping[str, Carried], name: str) -> Carried:
+    return carried.get(name, Carried(robot.world, ()))
+
+
+def _with_carriers(cell: CellConfig, robot: Robot, carried: Mapping[str, Carried]) -> list[tuple[Fixture, Carried]]:
+    """Load the shapes with their carriers: those of the world where the job places them, the others as drawn."""
+    shapes = _shapes(cell, moved=True)
+    drawn = _shapes(cell, moved=False) if cell.is_carried else shapes
+    owns = [_carrier(robot, carried, shape.name) for shape in shapes]
+    return [
+        (shape if own.frame == robot.world else other, own)
+        for shape, other, own in zip(shapes, drawn, owns, strict=True)
+    ]
 
 
 def _placed(shape: Fixture, T: Float[np.ndarray, "4 4"]) -> Fixture:

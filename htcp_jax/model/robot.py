@@ -2,6 +2,10 @@
 
 A link moves with a joint: its frame lies on that joint's axis, and bodies fixed to it, including tools, belong to it. A
 Robot consists of plain arrays, read once from a model file (`io.robots`); kinematics.py needs nothing else.
+
+The chain's root carries the part. It is the world, unless the part moves: on a positioner, or in the arm's hand. The
+root is then the part's link, and what stands in the workshop is fixed to a link of the chain. Everywhere else in this
+package "world" means the root's frame; `Robot.world` is the workshop's.
 """
 
 import dataclasses
@@ -19,6 +23,7 @@ from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
 
 GP50 = Path(__file__).parent / "robots" / "gp50.xml"  # the built-in arm
 
+FAR_M = 1e6  # distance between bodies that are not tested against each other
 TOUCHING_M = 1e-3  # allowed overlap of meshes that touch by design
 _STATIC = {"static": True}
 
@@ -30,6 +35,9 @@ class ArmFrame(NamedTuple):
     link: int | None  # to which it is fixed; None: the TCP's own frame
     origin_m: Triple  # in the frame of the link
     columns: tuple[Triple, Triple, Triple]  # its axes x, y, z, there
+
+
+WORLD = ArmFrame("world", -1, (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 
 
 class Exclusion(NamedTuple):
@@ -95,7 +103,13 @@ class Robot:
     pieces: BodyPieces | None = None  # of the meshes in its capsules; None: capsules alone decide
     meshes: VendorMeshes | None = dataclasses.field(default=None, metadata=LABEL)  # None if its file refers to none
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)  # that a task may name
-    base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)  # fixed in the world: link -1
+    base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)  # fixed to the root: link -1
+    world: ArmFrame = dataclasses.field(default=WORLD, metadata=_STATIC)  # on a link of the chain if the part moves
+
+    @property
+    def part_moves(self) -> bool:
+        """True if the chain's root is the part's link: bodies fixed to it are never tested against the part."""
+        return self.world != WORLD
 
     def _repr_html_(self) -> str:
         limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)
@@ -107,12 +121,9 @@ class Robot:
         return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
 
 
-WORLD = ArmFrame("world", -1, (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-
-
 def carrier_of(robot: Robot, name: str) -> ArmFrame:
     """Return the frame that may carry a fixture: the world's, or that of a link. Raises InputError for another name."""
-    known = {frame.name: frame for frame in (*robot.base_frames, *robot.frames, WORLD)}
+    known = {frame.name: frame for frame in (*robot.base_frames, *robot.frames, robot.world)}
     if name not in known:
         raise InputError(f"no link {name!r} on {robot.name}; valid: {', '.join(sorted(known))}")
     return known[name]
@@ -124,6 +135,13 @@ def core_radius(robot: Robot) -> Float[Array, "K"]:
     A piece's support function is at least the capsule's less its excess.
     """
     return robot.capsule_radius if robot.pieces is None else robot.capsule_radius - robot.pieces.excess_m
+
+
+def radius_to_workpiece(robot: Robot) -> Float[Array, "K"]:
+    """Return the radii of the capsules for their distance from the workpiece [m]; far below 0 where none is tested."""
+    if not robot.part_moves:
+        return robot.capsule_radius
+    return jnp.where(np.array(robot.capsule_link) < 0, -FAR_M, robot.capsule_radius)
 
 
 def capsule_label(robot: Robot, name: str) -> str:

@@ -156,10 +156,13 @@ def interior_plane_of(
     """Return the plane beyond which capsule ends must lie inside the workpiece: its unit normal n and offset [m].
 
     Beyond is n @ x > offset, in the world. If the robot's own base is beyond that plane, next to the workpiece, the
-    plane separates nothing: the offset is infinite and the rule off. The paper's rule, along the world's x, always
-    applies.
+    plane separates nothing: the offset is infinite and the rule off; so it is if the part moves. The paper's rule,
+    along the world's x, always applies.
     """
     plane = workpiece.interior_plane(T_world_workpiece)
+    if robot.part_moves:
+        plane[3] = np.inf
+        return plane
     fixed = np.asarray(robot.capsule_link) < 0
     ends = (np.asarray(end)[fixed] for end in (robot.capsule_p, robot.capsule_q))
     base = np.concatenate([np.asarray(robot.T_parent_joint)[:1, :3, 3], *ends])
@@ -171,7 +174,7 @@ def interior_plane_of(
 def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
     """Describe the rule that bodies deep in the workpiece must lie in its hull, or the reason that it is off."""
     is_outside = np.isinf(scenario.interior_plane[3]) and len(workpiece.hull_offset)
-    return "off: the robot stands beyond the inlet" if is_outside else workpiece.interior_rule
+    return "off: the robot stands beyond the inlet, or the part moves" if is_outside else workpiece.interior_rule
 
 
 def place_of(workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> str:

@@ -87,7 +87,9 @@ class TaskRow(TaskRowKind):
         return self.point is None
 
     def part(self, robot: Robot) -> Row:
-        """Return the row for a robot. Raises InputError for a name that the robot lacks."""
+        """Return the row for a robot. Raises InputError for a name that it lacks, and for numbers in a moving world."""
+        if robot.part_moves and self.is_in_world:
+            raise InputError("frame is world, and the part moves; valid: workpiece, path")
         return _row_of_task(self, robot)
 
     def goals(self, part: Row, posed: PlacedPath) -> Float[np.ndarray, "T g"]:
@@ -97,6 +99,14 @@ class TaskRow(TaskRowKind):
     def drawn(self, part: Row, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
         """Return a random goal."""
         return part.drawn(rng)
+
+    @property
+    def is_in_world(self) -> bool:
+        """True if places, directions or axes of the row are the world's."""
+        by_axes = self.axes != "xyz" or self.within_m is not None
+        given = self.towards, self.orientation, self.looks_at_m, self.on
+        numbers = any(isinstance(each, tuple) for each in given) or self.on in ("plane", "line")
+        return self.frame == "world" and (numbers or (self.on == "path" and by_axes))
 
     @property
     def limit_deg(self) -> float | None:

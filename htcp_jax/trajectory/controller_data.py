@@ -38,6 +38,7 @@ class ControllerData(NamedTuple):
     pulses: Pulses | None = None
     date: datetime.datetime | None = None  # to write into the file
     control_step_s: float = 0.002  # of the controller
+    in_file: tuple[int, ...] | None = None  # the joints in the order of the model's file; None: the same
 
 
 def header(timed: TimedMotion, *more: str) -> list[str]:

@@ -8,6 +8,7 @@ armature are included if the model has them. MJX computes many configurations at
 import contextlib
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -45,8 +46,8 @@ def model_of(arm: config.RobotConfig) -> mujoco.MjModel | None:
     """
     path = arm.file
     with model_file.no_log():
-        spec = safe_xml.read_spec(path)
-    for shape in [*spec.geoms, *spec.meshes]:
+        spec = safe_xml.read_spec(path, contacts=True)
+    for shape in [*spec.geoms, *spec.meshes, *spec.tuples, *spec.excludes]:
         spec.delete(shape)
     model = model_file.compile_spec(spec, path)
     massive = {int(model.body_weldid[body.id]) for body in spec.bodies if body.explicitinertial and body.mass > 0}
@@ -62,6 +63,8 @@ def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
     with contextlib.redirect_stdout(None):  # its import prints messages about missing packages
         from mujoco import mjx
     device = mjx.put_model(model)
+    joints = np.array(model_file.chain_of_file(model, Path("model")).joints)  # of the model, in the robot's order
+    order = np.argsort(joints)
     blank = mjx.make_data(device)
 
     @partial(jax.jit, compiler_options=PLAIN)
@@ -75,8 +78,8 @@ def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
         torque = np.empty_like(x)
         with jax.numpy_rank_promotion("allow"):  # MJX has its own style
             for first in range(0, len(x), AT_ONCE):
-                own = [np.resize(part[first : first + AT_ONCE], (AT_ONCE, x.shape[1])) for part in (x, v, a)]
-                torque[first : first + AT_ONCE] = np.asarray(at(*own))[: len(x) - first]
+                own = [np.resize(part[first : first + AT_ONCE, order], (AT_ONCE, x.shape[1])) for part in (x, v, a)]
+                torque[first : first + AT_ONCE] = np.asarray(at(*own))[: len(x) - first, joints]
         return torque
 
     return found

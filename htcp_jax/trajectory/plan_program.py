@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
+from htcp_jax.io.robots import model_file
 from htcp_jax.jobs import PlanConfig, build, config_file, feed
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model import robot as robots
@@ -22,7 +23,7 @@ from htcp_jax.runs import PlanSet
 from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
 from htcp_jax.trajectory.controller_data import ControllerData, Pulses, UserFrame
-from htcp_jax.trajectory.formats.writers import format_of, program_text
+from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_text
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torque, torques
 from htcp_jax.trajectory.limits import MotionLimits, joint_limits, own_of
 from htcp_jax.trajectory.program import Program, time_motion
@@ -99,8 +100,12 @@ class PlanProgram(NamedTuple):
             timed: Samples in the file.
 
         Raises:
-            InputError: For tables of another arm, and for configurations whose arm configuration flags are unknown.
+            InputError: For tables of another arm, for configurations whose arm configuration flags are unknown, and if
+                the part moves for a format without external axes.
         """
+        if self.robot.part_moves and not format_of(format).by_name:
+            valid = ", ".join(name for name, each in FORMATS.items() if each.by_name)
+            raise InputError(f"{format} has no external axes, and the part moves; valid: {valid}")
         requested, own = self.job.program, np.asarray(self.robot.speed, float)
         return ControllerData(
             name.upper() if format.startswith("jbi") else name,
@@ -110,6 +115,7 @@ class PlanProgram(NamedTuple):
             user_frame=self._user_frame(timed) if format == "jbi" else None,
             pulses=self._pulses(),
             control_step_s=requested.control_step_s,
+            in_file=model_file.joints_in_file(self.job.robot.file) if self.robot.part_moves else None,
         )
 
     def _user_frame(self, timed: TimedMotion) -> UserFrame | None:

@@ -2,6 +2,9 @@
 
 The code is independent of robot.py, kinematics.py and clearance.py, and of all that they depend on: the meaning of a
 model file (the TCP's site, a longer tool, the limits) is implemented here a second time.
+
+Where the part moves, MuJoCo moves its own tree of the cell, as it stands, and the result is expressed in the frame of
+the part's link, which takes the place of the world.
 """
 
 import copy
@@ -24,6 +27,7 @@ from htcp_jax.validation.convex_hull import Hull, hull_in_capsule, read_hulls
 
 PROBE_M = 1e-9  # radius of the sphere for a point of the cloud; distances are corrected by it
 FAR_M = 1e3  # cut-off of MuJoCo's distances
+_PART = "link of the part"
 _PROBE, _TCP = "probe of htcp validate", "TCP of htcp validate"
 _SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
 _OWN_FRAME = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # else MuJoCo may use the body's, and ignore a changed position
@@ -43,8 +47,9 @@ class MujocoArm:
     """An arm's model file in MuJoCo, with the base and the tool of a job, and a probe that can be placed anywhere.
 
     `names`, `radius` and `length` are those of the K capsules and spheres, and of their axes [m]; `lower` and `upper`
-    are the joint limits; `speed` is inf if the model has no limits. `hulls` are the convex pieces of meshes in the
-    capsules, in the frames of these; None for a capsule without one.
+    are the joint limits; `speed` is inf if the model has no limits; joints are in the order from the part, or the
+    world, to the TCP. `root` is the body that carries the part, 0 if that is the world. `hulls` are the convex pieces
+    of meshes in the capsules, in the frames of these; None for a capsule without one.
 
     Args:
         path: The model file.
@@ -82,8 +87,11 @@ class MujocoArm:
         if any((*base_m, *base_rpy_rad)):
             _move_base(self._model, self._geoms, base_m, base_rpy_rad)
         self._data = mujoco.MjData(self._model)
+        self.root = _part_body(spec, self._model)
+        self._order = _joint_order(self._model, self.root)
         if tool_extension_m:
-            moved = _lengthen(self._model, self._site, self._geoms, tool_extension_m)
+            own = _joints_to(self._model, self.root, self._order) if self.root else None
+            moved = _lengthen(self._model, self._site, self._geoms, tool_extension_m, self._order[-1], own)
             self.hulls = tuple(
                 None if g in moved else hull for g, hull in zip(self._geoms.tolist(), self.hulls, strict=True)
             )
@@ -91,15 +99,15 @@ class MujocoArm:
         self.radius = self._model.geom_size[self._geoms, 0].copy()
         self._half = np.where(self._model.geom_type[self._geoms] == _CAPSULE, self._model.geom_size[self._geoms, 1], 0)
         self.length = 2 * self._half
-        self.joints = tuple(self._model.joint(j).name or f"joint{j + 1}" for j in range(self._model.njnt))
-        self.lower, self.upper = _limits_of_profile(self._model, limits)
-        self.speed = _numeric(self._model, "speed", math.inf)
+        self.joints = tuple(self._model.joint(j).name or f"joint{j + 1}" for j in self._order)
+        self.lower, self.upper = (limit[self._order] for limit in _limits_of_profile(self._model, limits))
+        self.speed = _numeric(self._model, "speed", math.inf)[self._order]
         self._pose(np.zeros(self._model.njnt))
-        fixed = self._model.body_weldid[self._model.geom_bodyid[self._geoms]] == 0
+        self._joints_to = _joints_to(self._model, self.root, self._order)
+        joints = self._joints_to[self._model.geom_bodyid[self._geoms]]
+        self.links = joints  # 0: fixed to the world, or to the part
         ends = self._ends()
-        self.base = np.vstack([self._data.xanchor[:1], *ends[:, fixed]])  # fixed points, world
-        joints = np.array([_joints_below(self._model, int(b)) for b in self._model.geom_bodyid[self._geoms]])
-        self.links = joints  # 0: fixed to the world
+        self.base = np.vstack([self._data.xanchor[self._order[:1]], *ends[:, joints == 0]])  # fixed points, world
         away = np.where(joints == joints.max(), np.linalg.norm(ends - self._data.site_xpos[self._site], axis=2), np.inf)
         self._tip = np.unravel_index(away.argmin(), away.shape)
 
@@ -122,7 +130,7 @@ class MujocoArm:
 
         None without a list, or if the joint limits are wider than those for which it was computed.
         """
-        model_lower, model_upper = _limits_of_profile(self._model, "model")
+        model_lower, model_upper = (limit[self._order] for limit in _limits_of_profile(self._model, "model"))
         if self._list is None or (self.lower < model_lower).any() or (self.upper > model_upper).any():
             return None
         numbers = {name: k for k, name in enumerate(self.names)}
@@ -136,7 +144,7 @@ class MujocoArm:
 
     def random(self, count: int, seed: int) -> Float[np.ndarray, "n N"]:
         """Random configurations within the joint limits; without limits within half a turn or a metre of zero."""
-        free = np.where(self._model.jnt_type == _HINGE, math.pi, 1.0)
+        free = np.where(self._model.jnt_type[self._order] == _HINGE, math.pi, 1.0)
         lower = np.where(np.isfinite(self.lower), self.lower, -free)
         upper = np.where(np.isfinite(self.upper), self.upper, free)
         return np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
@@ -151,7 +159,7 @@ class MujocoArm:
 
     def slides(self, pair: tuple[int, int]) -> bool:
         """True if that joint is prismatic."""
-        return self.adjacent(pair) and self._model.jnt_type[self.links[pair[0]] - 1] != _HINGE
+        return self.adjacent(pair) and self._model.jnt_type[self._order[self.links[pair[0]] - 1]] != _HINGE
 
     def same_links(self, pair: tuple[int, int], other: tuple[int, int]) -> bool:
         """True if two pairs belong to the same links."""
@@ -166,6 +174,15 @@ class MujocoArm:
         own.hulls = tuple(self.hulls[k] for k in np.flatnonzero(which))
         return own
 
+    def beside_workpiece(self) -> "MujocoArm":
+        """Return the arm for distances from the workpiece: bodies fixed to a part that moves do not count."""
+        if not self.root:
+            return self
+        own, away = copy.copy(self), self.links == 0
+        own.radius = np.where(away, -FAR_M, self.radius)
+        own.hulls = tuple(None if apart else hull for hull, apart in zip(self.hulls, away, strict=True))
+        return own
+
     def arm_poses(self, x: Float[np.ndarray, "n N"]) -> ArmPoses:
         """Compute the arm's TCP and capsule axes by MuJoCo's kinematics."""
         tcp, ends = np.empty((len(x), 3)), np.empty((2, len(x), len(self._geoms), 3))
@@ -178,12 +195,12 @@ class MujocoArm:
         return ArmPoses(tcp, *ends, axes)
 
     def link_of(self, name: str) -> int:
-        """Number of joints between the world and a site or body of the model; 0 for the world."""
+        """Number of joints between the world, or the part, and a site or body of the model, or the world."""
         site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
         body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
         if site < 0 and body < 0:
             raise InputError(f"no site or body {name!r} in the model")
-        return _joints_below(self._model, int(self._model.site_bodyid[site]) if site >= 0 else body)
+        return int(self._joints_to[self._model.site_bodyid[site] if site >= 0 else body])
 
     def frames(
         self, x: Float[np.ndarray, "n N"], name: str, tip: bool = True
@@ -237,8 +254,15 @@ class MujocoArm:
         return self._data.geom_xpos[self._geoms] + np.stack([reach, -reach])
 
     def _pose(self, x: Float[np.ndarray, "N"]) -> None:
-        self._data.qpos[:] = x
-        mujoco.mj_kinematics(self._model, self._data)
+        data = self._data
+        data.qpos[self._order] = x
+        mujoco.mj_kinematics(self._model, data)
+        if self.root:  # to the part's frame
+            origin, rotation = data.xpos[self.root].copy(), data.xmat[self.root].reshape(3, 3).copy()
+            for points in (data.xpos, data.geom_xpos, data.site_xpos, data.xanchor):
+                points[:] = (points - origin) @ rotation
+            for axes in (data.xmat, data.geom_xmat, data.site_xmat):
+                axes[:] = (rotation.T @ axes.reshape(-1, 3, 3)).reshape(-1, 9)
 
 
 def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, int]:
@@ -340,6 +364,24 @@ def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
         body = int(model.body_parentid[body])
 
 
+def _part_body(spec: mujoco.MjSpec, model: mujoco.MjModel) -> int:
+    """The body that carries the part by the file; 0, the world, if it names none."""
+    names = [text.data for text in spec.texts if text.name == _PART]
+    return model.body(names[0]).id if names else 0
+
+
+def _joint_order(model: mujoco.MjModel, root: int) -> np.ndarray:
+    """Joints in the order from the part to the TCP: those that move its link, the last one first, then the others."""
+    own = [j for j in range(model.njnt) if model.jnt_bodyid[j] in _upwards(model, root)]
+    return np.array([*own[::-1], *(j for j in range(model.njnt) if j not in own)], int)
+
+
+def _joints_to(model: mujoco.MjModel, root: int, order: np.ndarray) -> np.ndarray:
+    """Number of joints between the part's link and every body: those that move one of the two, and not both."""
+    moving = [np.isin(model.jnt_bodyid[order], list(_upwards(model, body))) for body in (root, *range(model.nbody))]
+    return np.array([(moving[0] != own).sum() for own in moving[1:]])
+
+
 def _joints_below(model: mujoco.MjModel, body: int) -> int:
     """Number of joints between the world and the body, including its own."""
     return int(model.body_jntnum[list(_upwards(model, body))].sum())
@@ -351,23 +393,30 @@ def _last_body(model: mujoco.MjModel) -> int:
     return max(range(model.nbody), key=lambda body: (depth[body], body))
 
 
-def _lengthen(model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: float) -> list[int]:
+def _lengthen(
+    model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: float, last: int, links: np.ndarray | None
+) -> list[int]:
     """Move the TCP and the geoms on its body, which are returned, outwards along the tool's z axis.
 
     The first capsule there keeps the end nearer to the last joint, and becomes longer. This is computed in the world,
-    at the model's zero configuration.
+    at the model's zero configuration. `links` has the number of joints between the part and every body, if it moves:
+    bodies on other links than the TCP's stay.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     shift = extension_m * data.site_xmat[site, 2::3]
     geoms = geoms.tolist()
-    tool = [g for g in geoms if model.site_bodyid[site] in _upwards(model, int(model.geom_bodyid[g]))]
-    tool = tool or [g for g in geoms if model.jnt_bodyid[-1] in _upwards(model, int(model.geom_bodyid[g]))]
+    carrier = int(model.site_bodyid[site])
+    tool = [g for g in geoms if carrier in (model.geom_bodyid[g], *_upwards(model, int(model.geom_bodyid[g])))]
+    if links is not None:
+        tool = [g for g in tool if links[model.geom_bodyid[g]] == links[carrier]]
+    else:
+        tool = tool or [g for g in geoms if model.jnt_bodyid[-1] in _upwards(model, int(model.geom_bodyid[g]))]
     for g in tool:
         half = model.geom_size[g, 1] if model.geom_type[g] == _CAPSULE else 0.0
         along = half * data.geom_xmat[g, 2::3]
         near, far = sorted(
-            (data.geom_xpos[g] + along, data.geom_xpos[g] - along), key=lambda end: math.dist(end, data.xanchor[-1])
+            (data.geom_xpos[g] + along, data.geom_xpos[g] - along), key=lambda end: math.dist(end, data.xanchor[last])
         )
         _put(model, data, g, near if g == tool[0] else near + shift, far + shift)
     model.site_sameframe[site] = _OWN_FRAME

@@ -61,10 +61,11 @@ class MujocoCell:
             size = [0, 0, 1] if shape.kind == "plane" else shape.size  # MuJoCo needs a grid
             spec.worldbody.add_geom(name=f"shape {k} of the job", type=_TYPES[shape.kind], size=size)
         rules = {each.name: each for each in cell.fixtures}
+        standing = arm.link_of(config.WORLD)  # 0, unless the part moves, and the world with it
         carriers = {name: arm.link_of(each.parent) for name, each in rules.items()}
         stems = {f"cloud {k} of the job": Path(cloud.cloud).stem for k, cloud in enumerate(cell.clouds)}
         for (name, stem), cloud in zip(stems.items(), cell.clouds, strict=True):
-            if carriers.get(stem):
+            if carriers.get(stem, standing):
                 R, t = _pose_of(cloud.base_m, cloud.base_rpy_rad)
                 corners = load_geometry(cloud.cloud).triangles.reshape(-1, 3) @ R.T + t
                 spec.add_mesh(name=name, uservert=corners.ravel())
@@ -79,14 +80,23 @@ class MujocoCell:
         mujoco.mj_kinematics(self._model, self._data)
         names = [_name(self._model, g) for g in range(self._model.ngeom)]
         own = {g: rules[stem] for g, name in enumerate(names) if (stem := stems.get(name, name)) in rules}
+        if standing:
+            arm_geoms = {*self._bodies, *self._hulls.values()}
+            others = {g: stems.get(name, name) for g, name in enumerate(names) if g not in {*own, *arm_geoms}}
+            own |= {g: config.FixtureConfig(name=name) for g, name in others.items()}
         known = {each.name for each in own.values()} | set(stems.values())
         if unnamed := [name for name in rules if name not in known]:
             raise InputError(f"{cell.model}: {unnamed[0]!r} is neither a geom's name nor a body's; name the geom")
         excluded = {g: frozenset(map(arm.link_of, each.exclude)) for g, each in own.items()}
-        self.carried = [self._carried(g, each, excluded[g]) for g, each in own.items() if carriers[each.name]]
         drawn = self._data.geom_xpos.copy(), self._data.geom_xmat.copy()
         if cell.model is not None:
             _move(self._model, self._data, cell)
+        moved = self._data.geom_xpos.copy(), self._data.geom_xmat.copy()
+        self.carried = [
+            self._carried(g, each, excluded[g], *(moved if each.parent == config.WORLD else drawn))
+            for g, each in own.items()
+            if carriers.get(each.name, standing)
+        ]
         for g, each in own.items():
             if each.parent != config.WORLD:
                 self._place(g, each.parent, drawn[0][g], drawn[1][g].reshape(3, 3))
@@ -105,7 +115,7 @@ class MujocoCell:
             if name in rules and rules[name].parent != config.WORLD:
                 (origin,), (rotation,) = arm.frames(np.zeros((1, len(arm.joints))), rules[name].parent, tip=False)
                 R, t = rotation @ R, rotation @ t + origin
-            if not carriers.get(name):
+            if not carriers.get(name, standing):
                 found = load_geometry(cloud.cloud)
                 apart = frozenset(map(arm.link_of, rules[name].exclude if name in rules else ()))
                 self._add_wall(found.points, found.triangles, R, t, apart)
@@ -118,7 +128,7 @@ class MujocoCell:
             for g in solids
             if link > 0 and link not in excluded.get(g, ())
         ]
-        first = {self._bodies[k] for k in range(len(arm.links)) if arm.links[k] == 1}
+        first = {self._bodies[k] for k in range(len(arm.links)) if arm.links[k] == 1 and not arm.root}
         at_zero = self._distances(plain.arm_poses(np.zeros((1, len(plain.joints)))), checked).min(axis=0)
         self._pairs += [pair for pair, D in zip(checked, at_zero, strict=True) if D > 0 or pair[0] not in first]
         self._carried_pairs = self._pairs_of_carried(solids, excluded, cell.self_collision)
@@ -233,15 +243,17 @@ class MujocoCell:
         near = (self._carried_distances(x, arm.arm_poses(x), apart) <= NEAR_M).mean(axis=0)
         return found + [pair for pair, share in zip(apart, near.tolist(), strict=True) if share < ALWAYS]
 
-    def _carried(self, geom: int, rule: config.FixtureConfig, excluded: frozenset[int]) -> CarriedBody:
-        """The body of a geom as drawn, in the frame of its parent."""
-        model, data = self._model, self._data
+    def _carried(
+        self, geom: int, rule: config.FixtureConfig, excluded: frozenset[int], positions: np.ndarray, axes: np.ndarray
+    ) -> CarriedBody:
+        """The body of a geom in the frame of its parent, at its place among these positions and axes of all geoms."""
+        model = self._model
         if model.geom_type[geom] == _MESH:
             mesh = model.mesh(model.geom_dataid[geom])
             corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]].astype(float)
         else:
             corners = np.array(list(itertools.product((-1, 1), repeat=3))) * model.geom_size[geom]
-        R, t = data.geom_xmat[geom].reshape(3, 3).copy(), data.geom_xpos[geom].copy()
+        R, t = axes[geom].reshape(3, 3), positions[geom]
         return CarriedBody(geom, rule.parent, self._arm.link_of(rule.parent), excluded, R, t, corners, self._arm)
 
     def _place(self, geom: int, parent: str, t: np.ndarray, R: np.ndarray) -> None:

@@ -141,7 +141,7 @@ class CheckedScene:
     """An arm next to a wall at x_world = rotate @ x + translate.
 
     From `interior_depth_m` behind the start of the wall along its direction, the ends of all axes must lie in the hull,
-    unless the arm's base is beyond it, too. Along the world's x the rule holds for any base.
+    unless the arm's base is beyond it, too, or the part moves. Along the world's x the rule holds for any base.
 
     Args:
         arm: The arm.
@@ -172,7 +172,7 @@ class CheckedScene:
         self.arm, self.wall, self.rotate, self.translate = arm, wall, rotate, translate
         self.along = np.array([1.0, 0.0, 0.0]) if wall.direction is None else rotate @ wall.direction
         self.interior_from = ((wall.corners @ rotate.T + translate) @ self.along).min(initial=np.inf) + interior_depth_m
-        if wall.direction is not None and (arm.base @ self.along > self.interior_from).any():
+        if arm.root or (wall.direction is not None and (arm.base @ self.along > self.interior_from).any()):
             self.interior_from = np.inf
 
     def at(self, x: Float[np.ndarray, "n N"], below: float | Float[np.ndarray, "n"] = -np.inf) -> TargetClearances:
@@ -413,7 +413,7 @@ def _initial_pieces(arm: MujocoArm, n: int) -> AxisPieces:
     """
     capsule, centre, half = [], [], []
     for k, (length, radius) in enumerate(zip(arm.length.tolist(), arm.radius.tolist(), strict=True)):
-        count = int(np.ceil(length / (2 * COARSE * radius)))
+        count = int(np.ceil(length / (2 * COARSE * abs(radius))))
         parts = (np.arange(count) + 0.5) / max(1, count)
         centre += [0.0, 1.0, *parts] if count else [0.0]
         half += [0.0, 0.0, *(length / 2 / count,) * count] if count else [0.0]

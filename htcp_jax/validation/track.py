@@ -174,7 +174,8 @@ def scene_of(
     if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach deviates from its lines
         targets[1:on_path] = path[0]
     others = () if surroundings is None else (surroundings.distances, surroundings.carried, surroundings.by_hulls)
-    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m, *others), targets, on_path
+    own = arm.beside_workpiece()
+    return CheckedScene(own, wall, rotate, translate, part.interior_depth_m, *others), targets, on_path
 
 
 def _refuted(

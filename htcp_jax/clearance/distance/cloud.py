@@ -19,6 +19,7 @@ from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
 from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, in_workpiece
 from htcp_jax.model import Robot
+from htcp_jax.model import robot as robots
 from htcp_jax.numerics import axis_contact, capsule_point_distance, product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Int, Scalar
@@ -49,7 +50,7 @@ class Cloud(Obstacle):
         """
         if robot.pieces is not None:
             return self.contacts(robot, where, bodies)
-        radius = robot.capsule_radius + self.cover
+        radius = robots.radius_to_workpiece(robot) + self.cover
         row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius).row
         return self._contacts(robot, where, bodies, self.points[jnp.broadcast_to(row, radius.shape)])
 
@@ -59,7 +60,7 @@ class Cloud(Obstacle):
         """Return the contact of every body with a given point."""
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         p, q = bodies.p_workpiece, bodies.q_workpiece
-        radius = robot.capsule_radius + self.cover
+        radius = robots.radius_to_workpiece(robot) + self.cover
         point, normal = axis_contact(p, q, witness)
         return Contacts(
             distance=capsule_point_distance(p, q, radius, witness),
@@ -79,7 +80,7 @@ class Cloud(Obstacle):
             narrow_phase.link_poses_in(where.T_world_workpiece, bodies.T),
             bodies.p_workpiece,
             bodies.q_workpiece,
-            jnp.where(doubt, robot.capsule_radius + self.cover + limit, -1.0),
+            jnp.where(doubt, robots.radius_to_workpiece(robot) + self.cover + limit, -1.0),
             limit + self.cover,
         )
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
@@ -99,7 +100,7 @@ class Cloud(Obstacle):
         """Return the smallest distance [m]: one search for all bodies, cheaper than one per body."""
         if robot.pieces is not None:
             return super().smallest(robot, where, bodies)
-        radius = robot.capsule_radius + self.cover
+        radius = robots.radius_to_workpiece(robot) + self.cover
         body, row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius)
         p, q = bodies.p_workpiece[body], bodies.q_workpiece[body]
         return capsule_point_distance(p, q, radius[body], self.points[row])
@@ -111,7 +112,7 @@ class Cloud(Obstacle):
         """
         if robot.pieces is not None:
             return super().touches(robot, where, bodies)
-        radius = robot.capsule_radius + self.cover
+        radius = robots.radius_to_workpiece(robot) + self.cover
         return nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius, below=0.0).row >= 0
 
     def clear_along(
@@ -124,7 +125,7 @@ class Cloud(Obstacle):
         wanted: RequiredClearance,
     ) -> Float[jax.Array, "K"]:
         """Return lower bounds on the clearance along the sweep, to second order: see `cloud_sweep`."""
-        rotate, radius = where.T_world_workpiece[:3, :3], robot.capsule_radius + self.cover
+        rotate, radius = where.T_world_workpiece[:3, :3], robots.radius_to_workpiece(robot) + self.cover
         own = sweep._replace(p=product(sweep.p, rotate), q=product(sweep.q, rotate))
         return clear_along(self.index, bodies.p_workpiece, bodies.q_workpiece, own, radius, requested, wanted)
 
@@ -163,7 +164,7 @@ class Cloud(Obstacle):
         requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
         """Return True if a point is within the body's radius at any of the marked configurations."""
-        within = jnp.where(requested, robot.capsule_radius[body] + self.cover, -1.0)
+        within = jnp.where(requested, robots.radius_to_workpiece(robot)[body] + self.cover, -1.0)
         return jnp.any(nearest_rows(self.index, bodies.p_workpiece[:, body], bodies.q_workpiece[:, body], within) >= 0)
 
 

@@ -138,7 +138,9 @@ def fixtures(
 
 
 def _may_stand(robot: Robot) -> Bool[np.ndarray, "K"]:
-    """Return True for the bodies of the first link."""
+    """Return True for the bodies of the first link; for none if the part moves: it stands nowhere."""
+    if robot.part_moves:
+        return np.zeros(len(robot.capsule_link), bool)
     return (np.array(robot.capsule_link) == 0) & ~np.isin(np.arange(len(robot.capsule_link)), robot.attached)
 
 

@@ -23,11 +23,10 @@ from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.fixtures import fixtures
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles
 from htcp_jax.model import Fixture, Robot, mesh_points
+from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product
 from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
-
-FAR_M = 1e6  # distance between bodies and obstacles that are both fixed in the world
 
 
 class _PlacedFrame(NamedTuple):
@@ -105,7 +104,7 @@ class PlacedCloud(Obstacle):
         own = bodies._replace(p_workpiece=product(bodies.p - t, R), q_workpiece=product(bodies.q - t, R))
         links = np.array(robot.capsule_link)
         is_checked = (links >= 0) & ~np.isin(links, self.excluded)
-        radius = jnp.where(is_checked, robot.capsule_radius, -FAR_M)
+        radius = jnp.where(is_checked, robot.capsule_radius, -robots.FAR_M)
         return (
             dataclasses.replace(robot, capsule_radius=radius),
             _PlacedFrame(self.T_world, jnp.zeros(4), narrow_phase.margin_m(where)),

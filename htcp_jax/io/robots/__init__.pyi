@@ -1,7 +1,7 @@
 from . import attached, capsule_fit, close_fit, mjcf, model_file, safe_xml
 from .link_meshes import LinkMeshes
-from .loading import gp50, load_robot
-from .vendor_import import ImportedArm, body_name, import_robot
+from .loading import gp50, load_robot, part_moves
+from .vendor_import import ImportedArm, body_name, chain_text, import_robot
 
 __all__ = [
     "ImportedArm",
@@ -9,11 +9,13 @@ __all__ = [
     "attached",
     "body_name",
     "capsule_fit",
+    "chain_text",
     "close_fit",
     "gp50",
     "import_robot",
     "load_robot",
     "mjcf",
     "model_file",
+    "part_moves",
     "safe_xml",
 ]

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Triangles, clip
-from htcp_jax.io.robots.model_file import compile_spec, link_frames, no_log
+from htcp_jax.io.robots.model_file import Chain, chain_of_file, compile_spec, link_frames, no_log
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.vendor_import import ImportedArm, enclosed_triangles
 from htcp_jax.model import Robot
@@ -51,14 +51,13 @@ class LinkMeshes:
 
     Args:
         model: The compiled model.
-        addresses: Indices of the arm's joints in the model's configuration.
+        chain: The arm's joints in the model.
         held: Each capsule's body index in the model, and its piece or the capsule itself.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, addresses: list[int], held: Mapping[str, tuple[int, Triangles | Capsule]]
-    ):
-        self._model, self._addresses = model, addresses
+    def __init__(self, model: mujoco.MjModel, chain: Chain, held: Mapping[str, tuple[int, Triangles | Capsule]]):
+        self._model, self._chain = model, chain
+        self._addresses = model.jnt_qposadr[list(chain.joints)].tolist()
         self.names = frozenset(held)  # of the capsules
         self._parts = {name: _capsule_part(*each) for name, each in held.items()}
 
@@ -69,7 +68,7 @@ class LinkMeshes:
         for body, cover in arm.covers.items():
             held |= {name: (body, capsule) for name, capsule in cover.own.items()}
             held |= {name: (body, piece.triangles) for name, piece in cover.pieces.items()}
-        return cls(arm.model, arm.model.jnt_qposadr[list(arm.joints)].tolist(), held)
+        return cls(arm.model, arm.chain, held)
 
     @classmethod
     def read(cls, arm: Path) -> "LinkMeshes | None":
@@ -94,7 +93,7 @@ class LinkMeshes:
             for cut in _read_cuts(cuts or "") if piece is not None else ():
                 piece = clip(piece, cut)
             held[name] = body, _capsule_of_geom(model, geom) if piece is None or not len(piece) else piece
-        return cls(model, list(range(model.nq)), held)
+        return cls(model, chain_of_file(model, arm), held)
 
     def poses(self, x: Float[np.ndarray, "n N"], data: mujoco.MjData | None = None) -> Poses:
         """Return the bodies' poses at configurations x [rad or m].
@@ -178,8 +177,12 @@ class LinkMeshes:
             point: The point, world [m].
         """
         at = self.poses(x[None])
-        T_model_joint = link_frames(self._model, np.eye(4))[0][0]
-        seen = np.linalg.solve(np.asarray(robot.T_parent_joint[0]) @ np.linalg.inv(T_model_joint), [*point, 1.0])[:3]
+        if root := self._chain.root:
+            seen = at.rotation[0, root] @ point + at.position[0, root]
+        else:
+            T_model_joint = link_frames(self._model, np.eye(4), self._chain)[0][0]
+            T_world_model = np.asarray(robot.T_parent_joint[0]) @ np.linalg.inv(T_model_joint)
+            seen = np.linalg.solve(T_world_model, [*point, 1.0])[:3]
         probe = fcl.CollisionObject(fcl.Sphere(PROBE_M), fcl.Transform(np.eye(3), seen))
         return max(0.0, fcl.distance(self._placed(name, at, 0), probe) + PROBE_M)
 

@@ -1,11 +1,14 @@
 """Loading of a Robot from a model file, MJCF or URDF, and the built-in GP50."""
 
+import os
+from functools import lru_cache
 from pathlib import Path
 
 import jax
 
 from htcp_jax.io.robots.link_meshes import MeshesInFile
-from htcp_jax.io.robots.model_file import read_robot_file
+from htcp_jax.io.robots.model_file import PART, no_log, read_robot_file
+from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.model import Robot, Tool, robot
 from htcp_jax.model import tool as tools
 from htcp_jax.types import Triple
@@ -20,7 +23,9 @@ def load_robot(
     base_rpy_rad: Triple = tools.ZERO,
     tool: Tool | None = None,
 ) -> Robot:
-    """Read the serial chain from the world to the TCP out of an MJCF or URDF file, through MuJoCo.
+    """Read the serial chain to the TCP out of an MJCF or URDF file, through MuJoCo.
+
+    It begins at the world, or at the link that the file names as the part's, see `model_file`.
 
     Args:
         path: The file. Its capsule and sphere geoms become capsules, on any body; all others are listed in
@@ -38,11 +43,31 @@ def load_robot(
     Raises:
         InputError: For a file that cannot be read, fewer than three joints, ball or free joints, joints off the chain,
             no TCP, no capsules, a radius that is not positive, a number that is not finite, a profile that the model
-            does not have, and a body of the tool with the name of a body in the model.
+            does not have, a body of the tool with the name of a body in the model, and, if the part moves, for more
+            than nine joints and a base that is moved.
     """
     fields = read_robot_file(Path(path), tcp_site, limits, tools.pose(base_m, base_rpy_rad), tool)
     meshes = MeshesInFile(Path(path).resolve()) if fields.facts["listed"] else None
     return Robot(**jax.device_put(fields.arrays), **fields.facts, pieces=jax.device_put(fields.pieces()), meshes=meshes)
+
+
+def part_moves(path: Path) -> bool:
+    """Return True if the part moves: the model file names a link other than the world as the part's.
+
+    Raises:
+        InputError: For a file that cannot be read.
+    """
+    try:
+        found = os.stat(path)
+    except OSError:
+        return False  # `load_robot` reports it
+    return _part_moves(path, found.st_mtime_ns, found.st_size)
+
+
+@lru_cache(maxsize=64)
+def _part_moves(path: Path, *_: int) -> bool:
+    with no_log():
+        return any(text.name == PART and text.data != robot.WORLD.name for text in read_spec(path, contacts=True).texts)
 
 
 def gp50(limits: str = "simulation") -> Robot:

@@ -9,17 +9,20 @@ import numpy as np
 
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.link_meshes import CUTS, MADE_FROM, VISUAL, cuts_text
-from htcp_jax.io.robots.model_file import EXCLUDED, LIST, excluded_bodies
+from htcp_jax.io.robots.model_file import EXCLUDED, LIST, PART, excluded_bodies
 from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS, vertices_text
 from htcp_jax.io.robots.vendor_import import BodyCover, ImportedArm, body_name
 
 Listed = tuple[str, str, str, float]  # names of two capsules, the rule, and the share of configurations
 
 HEAD = """
-  An arm of capsules, made by htcp robot from {source}. Metres, radians.
+  {what} of capsules, made by htcp {command} from {source}. Metres, radians.
   Correct what is not as it should be: a capsule's "fromto" are the ends of its axis in the frame of its body, "size" is
   its radius. The site "tcp" is the TCP: here {tip} of the model.{frozen}
 """
+PART_HEAD = """
+    The link that carries the part: workpieces are posed in its frame. The joints from it to the TCP are the robot's.
+    """
 LIST_HEAD = """
     Pairs of capsules that are not checked against each other (docs: Bring your own arm, Self-collision). Rule b: they
     overlap in at least 95 % of 10,000 random configurations; c: in some, but the meshes in them touch in none. The
@@ -50,11 +53,16 @@ def arm_xml(
     frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""
     frozen += f"\n  Frozen at a value: {', '.join(fixed_text(arm))}." if arm.fixed else ""
     root = Element("mujoco", model=arm.name)
-    root.append(_comment(HEAD.format(source=source, tip=arm.tip.name or "its only site", frozen=frozen)))
+    what, command = ("An arm", "robot") if arm.part is None else ("A cell", "cell")
+    tip = arm.tip.name or "its only site"
+    root.append(_comment(HEAD.format(what=what, command=command, source=source, tip=tip, frozen=frozen)))
     light = {"boundmass": "1e-6", "boundinertia": "1e-6"}  # else MuJoCo refuses a link without a capsule
     SubElement(root, "compiler", angle="radian", autolimits="true", **light)
     SubElement(SubElement(root, "option"), "flag", contact="disable")
     custom = SubElement(root, "custom")
+    if arm.part is not None:
+        custom.append(_comment(PART_HEAD))
+        SubElement(custom, "text", name=PART, data=arm.part)
     for name, numbers in arm.numbers.items():
         SubElement(custom, "numeric", name=name, data=_numbers_text(numbers))
     _add_pieces(custom, arm)
@@ -88,7 +96,7 @@ def _body_element(parent: Element, arm: ImportedArm, b: int) -> Element:
         SubElement(
             body, "inertial", pos=_numbers_text(model.body_ipos[b]), quat=_numbers_text(model.body_iquat[b]), **inertia
         )
-    for j, name in zip(arm.joints, arm.joint_names, strict=True):
+    for j, name in sorted(zip(arm.chain.joints, arm.joint_names, strict=True)):
         if model.jnt_bodyid[j] == b:
             SubElement(body, "joint", name=name, **_joint(model, j))
     return body

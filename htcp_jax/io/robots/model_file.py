@@ -1,5 +1,10 @@
 """Reading of a robot's model file, on the host: MuJoCo compiles it, and the chain to the TCP is extracted.
 
+The chain's root is the world. If the file names another link as the part's, by <text name="link of the part">, the root
+is that link: the chain leads from it up to the first body that also carries the TCP, through reversed joints, and down
+to the TCP. The axis of a reversed joint is negated, so that the two bodies are in the same pose relative to each other
+at the same position: name, limits, zero and sign stay the user's.
+
 Every error in a file is an InputError, one line that starts with its path. `loading` makes the Robot.
 """
 
@@ -26,8 +31,10 @@ _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLI
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _DESCRIBED_ELSEWHERE = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF
 FEWEST_JOINTS = 3
+MOST_JOINTS = 9  # of a chain from a part that moves
 # Names of the <text> before an arm's list, and of a pair's <tuple>.
 LIST, EXCLUDED = "self_collision", "excluded {}, rule {}"
+PART = "link of the part"  # name of the <text> with the name of the part's link
 
 
 class RobotFields(NamedTuple):
@@ -54,6 +61,14 @@ class _Capsule(NamedTuple):
     radius: float
 
 
+class Chain(NamedTuple):
+    """The joints from the part's link to the TCP, in order, by their indices in the model."""
+
+    root: int  # the body that carries the part; 0: the world
+    joints: tuple[int, ...]
+    reversed: tuple[bool, ...]  # True: the joint is passed from its body to that body's parent
+
+
 class _Pair(NamedTuple):
     """A <tuple> in an arm's list."""
 
@@ -63,13 +78,13 @@ class _Pair(NamedTuple):
 
 
 def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.ndarray, tool: Tool | None) -> RobotFields:
-    """Read the serial chain from the world to the TCP.
+    """Read the serial chain from the world, or from the part's link, to the TCP.
 
     Args:
         path: See `loading.load_robot`, as for `tcp_site`, `limits` and `tool`.
         tcp_site: Site or body of the TCP.
         limits: Profile of the joint limits.
-        T_world_base: Pose of the model's own frame in the world (4, 4) [m].
+        T_world_base: Pose of the model's own frame in the world (4, 4) [m]; the identity if the part moves.
         tool: Mounted on the TCP's frame; None: none.
 
     Raises:
@@ -77,21 +92,25 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     """
     model, geom_types, pairs, stored = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
-    joint_names = _chain_joints(model, path, tcp_body)
-    lower, upper = _joint_limits(model, path, limits)
-    T_parent_joint, frames = link_frames(model, T_world_base)
+    chain = _whole_chain(model, path, tcp_body)
+    if chain.root and (T_world_base != np.eye(4)).any():
+        raise InputError(f"{path}: robot.base_m and base_rpy_rad must be 0: the part moves, and the model is the cell")
+    joints = list(chain.joints)
+    joint_names = check_joints(model, path, joints, chain)
+    lower, upper = (limit[joints] for limit in _joint_limits(model, path, limits))
+    T_parent_joint, frames = link_frames(model, T_world_base, chain)
     capsules = [_capsule_geom(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
     link, T_link_body = frames[tcp_body]
     T_link_flange = T_link_body @ T_body_tcp
     mounted = [] if tool is None else _mounted(tool, path, tcp_body, link, T_link_flange, capsules)
-    on_tool = mounted or _on_tcp_body(model, tcp_body, capsules)
+    on_tool = mounted or _on_tcp_body(model, tcp_body, capsules, chain)
     capsules += mounted
     if not capsules:
         known = f"geoms of the model: {geom_types or 'none'}"
         raise InputError(f"{path}: no capsule or sphere geoms; {known}{geom_types and '; ' + _next_step(path)}")
     arrays = {
         "T_parent_joint": T_parent_joint,
-        "axis": model.jnt_axis.copy(),
+        "axis": model.jnt_axis[joints] * np.where(chain.reversed, -1.0, 1.0)[:, None],
         "T_link_tcp": T_link_flange if tool is None else T_link_flange @ tools.pose(tool.tip_m, tool.tip_rpy_rad),
         "capsule_p": np.array([capsule.p for capsule in capsules]),
         "capsule_q": np.array([capsule.q for capsule in capsules]),
@@ -105,18 +124,18 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
             raise InputError(
                 f"{path}: a number of the model is {largest:g} ({name}); at most {coordinates.LARGEST_COORDINATE:g} m"
             )
-    arrays |= {"lower": lower, "upper": upper, "effort": _effort(model)}
+    arrays |= {"lower": lower, "upper": upper, "effort": _effort(model)[joints]}
     for name in ("speed", "acceleration"):
-        arrays[name] = joint_numbers(model, path, name, default=math.inf)
+        arrays[name] = joint_numbers(model, path, name, default=math.inf)[joints]
         if not (arrays[name] > 0).all():
             raise InputError(f"{path}: numeric {name!r} must be positive")
     exclusions = [*_excluded(model, capsules), *_listed_pairs(path, pairs or (), capsules)]
-    widest = _joint_limits(model, path, "model")  # the list was sampled within these
+    widest = [limit[joints] for limit in _joint_limits(model, path, "model")]  # the list was sampled within these
     listed = pairs is not None and bool((lower >= widest[0]).all() and (upper <= widest[1]).all())
     facts = {
         "name": model.names.partition(b"\0")[0].decode(errors="replace") or path.stem,
         "joint_names": joint_names,
-        "slides": tuple(bool(kind == _SLIDE) for kind in model.jnt_type),
+        "slides": tuple(bool(kind == _SLIDE) for kind in model.jnt_type[joints]),
         "capsule_names": tuple(capsule.name for capsule in capsules),
         "capsule_link": tuple(capsule.link for capsule in capsules),
         "ignored_geoms": tuple(_geom_name(model, g) for g in range(model.ngeom) if not _is_round(model, g)),
@@ -125,6 +144,7 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         "mounted": tuple(range(len(capsules) - len(mounted), len(capsules))),
         "frames": _named_frames(model, frames, moving=True),
         "base_frames": _named_frames(model, frames, moving=False),
+        "world": _arm_frame(robot.WORLD.name, *frames[0]) if chain.root else robot.WORLD,
     }
     held = {each.name: (Capsule(each.p, each.q, each.radius), frames[each.body][1]) for each in capsules}
     return RobotFields(arrays, facts, stored, held)
@@ -303,28 +323,100 @@ def _find_tcp(model: mujoco.MjModel, path: Path, name: str) -> tuple[int, np.nda
     raise InputError(f"{path}: no site or body {name!r} for the TCP; {known}{step if name == 'tcp' else ''}")
 
 
-def _chain_joints(model: mujoco.MjModel, path: Path, tcp_body: int) -> tuple[str, ...]:
-    """Return the names of the joints from the world to the TCP, in order; they must be all joints of the model."""
-    chain = set(upwards(model, tcp_body))
-    stray = [joint_name(model, j) for j in range(model.njnt) if int(model.jnt_bodyid[j]) not in chain]
-    if stray:
-        off = f"joints off the chain from the world to the TCP: {', '.join(stray)}"
-        raise InputError(f"{path}: {off}; {_next_step(path)}")
-    return check_joints(model, path, range(model.njnt))
-
-
-def check_joints(model: mujoco.MjModel, path: Path, joints: Sequence[int], hint: str = "") -> tuple[str, ...]:
-    """Return the names of a chain's joints, given by their indices in the model.
+def part_body(model: mujoco.MjModel, path: Path) -> int:
+    """Return the body that the file names as the part's link; 0, the world, if it names none.
 
     Raises:
-        InputError: For ball and free joints, and, with the hint, for fewer than FEWEST_JOINTS.
+        InputError: For an unknown body.
+    """
+    text = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, PART)
+    if text < 0:
+        return 0
+    start, size = model.text_adr[text], model.text_size[text]
+    name = model.text_data[start : start + size].rstrip(b"\0").decode(errors="replace")
+    return find_link(model, path, name, range(model.nbody), f"text {PART!r}")
+
+
+def find_link(model: mujoco.MjModel, path: Path, name: str, bodies: Sequence[int], what: str) -> int:
+    """Return the body of a name among `bodies`, by its index in the model; the world is called world.
+
+    Raises:
+        InputError: For an unknown name; `what` names its source.
+    """
+    known = {model.body(b).name: b for b in bodies if model.body(b).name}
+    if name not in known:
+        raise InputError(f"{path}: {what}: no link {name!r}; valid: {', '.join(known)}")
+    return known[name]
+
+
+def chain_between(model: mujoco.MjModel, root: int, tcp_body: int) -> Chain:
+    """Return the chain between two bodies: the first one's joints up to their common ancestor, then those down."""
+    up, down = list(upwards(model, root)), list(upwards(model, tcp_body))
+    joints = [_joints_of(model, body)[::-1] for body in up if body not in down]
+    count = sum(map(len, joints))
+    joints += [_joints_of(model, body) for body in reversed(down) if body not in up]
+    found = tuple(itertools.chain.from_iterable(joints))
+    return Chain(root, found, tuple(k < count for k in range(len(found))))
+
+
+def chain_of_file(model: mujoco.MjModel, path: Path) -> Chain:
+    """Return the chain of an arm's or a cell's file, for which every joint is on it.
+
+    Raises:
+        InputError: For an unknown link of the part.
+    """
+    root = part_body(model, path)
+    up = [j for body in upwards(model, root) for j in reversed(_joints_of(model, body))]
+    down = [j for j in range(model.njnt) if j not in up]
+    return Chain(root, (*up, *down), (*(True for _ in up), *(False for _ in down)))
+
+
+def joints_in_file(path: Path) -> tuple[int, ...]:
+    """Return the indices of the file's joints on its chain, in the order of the file.
+
+    Raises:
+        InputError: For a file that cannot be read.
+    """
+    joints = chain_of_file(_compile_model(path)[0], path).joints
+    return tuple(np.argsort(joints).tolist())
+
+
+def _joints_of(model: mujoco.MjModel, body: int) -> range:
+    first = int(model.body_jntadr[body])
+    return range(first, first + int(model.body_jntnum[body]))
+
+
+def _whole_chain(model: mujoco.MjModel, path: Path, tcp_body: int) -> Chain:
+    """Return the chain to the TCP; its joints must be all joints of the model."""
+    chain = chain_between(model, part_body(model, path), tcp_body)
+    stray = [joint_name(model, j) for j in range(model.njnt) if j not in chain.joints]
+    if stray:
+        off = f"joints off the chain from {_root_name(model, chain)} to the TCP: {', '.join(stray)}"
+        raise InputError(f"{path}: {off}; {_next_step(path)}")
+    return chain
+
+
+def _root_name(model: mujoco.MjModel, chain: Chain) -> str:
+    return f"the part's link {model.body(chain.root).name!r}" if chain.root else "the world"
+
+
+def check_joints(
+    model: mujoco.MjModel, path: Path, joints: Sequence[int], chain: Chain, hint: str = ""
+) -> tuple[str, ...]:
+    """Return the names of joints on a chain, given by their indices in the model.
+
+    Raises:
+        InputError: For ball and free joints, with the hint for fewer than FEWEST_JOINTS, and, if the part moves, for
+            more than MOST_JOINTS.
     """
     odd = [joint_name(model, j) for j in joints if model.jnt_type[j] not in (_HINGE, _SLIDE)]
     if odd:
         raise InputError(f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints can be used")
+    found = f"{path}: {len(joints) or 'no'} joints from {_root_name(model, chain)} to the TCP"
     if len(joints) < FEWEST_JOINTS:
-        few = f"{len(joints) or 'no'} joints from the world to the TCP; at least {FEWEST_JOINTS} are needed"
-        raise InputError(f"{path}: {few}{hint}")
+        raise InputError(f"{found}; at least {FEWEST_JOINTS} are needed{hint}")
+    if chain.root and len(joints) > MOST_JOINTS:
+        raise InputError(f"{found}; at most {MOST_JOINTS} can be used: freeze some by --fix JOINT=VALUE")
     return tuple(joint_name(model, j) for j in joints)
 
 
@@ -333,24 +425,50 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
     return model.joint(joint).name or f"joint{joint + 1}"
 
 
-def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
-    """Return T_parent_joint (N, 4, 4), and for each body its link (-1: world) with T_link_body.
+def link_frames(
+    model: mujoco.MjModel, T_world_base: np.ndarray, chain: Chain
+) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
+    """Return T_parent_joint (N, 4, 4), and for each body its link (-1: the chain's root) with T_link_body.
 
-    Both account for joint anchors, and for qpos0, the joint values at which MuJoCo draws the model.
+    Both account for joint anchors, and for qpos0, the joint values at which MuJoCo draws the model. Joints that are not
+    on the chain stay at qpos0.
+
+    Args:
+        model: The compiled model.
+        T_world_base: Pose of the model's own frame in the world (4, 4) [m]; ignored unless the world is the root.
+        chain: The chain.
     """
-    T_parent_joint = np.zeros((model.njnt, 4, 4))
-    frames = [(-1, T_world_base)]
-    for body in range(1, model.nbody):  # parents come before children
+    T_parent_joint, number = np.zeros((len(chain.joints), 4, 4)), {j: k for k, j in enumerate(chain.joints)}
+    link, T_link_body, body = -1, T_world_base if chain.root == 0 else np.eye(4), chain.root
+    known = {body: (link, T_link_body)}
+    while body > 0:
+        for j in reversed(_joints_of(model, body)):
+            if j in number:  # from the frame that moves with the body to the one that it moves against
+                T_parent_joint[number[j]] = T_link_body @ shifted_frame(model.jnt_pos[j])
+                link = number[j]
+                T_link_body = np.linalg.inv(shifted_frame(model.jnt_pos[j]) @ _drawn_back(model, j))
+        T_link_body = T_link_body @ np.linalg.inv(frame(model.body_pos[body], model.body_quat[body]))
+        body = int(model.body_parentid[body])
+        known[body] = link, T_link_body
+    frames = []
+    for body in range(model.nbody):  # parents come before children
+        if body in known:
+            frames.append(known[body])
+            continue
         link, T_link_parent = frames[model.body_parentid[body]]
         T_link_body = T_link_parent @ frame(model.body_pos[body], model.body_quat[body])
-        first = model.body_jntadr[body]
-        for j in range(first, first + model.body_jntnum[body]):
-            axis, drawn_at = model.jnt_axis[j], model.qpos0[j]
-            back = turned_frame(axis, -drawn_at) if model.jnt_type[j] == _HINGE else shifted_frame(-drawn_at * axis)
-            T_parent_joint[j] = T_link_body @ shifted_frame(model.jnt_pos[j]) @ back
-            link, T_link_body = j, shifted_frame(-model.jnt_pos[j])
+        for j in _joints_of(model, body):
+            if j in number:
+                T_parent_joint[number[j]] = T_link_body @ shifted_frame(model.jnt_pos[j]) @ _drawn_back(model, j)
+                link, T_link_body = number[j], shifted_frame(-model.jnt_pos[j])
         frames.append((link, T_link_body))
     return T_parent_joint, frames
+
+
+def _drawn_back(model: mujoco.MjModel, j: int) -> np.ndarray:
+    """Return the motion of a joint from where the model is drawn to its zero."""
+    axis, drawn_at = model.jnt_axis[j], model.qpos0[j]
+    return turned_frame(axis, -drawn_at) if model.jnt_type[j] == _HINGE else shifted_frame(-drawn_at * axis)
 
 
 def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray, np.ndarray]:
@@ -381,9 +499,12 @@ def _named_frames(
     found: dict[str, robot.ArmFrame] = {}
     for name, link, T in [*sites, *bodies]:
         if name and (link >= 0) == moving:
-            columns = tuple(map(tuple, T[:3, :3].T.tolist()))
-            found.setdefault(name, robot.ArmFrame(name, link, tuple(T[:3, 3].tolist()), columns))
+            found.setdefault(name, _arm_frame(name, link, T))
     return tuple(found.values())
+
+
+def _arm_frame(name: str, link: int, T: np.ndarray) -> robot.ArmFrame:
+    return robot.ArmFrame(name, link, tuple(T[:3, 3].tolist()), tuple(map(tuple, T[:3, :3].T.tolist())))
 
 
 # Capsules
@@ -464,10 +585,14 @@ def _mounted(
     ]
 
 
-def _on_tcp_body(model: mujoco.MjModel, tcp_body: int, capsules: list[_Capsule]) -> list[_Capsule]:
-    """Return the capsules of the TCP's body and its descendants; without any, those of the last link."""
-    tool = [capsule for capsule in capsules if tcp_body in upwards(model, capsule.body)]
-    return tool or [capsule for capsule in capsules if capsule.link == model.njnt - 1]
+def _on_tcp_body(model: mujoco.MjModel, tcp_body: int, capsules: list[_Capsule], chain: Chain) -> list[_Capsule]:
+    """Return the capsules of the TCP's body and its descendants on the last link; without any, those of that link.
+
+    If the part moves, the last link may be the world, which is not lengthened with the tool.
+    """
+    last = [capsule for capsule in capsules if capsule.link == model.njnt - 1]
+    tool = [capsule for capsule in last if capsule.body == tcp_body or tcp_body in upwards(model, capsule.body)]
+    return tool or ([] if chain.root else last)
 
 
 def _ends_on_tool(capsules: list[_Capsule], tool: list[_Capsule]) -> np.ndarray:

@@ -31,9 +31,9 @@ LEFT_OUT = {
     "visual",
 }  # fmt: skip
 MESHES = "asset", "mesh"  # kept if meshes are requested
-CONTACTS = "contact", "text", "tuple"  # kept with excluded pairs, and an arm's own list
-# Names of the texts and tuples in that list, and of the convex pieces.
-OWN = re.compile(r"self_collision|made from|cuts of .*|piece of .*|excluded .*")
+CONTACTS = "contact", "text", "tuple"  # kept with excluded pairs, an arm's own list, and the link of the part
+# Names of the texts and tuples in that list, of the convex pieces, and of the link of the part.
+OWN = re.compile(r"self_collision|link of the part|made from|cuts of .*|piece of .*|excluded .*")
 ONLY = {"asset": ("mesh",), "contact": ("exclude",)}  # children to keep in some kept elements
 WORLD = "world"  # MuJoCo's own body, which a URDF's link without a parent may stand for
 # Elements that generate bodies and joints.

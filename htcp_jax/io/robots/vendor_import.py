@@ -1,9 +1,10 @@
-"""Import of a vendor's URDF or MJCF as an arm of capsules.
+"""Import of a vendor's URDF or MJCF as an arm of capsules, or as a cell in which the part moves.
 
-The joints of the chain to the TCP move, all others are frozen, and capsules enclose the shapes of each body.
+The joints of the chain to the TCP move, all others are frozen, and capsules enclose the shapes of each body. The chain
+begins at the world, or at the link that carries the part.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +24,18 @@ from htcp_jax.io.robots.capsule_fit import (
     hull_volume,
 )
 from htcp_jax.io.robots.fixed_joints import fix_joints
-from htcp_jax.io.robots.model_file import check_joints, compile_spec, joint_name, joint_numbers, no_log, upwards
+from htcp_jax.io.robots.model_file import (
+    Chain,
+    chain_between,
+    check_joints,
+    compile_spec,
+    find_link,
+    joint_name,
+    joint_numbers,
+    link_frames,
+    no_log,
+    upwards,
+)
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
 from htcp_jax.io.robots.srdf import disabled_pairs
@@ -82,14 +94,14 @@ class ImportedArm(NamedTuple):
 
     model: mujoco.MjModel
     tip: Tip
-    joints: tuple[int, ...]  # from the world to the TCP; indices in the model, as below
+    chain: Chain  # from the world, or from the part's link, to the TCP; indices in the model, as below
     joint_names: tuple[str, ...]
     frozen: tuple[str, ...]  # names of the other joints, frozen as drawn
     fixed: dict[str, float]  # values at which further joints are frozen [rad or m]
     bodies: tuple[int, ...]  # of the robot, see `_robot_bodies`
     covers: dict[int, BodyCover]  # by body
     massive: tuple[int, ...]  # bodies with an inertia in the file
-    numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, for `joints`
+    numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, in the order of the joints in the model
     excluded: tuple[str, ...]  # excluded shapes, which no capsule represents
     visual: bool  # True if the capsules enclose visual geometry
     shapeless: tuple[str, ...]  # bodies with visual but no collision geometry
@@ -100,11 +112,18 @@ class ImportedArm(NamedTuple):
         """Name of the model."""
         return model_name(self.model)
 
+    @property
+    def part(self) -> str | None:
+        """Name of the link that carries the part; None if it is the world."""
+        return self.model.body(self.chain.root).name if self.chain.root else None
+
 
 def import_robot(
     path: Path,
     tcp: str | None = None,
     *,
+    part: str | None = None,
+    omit: Sequence[str] = (),
     most: int | None = None,
     tolerance_m: float | None = None,
     visual: bool = False,
@@ -117,6 +136,8 @@ def import_robot(
     Args:
         path: The file.
         tcp: See `tcp.find_tip`.
+        part: The link that carries the part; None: the world.
+        omit: Links whose shapes no capsule encloses, such as the part itself, which is the job's workpiece.
         most: Maximum number of fitted capsules per body; None: see `tolerance_m`.
         tolerance_m: Fit closer, see `close_fit.cover_closely`: bodies on the last two links, among them the tool, with
             this tolerance and at most close_fit.MOST_CLOSE capsules, all others with at most close_fit.MOST; None: at
@@ -128,53 +149,75 @@ def import_robot(
         progress: Called with the number of bodies done and their total.
 
     Raises:
-        InputError: For a file or a mesh that cannot be read, for a missing or ambiguous TCP, ball and free joints on
-            the chain to it, fewer than three joints, a model without shapes, the SRDF of another robot, an unknown
+        InputError: For a file or a mesh that cannot be read, for a missing or ambiguous TCP, an unknown part's link or
+            one without a joint between it and the TCP, ball and free joints on the chain to it, fewer than three
+            joints, more than nine if the part moves, a model without shapes, the SRDF of another robot, an unknown
             joint or a value beyond its limits in `fixed`, and a tolerance out of range.
     """
     fit = _Fit(most, tolerance_m)
     spec, shapes, model = _read_model(path, visual)
     values = fix_joints(model, path, fixed or {})
     tip = find_tip(model, path, tcp, _robot_bodies(model, ()))
-    on_chain = tuple(upwards(model, tip.body))
+    root = 0 if part is None else find_link(model, path, part, _robot_bodies(model, ()), "--part")
+    on_chain = (*upwards(model, tip.body), *upwards(model, root))
     bodies = _robot_bodies(model, on_chain)
+    omitted = {find_link(model, path, name, bodies, "--omit") for name in omit}
     disabled = disabled_pairs(srdf, model_name(model), [body_name(model, b) for b in bodies]) if srdf else ()
     moving = [j for j in range(model.njnt) if j not in values]
-    joints = tuple(j for j in moving if model.jnt_bodyid[j] in on_chain)
+    chain = _moving_chain(model, path, root, tip, values)
+    joints = chain.joints
     geoms = [geom for geom in shapes.geoms if _body_of(model, geom) in bodies]
     chosen = _chosen_geoms(geoms, model, visual)
-    own = [geom for geom in chosen if not _is_excluded(geom, model)]
+    own = [geom for geom in chosen if not _is_excluded(geom, model) and _body_of(model, geom) not in omitted]
     if not own:
         raise InputError(
             f"{path}: no shapes that capsules could hold; geoms of the model: {_geom_kinds(geoms) or 'none'}"
         )
-    joint_names = check_joints(model, path, joints, other_frames(model, bodies, tip))
-    warn_of_jaw(model, path, tip, joints)
+    hint = other_frames(model, bodies, tip) if root == 0 else ""
+    joint_names = check_joints(model, path, joints, chain, hint)
+    if root == 0:
+        warn_of_jaw(model, path, tip, joints)
     # whatever is unreadable
     found = {b: [shapes.shape(g, model) for g in own if _body_of(model, g) == b] for b in bodies}
     names = _Names({model.geom(geom.at).name for geom in own})
     covers, shaped = {}, [b for b in bodies if found[b]]
+    links = link_frames(model, np.eye(4), chain)[1]
     for done, b in enumerate(shaped):
         progress(done, len(shaped))
-        links_after = len(joints) - sum(int(model.jnt_bodyid[j]) in upwards(model, b) for j in joints)
+        links_after = len(joints) - 1 - links[b][0]
         covers[b] = _cover(found[b], body_name(model, b), names, fit, close=links_after < CLOSE_LINKS)
     excluded = [geom for geom in chosen if geom not in own]
     return ImportedArm(
         model,
         tip,
-        joints,
+        chain,
         joint_names,
         tuple(joint_name(model, j) for j in moving if j not in joints and model.jnt_bodyid[j] in bodies),
         {joint_name(model, j): value for j, value in sorted(values.items())},
         bodies,
         covers,
         tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
-        {name: joint_numbers(model, path, name, np.inf)[list(joints)] for name in PER_JOINT if _has(model, name)},
+        {name: joint_numbers(model, path, name, np.inf)[sorted(joints)] for name in PER_JOINT if _has(model, name)},
         tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body_of(model, g))}" for g in excluded),
         visual,
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
         tuple(disabled),
     )
+
+
+def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed: Collection[int]) -> Chain:
+    """Return the chain from the part's link to the TCP without frozen joints.
+
+    Raises:
+        InputError: If the part moves, and no joint is left.
+    """
+    chain = chain_between(model, root, tip.body)
+    pairs = [pair for pair in zip(chain.joints, chain.reversed, strict=True) if pair[0] not in fixed]
+    if root and not pairs:
+        part, carrier = model.body(root).name, body_name(model, tip.body)
+        where = f"both are on link {part!r}" if tip.body == root else f"the TCP is on {carrier!r}"
+        raise InputError(f"{path}: no joint between the part's link {part!r} and the TCP {tip.name!r}: {where}")
+    return Chain(root, tuple(j for j, _ in pairs), tuple(back for _, back in pairs))
 
 
 def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
@@ -199,6 +242,15 @@ def _read_model(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco
         spec.delete(each)
     shapes = Shapes(spec, path)
     return spec, shapes, compile_spec(spec, path)
+
+
+def chain_text(arm: ImportedArm) -> str:
+    """Return the links and joints from the part to the TCP: part -a7- link_6 ... base -b1- table."""
+    model, words, link = arm.model, [arm.part or "world"], arm.chain.root
+    for j, name, back in zip(arm.chain.joints, arm.joint_names, arm.chain.reversed, strict=True):
+        link = int(model.jnt_bodyid[j])
+        words += [f"-{name}-", body_name(model, int(model.body_parentid[link]) if back else link)]
+    return " ".join(words)
 
 
 def model_name(model: mujoco.MjModel) -> str:

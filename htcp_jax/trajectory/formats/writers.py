@@ -20,15 +20,16 @@ class ProgramFormat(NamedTuple):
 
     write: Callable[[TimedMotion, ControllerData], str]
     step_s: float | None  # default time step of samples; None: the motion's own configurations
+    by_name: bool = True  # False: of one arm alone, whose joints have no names, and which stands in the world
 
 
 FORMATS = {
     "csv": ProgramFormat(csv_text, 0.001),
     "ros": ProgramFormat(ros_yaml_text, 0.01),
     "ros-json": ProgramFormat(ros_json_text, 0.01),
-    "jbi": ProgramFormat(jbi_text, None),
-    "jbi-pulses": ProgramFormat(jbi_pulses_text, None),
-    "urscript": ProgramFormat(urscript_text, 0.002),
+    "jbi": ProgramFormat(jbi_text, None, by_name=False),
+    "jbi-pulses": ProgramFormat(jbi_pulses_text, None, by_name=False),
+    "urscript": ProgramFormat(urscript_text, 0.002, by_name=False),
     "keyframes": ProgramFormat(keyframes_text, 0.01),
 }
 
