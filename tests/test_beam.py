@@ -82,7 +82,7 @@ def test_a_change_of_configuration_may_be_several_self_motions_one_after_the_oth
     """
     one, settings = (
         first_of(scenario(14, (0.4, -0.3)), 60),
-        replace(SMALL, beam_width=1, min_beam_width=1, self_motions=1),
+        replace(SMALL, beam_width=1, min_beam_width=1, self_motions=1, effort=0.0),
     )
     once, often = (plan_by_beam([one], replace(settings, self_motion_rounds=rounds)) for rounds in (1, 12))
     (lost,) = set(often.via_points.target.tolist())
@@ -90,6 +90,16 @@ def test_a_change_of_configuration_may_be_several_self_motions_one_after_the_oth
     assert (often.executable == often.tracked).all() and often.tracked[0].all()
     steps = np.linalg.norm(np.diff(often.via_points.x, axis=0), axis=1)
     assert len(often.via_points.x) > 1 and steps.max() < 2 * settings.self_motion_step_rad
+
+
+def test_after_a_dead_end_a_search_backwards_joins_the_beam():
+    """Dead end of a beam of one configuration: passed by a search from the lost target, with a proven motion."""
+    one, settings = first_of(scenario(14, (0.4, -0.3)), 60), replace(SMALL, beam_width=1, min_beam_width=1)
+    settings = replace(settings, self_motions=1, self_motion_rounds=1)
+    ended, joined = (plan_by_beam([one], replace(settings, effort=effort)) for effort in (0.0, 2.0))
+    lost = ended.outcome(0).failed
+    assert lost is not None and not len(ended.dead_ends.scenario)
+    assert joined.outcome(0).can_be_driven and joined.dead_ends.on(0)[lost].connected > 0
 
 
 def test_a_narrower_tube_is_kept_to():
