@@ -214,3 +214,28 @@ def test_source_that_changed_while_the_process_runs_has_no_name(monkeypatch):
 
 def test_the_source_in_a_name_is_that_of_the_core():
     assert list(executable_key.CORE) == lint.CORE
+
+
+INVERSE = """
+import jax, jax.numpy as jnp, numpy as np
+import htcp_jax
+from htcp_jax.device import compile_cache, kept_executables
+compile_cache.enable()
+device, x = jax.devices("cpu")[0], (jnp.eye(3) + 0.1,)
+found = kept_executables.find("source", device, x)
+made = found is None
+if made:
+    compile_ = jax.jit(jnp.linalg.inv).lower(*x).compile
+    found = kept_executables.compiled("source", "program", compile_, device, x)
+print(made, np.asarray(found(*x)).tolist())
+"""
+
+
+def test_an_executable_that_calls_lapack_runs_in_a_process_that_only_loads_it(tmp_path):
+    """Calls of LAPACK in a loaded executable: their pointers are set (regression: the process ended by a signal)."""
+    environment = {**os.environ, "HTCP_CACHE": str(tmp_path / "cache"), "JAX_PLATFORMS": "cpu"}
+    command = [sys.executable, "-c", INVERSE]
+    runs = [subprocess.run(command, env=environment, capture_output=True, text=True) for _ in range(2)]
+    assert [run.returncode for run in runs] == [0, 0], runs[1].stderr
+    (first, inverse), (second, loaded) = (run.stdout.split(" ", 1) for run in runs)
+    assert (first, second) == ("True", "False") and inverse == loaded

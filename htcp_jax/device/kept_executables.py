@@ -3,20 +3,28 @@
 An executable is stored under the name of its program, `executable_key.program_key`. A second, short file, named
 `source_key`, says which program a lane function is, and is found without tracing. JAX's own cache keeps these programs,
 too, but what it has loaded cannot be serialised again: an executable is stored by the process that compiled it.
+
+On a CPU an executable calls functions of LAPACK by pointers that JAX sets when it lowers such a call, which a process
+that only loads does not do: `_load` sets them. An executable that calls anything else outside of it is not kept.
 """
 
 import contextlib
+import functools
 import pickle
+import re
 import threading
 import zlib
 from collections.abc import Callable, Iterator
 
 import jax
+import numpy as np
 from jax.experimental import serialize_executable
 
 from htcp_jax.device import compile_cache
 
 FAST = 1  # level of compression: a fifth of the size, in 10 ms
+CALLED = re.compile('custom_call_target="([^"]+)"')  # in the text of an executable
+LAPACK = "lapack_"  # beginning of the names of its functions
 HIT = "/jax/compilation_cache/cache_hits"  # JAX's event
 
 
@@ -58,9 +66,12 @@ def compiled(
 def _save(program: str, executable: jax.stages.Compiled) -> bool:
     """Keep an executable; return False if that fails, as some have no form on disk."""
     try:
+        called = set(CALLED.findall(executable.as_text() or ""))
+        if _platform(executable) == "cpu" and not all(name.startswith(LAPACK) for name in called):
+            return False
         code, _, results = serialize_executable.serialize(executable)
         example = jax.tree.unflatten(results, range(results.num_leaves))  # a tree can be pickled, its structure cannot
-        content = pickle.dumps((code, example))
+        content = pickle.dumps((code, example, bool(called)))
     except Exception:  # of many kinds
         return False
     return compile_cache.write_executable(program, zlib.compress(content, FAST))
@@ -70,13 +81,25 @@ def _load(program: str, device: jax.Device, arguments: tuple) -> jax.stages.Comp
     if (content := compile_cache.read_executable(program)) is None:
         return None
     try:
-        code, example = pickle.loads(zlib.decompress(content))
+        code, example, calls_lapack = pickle.loads(zlib.decompress(content))
+        if calls_lapack and device.platform == "cpu":
+            _set_lapack()
         structures = jax.tree.structure((arguments, {})), jax.tree.structure(example)
         return serialize_executable.deserialize_and_load(
             code, *structures, backend=device.client, execution_devices=[device]
         )
     except Exception:  # of many kinds
         return None
+
+
+def _platform(executable: jax.stages.Compiled) -> str:
+    return next(iter(jax.tree.leaves(executable.input_shardings)[0].device_set)).platform
+
+
+@functools.cache
+def _set_lapack() -> None:
+    """Have JAX set the pointers to LAPACK's functions, by lowering a call of one of them."""
+    jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.float64))
 
 
 @contextlib.contextmanager

@@ -234,15 +234,24 @@ def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> 
 
 
 def _upper_bounds(executor: Executor, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
-    """Return the number of targets (S,) before one that is proven out of reach.
+    """Return the number of targets (S,) before one that is proven out of reach: the smaller result of two searches.
 
-    Targets 4, 8, 16, ... behind the last one found are tried, and bisection between the first of them that is excluded
-    and the one tried before it: a few targets on, a target is usually excluded more easily, but on a path that comes
-    back into the open its end is not. If another one is excluded earlier, the bound is larger than it could be.
+    Both bisect between a target that is not excluded and one that is. The first begins at targets 4, 8, 16, ... behind
+    the last one found: on a path that comes back into the open its end is not excluded. The second begins at the path's
+    end: a later target is usually excluded more easily. If another one is excluded earlier, the bound is larger than it
+    could be.
     """
+    ahead = _excluded_first(executor, robot, scenarios, found, cells, FIRST_AHEAD)
+    return np.minimum(ahead, _excluded_first(executor, robot, scenarios, found, cells, 0))
+
+
+def _excluded_first(
+    executor: Executor, robot: Robot, scenarios: Scenario, found: Reachability, cells: int, ahead: int
+) -> np.ndarray:
+    """Return the first target (S,) found to be excluded, trying those `ahead` first; 0: bisection of the whole path."""
     short, no_cell = found.prefix < scenarios.count, found.resolution_rad == 0
     low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
-    ahead, is_bounded = FIRST_AHEAD, short & no_cell
+    is_bounded = (short & no_cell) | (ahead == 0)
     while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:
         further = np.minimum(found.prefix - 1 + ahead, high - 1)
         target = np.where(is_bounded, (low + high) // 2, further)[open_]
