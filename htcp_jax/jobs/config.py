@@ -7,7 +7,7 @@ A PlanConfig is made by `load_config`. Some defaults are for the GP50 and the du
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -137,7 +137,7 @@ class PathColumnsConfig(strict_model.FileSection):
     qz: PathColumn | None = None
 
     @model_validator(mode="after")
-    def _is_complete(self) -> Self:
+    def _is_complete(self) -> "PathColumnsConfig":
         for family in (("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz")):
             given = [name for name in family if getattr(self, name) is not None]
             if given and len(given) < len(family):
