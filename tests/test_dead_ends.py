@@ -21,7 +21,7 @@ def test_effort_adds_targets_at_most_and_leaves_complete_plans_as_they_are():
     assert (after.executable == after.tracked).all()
     complete = np.flatnonzero(before.outcomes.complete)
     assert len(complete)
-    for s in complete:
+    for s in complete.tolist():
         toy.same(before, s, after, s, before.status.shape[1])
     assert not len(before.dead_ends.scenario) and not set(after.dead_ends.scenario) & set(complete)
 

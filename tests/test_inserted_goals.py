@@ -40,10 +40,10 @@ def scenario(path, number=0, **changes):
 @cache
 def rectangle(method="beam", **changes):
     """The plan along a rectangle of four points, and the same with all tracked targets counted."""
-    told: list[Progress] = []
+    reported: list[Progress] = []
     settings = replace(toy.SETTINGS, **changes)
-    found = plan(toy.robot(), workpiece(CORNERS), [scenario(CORNERS)], method, settings, progress=told.append)
-    return found, told
+    found = plan(toy.robot(), workpiece(CORNERS), [scenario(CORNERS)], method, settings, progress=reported.append)
+    return found, reported
 
 
 def joint_path(plans, s, t):
@@ -52,10 +52,10 @@ def joint_path(plans, s, t):
 
 @pytest.mark.parametrize("method", ["beam", "baseline", "hybrid"])
 def test_a_rectangle_of_four_points_has_four_results_and_its_lines_are_followed(method):
-    plans, told = rectangle(method)
+    plans, reported = rectangle(method)
     on_path = 1
     assert plans.status.shape == (1, on_path + len(CORNERS)) and plans.executable.all()
-    assert told[-1].targets == told[-1].targets_tracked == plans.status.shape[1]
+    assert reported[-1].targets == reported[-1].targets_tracked == plans.status.shape[1]
     for t in range(on_path + 1, on_path + len(CORNERS)):
         shares, x = plans.via_points.shares_on(0, t), joint_path(plans, 0, t)
         assert len(shares) >= 4 and (np.diff(shares) >= 0).all() and 0 <= shares[0] < shares[-1] < 1
@@ -196,7 +196,7 @@ def test_no_joint_travels_farther_between_two_targets_than_the_bound(method):
     bound = 0.6 * float(np.nanmax(largest.step))
     plans = toy.planned(method=method, settings=replace(toy.SETTINGS, max_joint_step_rad=bound))
     seen = 0
-    for s, t in zip(*np.nonzero(plans.tracked), strict=True):
+    for s, t in np.argwhere(plans.tracked).tolist():
         if t > on_path[s]:
             assert (travelled(plans, s, t) <= bound).all()
             seen += 1
@@ -221,7 +221,7 @@ def test_the_bound_holds_for_the_sum_over_inserted_goals():
     assert max(travelled(bounded, 0, t).max() for t in range(2, 5) if bounded.tracked[0, t]) <= bound
 
 
-@pytest.mark.parametrize("bound", [0, -1.0, (0.1, 0.0, 0.1, 0.1), (0.1, 0.1)])
+@pytest.mark.parametrize("bound", [0.0, -1.0, (0.1, 0.0, 0.1, 0.1), (0.1, 0.1)])
 def test_a_bound_of_0_or_of_another_number_of_joints_is_refused(bound):
     with pytest.raises(InputError, match="max_joint_step_rad") as refused:
         toy.planned(settings=replace(toy.SETTINGS, max_joint_step_rad=bound))

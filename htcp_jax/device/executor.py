@@ -96,7 +96,7 @@ class ExecutableCache:
         arguments = jax.tree.map(np.asarray, arguments)
         return self.get(whole, None, default_device(), arguments)(*arguments)
 
-    def _found(self, key: tuple, settings: Settings, arguments: tuple) -> jax.stages.Compiled:
+    def _found(self, key: tuple, settings: Settings | None, arguments: tuple) -> jax.stages.Compiled:
         """Load an executable from disk, or trace and compile it."""
         lane_function, values, device, *about = key
         options, keeps = COMPILER.get(device.platform, {}), self._on_disk and compile_cache.folder() is not None

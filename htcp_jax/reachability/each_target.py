@@ -216,7 +216,7 @@ class _Judge:
         is_reached = reach == Reach.REACHABLE
         return reach, np.where(is_reached[:, None], x, here.x[:, 0]), here.clearance[:, 0]
 
-    def _reached(self, pairs: Pairs, clear: Sequence[Float[np.ndarray, "n N"]]) -> tuple:
+    def _reached(self, pairs: Pairs, clear: Sequence[Float[np.ndarray, "_ N"]]) -> tuple:
         x = np.stack([own[0] if len(own) else np.full(self.x.shape[2], np.nan) for own in clear])
         found = ~np.isnan(x).any(axis=1)
         return np.where(found, Reach.REACHABLE, Reach.UNDECIDED), x, np.where(found, np.inf, -np.inf)

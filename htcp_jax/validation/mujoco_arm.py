@@ -91,7 +91,7 @@ class MujocoArm:
         self._order = _joint_order(self._model, self.root)
         if tool_extension_m:
             own = _joints_to(self._model, self.root, self._order) if self.root else None
-            moved = _lengthen(self._model, self._site, self._geoms, tool_extension_m, self._order[-1], own)
+            moved = _lengthen(self._model, self._site, self._geoms, tool_extension_m, int(self._order[-1]), own)
             self.hulls = tuple(
                 None if g in moved else hull for g, hull in zip(self._geoms.tolist(), self.hulls, strict=True)
             )
