@@ -101,7 +101,7 @@ class Plan:
 
     @property
     def workpiece_place(self) -> str:
-        """Where the workpiece stands in the world, as text, and what was subtracted from its files' coordinates."""
+        """Place of the workpiece in the world, as text, and the origin that was subtracted from its files."""
         return scenarios.place_of(self.workpiece, np.asarray(self.scenario.T_world_workpiece))
 
     @cached_property
@@ -220,7 +220,7 @@ class Plan:
 
     @property
     def dead_ends(self) -> dict[int, Tried]:
-        """What was tried after dead ends of the search, by the target that had no successor of the one before."""
+        """Attempts after dead ends of the search, by the lost target."""
         return self.plans.dead_ends.on(0)
 
     def failure(self) -> dict[str, str]:

@@ -42,7 +42,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def settled(scene=None):
-    """What a new process computes: executables in memory are not shared with other calls."""
+    """Results of a new process: executables in memory are not shared with other calls."""
     inputs = lane_inputs(jax.tree.map(np.asarray, stack(toy.scenarios())), np.zeros(3, int), np.arange(3))
     q = np.tile(toy.START, (3, 1)) + 0.1 * np.arange(12.0).reshape(3, 4)
     return Executor(scene or toy.scene(), toy.SETTINGS, executables=ExecutableCache(on_disk=True))(SETTLE, inputs, q)

@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 
 class Tried(NamedTuple):
-    """What was tried after one dead end."""
+    """Attempts after one dead end, in numbers."""
 
     searches: int = 0  # from configurations found at the lost target
     configurations: int = 0  # sampled, extended or moved
@@ -17,7 +17,7 @@ class Tried(NamedTuple):
 
     @property
     def description(self) -> str:
-        """What was tried, in one line."""
+        """Description of the attempts, in one line."""
         connected = str(self.connected) if self.connected else "none"
         searches = f"{self.searches} search{'es' if self.searches != 1 else ''} backwards"
         work = f"{searches}, {self.configurations:,} configurations sampled or extended"

@@ -32,7 +32,7 @@ Mapped = Callable[[Callable[[Pairs], tuple], Sequence[Pairs]], list[tuple]]  # m
 
 
 class Reach(IntEnum):
-    """What is known of one target; stored as int8, NOT_JUDGED for targets that are not on the path."""
+    """Result for one target; stored as int8, NOT_JUDGED for targets that are not on the path."""
 
     NOT_JUDGED = -1
     REACHABLE = 0
