@@ -242,7 +242,8 @@ def test_the_command_says_what_is_in_collision_and_which_scenario_it_is(made, pl
     """Colliding body and scenario parameters in the output of the command (regression: only the scenario's number)."""
     words = ["--movie", "none", "--width", "160", "--out", str(tmp_path)]
     assert main(["render", str(made[1]), *words]) == 0
-    assert f"{made[0].obstruction.description}\n" in capsys.readouterr().out
+    obstruction = replays_of("by hand", made[0]).replay(0, "baseline").obstruction
+    assert f"{obstruction.description}\n" in capsys.readouterr().out
     assert main(["render", str(planned / "run"), "--scenario", "1", *words]) == 0
     assert "baseline, scenario 1: rotation y 0.5 rad, tool 0 m" in capsys.readouterr().out
 
