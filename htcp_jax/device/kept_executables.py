@@ -56,18 +56,18 @@ def compiled(
     if (found := _load(program, device, arguments)) is None:
         with _jax_hits() as hits:
             found = compile_()
-        if hits or not _save(program, found):
+        if hits or not _save(program, found, device):
             return found
     if source is not None:
         compile_cache.write_executable(source, program.encode())
     return found
 
 
-def _save(program: str, executable: jax.stages.Compiled) -> bool:
+def _save(program: str, executable: jax.stages.Compiled, device: jax.Device) -> bool:
     """Keep an executable; return False if that fails, as some have no form on disk."""
     try:
         called = set(CALLED.findall(executable.as_text() or ""))
-        if _platform(executable) == "cpu" and not all(name.startswith(LAPACK) for name in called):
+        if device.platform == "cpu" and not all(name.startswith(LAPACK) for name in called):
             return False
         code, _, results = serialize_executable.serialize(executable)
         example = jax.tree.unflatten(results, range(results.num_leaves))  # a tree can be pickled, its structure cannot
@@ -90,10 +90,6 @@ def _load(program: str, device: jax.Device, arguments: tuple) -> jax.stages.Comp
         )
     except Exception:  # of many kinds
         return None
-
-
-def _platform(executable: jax.stages.Compiled) -> str:
-    return next(iter(jax.tree.leaves(executable.input_shardings)[0].device_set)).platform
 
 
 @functools.cache
