@@ -1,7 +1,7 @@
 """Sensitivity of the regression gate: it detects a fault in each part that a plan depends on.
 
 Every fault is injected where the number is computed, in a process of its own that then plans the same small sweep.
-Cached programs cannot hide a fault, as the cache identifies programs by what they compute.
+Cached programs cannot hide a fault, as a process that replaced a function of the core takes none by its source.
 """
 
 import os

@@ -1,6 +1,7 @@
 """Executables kept on disk: another process loads them without tracing; nothing but one's own files is ever loaded."""
 
 import dataclasses
+import functools
 import os
 import shutil
 import subprocess
@@ -21,6 +22,8 @@ from htcp_jax.device import Executor, compile_cache, executable_key, kept_execut
 from htcp_jax.device.executor import COMPILER, ExecutableCache
 from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.errors import InputError
+from htcp_jax.model import kinematics
+from htcp_jax.model.robot import Robot
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.step_functions import SETTLE, TIP
@@ -209,6 +212,23 @@ def test_source_that_changed_while_the_process_runs_has_no_name(monkeypatch):
     assert key_of(TIP)
     newest = max(file.stat().st_mtime for file in executable_key._source_files())
     monkeypatch.setattr(htcp_jax, "_imported_s", newest)
+    assert key_of(TIP) is None
+
+
+def wraps_tcp(own=kinematics.tcp_position):
+    return functools.wraps(own)(lambda *arguments: own(*arguments))
+
+
+@pytest.mark.parametrize("replaced", [lambda *_: None, key_of, wraps_tcp(), jax.jit(wraps_tcp())])
+def test_a_process_that_replaced_a_function_of_the_core_gets_no_name(monkeypatch, replaced):
+    """Neither does it load what others compiled, nor keep its own for others (regression: a fault passed the gate)."""
+    assert key_of(TIP)
+    monkeypatch.setattr(kinematics, "tcp_position", replaced)
+    assert key_of(TIP) is None
+
+
+def test_a_process_that_replaced_a_method_of_the_core_gets_no_name(monkeypatch):
+    monkeypatch.setattr(Robot, "with_tool", lambda self: self, raising=False)
     assert key_of(TIP) is None
 
 

@@ -6,12 +6,14 @@ described by their contents, and names of classes and functions stand for their 
 what depends on the code of another package or of a notebook is traced in every process, and then found by
 `program_key`, the digest of the program's text. So is a program that a change of the source did not change.
 
-Replacing functions of the core at run time does not change a name: that is for HTCP_CACHE=off.
+A process that has replaced a function of the core, as in a notebook or a test, gets no such name either. Other values
+of modules that are replaced at run time do not change a name: that is for HTCP_CACHE=off.
 """
 
 import dataclasses
 import enum
 import hashlib
+import itertools
 import os
 import platform
 import re
@@ -27,7 +29,11 @@ import numpy as np
 
 PACKAGE, ROOT = __name__.partition(".")[0], Path(__file__).parent.parent
 CORE = "model", "solvers", "clearance", "device", "motion", "planning", "reachability"  # of lane functions
+BEGINNINGS = tuple(f"{PACKAGE}.{name}" for name in CORE)  # of their modules' names
 LIBRARIES = "jax", "jaxlib", "numpy", "optax"  # that they use
+# Packages whose functions stand in the core's modules and classes without having been put there at run time.
+WRITTEN_BY = {PACKAGE, *LIBRARIES, *sys.stdlib_module_names, "beartype", "jaxtyping", "lazy_loader"} - {"__main__"}
+WRAPPERS = classmethod, staticmethod, type(jax.jit(len))
 WITHOUT_EFFECT = re.compile("cache|platforms|default_device|log|traceback|dump")  # on programs, of JAX's configuration
 PROCESSOR = re.compile(
     "^(model name|flags|features|cpu (implementer|part|variant))\t*:.*", re.IGNORECASE | re.MULTILINE
@@ -94,8 +100,11 @@ def _source() -> str:
     """Digest of the core's source.
 
     Raises:
-        UnknownSource: If a file changed since this process imported the package, or cannot be read.
+        UnknownSource: If a file changed since this process imported the package, or cannot be read; if a function of
+            the core was replaced.
     """
+    if _has_replaced_functions():
+        raise UnknownSource
     try:
         imported_s = vars(sys.modules[PACKAGE])["_imported_s"]
         if max(os.stat(file).st_mtime for file in _source_files()) >= imported_s:
@@ -103,6 +112,26 @@ def _source() -> str:
         return _source_digest()
     except OSError:
         raise UnknownSource from None
+
+
+def _has_replaced_functions() -> bool:
+    """Tell whether a module or class of the core has a function that reads globals of a program, notebook or test."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith(BEGINNINGS):
+            own = vars(module)
+            values = list(own.values())
+            methods = (vars(each).values() for each in values if isinstance(each, type) and each.__module__ == name)
+            for each in itertools.chain(values, *methods):
+                function = each.__wrapped__ if type(each) in WRAPPERS else each
+                if type(function) is FunctionType and function.__globals__ is not own:
+                    if not _is_installed(function.__globals__.get("__name__", PACKAGE)):
+                        return True
+    return False
+
+
+@cache
+def _is_installed(module: str) -> bool:
+    return module.startswith("namedtuple_") or module.partition(".")[0] in WRITTEN_BY
 
 
 @cache
