@@ -4,6 +4,7 @@ A block may have a comment before it, `<!-- runs: HOW -->`:
 
     (none)                   by a quick test, unchanged; a command of several pages, on the first of them
     slow                     by a slow test, unchanged
+    slow, exit N             by a slow test, unchanged; each command ends with exit code N, 1 to 3
     slow, two scenarios      by a slow test, with --limit 2: it would take longer than all other tests together
     slow, in a fresh copy    by a slow test, in a copy of the repository without a virtual environment
     in CI                    by .ci/run, which is made of such commands
@@ -24,18 +25,19 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[1]
 QUICK, SLOW, TWO, COPY = "quick", "slow", "slow, two scenarios", "slow, in a fresh copy"
 CI, SUITE, INSTALLED = "in CI", "suite", "in an installed package"
-WAYS = QUICK, SLOW, TWO, COPY, CI, SUITE, INSTALLED
+FAILING = {f"slow, exit {code}": code for code in (1, 2, 3)}
+WAYS = QUICK, SLOW, *FAILING, TWO, COPY, CI, SUITE, INSTALLED
 FENCE = re.compile(
     r"(?:^<!-- runs: (?P<how>[^\n]*?) -->\n)?^```(?P<kind>[^\n`]*)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
 )
-FILE = re.compile(r'yaml title="(?P<name>[^"]+)"')
+FILE = re.compile(r'(?:yaml|xml) title="(?P<name>[^"]+)"')
 
 
 class Block(NamedTuple):
     """A fenced block of a page."""
 
     page: str
-    kind: str  # sh, python, or yaml with the name of its file
+    kind: str  # sh, python, or yaml or xml with the name of its file
     text: str
     how: str
 

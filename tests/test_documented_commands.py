@@ -14,6 +14,7 @@ import pytest
 from documented import (
     CI,
     COPY,
+    FAILING,
     FILE,
     QUICK,
     ROOT,
@@ -61,7 +62,7 @@ def follow(page: str, how: str) -> None:
     """Run the blocks of a page that are marked `how`, in order; quick commands once for all pages."""
     done = on_earlier_pages(page) if how == QUICK else set()
     for block in blocks(page):
-        if block.how != how:
+        if block.how != how and not (how == SLOW and block.how in FAILING):
             continue
         if file := FILE.match(block.kind):
             with open(file["name"], "w", encoding="utf-8") as stream:
@@ -73,7 +74,7 @@ def follow(page: str, how: str) -> None:
                 if command in done:
                     continue
                 command += " --limit 2" * (how == TWO)
-                assert run(shlex.split(command)) == 0, f"{page}: {command}"
+                assert run(shlex.split(command)) == FAILING.get(block.how, 0), f"{page}: {command}"
 
 
 def run(words: list[str]) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from htcp_jax import status
 from htcp_jax.jobs.defaults import keys_of
 
 HOOKS = Path(__file__).parents[1] / "docs" / "hooks"
@@ -29,3 +30,9 @@ def test_the_table_lists_every_key_of_the_default_job_with_its_meaning(tables):
 def test_a_comment_that_goes_on_below_belongs_to_the_key_above(tables):
     text = "first:\n  a: 1 # one,\n  # or two\n  # a heading\n\n  b: 2\nc: 3 # three\n"
     assert tables.meanings(text) == {"first.a": "one, or two a heading", "first.b": "", "c": "three"}
+
+
+def test_the_tables_of_statuses_list_every_member_with_its_message(tables):
+    page = tables.on_page_markdown("<!-- table: statuses Status -->\n<!-- table: statuses SegmentStatus -->\n")
+    for each in (*status.Status, *status.SegmentStatus):
+        assert f"| `{each.name}` | {each.message}" in page

@@ -2,6 +2,7 @@
 
     <!-- table: job keys -->      every key of a job: type, unit, default, meaning
     <!-- table: columns NAME -->  every column of a Parquet table: unit, description
+    <!-- table: statuses NAME --> every member of an enumeration in htcp_jax.status: name, meaning
 
 Types and ranges of job keys come from the schema of `PlanConfig`, their meanings from the comments in
 configs/duct.yaml.
@@ -14,10 +15,11 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from htcp_jax import status
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.runs import columns
 
-MARK = re.compile(r"^<!-- table: (job keys|columns (\w+)) -->$", re.MULTILINE)
+MARK = re.compile(r"^<!-- table: (job keys|columns|statuses)(?: (\w+))? -->$", re.MULTILINE)
 JOB = Path(__file__).parents[2] / "configs" / "duct.yaml"
 UNITS = {"_rad": "rad", "_m": "m", "_s": "s", "num_cpus": "cores"}
 LIMITS = {"minimum": ">= {:g}", "exclusiveMinimum": "> {:g}", "maximum": "<= {:g}", "exclusiveMaximum": "< {:g}"}
@@ -36,7 +38,8 @@ class JobKey(NamedTuple):
 
 def on_page_markdown(markdown: str, **_) -> str:
     """Replace the marks by tables; called by mkdocs with every page's source."""
-    return MARK.sub(lambda found: columns_table(found[2]) if found[2] else keys_table(), markdown)
+    tables = {"job keys": lambda _: keys_table(), "columns": columns_table, "statuses": statuses_table}
+    return MARK.sub(lambda found: tables[found[1]](found[2]), markdown)
 
 
 def keys_table() -> str:
@@ -51,6 +54,12 @@ def columns_table(table: str) -> str:
     texts = columns.TABLES[table].items()
     rows = (f"| `{name}` | {columns.unit_of(name, ())} | {_cell(text)} |" for name, text in texts)
     return "| column | unit | description |\n|---|---|---|\n" + "\n".join(rows)
+
+
+def statuses_table(enumeration: str) -> str:
+    """Return the table of the members of an enumeration in `htcp_jax.status`."""
+    rows = (f"| `{each.name}` | {_cell(each.message)} |" for each in getattr(status, enumeration))
+    return "| name | meaning |\n|---|---|\n" + "\n".join(rows)
 
 
 def job_keys() -> list[JobKey]:

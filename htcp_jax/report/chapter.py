@@ -306,7 +306,7 @@ def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
         "targets. TCP distance: mean over the tracked targets. Safe distance: here the mean of D over the tracked "
         "targets. The paper does not state over what it averages, and leaves the start configuration and the "
         "workpiece's pose "
-        "open; docs/reproduction.md compares other definitions.",
+        "open; benchmarks/PAPER.md compares other definitions.",
     ]
 
 
