@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+import htcp_jax
 from htcp_jax import status
 from htcp_jax.jobs.defaults import keys_of
 
@@ -36,3 +37,13 @@ def test_the_tables_of_statuses_list_every_member_with_its_message(tables):
     page = tables.on_page_markdown("<!-- table: statuses Status -->\n<!-- table: statuses SegmentStatus -->\n")
     for each in (*status.Status, *status.SegmentStatus):
         assert f"| `{each.name}` | {each.message}" in page
+
+
+def test_objects_are_shown_by_the_names_that_users_import(monkeypatch):
+    monkeypatch.syspath_prepend(HOOKS)
+    hook = pytest.importorskip("public_names")
+    page = hook.on_page_markdown("::: htcp_jax.api.plan\n::: htcp_jax.runs.run_folder.Run\n    options:\n      members: []\n")
+    shown, own = page.split("::: htcp_jax.runs")
+    assert "heading: htcp_jax.plan\n      toc_label: plan\n" in shown and "heading" not in own
+    for name in hook.public_names(hook.STUB.read_text()).values():
+        assert hasattr(htcp_jax, name.rpartition(".")[2])

@@ -25,7 +25,9 @@ File = Annotated[Path, typer.Argument(metavar="PLACE.yaml", help="Placement file
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Output folder; by default out/<name of the file>.")]
 JobFile = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job file to use instead of the file's own.")]
 Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed of the search.")]
-Overrides = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job; may be repeated.")
+]
 WithinN = Annotated[int | None, typer.Option("--scenarios", metavar="N", help="Plans in the search; overrides within.")]
 WithinS = Annotated[
     float | None, typer.Option("--seconds", metavar="S", help="Duration of the search; overrides within.")

@@ -30,7 +30,7 @@ from htcp_jax.runs import Run, manifest, open_run, plan_folder, reachability_fil
 
 File = Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Sweep file, job file, or example.")]
 Each = Annotated[
-    bool, typer.Option("--each", help="Judge every target on the path by itself, in any order and behind gaps.")
+    bool, typer.Option("--each", help="Test every target on the path by itself, in any order and behind gaps.")
 ]
 Resolution = Annotated[
     float,

@@ -194,7 +194,7 @@ def reach_study(
     proof_cells: int = PROOF_CELLS,
     progress: Callable[[int, int], None] | None = None,
 ) -> ReachStudy:
-    """Judge every target of a job, or of a sweep, by itself.
+    """Test every target of a job, or of a sweep, by itself.
 
     Args:
         config: A job's or a sweep's file or example, or a mapping of its keys.
