@@ -42,7 +42,9 @@ def test_the_tables_of_statuses_list_every_member_with_its_message(tables):
 def test_objects_are_shown_by_the_names_that_users_import(monkeypatch):
     monkeypatch.syspath_prepend(HOOKS)
     hook = pytest.importorskip("public_names")
-    page = hook.on_page_markdown("::: htcp_jax.api.plan\n::: htcp_jax.runs.run_folder.Run\n    options:\n      members: []\n")
+    page = hook.on_page_markdown(
+        "::: htcp_jax.api.plan\n::: htcp_jax.runs.run_folder.Run\n    options:\n      members: []\n"
+    )
     shown, own = page.split("::: htcp_jax.runs")
     assert "heading: htcp_jax.plan\n      toc_label: plan\n" in shown and "heading" not in own
     for name in hook.public_names(hook.STUB.read_text()).values():
