@@ -21,7 +21,7 @@ from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.motion import CollisionChecker
-from htcp_jax.motion.joint_search import join
+from htcp_jax.motion.joint_search import _JointTree, _Nodes, join
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.validation.mujoco_arm import MujocoArm
@@ -235,3 +235,12 @@ def test_of_each_scenario_s_pairs_that_is_joined_which_takes_least_whoever_else_
         np.testing.assert_array_equal(sooner[kept], every[kept])
         alone = of(scenario[far][mine], pair[far][mine], a[scenario[far][mine]], to[far][mine], SETTINGS, soonest=True)
         np.testing.assert_array_equal(alone[kept - 2 * k], sooner[kept])
+
+
+def test_a_tree_whose_first_round_proves_no_step_keeps_its_root():
+    root = np.zeros(3)
+    root.flags.writeable = False  # as arrays of JAX are
+    tree = _JointTree(root, backwards=False)
+    assert len(tree.add(_Nodes(np.zeros((0, 3)), np.zeros(0, int)))) == 0
+    assert tree.add(_Nodes(np.ones((2, 3)), np.zeros(2, int))).tolist() == [1, 2]
+    np.testing.assert_array_equal(tree.path_to(2), [[0, 0, 0], [1, 1, 1]])

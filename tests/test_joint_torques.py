@@ -88,3 +88,11 @@ def test_the_load_is_the_one_nearest_to_its_limit_else_the_largest():
     torque = np.array([[1.0, -2.0, 0.0], [0.5, 1.0, 9.0]])
     assert peak_torque(timed, torque, np.array([2.0, 3.0, np.inf])) == (-2.0, 2 / 3, "b", 0.0)
     assert peak_torque(timed, torque, np.full(3, np.inf)) == (9.0, 0.0, "c", 0.1)
+
+
+def test_an_arm_whose_file_names_unchecked_pairs_has_torques(tmp_path):
+    """Check an arm as `htcp robot` writes it: tuples name geoms, with which MuJoCo deletes them."""
+    pairs = '<custom><tuple name="excluded 1, rule b"><element objtype="geom" objname="g"/></tuple></custom><worldbody>'
+    named = ARM.replace('<geom type="capsule"', '<geom name="g" type="capsule"').replace("<worldbody>", pairs, 1)
+    (tmp_path / "arm.xml").write_text(named)
+    assert model_of(RobotConfig(model=str(tmp_path / "arm.xml"))).nv == 3

@@ -21,6 +21,8 @@ class Tree:
     def add(self, nodes: Any) -> Int[np.ndarray, "m"]:
         """Add nodes and return their rows."""
         first, count = self._count, self._count + len(nodes.parent)
+        if count == first:
+            return np.arange(first, count)  # the first table, the caller's root, may be read-only
         if count > len(self._table.parent):
             self._table = jax.tree.map(lambda column: _longer(column[:first], 2 * count), self._table)
 

@@ -47,8 +47,9 @@ def model_of(arm: config.RobotConfig) -> mujoco.MjModel | None:
     path = arm.file
     with model_file.no_log():
         spec = safe_xml.read_spec(path, contacts=True)
-    for shape in [*spec.geoms, *spec.meshes, *spec.tuples, *spec.excludes]:
-        spec.delete(shape)
+    for elements in spec.tuples, spec.excludes, spec.geoms, spec.meshes:  # MuJoCo deletes tuples with their geoms
+        for each in list(elements):
+            spec.delete(each)
     model = model_file.compile_spec(spec, path)
     massive = {int(model.body_weldid[body.id]) for body in spec.bodies if body.explicitinertial and body.mass > 0}
     if not set(model.body_weldid[model.jnt_bodyid].tolist()) <= massive:
