@@ -18,7 +18,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model.robot import GP50
 from htcp_jax.status import Kind
 from htcp_jax.trajectory import FORMATS, TimedMotion
-from htcp_jax.trajectory.controller_data import ControllerData, Pulses, UserFrame
+from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, Pulses, UserFrame
 from htcp_jax.trajectory.formats.writers import program_text
 
 STEP_S = 0.002
@@ -136,9 +136,9 @@ class Job:
         begin = lines.index("NOP")
         self.positions, self.forms, self.fields, flags = {}, [], {}, None
         for line in lines[1:at] + lines[at + 1 : begin]:
-            if found := re.fullmatch(r"C(\d{5})=(.*)", line):
-                assert int(found[1]) == len(self.positions)
-                self.positions[f"C{found[1]}"] = [float(cell) for cell in found[2].split(",")]
+            if found := re.fullmatch(r"(C|BC|EC)(\d{5})=(.*)", line):
+                assert int(found[2]) == sum(key.rstrip("0123456789") == found[1] for key in self.positions)
+                self.positions[found[1] + found[2]] = [float(cell) for cell in found[3].split(",")]
                 self.forms.append(flags)
             elif line.startswith("///RCONF "):
                 flags = [int(cell) for cell in line[9:].split(",")]
@@ -146,15 +146,18 @@ class Job:
             else:
                 key, _, value = line.lstrip("/").partition(" ")
                 self.fields[key] = value
-        assert self.fields["NPOS"] == f"{len(self.positions)},0,0,0,0,0"
+        kinds = [key.rstrip("0123456789") for key in self.positions]
+        assert self.fields["NPOS"] == ",".join(str(kinds.count(kind)) for kind in ("C", "BC", "EC", "P", "BP", "EX"))
         self.remarks = [line[1:] for line in lines[begin:-1] if line.startswith("'")]
-        assert not any(re.search(r"-0(\.0+)?(,|$)", line) for line in lines if line.startswith("C"))  # no minus zero
+        assert not any(re.search(r"-0(\.0+)?(,|$)", line) for line in lines if "=" in line)  # no minus zero
         self.moves = [line.split() for line in lines[begin + 1 : -1] if not line.startswith("'")]
         assert all(len(remark) <= 32 for remark in self.remarks)
 
-    def array(self) -> np.ndarray:
-        """Positions in the order of their instructions."""
-        return np.array([self.positions[move[1]] for move in self.moves])
+    def array(self, kind: str = "C") -> np.ndarray:
+        """Positions of a kind in the order of their instructions."""
+        names = [name for move in self.moves for name in move if re.fullmatch(rf"{kind}\d{{5}}", name)]
+        assert len(names) == len(self.moves)
+        return np.array([self.positions[name] for name in names])
 
 
 @FEW
@@ -168,6 +171,52 @@ def test_pulses_read_back_to_half_a_pulse(timed, data):
     assert (job.fields["TOOL"], job.fields["POSTYPE"], job.fields["NAME"]) == ("4", "PULSE", "WELD")
     assert (np.abs(job.array() / table + zero - timed.x) <= 0.5 / np.abs(table) + 1e-15).all()
     assert {move[0] for move in job.moves} == {"MOVJ"}
+
+
+GROUPS = JointGroups(robot=(7, 3, 4, 5, 6, 2), base=(8,), station=(1, 0))
+
+
+def test_a_job_holds_each_joint_in_its_group_and_each_group_at_its_own_speed():
+    timed = a_motion(9)
+    pulses = Pulses(np.linspace(1e5, 2e5, 9), np.zeros(9), "a drawing")
+    job = Job(program_text("jbi-pulses", timed, controller(timed, pulses=pulses, groups=GROUPS, speed=np.full(9, 2.0))))
+    assert (job.fields["GROUP1"], job.fields["GROUP2"]) == ("RB1,BS1", "ST1")
+    for kind, columns in zip(("C", "BC", "EC"), map(list, GROUPS), strict=True):
+        read = job.array(kind) / pulses.per_unit[columns]
+        assert (np.abs(read - timed.x[:, columns]) <= 0.5 / pulses.per_unit[columns] + 1e-15).all()
+    # the station's |dx| = 0.02 rad in 0.1 s: a tenth of 2 rad/s; the robot's is that of column 2 or 8
+    assert job.moves[0] == ["MOVJ", "C00000", "BC00000", "VJ=1.00", "+MOVJ", "EC00000", "VJ=1.00"]
+    assert job.moves[2] == ["MOVJ", "C00002", "BC00002", "VJ=6.25", "PL=0", "+MOVJ", "EC00002", "VJ=10.00"]
+
+
+# --- RAPID: MoveAbsJ ToJointPos \NoEOffs, Speed \T, Zone, Tool; ToJointPos is [robax, extax] of six axes each
+
+
+def read_rapid(text: str) -> tuple[np.ndarray, np.ndarray, list[float]]:
+    """Robot axes, connected external axes, and times from configuration to configuration."""
+    number, lines = r"(-?\d+\.\d+|9E9)", [line.strip() for line in text.splitlines()]
+    name = re.fullmatch(r"MODULE ([A-Za-z]\w*)", lines[0])[1]
+    lines = [line for line in lines if not line.startswith("!")]
+    assert lines[1] == f"PROC {name}()" and lines[-2:] == ["ENDPROC", "ENDMODULE"]
+    axes = r"\[" + ",".join([number] * 6) + r"\]"
+    call = re.compile(rf"MoveAbsJ \[{axes},{axes}\]\\NoEOffs,v\d+(?:\\T:=(\d+\.\d+))?,(z0|fine),tool(\d+);")
+    found = [call.fullmatch(line).groups() for line in lines[2:-2]]
+    assert [each[13] for each in found] == ["fine", *["z0"] * (len(found) - 2), "fine"][: len(found)]
+    values = np.array([each[:12] for each in found], float)
+    external = values[:, 6:][:, values[0, 6:] != 9e9]
+    assert (values[:, 6 + external.shape[1] :] == 9e9).all() and found[0][12] is None
+    return values[:, :6], external, [float(each[12]) for each in found[1:]]
+
+
+@FEW
+@given(motions(joints=9))
+def test_rapid_reads_back_to_half_a_microdegree_and_half_a_nanometre_with_its_times(timed):
+    slides = tuple(k == 8 for k in range(9))
+    x, external, seconds = read_rapid(program_text("rapid", timed, controller(timed, groups=GROUPS, slides=slides)))
+    assert np.abs(x - np.degrees(timed.x[:, list(GROUPS.robot)])).max() <= 0.5e-6 + 1e-12
+    assert np.abs(external[:, 0] - 1e3 * timed.x[:, 8]).max() <= 0.5e-6 + 1e-12
+    assert np.abs(external[:, 1:] - np.degrees(timed.x[:, [1, 0]])).max() <= 0.5e-6 + 1e-12
+    assert np.abs(np.array(seconds) - np.diff(timed.time_s)).max(initial=0.0) <= 0.5e-6 + 1e-12
 
 
 @FEW
@@ -284,7 +333,7 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
 @pytest.mark.parametrize(
     ("format", "timed", "given", "said"),
     [
-        ("krl", a_motion(), {}, "'krl' is not a format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses"),
+        ("krl", a_motion(), {}, "'krl' is not a format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses, rapid"),
         ("csv", NO_CONFIGURATION, {}, "has none"),
         ("csv", STILL, {}, "configuration 2 comes no later"),
         ("jbi", a_motion(), {"user_frame": None}, "program.user_frame names it"),
@@ -302,6 +351,10 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
         ("jbi-pulses", a_motion(), {"pulses": None}, "no table; program.pulses gives one"),
         ("jbi-pulses", a_motion(), {"pulses": table_of(5)}, "5 pulses per radian for 6 joints"),
         ("jbi-pulses", a_motion(9), {}, "an arm of 9 joints"),
+        ("rapid", a_motion(7), {}, "a robot of 7 joints; robjoint holds 6"),
+        ("rapid", a_motion(), {"slides": (True, *[False] * 5)}, "robjoint holds 6 turning joints"),
+        ("rapid", a_motion(13), {"groups": JointGroups(GROUPS.robot, (0, 1, 8), (9, 10, 11, 12))}, "7 external axes"),
+        ("rapid", a_motion(), {"name": "2 welds"}, "'2 welds' is not a name of a module"),
         ("jbi-pulses", MANY, {}, "a job holds 9,999; the path has too many points"),
         ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),
         ("urscript", a_motion(), {"slides": (True, *[False] * 5)}, "1 of which slide"),

@@ -360,7 +360,7 @@ COMMANDS = [
     ),
     Wrong(
         ["program", "nowhere", "--feed", "20mm/s", "--out", "a.src", "--format", "krl"],
-        "'krl' is not a format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses, urscript, keyframes",
+        "'krl' is not a format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses, rapid, urscript, keyframes",
     ),
     Wrong(["program", LONG, "--feed", "20mm/s", "--out", "a.csv"], "File name too long"),
     Wrong(["gate", "run"], "--baseline"),

@@ -238,6 +238,14 @@ class PulsesConfig(strict_model.FileSection):
     source: str = Field(min_length=1, max_length=200)  # of these numbers
 
 
+class JointGroupsConfig(strict_model.FileSection):
+    """Names of the joints in the controller's groups, each in the controller's order."""
+
+    robot: tuple[str, ...]
+    base: tuple[str, ...] = ()  # axes that carry the robot: a rail
+    station: tuple[str, ...] = ()  # axes of the positioner
+
+
 class ProgramConfig(strict_model.FileSection):
     """Section `program` of a job; it has no influence on plans."""
 
@@ -250,6 +258,7 @@ class ProgramConfig(strict_model.FileSection):
     tool: int = Field(0, ge=0, le=63)  # its number at the controller
     user_frame: UserFrameConfig | None = None
     pulses: PulsesConfig | None = None
+    groups: JointGroupsConfig | None = None  # for formats with external axes; None: all joints are the robot's
     control_step_s: Moment = 0.002  # of the controller
 
     @field_validator("feed", mode="before")

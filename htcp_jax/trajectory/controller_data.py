@@ -27,6 +27,19 @@ class Pulses(NamedTuple):
     source: str  # of these numbers, as text
 
 
+class JointGroups(NamedTuple):
+    """Columns of a motion's joints in the controller's groups, each in the controller's order."""
+
+    robot: tuple[int, ...]
+    base: tuple[int, ...] = ()  # axes that carry the robot
+    station: tuple[int, ...] = ()  # axes of the positioner
+
+    @property
+    def external(self) -> tuple[int, ...]:
+        """Columns of all joints that are not the robot's."""
+        return self.base + self.station
+
+
 class ControllerData(NamedTuple):
     """The job's controller data. A format raises InputError for missing entries that it needs."""
 
@@ -36,6 +49,7 @@ class ControllerData(NamedTuple):
     tool: int = 0  # its number at the controller
     user_frame: UserFrame | None = None
     pulses: Pulses | None = None
+    groups: JointGroups | None = None  # None: all joints are the robot's
     date: datetime.datetime | None = None  # to write into the file
     control_step_s: float = 0.002  # of the controller
     in_file: tuple[int, ...] | None = None  # the joints in the order of the model's file; None: the same

@@ -22,7 +22,7 @@ from htcp_jax.motion import Plans, manipulability, motion
 from htcp_jax.runs import PlanSet
 from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
-from htcp_jax.trajectory.controller_data import ControllerData, Pulses, UserFrame
+from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, Pulses, UserFrame
 from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_text
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torque, torques
 from htcp_jax.trajectory.limits import MotionLimits, joint_limits, own_of
@@ -100,12 +100,15 @@ class PlanProgram(NamedTuple):
             timed: Samples in the file.
 
         Raises:
-            InputError: For tables of another arm, for configurations whose arm configuration flags are unknown, and if
-                the part moves for a format without external axes.
+            InputError: For tables and groups of another arm, for configurations whose arm configuration flags are
+                unknown, and if the part moves for a format without external axes or without the groups that it needs.
         """
-        if self.robot.part_moves and not format_of(format).by_name:
-            valid = ", ".join(name for name, each in FORMATS.items() if each.by_name)
+        if self.robot.part_moves and not format_of(format).external_axes:
+            valid = ", ".join(name for name, each in FORMATS.items() if each.external_axes)
             raise InputError(f"{format} has no external axes, and the part moves; valid: {valid}")
+        groups = self._groups()
+        if self.robot.part_moves and format_of(format).by_group and groups is None:
+            raise InputError(f"{format}: the part moves; program.groups gives the joints of robot, base and station")
         requested, own = self.job.program, np.asarray(self.robot.speed, float)
         return ControllerData(
             name.upper() if format.startswith("jbi") else name,
@@ -114,6 +117,7 @@ class PlanProgram(NamedTuple):
             tool=requested.tool,
             user_frame=self._user_frame(timed) if format == "jbi" else None,
             pulses=self._pulses(),
+            groups=groups,
             control_step_s=requested.control_step_s,
             in_file=model_file.joints_in_file(self.job.robot.file) if self.robot.part_moves else None,
         )
@@ -126,6 +130,17 @@ class PlanProgram(NamedTuple):
         if requested.on == "workpiece":
             T_world = np.linalg.inv(build.scene(self.job)[2].T_world_workpiece) @ T_world
         return UserFrame(requested.number, T_world, flags)
+
+    def _groups(self) -> JointGroups | None:
+        if (requested := self.job.program.groups) is None:
+            return None
+        own, named = self.robot.joint_names, [*requested.robot, *requested.base, *requested.station]
+        if wrong := [name for name in named if name not in own]:
+            raise InputError(f"program.groups: {wrong[0]!r} is no joint; valid: {', '.join(own)}")
+        if odd := [name for name in own if named.count(name) != 1]:
+            raise InputError(f"program.groups has {odd[0]!r} {named.count(odd[0])} times; each joint is in one group")
+        groups = requested.robot, requested.base, requested.station
+        return JointGroups(*(tuple(map(own.index, names)) for names in groups))
 
     def _pulses(self) -> Pulses | None:
         if (requested := self.job.program.pulses) is None:

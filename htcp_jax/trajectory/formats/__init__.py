@@ -1,1 +1,1 @@
-"""Formats of robot programs: CSV, JBI, ROS, URScript, MuJoCo keyframes. `writers` lists them."""
+"""Formats of robot programs: CSV, JBI, RAPID, ROS, URScript, MuJoCo keyframes. `writers` lists them."""

@@ -3,26 +3,29 @@
 Positions are poses of the TCP (RECTAN: mm, and degrees about fixed x, then y, then z) in a numbered user frame with a
 numbered tool, or pulses of the joints. A job contains speeds in place of times: for `MOVJ` in percent of the joints'
 full speed, for `MOVL`, which feeds the TCP along the path, in mm/s. Pulses use only `MOVJ`: the straight joint paths,
-which are proven.
+which are proven. Axes that carry the robot are of its group (`BC`), those of a positioner of a group (`EC`) that moves
+with it (`+MOVJ`).
 
 Sources: Yaskawa's knowledge base, INFORM header fields; NX100 and DX100 manuals, job data format; FS100 manual, INFORM
-structure. The order of the angles follows Basler's and Balluff's pages on Yaskawa's pose format.
+structure. Groups follow jobs in public repositories, of robots on tracks with positioners. The order of the angles
+follows Basler's and Balluff's pages on Yaskawa's pose format.
 """
 
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.controller_data import ControllerData, UserFrame, header
+from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, UserFrame, header
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 NAME = re.compile(r"[A-Z0-9_-]{1,32}")
 WIDTH = 32  # characters of a comment
+POSITIONS = "C", "BC", "EC"  # of the robot, of the axes that carry it, and of the positioner
 MOST_LINES = 9999  # of a job
 RECTAN_JOINTS, MOST_JOINTS = 6, 8
 USER_FRAMES = range(1, 64)
@@ -50,7 +53,7 @@ def jbi_text(timed: TimedMotion, controller: ControllerData) -> str:
         raise InputError(f"jbi: user frame {frame.number}; there are {USER_FRAMES[0]} to {USER_FRAMES[-1]}")
     names = [f"///USER {frame.number}", f"///TOOL {controller.tool}", "///POSTYPE USER", "///RECTAN"]
     attributes = ["///ATTR SC,RW,RJ", f"///FRAME USER {frame.number}"]
-    moves = _move_lines(timed, _percent(timed, controller, "jbi"), _feed_mm_s(timed, frame))
+    moves = _move_lines(timed, _percents(timed, controller, "jbi").max(axis=1), _feed_mm_s(timed, frame))
     about = header(
         timed, *MORE, f"Tool {controller.tool} and user frame {frame.number} must be set as they were planned."
     )
@@ -66,29 +69,41 @@ def jbi_pulses_text(timed: TimedMotion, controller: ControllerData) -> str:
     """
     if (pulses := controller.pulses) is None:
         raise InputError("jbi-pulses: no table; program.pulses gives one: {per_rad: [...], source: ...}")
-    if len(timed.joint_names) > MOST_JOINTS:
-        raise InputError(f"jbi-pulses: an arm of {len(timed.joint_names)} joints; a job holds up to {MOST_JOINTS}")
+    groups = controller.groups or JointGroups(tuple(range(len(timed.joint_names))))
+    if len(groups.robot) > MOST_JOINTS:
+        raise InputError(f"jbi-pulses: an arm of {len(groups.robot)} joints; a job holds up to {MOST_JOINTS}")
     if np.shape(pulses.per_unit) != timed.x.shape[1:]:
         raise InputError(f"jbi-pulses: {np.size(pulses.per_unit)} pulses per radian for {timed.x.shape[1]} joints")
-    counts = np.round((timed.x - pulses.zero) * pulses.per_unit).astype(int).tolist()
-    positions = [f"C{k:05d}={','.join(map(str, row))}" for k, row in enumerate(counts)]
+    counts = np.round((timed.x - pulses.zero) * pulses.per_unit).astype(int)
+    columns = {kind: list(of) for kind, of in zip(POSITIONS, groups, strict=True) if of}
+    positions = [
+        f"{kind}{k:05d}={','.join(map(str, row))}"
+        for kind, of in columns.items()
+        for k, row in enumerate(counts[:, of].tolist())
+    ]
     about = header(timed, *MORE, f"Tool {controller.tool}. Pulses by {pulses.source}.")
-    moves = _move_lines(timed, _percent(timed, controller, "jbi-pulses"), np.zeros(len(timed.x)))
+    moves = _pulse_move_lines(_percents(timed, controller, "jbi-pulses"), groups)
     names = [f"///TOOL {controller.tool}", "///POSTYPE PULSE", "///PULSE"]
-    return _job("jbi-pulses", controller, [*names, *positions], ["///ATTR SC,RW"], [*_remarks(about), *moves])
+    return _job("jbi-pulses", controller, [*names, *positions], ["///ATTR SC,RW"], [*_remarks(about), *moves], columns)
 
 
 def _job(
-    format: str, controller: ControllerData, positions: list[str], attributes: list[str], instructions: list[str]
+    format: str,
+    controller: ControllerData,
+    positions: list[str],
+    attributes: list[str],
+    instructions: list[str],
+    kinds: Collection[str] = ("C",),
 ) -> str:
     if not NAME.fullmatch(controller.name):
         raise InputError(f"{format}: {controller.name!r} is not a name of a job; up to 32 of A to Z, 0 to 9, - and _")
     if (lines := len(instructions) + 2) > MOST_LINES:
         raise InputError(f"{format}: {lines:,} lines, a job holds {MOST_LINES:,}; the path has too many points for it")
-    count = sum(line.startswith("C") for line in positions)
-    head = ["/JOB", f"//NAME {controller.name}", "//POS", f"///NPOS {count},0,0,0,0,0", *positions, "//INST"]
+    counts = [sum(re.match(rf"{kind}\d", line) is not None for line in positions) for kind in POSITIONS]
+    head = ["/JOB", f"//NAME {controller.name}", "//POS", f"///NPOS {','.join(map(str, counts))},0,0,0", *positions]
     date = [] if controller.date is None else [f"///DATE {controller.date:%Y/%m/%d %H:%M}"]
-    return "\r\n".join([*head, *date, *attributes, "///GROUP1 RB1", "NOP", *instructions, "END"]) + "\r\n"
+    groups = ["///GROUP1 RB1,BS1" if "BC" in kinds else "///GROUP1 RB1", *(["///GROUP2 ST1"] if "EC" in kinds else [])]
+    return "\r\n".join([*head, "//INST", *date, *attributes, *groups, "NOP", *instructions, "END"]) + "\r\n"
 
 
 def _remarks(about: list[str]) -> Iterator[str]:
@@ -134,14 +149,24 @@ def _move_lines(
         yield f"MOVL C{k:05d} V={feed:.1f}{end}" if feed >= LEAST_MM_S else f"MOVJ C{k:05d} VJ={joint:.2f}{end}"
 
 
+def _pulse_move_lines(percents: Float[np.ndarray, "n N"], groups: JointGroups) -> Iterator[str]:
+    of_robot = percents[:, [*groups.robot, *groups.base]].max(axis=1)
+    of_station = percents[:, list(groups.station)].max(axis=1, initial=LEAST_PERCENT)
+    for k, (robot, station) in enumerate(zip(of_robot.tolist(), of_station.tolist(), strict=True)):
+        base = f" BC{k:05d}" if groups.base else ""
+        with_station = f" +MOVJ EC{k:05d} VJ={station:.2f}" if groups.station else ""
+        end = " PL=0" if k == len(percents) - 1 else ""
+        yield f"MOVJ C{k:05d}{base} VJ={robot:.2f}{end}{with_station}"
+
+
 def _feed_mm_s(timed: TimedMotion, frame: UserFrame) -> Float[np.ndarray, "n"]:
     """Return the TCP's speed on the segment to each row if it is on the path, else 0."""
     length_m = np.linalg.norm(np.diff(frame.T_frame_tcp[:, :3, 3], axis=0), axis=1)
     return np.where(timed.kind == Kind.PROCESS, np.append(0.0, 1e3 * length_m / np.diff(timed.time_s)), 0.0)
 
 
-def _percent(timed: TimedMotion, controller: ControllerData, format: str) -> Float[np.ndarray, "n"]:
-    """Return the fastest joint's share of its full speed on the segment to each row, in percent; slow to the first.
+def _percents(timed: TimedMotion, controller: ControllerData, format: str) -> Float[np.ndarray, "n N"]:
+    """Return each joint's share of its full speed on the segment to each row, in percent; slow to the first.
 
     Raises:
         InputError: Without joint speeds, and for more than 100 %.
@@ -153,4 +178,4 @@ def _percent(timed: TimedMotion, controller: ControllerData, format: str) -> Flo
         row, joint = np.unravel_index(share.argmax(), share.shape)
         fast = f"{timed.joint_names[joint]} at {share[row, joint]:.1f} % of its full speed"
         raise InputError(f"{format}: {fast}, {timed.time_s[row]:.6g} s from the start; at most 100 %")
-    return np.append(FIRST_PERCENT, np.maximum(share.max(axis=1), LEAST_PERCENT))
+    return np.concatenate([np.full((1, share.shape[1]), FIRST_PERCENT), np.maximum(share, LEAST_PERCENT)])

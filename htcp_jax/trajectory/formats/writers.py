@@ -10,6 +10,7 @@ from htcp_jax.trajectory.controller_data import ControllerData
 from htcp_jax.trajectory.formats.as_csv import csv_text
 from htcp_jax.trajectory.formats.as_jbi import jbi_pulses_text, jbi_text
 from htcp_jax.trajectory.formats.as_keyframes import keyframes_text
+from htcp_jax.trajectory.formats.as_rapid import rapid_text
 from htcp_jax.trajectory.formats.as_ros import ros_json_text, ros_yaml_text
 from htcp_jax.trajectory.formats.as_urscript import urscript_text
 from htcp_jax.trajectory.timed_motion import TimedMotion
@@ -20,16 +21,18 @@ class ProgramFormat(NamedTuple):
 
     write: Callable[[TimedMotion, ControllerData], str]
     step_s: float | None  # default time step of samples; None: the motion's own configurations
-    by_name: bool = True  # False: of one arm alone, whose joints have no names, and which stands in the world
+    external_axes: bool = True  # False: of one arm alone, which stands in the world
+    by_group: bool = False  # the joints have no names but places in `JointGroups`
 
 
 FORMATS = {
     "csv": ProgramFormat(csv_text, 0.001),
     "ros": ProgramFormat(ros_yaml_text, 0.01),
     "ros-json": ProgramFormat(ros_json_text, 0.01),
-    "jbi": ProgramFormat(jbi_text, None, by_name=False),
-    "jbi-pulses": ProgramFormat(jbi_pulses_text, None, by_name=False),
-    "urscript": ProgramFormat(urscript_text, 0.002, by_name=False),
+    "jbi": ProgramFormat(jbi_text, None, external_axes=False),
+    "jbi-pulses": ProgramFormat(jbi_pulses_text, None, by_group=True),
+    "rapid": ProgramFormat(rapid_text, None, by_group=True),
+    "urscript": ProgramFormat(urscript_text, 0.002, external_axes=False),
     "keyframes": ProgramFormat(keyframes_text, 0.01),
 }
 
