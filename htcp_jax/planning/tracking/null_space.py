@@ -239,22 +239,26 @@ def keep_clear_ascent(
 
     def going(state):
         best, scale, count = state
-        return (best.clearance < enough_m) & (count < steps) & (scale > 1e-4)
+        return (count < 0) | (best.clearance < enough_m) & (count < steps) & (scale > 1e-4)
+
+    def raised(best, scale):
+        problem, held, step_basis = sphere_problem(scene, settings, where, best.x, target)
+        w = sphere.max_min_step(problem, held, scale)
+        return jnp.clip(best.x + product(step_basis, w), scene.robot.lower, scene.robot.upper)
 
     def step(state):
         best, scale, count = state
-        problem, held, step_basis = sphere_problem(scene, settings, where, best.x, target)
-        w = sphere.max_min_step(problem, held, scale)
-        x = jnp.clip(best.x + product(step_basis, w), scene.robot.lower, scene.robot.upper)
+        x = jax.lax.cond(count < 0, lambda best, _: best.x, raised, best, scale)
         new = anchor(scene, settings, where, x, target)
-        better = (new.clearance > best.clearance) & scene.task.reached(new.residual)
+        better = (count < 0) | (new.clearance > best.clearance) & scene.task.reached(new.residual)
         best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
         return best, jnp.where(better, scale, 0.5 * scale), count + 1
 
-    start = anchor(scene, settings, where, x, target)
     if not scene.task.freedom(scene.robot):
-        return start
-    best, _, _ = jax.lax.while_loop(going, step, (start, jnp.full((), 0.5), jnp.zeros((), jnp.int32)))
+        return anchor(scene, settings, where, x, target)
+    # The first iteration anchors and measures x itself, so that both are compiled once.
+    unknown = step_functions.State(x, clearance=jnp.zeros(()), residual=jnp.zeros(()))
+    best, _, _ = jax.lax.while_loop(going, step, (unknown, jnp.full((), 0.5), jnp.full((), -1, jnp.int32)))
     return best
 
 
