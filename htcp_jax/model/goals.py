@@ -147,8 +147,11 @@ def _check_pairs(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.nda
     """Raise InputError for two rows about one link or point that no orientation or place satisfies together."""
     on_path = [goal[before:] for goal in goals]
     for i, k in combinations(range(len(rows)), 2):
-        of, own = (task.parts[i], task.parts[k]), (on_path[i], on_path[k])
-        found = _unmet_turns(of, own, task.tolerance_rad) or _unmet_bands(of, own, task.tolerance_m)
+        a, b, own, found = task.parts[i], task.parts[k], (on_path[i], on_path[k]), None
+        if isinstance(a, AxisTowards | FrameOrientation) and isinstance(b, AxisTowards | FrameOrientation):
+            found = _unmet_turns((a, b), own, task.tolerance_rad)
+        elif isinstance(a, TaskPoint | PointAlong) and isinstance(b, TaskPoint | PointAlong):
+            found = _unmet_bands((a, b), own, task.tolerance_m)
         if found:
             raise InputError(
                 f"task.{i + 1} ({rows[i]}) and task.{k + 1} ({rows[k]}) contradict each other at point {found[0] + 1} "
@@ -156,14 +159,15 @@ def _check_pairs(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.nda
             )
 
 
-def _unmet_turns(of: Sequence[Row], goals: Sequence[np.ndarray], tolerance_rad: float) -> tuple[int, str] | None:
+def _unmet_turns(
+    of: Sequence[AxisTowards | FrameOrientation], goals: Sequence[np.ndarray], tolerance_rad: float
+) -> tuple[int, str] | None:
     """Return the first point of the path where two axes or frames of one link cannot be as required, and the reason.
 
     A frame requires the direction of each axis of its link. The angle between two axes is what it is, and each may be
     off by its limit; as the angle of a frame to another may.
     """
-    kinds = AxisTowards, FrameOrientation
-    if not all(isinstance(part, kinds) and not part.is_view for part in of) or of[0].link != of[1].link:
+    if any(part.is_view for part in of) or of[0].link != of[1].link:
         return None
     at = 9 if isinstance(of[0], FrameOrientation) else 3, 9 if isinstance(of[1], FrameOrientation) else 3
     most = sum(goal[:, n] if part.cone else tolerance_rad for part, goal, n in zip(of, goals, at, strict=True))
@@ -184,13 +188,13 @@ def _unmet_turns(of: Sequence[Row], goals: Sequence[np.ndarray], tolerance_rad: 
     return int(far[0]), f"{has:.4g} degrees between the {what}, {wants:.4g} between their directions"
 
 
-def _unmet_bands(of: Sequence[Row], goals: Sequence[np.ndarray], tolerance_m: float) -> tuple[int, str] | None:
+def _unmet_bands(
+    of: Sequence[TaskPoint | PointAlong], goals: Sequence[np.ndarray], tolerance_m: float
+) -> tuple[int, str] | None:
     """Return the first point of the path where a point cannot be in the bands of two rows, and the reason.
 
     A direction of one row that lies in the span of the other's is constrained by both.
     """
-    if not all(isinstance(part, TaskPoint | PointAlong) for part in of):
-        return None
     if (of[0].link, of[0].offset_m) != (of[1].link, of[1].offset_m):
         return None
     bands = [_bands(part, goal, tolerance_m) for part, goal in zip(of, goals, strict=True)]
@@ -205,7 +209,9 @@ def _unmet_bands(of: Sequence[Row], goals: Sequence[np.ndarray], tolerance_m: fl
     return None
 
 
-def _bands(part: Row, goals: Float[np.ndarray, "T g"], tolerance_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _bands(
+    part: TaskPoint | PointAlong, goals: Float[np.ndarray, "T g"], tolerance_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the directions (T, c, 3) in which a point is constrained, its places in them and its band [m]."""
     if isinstance(part, TaskPoint):
         across = np.eye(3)[list(part.axes)]
