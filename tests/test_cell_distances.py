@@ -14,6 +14,7 @@ from benchmarks import cell_distances
 from htcp_jax.clearance import Scene, clearances, contacts, is_clear, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.obstacles.fixtures import Fixtures
+from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance_rows
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures, solid_of
 from htcp_jax.clearance.proof.bisection import PathVerdict
@@ -234,7 +235,6 @@ def everything(folder) -> Fixtures:
 def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path):
     robot, where, own = made_once.robot(), made_once.nominal(), everything(tmp_path)
     assert len(own.names) == 8 and own.pieces is not None
-    ends = jax.jit(lambda x: capsule_segments(robot, x))
     each = jax.jit(lambda x: own.distances(robot, *capsule_segments(robot, x)))
     touching = 0
     for x in made_once.configurations(robot, 25):
@@ -245,7 +245,9 @@ def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path)
         assert jitted(is_clear)(robot, (own,), where, x) == (expected.min() > 0)
         touching += int(expected.min() <= 0)
         row = int(expected.argmin())
-        assert own.nearest_name(robot, row, *ends(x)) == f"the fixture {own.names[every[:, row].argmin()]!r}"
+        nearest = own.names[every[:, row].argmin()]
+        bodies = bodies_at(robot, where, jnp.asarray(x))
+        assert own.nearest_name(robot, where, row, bodies) == f"the fixture {nearest!r}"
     assert 3 < touching < 22
 
 

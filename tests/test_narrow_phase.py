@@ -14,16 +14,17 @@ from scipy.sparse import csc_matrix
 from scipy.spatial import ConvexHull
 
 import htcp_jax
-from htcp_jax.clearance import Scene, clearance, contacts
+from htcp_jax.clearance import Scene, by_pieces, clearance, contacts
 from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
 from htcp_jax.clearance.obstacles.fixtures import fixtures
+from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model.convex_piece import body_pieces, make_piece
-from htcp_jax.model.robot import mesh_note
+from htcp_jax.model.robot import capsule_label, mesh_note
 from htcp_jax.status import SegmentStatus
 from htcp_jax.trajectory.displacement import arm_at, displacement_bound
 from htcp_jax.types import Float
@@ -224,11 +225,53 @@ def test_a_path_that_only_the_pieces_prove_is_clear_at_dense_samples():
     assert gained > 2
 
 
-def test_a_message_about_a_body_with_a_piece_says_that_the_piece_was_measured():
-    arm, x = arm_with_pieces(), np.zeros(6)
-    name, last = arm.capsule_names[0], arm.capsule_names[-1]
-    assert mesh_note(arm, name, x, np.zeros(3)) == "; measured by the convex piece of the mesh in this capsule"
-    assert mesh_note(arm, last, x, np.zeros(3)) == ""
+def test_a_message_says_that_a_piece_was_measured_where_it_decided():
+    arm, x = arm_with_pieces(), jnp.zeros(6)
+    own = (fixtures(arm, [("floor", HalfSpace(np.array([0.0, 0.0, 1.0]), np.array(0.3)))]),)
+    touch = jax.jit(lambda arm: contacts(arm, own, WHERE, x))
+    rows, bare = Scene(arm, own).rows, dataclasses.replace(arm, pieces=None)
+    found, capsules = touch(arm), np.asarray(touch(bare).distance)
+    decided = np.asarray(by_pieces(arm, rows, found))
+    np.testing.assert_array_equal(decided, np.asarray(found.distance) != capsules)
+    assert decided.any() and not decided.all() and not np.asarray(by_pieces(bare, rows, touch(bare))).any()
+    note = "; measured by the convex piece of the mesh in this capsule"
+    name = arm.capsule_names[0]
+    assert [mesh_note(arm, name, np.zeros(6), np.zeros(3), by_piece) for by_piece in (True, False)] == [note, ""]
+
+
+def test_a_message_names_the_nearest_body_by_the_pieces_where_they_decide():
+    """The crate is nearer to the capsule of a body, and the post to its piece; likewise of the arm's own bodies."""
+    arm, seen = dataclasses.replace(arm_with_pieces(), capsule_link=(0, 1, 2, 3, 3, 4, 5, 5)), 0
+    bare = dataclasses.replace(arm, pieces=None)
+    post = Rod(np.array([0.9, 0.2, 0.0]), np.array([0.9, 0.2, 2.0]), np.array(0.05))
+    crate = Box(np.eye(3), np.array([0.9, -0.4, 1.0]), np.array([0.3, 0.3, 1.0]))
+    both = fixtures(arm, [("crate", crate), ("post", post)])
+    alone = fixtures(arm, [("crate", crate)]), fixtures(arm, [("post", post)])
+    pairs = tuple((a, b) for a in range(8) for b in range(8) if arm.capsule_link[a] > arm.capsule_link[b])
+    own = SelfCollision(pairs)
+    others = [[b for a, b in pairs if (a, arm.capsule_link[b]) == row] for row in zip(*own.rows(arm), strict=True)]
+    row = next(k for k, each in enumerate(others) if len(each) > 1)
+    of_row = [SelfCollision(((own.rows(arm).body[row], other),)) for other in others[row]]
+    clearances_of = jax.jit(
+        jax.vmap(
+            lambda arm, x: [contacts(arm, (each,), WHERE, x).distance for each in (*alone, *of_row)], in_axes=(None, 0)
+        )
+    )
+    xs = jnp.asarray(np.array(list(made_once.configurations(arm, 300, seed=3))))
+    by_piece, by_capsule = (list(map(np.asarray, clearances_of(each, xs))) for each in (arm, bare))
+    solid, of_capsule = (np.argmin(each[:2], axis=0) for each in (by_piece, by_capsule))
+    close = np.min(by_piece[:2], axis=0) < LIMIT_M
+    rows = sorted(np.argwhere(close).tolist(), key=lambda each: solid[*each] == of_capsule[*each])  # unequal ones first
+    for k, body in rows[:3]:
+        name = both.nearest_name(arm, WHERE, body, bodies_at(arm, WHERE, xs[k]))
+        assert name == f"the fixture {('crate', 'post')[solid[k, body]]!r}"
+        seen += solid[k, body] != of_capsule[k, body]
+    pair, of_capsule = (np.argmin(np.concatenate(each[2:], axis=1), axis=1) for each in (by_piece, by_capsule))
+    for k in np.argsort(pair == of_capsule, kind="stable")[:3].tolist():
+        name = own.nearest_name(arm, WHERE, row, bodies_at(arm, WHERE, xs[k]))
+        assert name == capsule_label(arm, arm.capsule_names[others[row][pair[k]]])
+        seen += pair[k] != of_capsule[k]
+    assert seen > 0, "in which the capsules would name the other one"
 
 
 def blade_on_its_hinge(folder) -> Robot:

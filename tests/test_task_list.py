@@ -97,6 +97,10 @@ def test_a_row_is_addressed_by_its_number_on_the_command_line():
         load_sweep({"grid": [{"task.3.cone_deg": [5, 0]}]}, given).batch()
 
 
+TILTED = {"orientation": [1, 1, 0, 0], "within_deg": 20}
+PLANE = {"point": "tcp", "on": "plane", "through_m": [0, 0, 0], "normal": [0, 0, 1]}
+
+
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
@@ -123,6 +127,11 @@ def test_a_row_is_addressed_by_its_number_on_the_command_line():
         ([ON_PATH, {"point": "link6", "on": [1, 0, 1]}], r"task.2 \(point link6\) repeats or contradicts"),
         ([{**CONE, "cone_deg": 0}, {"axis": "tcp.x", "towards": "path.tangent"}], r"task.2 \(axis tcp.x\) repeats"),
         ([CONE, {**CONE, "axis": "-tcp.z"}], r"task.1 \(axis tcp.z\) and task.2 \(axis -tcp.z\) contradict each other"),
+        ([TILTED, {"axis": "tcp.z", "towards": [0, 0, -1], "cone_deg": 60}], "0 degrees .* axes, 90 between"),
+        ([TILTED, {"orientation": [1, 0, 0, 0], "within_deg": 60}], "0 degrees .* frames, 90 between"),
+        ([ON_PATH, {**PLANE, "through_m": [0, 0, 9], "within_m": 0.1}], "contradict each other at point 1 of"),
+        ([{**PLANE, "within_m": 0.1}, {**PLANE, "normal": [0, 0, -1], "through_m": [0, 0, 0.3], "within_m": 0.1}],
+         r"contradict each other at point 1 of the path: 0.3 m between the places, 0.202 m allowed"),
         ([ON_PATH, {"orientation": [1, 0, 0, 0]}, {"point": "link4", "on": [1, 0, 1]}], "the task has 9 rows"),
     ],
 )  # fmt: skip

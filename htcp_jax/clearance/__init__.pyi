@@ -1,4 +1,4 @@
-from .obstacles.obstacle import HasWorkpiecePose, Obstacle, Obstacles, in_workpiece, rows_of, surface_points
+from .obstacles.obstacle import HasWorkpiecePose, Obstacle, Obstacles, by_pieces, in_workpiece, rows_of, surface_points
 from .obstacles.obstacles import ClearanceRows, clearance, clearances, contacts, is_clear, nearest_to
 from .obstacles.scene import Scene, own_scene
 
@@ -8,6 +8,7 @@ __all__ = [
     "Obstacle",
     "Obstacles",
     "Scene",
+    "by_pieces",
     "clearance",
     "clearances",
     "contacts",

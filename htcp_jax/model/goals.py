@@ -6,6 +6,7 @@ the tool's position is. So the start always satisfies its goal.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import jax
 import jax.numpy as jnp
@@ -15,11 +16,12 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.model.arm_features import point_of
 from htcp_jax.model.robot import Robot, lengthen_tool
+from htcp_jax.model.rotations import frame_turns
 from htcp_jax.model.scenario import Scenario
 from htcp_jax.model.task import Task
 from htcp_jax.model.task_list import TaskRow
 from htcp_jax.model.task_row_kind import PlacedPath, TaskRowKind
-from htcp_jax.model.task_rows import AxisTowards, PointAlong, Row, TaskPoint
+from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, Row, TaskPoint
 from htcp_jax.model.workpiece import Workpiece
 
 ON_PATH = (TaskRow(point="tcp", on="path"),)  # the paper's, and the default
@@ -86,7 +88,7 @@ def with_goals(
         workpiece: The scenario's workpiece.
 
     Raises:
-        InputError: For a path without the frames that the rows require, and for axes that contradict each other.
+        InputError: For a path without the frames that the rows require, and for two rows that contradict each other.
     """
     rows = rows or ON_PATH
     if task.parts == (TaskPoint(),) and rows[0].on == "path":
@@ -106,7 +108,7 @@ def with_goals(
         eased = part.eased(start[v : v + size], wanted[0], share, targets[:before] if leads else None)
         columns.append(np.concatenate([eased, wanted]))
         v, follows = v + size, follows or leads
-    _check_axes(rows, task, columns, before)
+    _check_pairs(rows, task, columns, before)
     return replace(scenario, task_goals=np.concatenate(columns, axis=1))
 
 
@@ -141,17 +143,78 @@ def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
                 )
 
 
-def _check_axes(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.ndarray], before: int) -> None:
-    """Raise InputError if the required angle between two axes of one link differs from the actual one."""
-    parts = enumerate(task.parts)
-    axes = {k: part for k, part in parts if isinstance(part, AxisTowards) and part.looks_from_m is None}
-    for k, i in ((k, i) for k in axes for i in axes if i < k and axes[i].link == axes[k].link):
-        between = np.arccos(np.clip(np.dot(axes[i].axis, axes[k].axis), -1.0, 1.0))
-        requested = np.arccos(np.clip((goals[i][before:, :3] * goals[k][before:, :3]).sum(axis=1), -1.0, 1.0))
-        most = sum(goals[j][before:, 3] if axes[j].cone else task.tolerance_rad for j in (i, k))
-        if len(far := np.flatnonzero(np.abs(requested - between) > most)):
-            has, wants = np.rad2deg(between), np.rad2deg(requested[far[0]])
+def _check_pairs(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.ndarray], before: int) -> None:
+    """Raise InputError for two rows about one link or point that no orientation or place satisfies together."""
+    on_path = [goal[before:] for goal in goals]
+    for i, k in combinations(range(len(rows)), 2):
+        a, b, own, found = task.parts[i], task.parts[k], (on_path[i], on_path[k]), None
+        if isinstance(a, AxisTowards | FrameOrientation) and isinstance(b, AxisTowards | FrameOrientation):
+            found = _unmet_turns((a, b), own, task.tolerance_rad)
+        elif isinstance(a, TaskPoint | PointAlong) and isinstance(b, TaskPoint | PointAlong):
+            found = _unmet_bands((a, b), own, task.tolerance_m)
+        if found:
             raise InputError(
-                f"task.{i + 1} ({rows[i]}) and task.{k + 1} ({rows[k]}) contradict each other at point {far[0] + 1} of "
-                f"the path: {has:.4g} degrees between the axes, {wants:.4g} between their directions"
+                f"task.{i + 1} ({rows[i]}) and task.{k + 1} ({rows[k]}) contradict each other at point {found[0] + 1} "
+                f"of the path: {found[1]}"
             )
+
+
+def _unmet_turns(
+    of: Sequence[AxisTowards | FrameOrientation], goals: Sequence[np.ndarray], tolerance_rad: float
+) -> tuple[int, str] | None:
+    """Return the first point of the path where two axes or frames of one link cannot be as required, and the reason.
+
+    A frame requires the direction of each axis of its link. The angle between two axes is what it is, and each may be
+    off by its limit; as the angle of a frame to another may.
+    """
+    if any(part.is_view for part in of) or of[0].link != of[1].link:
+        return None
+    at = 9 if isinstance(of[0], FrameOrientation) else 3, 9 if isinstance(of[1], FrameOrientation) else 3
+    most = sum(goal[:, n] if part.cone else tolerance_rad for part, goal, n in zip(of, goals, at, strict=True))
+    turned = [
+        goal[:, :9].reshape(-1, 3, 3) @ part.columns if isinstance(part, FrameOrientation) else goal[:, :3]
+        for part, goal in zip(of, goals, strict=True)
+    ]  # the link's rotations that frames require, and the axes' directions
+    if at == (9, 9):
+        what, has, wants = "frames", 0.0, np.linalg.norm(frame_turns(*turned), axis=1)
+    else:
+        axes = [part.axis for part in of if isinstance(part, AxisTowards)]
+        seen = [each if each.ndim == 2 else each @ axes[0] for each in turned]
+        what, has = "axes", np.arccos(np.clip(np.dot(axes[0], axes[-1]), -1.0, 1.0))
+        wants = np.arccos(np.clip((seen[0] * seen[1]).sum(axis=1), -1.0, 1.0))
+    if not len(far := np.flatnonzero(np.abs(wants - has) > most)):
+        return None
+    has, wants = np.rad2deg(has), np.rad2deg(wants[far[0]])
+    return int(far[0]), f"{has:.4g} degrees between the {what}, {wants:.4g} between their directions"
+
+
+def _unmet_bands(
+    of: Sequence[TaskPoint | PointAlong], goals: Sequence[np.ndarray], tolerance_m: float
+) -> tuple[int, str] | None:
+    """Return the first point of the path where a point cannot be in the bands of two rows, and the reason.
+
+    A direction of one row that lies in the span of the other's is constrained by both.
+    """
+    if (of[0].link, of[0].offset_m) != (of[1].link, of[1].offset_m):
+        return None
+    bands = [_bands(part, goal, tolerance_m) for part, goal in zip(of, goals, strict=True)]
+    for (across, offset, within), (u, o, w) in (bands, bands[::-1]):
+        share = np.einsum("tci,tdi->tdc", across, u)  # of each direction u in the directions across
+        spans = np.abs((share**2).sum(axis=2) - 1) < FLAT
+        off = np.abs(np.einsum("tdc,tc->td", share, offset) - o)
+        most = np.abs(share).sum(axis=2) * within[:, None] + w[:, None]
+        if len(far := np.argwhere(spans & (off > most + FLAT))):
+            first = tuple(far[0])
+            return int(first[0]), f"{off[first]:.4g} m between the places, {most[first]:.4g} m allowed"
+    return None
+
+
+def _bands(
+    part: TaskPoint | PointAlong, goals: Float[np.ndarray, "T g"], tolerance_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the directions (T, c, 3) in which a point is constrained, its places in them and its band [m]."""
+    if isinstance(part, TaskPoint):
+        across = np.eye(3)[list(part.axes)]
+        return np.broadcast_to(across, (len(goals), *across.shape)), goals, np.full(len(goals), tolerance_m)
+    each = goals[:, : 4 * part.count].reshape(-1, part.count, 4)
+    return each[..., :3], each[..., 3], tolerance_m + (goals[:, -1] if part.band else np.zeros(len(goals)))

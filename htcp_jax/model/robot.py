@@ -153,7 +153,9 @@ def capsule_label(robot: Robot, name: str) -> str:
     return f"{body} ({name})" if (body := next(own, None)) else name
 
 
-def mesh_note(robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> str:
+def mesh_note(
+    robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"], by_piece: bool
+) -> str:
     """Return the end of a message: that a piece decided, or the distance of a capsule's surface from its mesh.
 
     Args:
@@ -161,11 +163,12 @@ def mesh_note(robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Floa
         capsule: Name of the capsule.
         x: The configuration [rad or m].
         point: The point of the capsule's surface, in the world [m].
+        by_piece: True if the piece in the capsule decided.
 
     Returns:
         The end of the message, "" if the arm's file refers to no mesh for this capsule.
     """
-    if robot.pieces is not None and robot.pieces.excess_m[robot.capsule_names.index(capsule)] > 0:
+    if by_piece:
         return "; measured by the convex piece of the mesh in this capsule"
     outside_m = robot.meshes.outside_m(capsule, robot, x, point) if robot.meshes else None
     if outside_m is None:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance import Obstacle, Obstacles, Scene, contacts, nearest_to, surface_points
+from htcp_jax.clearance import Obstacle, Obstacles, Scene, by_pieces, contacts, nearest_to, surface_points
 from htcp_jax.clearance.obstacles import obstacle_kind, of_workpiece, self_collision
 from htcp_jax.device import devices as compute_devices
 from htcp_jax.device import processes as worker_processes
@@ -258,8 +258,9 @@ def _start_contact(
     row = int(distance.argmin())
     body = scene.rows.body[row]
     surface = surface_points(scene.robot, scene.rows, touch)[row]
+    by_piece = bool(by_pieces(scene.robot, scene.rows, touch)[row])
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
-    note = robots.mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
+    note = robots.mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface), by_piece)
     label = robots.capsule_label(robot, robot.capsule_names[body])
     return float(touch.distance[row]), label, other + note, bool(fixed[row])
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance import Obstacles, Scene, contacts, nearest_to, surface_points
+from htcp_jax.clearance import Obstacles, Scene, by_pieces, contacts, nearest_to, surface_points
 from htcp_jax.clearance.obstacles import of_workpiece
 from htcp_jax.device import Executor, lane_function
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, inverse_kinematics
@@ -127,13 +127,13 @@ def obstructions(
     lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
     measured = Executor(scene, settings)(BRING, *lanes) if len(x_last) else ()
     found = []
-    for k, (row, point, surface, depth, off, x) in enumerate(zip(*measured, strict=True)):
+    for k, (row, point, surface, by_piece, depth, off, x) in enumerate(zip(*measured, strict=True)):
         here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
         own = robots.lengthen_tool(robot, here.tool_extension_m)
         other = nearest_to(own, obstacles, here, jnp.asarray(x), int(row))
         number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
         body = robot.capsule_names[number]
-        note = robots.mesh_note(robot, body, x, surface)
+        note = robots.mesh_note(robot, body, x, surface, bool(by_piece))
         one = Obstruction(
             body,
             point,
@@ -171,15 +171,15 @@ def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
     """Bring one scenario onto its goal, and measure it there.
 
     Returns:
-        Row of the smallest clearance, nearest points on the obstacle and on the capsule's surface, depth [m], TCP error
-            [m], and configuration.
+        Row of the smallest clearance, nearest points on the obstacle and on the body's surface, True if a piece
+            decided, depth [m], TCP error [m], and configuration.
     """
     robot, obstacles, task = scene
     x, residual = inverse_kinematics.reanchor(robot, x_last, goal, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)
     row = jnp.argmin(touch.distance)
-    surface = surface_points(robot, scene.rows, touch)[row]
-    return row, touch.witness[row], surface, -touch.distance[row], residual, x
+    surface, by_piece = (of(robot, scene.rows, touch)[row] for of in (surface_points, by_pieces))
+    return row, touch.witness[row], surface, by_piece, -touch.distance[row], residual, x
 
 
 BRING = lane_function.LaneFunction("bring", _brought_there, lane_function.DEEP)

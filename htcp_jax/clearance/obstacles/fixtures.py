@@ -90,10 +90,9 @@ class Fixtures(Obstacle):
         found = jnp.concatenate([_each_seen(kind, p, q).distance for kind in kinds])
         return found - robot.capsule_radius[None]
 
-    def nearest_name(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
-        """Return the name of the solid nearest to a body, for messages."""
-        distance = np.where(self.is_checked, _solid_distances(self, robot, p, q), np.inf)[:, row]
-        return f"the fixture {self.names[distance.argmin()]!r}"
+    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
+        """Return the name of the solid nearest to a body, by its capsule or the piece in it, for messages."""
+        return f"the fixture {self.names[int(_distances_alone(self, robot, where, bodies)[:, row].argmin())]!r}"
 
     def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"], is_checked: Bool[Array, "G K"]) -> Contacts:
         """Return the contact of each capsule with the nearest of its solids in the mask `is_checked`."""
@@ -171,6 +170,16 @@ def _prism(radius: float, half: float) -> Float[np.ndarray, "P 3"]:
 
 
 _solid_distances = jax.jit(Fixtures.distances)
+
+
+@jax.jit
+def _distances_alone(own: Fixtures, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[Array, "G K"]:
+    """Return the distance of every body to every solid, as if there were no other."""
+
+    def alone(mask: Bool[Array, "G K"]) -> Float[Array, "K"]:
+        return dataclasses.replace(own, is_checked=mask).contacts(robot, where, bodies).distance
+
+    return jax.lax.map(alone, jnp.eye(len(own.is_checked), dtype=bool)[..., None] & own.is_checked[None])
 
 
 def _stacked(solids: list[Solid]) -> Solid:

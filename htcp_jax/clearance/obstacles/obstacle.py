@@ -62,6 +62,14 @@ def surface_points(robot: Robot, rows: RowPairs, touch: Contacts) -> Float[jax.A
     return touch.point - radius[:, None] * touch.normal
 
 
+def by_pieces(robot: Robot, rows: RowPairs, touch: Contacts) -> Bool[jax.Array, "R"]:
+    """Return True for contacts whose distance a convex piece decided, not the capsule."""
+    if robot.pieces is None:
+        return jnp.zeros(touch.radius.shape, bool)
+    of_capsules = touch.radius >= robot.capsule_radius[jnp.asarray(rows.body)]
+    return ~(of_capsules | (touch.plane & (touch.radius == 0)))  # the last: an end of an axis, by the interior rule
+
+
 class BodyAxes(NamedTuple):
     """Ends of the bodies' axes [m], in the world and in the workpiece frame."""
 
@@ -182,8 +190,8 @@ class Obstacle:
         """
         return jnp.zeros((), bool)
 
-    def nearest_name(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
-        """Return the name of its part nearest to the body of a row, for messages."""
+    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
+        """Return the name of its part nearest to the body of a row, by what decides there, for messages."""
         return f"the obstacle {type(self).__name__!r}"
 
 

@@ -91,7 +91,7 @@ class GivenObstacle(Obstacle):
         """Return lower bounds on the distances."""
         return self._measured(robot, where, bodies)[1]
 
-    def nearest_name(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
         """Return the kind's name, for messages."""
         return f"the obstacle {self.template.kind.name!r}"
 

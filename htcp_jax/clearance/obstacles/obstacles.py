@@ -180,7 +180,7 @@ def nearest_to(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: J
     if not named or distance.index(min(distance)) == len(named):
         return "the workpiece"
     bodies = _bodies_at(robot, where, x)
-    return named[distance.index(min(distance))].nearest_name(robot, row - rows, bodies.p, bodies.q)
+    return named[distance.index(min(distance))].nearest_name(robot, where, row - rows, bodies)
 
 
 def _nearest_contacts(parts: list[Contacts]) -> Contacts:

@@ -91,7 +91,7 @@ class PlacedCloud(Obstacle):
         """The cloud's name, as a tuple."""
         return (self.name,)
 
-    def nearest_name(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
         """Return the cloud's name, for messages."""
         return f"the fixture {self.name!r}"
 

@@ -32,7 +32,7 @@ from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import one_by_one, safe_divide, safe_norm
 from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Array, Float, Int
+from htcp_jax.types import Array, Float, Int, Scalar
 
 FEW_PAIRS = 128  # up to which all contacts are made: arms made by hand
 USUAL = 0.99  # a start is refused where an excluded pair is deeper than in this share of random configurations
@@ -61,7 +61,11 @@ class SelfCollision(Obstacle):
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the nearest points of the axes of the nearest pair of every row."""
-        every = _measured(robot, self.pairs, bodies.p, bodies.q)
+        return self._contacts(robot, where, bodies, _measured(robot, self.pairs, bodies.p, bodies.q))
+
+    def _contacts(
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, every: "_MeasuredPairs"
+    ) -> Contacts:
         found = every.contacts(self._nearest_of(every.distance, list(self._rows(robot).values())))
         return found if robot.pieces is None else self._by_pieces(robot, where, bodies, every, found)
 
@@ -90,11 +94,11 @@ class SelfCollision(Obstacle):
         """Return the distance of every pair, in their order."""
         return _measured(robot, self.pairs, p, q).distance
 
-    def nearest_name(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
-        """Return the name of the capsule nearest to the body of a row, for messages."""
-        return robots.capsule_label(
-            robot, robot.capsule_names[self.pairs[int(_nearest_capsule(self, robot, p, q)[row])][1]]
-        )
+    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
+        """Return the name of the capsule nearest to the body of a row, by it or the piece in it, for messages."""
+        numbers = self._table(list(self._rows(robot).values()))[row]
+        nearest = numbers[int(_distances_alone(self, robot, where, bodies, numbers, row).argmin())]
+        return robots.capsule_label(robot, robot.capsule_names[self.pairs[nearest][1]])
 
     def described(self, robot: Robot) -> str:
         """Describe the number of checked pairs and of excluded pairs by rule."""
@@ -109,10 +113,14 @@ class SelfCollision(Obstacle):
             found.setdefault((a, robot.capsule_link[b]), []).append(number)
         return found
 
+    def _table(self, rows: list[list[int]]) -> np.ndarray:
+        """Return the pairs' numbers, one row each, filled up with its last one."""
+        most = max(map(len, rows))
+        return np.array([(own + own[-1:] * most)[:most] for own in rows])
+
     def _nearest_of(self, distance: Float[jax.Array, "n"], rows: list[list[int]]) -> Int[jax.Array, "R"]:
         """Return the number of the pair with the smallest distance in every row."""
-        most = max(map(len, rows))
-        table = np.array([(own + own[-1:] * most)[:most] for own in rows])
+        table = self._table(rows)
         best = jnp.argmin(distance[table], axis=1)
         return jnp.take_along_axis(jnp.asarray(table), best[:, None], axis=1)[:, 0]
 
@@ -250,5 +258,19 @@ def _column_contacts(
 
 
 @jax.jit
-def _nearest_capsule(own: SelfCollision, robot: Robot, p: Ends, q: Ends) -> Int[jax.Array, "R"]:
-    return own._nearest_of(own.distances(robot, p, q), list(own._rows(robot).values()))
+def _distances_alone(
+    own: SelfCollision,
+    robot: Robot,
+    where: HasWorkpiecePose,
+    bodies: BodyAxes,
+    numbers: Int[Array, "n"],
+    row: Int[Array, ""],
+) -> Float[Array, "n"]:
+    """Return the distances of n pairs of a row, each as if the row had no other."""
+    every = _measured(robot, own.pairs, bodies.p, bodies.q)
+
+    def alone(number: Int[Array, ""]) -> Scalar:
+        distance = jnp.where(jnp.arange(len(own.pairs)) == number, every.distance, jnp.inf)
+        return own._contacts(robot, where, bodies, every._replace(distance=distance)).distance[row]
+
+    return jax.lax.map(alone, numbers)
