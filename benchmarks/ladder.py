@@ -10,10 +10,9 @@ uniformly; the latter two are joined to the nearest vertices. Edges and self-mot
 collision checker, in the planner's tubes. A rung keeps one vertex per cell of a grid of joint angles, the clearest, and
 at most `--samples` of them, drawn at random; so its counts are lower bounds.
 
-The first rung is the path's first point and has all samples: whether the arm can move there from home is not tested.
-This favours the reference; it is what `settings.transfers` allows, as before the path the arm may take any joint path.
-A scenario's count is the number of its rungs that have vertices, and of the targets before the path if there are any.
-Next to it are the beam's tracked and executable targets by the same job.
+Up to the path's first point all uniform samples are vertices, as the arm may take any joint path there: whether it can
+move to them from home is not tested. This favours the reference; it is what `settings.transfers` allows. A scenario's
+count is the number of its rungs that have vertices. Next to it are the beam's tracked and executable targets.
 """
 
 import argparse
@@ -63,15 +62,16 @@ class Ladder:
         self._box = np.maximum(lower, start - np.pi), np.minimum(upper, start + np.pi)  # uniform samples
 
     def rungs(self):
-        """Yield the vertices of one rung after the other, from the path's first point, until one has none."""
-        scenarios = self._problem.scenarios
-        first, count = int(scenarios.on_path[self._scenario]), int(scenarios.count[self._scenario])
-        x = self._kept(*self._continued(self._uniform(self._samples), first)[:2])
-        for target in range(first + 1, count + 1):
-            if not len(x):
+        """Yield the vertices of one rung after the other, until one on the path has none."""
+        scenarios, x = self._problem.scenarios, np.empty((0, len(self._box[0])))
+        on_path = int(scenarios.on_path[self._scenario])
+        for target in range(int(scenarios.count[self._scenario])):
+            x = self._next(x, target) if len(x) else x
+            if target <= on_path:  # by any joint path in free space
+                x = np.concatenate([x, self._kept(*self._continued(self._uniform(self._samples), target)[:2])])
+            elif not len(x):
                 return
             yield x
-            x = self._next(x, target) if target < count else x
 
     def _next(self, x: Rows, target: int) -> Rows:
         """Return the vertices of a rung, given those of the one before."""
@@ -151,9 +151,8 @@ def counts(batch: Batch, row: int, samples: int) -> list[int | str]:
     planned, scenarios = time.process_time(), scenario_functions.with_max_joint_step(one, settings.max_joint_step_rad)
     obstacles = all_obstacles(cell.workpiece, cell.obstacles)
     problem = Problem(cell.robot, cell.workpiece, scenarios, settings, cell.task, obstacles, devices.choose(), 1)
-    rungs = sum(1 for _ in Ladder(problem, 0, samples).rungs())
+    found = sum(len(x) > 0 for x in Ladder(problem, 0, samples).rungs())
     spent = f"{time.process_time() - planned:.0f}", f"{planned - began:.0f}"
-    found = rungs + int(one.on_path[0]) if rungs else 0
     return [int(one.count[0]), found, int(plans.tracked[0].sum()), int(plans.executable[0].sum()), *spent]
 
 
