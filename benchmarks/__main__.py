@@ -15,6 +15,7 @@
     python -m benchmarks baseline-margin OUT.png    the baseline's success by margin and QP tolerance
     python -m benchmarks paper-deviations  experiments behind the deviations from the two tables
     python -m benchmarks mountings         placement search: grid, random draws, htcp place, differential evolution
+    python -m benchmarks ladder SWEEP      a dense ladder graph next to the beam, by tracked targets
     python -m benchmarks seams OUT.png     a picture of the seams of the generated duct
     python -m benchmarks speed             times, next to committed figures, or in pairs with another checkout
     python -m benchmarks shape             sizes and depth of imports of the source, next to other checkouts
@@ -42,6 +43,7 @@ CASES = (
     "baseline-margin",
     "paper-deviations",
     "mountings",
+    "ladder",
     "seams",
     "speed",
     "shape",

@@ -3,12 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import toy
 from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50
+from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import ArmShape, capsule_segments, capsules_and_tcp, tip_segment
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.status import Status
@@ -65,3 +67,13 @@ def test_complete_partial_and_empty_plans_are_drawn(tracked, tmp_path):
     figure.savefig(tmp_path / "plan.png", dpi=30)
     texts = [text.get_text() for text in figure.axes[-1].texts]
     assert any(text.startswith(f"target {tracked}: ") for text in texts) == (tracked < 105)
+
+
+def test_a_path_of_one_point_without_a_part_is_drawn_in_a_view_of_some_width():
+    point, origin = np.array([[0.5, 0.0, 0.4]]), (0.0,) * 3
+    part = Workpiece("point", np.empty((0, 3)), point, interior="none", pivot=origin, neutral_translation=origin)
+    scenario = make_scenario(toy.robot(), part, toy.START, approach=(0, 1))
+    plans = plans_with([[Status.TRACKED] * int(scenario.count)], joints=4)
+    plans = plans._replace(target=np.asarray(scenario.targets)[None])
+    figure = draw_plan(toy.robot(), part, scenario, plans, title="a point")
+    assert all(np.ptp(axes.get_xlim()) > 0.005 for axes in figure.axes)

@@ -38,6 +38,7 @@ from htcp_jax.viewer.normal_glyphs import NO_GLYPHS, NormalGlyphs
 from htcp_jax.viewer.viewpoints import ShownBodies, View, flat_side
 
 DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
+SMALLEST_M = 0.1  # smallest extent of a view: that of a single point
 LEVELS = 32  # of depth: markers of one colour are drawn in a third of the time
 PLACE = {"left": 0.045, "right": 0.985, "bottom": 0.065, "top": 0.925, "wspace": 0.03, "hspace": 0.16}
 
@@ -267,7 +268,7 @@ def _set_limits(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
         axes.axhline(0, color=INK, linewidth=1, alpha=0.5, zorder=0)
     else:
         low, high = around.min(axis=0), around.max(axis=0)
-        border = 0.05 * (high - low).max()
+        border = 0.05 * max((high - low).max(), SMALLEST_M)
         axes.set(xlim=(low[0] - border, high[0] + border), ylim=(low[1] - border, high[1] + border))
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     length = 10.0 ** np.floor(np.log10((right - left) / 2))
