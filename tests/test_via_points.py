@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.motion import Plans, ViaPoints
+from htcp_jax.motion import Plans, ViaPoints, plans
 from htcp_jax.motion.motion_check import segments_of
 
 SCENARIOS, TARGETS, JOINTS = 4, 5, 2
@@ -82,7 +82,7 @@ def test_parts_put_one_after_the_other_keep_their_segments(first_part, second_pa
     parts, sizes, joined = (first_part, second_part, third_part), (2, 1, 3), {}
     for first, part in zip((0, 2, 3), parts, strict=True):
         joined |= {(s + first, t): x for (s, t), x in part.items()}
-    whole = ViaPoints.concatenate([via_points_of(part) for part in parts], sizes)
+    whole = plans.consecutive([via_points_of(part) for part in parts], sizes)
     same(segments_in(whole, 6), joined)
     assert in_order(whole)
     for first, size, part in zip((0, 2, 3), sizes, parts, strict=True):

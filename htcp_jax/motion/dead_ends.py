@@ -1,6 +1,6 @@
 """Dead ends of plans: the targets at which a search had no successor, and what was tried after them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -40,18 +40,6 @@ class DeadEnds(NamedTuple):
         """Return dead ends from what was tried, by scenario and target."""
         rows = [(*key, *tried[key]) for key in sorted(tried)]
         return cls(*np.array(rows, np.int32).reshape(-1, len(cls._fields)).T)
-
-    @classmethod
-    def concatenate(cls, parts: "Sequence[DeadEnds]", rows: Sequence[int]) -> "DeadEnds":
-        """Concatenate the dead ends of consecutive plans.
-
-        Args:
-            parts: The dead ends of each.
-            rows: Number of scenarios in each.
-        """
-        first = np.concatenate([[0], np.cumsum(rows)[:-1]]).astype(np.int32)
-        moved = [part._replace(scenario=part.scenario + before) for part, before in zip(parts, first, strict=True)]
-        return cls(*(np.concatenate(column) for column in zip(*moved, strict=True)))
 
     def rows(self, which: Int[np.ndarray, "R"]) -> "DeadEnds":
         """Select scenarios by their rows, renumbered in the order of `which`."""

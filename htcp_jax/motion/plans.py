@@ -153,12 +153,13 @@ class Plans(NamedTuple):
         """Concatenate the rows of all parts and add up their seconds; T may differ."""
         longest = max(part.status.shape[1] for part in parts)
         wide = [part.widened(longest).arrays() for part in parts]
+        rows = [len(part.status) for part in parts]
         return cls(
             **{name: np.concatenate([arrays[name] for arrays in wide]) for name in ARRAYS},
-            via_points=ViaPoints.concatenate([part.via_points for part in parts], [len(part.status) for part in parts]),
+            via_points=consecutive([part.via_points for part in parts], rows),
             compile_s=sum(part.compile_s for part in parts),
             run_s=sum(part.run_s for part in parts),
-            dead_ends=DeadEnds.concatenate([part.dead_ends for part in parts], [len(part.status) for part in parts]),
+            dead_ends=consecutive([part.dead_ends for part in parts], rows),
         )
 
     @property
@@ -264,6 +265,18 @@ _KINDS = {
     "iterations": np.int32, "joint_step": float, "recovery": np.int8, "path_clear": np.int8, "segment_status": np.int8,
     "segment_clearance": float,
 }  # fmt: skip
+
+
+def consecutive(parts: Sequence[Any], rows: Sequence[int]) -> Any:
+    """Concatenate the via points, or the dead ends, of consecutive plans.
+
+    Args:
+        parts: Those of each plan.
+        rows: Number of scenarios in each.
+    """
+    first = np.concatenate([[0], np.cumsum(rows)[:-1]]).astype(np.int32)
+    moved = [part._replace(scenario=part.scenario + before) for part, before in zip(parts, first, strict=True)]
+    return type(parts[0])(*(np.concatenate(column) for column in zip(*moved, strict=True)))
 
 
 def is_tracked(status: np.ndarray) -> np.ndarray:

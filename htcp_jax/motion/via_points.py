@@ -46,18 +46,6 @@ class ViaPoints(NamedTuple):
         share = [segment[3] if len(segment) > 3 else np.zeros(len(segment[2])) for segment in segments]
         return cls(scenario.astype(np.int32), target.astype(np.int32), x, np.concatenate(share))
 
-    @classmethod
-    def concatenate(cls, parts: "Sequence[ViaPoints]", rows: Sequence[int]) -> "ViaPoints":
-        """Concatenate the via points of consecutive plans.
-
-        Args:
-            parts: The via points of each.
-            rows: Number of scenarios in each.
-        """
-        first = np.concatenate([[0], np.cumsum(rows)[:-1]]).astype(np.int32)
-        moved = [part._replace(scenario=part.scenario + before) for part, before in zip(parts, first, strict=True)]
-        return cls(*(np.concatenate(column) for column in zip(*moved, strict=True)))
-
     def rows(self, which: Int[np.ndarray, "R"]) -> "ViaPoints":
         """Select scenarios by their rows, renumbered in the order of `which`."""
         if not len(self.scenario) or not len(which):
