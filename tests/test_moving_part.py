@@ -211,18 +211,20 @@ def test_programs_have_all_joints_by_name_and_key_frames_are_in_the_order_of_the
     for name in ("jbi", "urscript"):
         with pytest.raises(InputError, match=f"{name} has no external axes, and the part moves; valid: csv, ros"):
             made.text(name, "weld")
-    pulses = "program.pulses={per_rad: [1e4, 1e4, 1e4, 1e4, 1e4], source: a drawing}"
+
+    def with_groups(groups):
+        pulses = "program.pulses={per_rad: [1e4, 1e4, 1e4, 1e4, 1e4], source: a drawing}"
+        return program_of(open_plans(tmp_path / "plan"), 0.02, overrides=[pulses, groups])
+
     for groups, said in (
         ("null", "jbi-pulses: the part moves; program.groups gives the joints of robot, base and station"),
         ("{robot: [j1, j2, j3], station: [turn]}", "program.groups has 'j4' 0 times; each joint is in one group"),
         ("{robot: [j1, j2, j3, j4], station: [tilt]}", "program.groups: 'tilt' is no joint; valid: turn, j1, j2"),
     ):
         with pytest.raises(InputError, match=re.escape(said)):
-            with_groups = program_of(open_plans(tmp_path / "plan"), 0.02, overrides=[pulses, f"program.groups={groups}"])
-            with_groups.text("jbi-pulses", "weld")
-    groups = "program.groups={robot: [j1, j2, j3, j4], station: [turn]}"
-    with_groups = program_of(open_plans(tmp_path / "plan"), 0.02, overrides=[pulses, groups])
-    assert "+MOVJ EC00000" in with_groups.text("jbi-pulses", "WELD")
+            with_groups(f"program.groups={groups}").text("jbi-pulses", "weld")
+    made = with_groups("program.groups={robot: [j1, j2, j3, j4], station: [turn]}")
+    assert "+MOVJ EC00000" in made.text("jbi-pulses", "weld")
 
 
 @pytest.mark.parametrize(

@@ -333,7 +333,7 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
 @pytest.mark.parametrize(
     ("format", "timed", "given", "said"),
     [
-        ("krl", a_motion(), {}, "'krl' is not a format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses, rapid"),
+        ("krl", a_motion(), {}, "'krl' is not a format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses"),
         ("csv", NO_CONFIGURATION, {}, "has none"),
         ("csv", STILL, {}, "configuration 2 comes no later"),
         ("jbi", a_motion(), {"user_frame": None}, "program.user_frame names it"),
