@@ -13,8 +13,8 @@
 # %% [markdown]
 # # Where to mount it
 #
-# A part has several seams. How must it be mounted, and how long must the tool be, so that the arm can do them without
-# mounting it anew, and with something to spare? `htcp_jax.place` searches ranges for that; `docs/place.md` tells how.
+# A part has several seams. How must it be mounted, and how long must the tool be, so that the arm can follow all of them
+# in one mounting, with the largest safety margin? `htcp_jax.place` searches for such mountings; see `docs/place.md`.
 #
 # `configs/place/seams.yaml` asks it for six seams of the generated duct.
 
