@@ -1,4 +1,4 @@
-"""HTCP in JAX: position-only path tracking inside narrow parts, batched over scenarios, with hard constraints.
+"""HTCP in JAX: path tracking inside narrow parts, batched over scenarios, with hard constraints.
 
     import htcp_jax
 

@@ -13,8 +13,8 @@
 # %% [markdown]
 # # Where to mount it
 #
-# A part has several seams. How must it be mounted, and how long must the tool be, so that the arm can follow all of them
-# in one mounting, with the largest safety margin? `htcp_jax.place` searches for such mountings; see `docs/place.md`.
+# A part has several seams. How must it be mounted, and how long must the tool be, so that the arm can follow all of
+# them in one mounting, with the largest safety margin? `htcp_jax.place` searches for it; see `docs/place.md`.
 #
 # `configs/place/seams.yaml` asks it for six seams of the generated duct.
 

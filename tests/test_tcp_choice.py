@@ -51,7 +51,7 @@ def test_a_tcp_on_a_jaw_is_a_warning_that_names_the_frames_before_it(tmp_path, c
     fix = " ".join(f"--fix {name}=VALUE" for name in moved)
     assert str(warned[0].message) == (
         f"{path}: the TCP {arm.tip.name!r} is on a jaw that {', '.join(moved)} moves as a part of the arm; "
-        f"say --tcp with a frame before it (l3, palm), or freeze it by {fix}"
+        f"choose a frame before the jaw with --tcp (l3, palm), or freeze the jaw with {fix}"
     )
     assert len(warned) == 1
 

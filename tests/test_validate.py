@@ -219,7 +219,7 @@ def test_a_configuration_5_mm_in_the_wall_is_refuted_and_named(run, capsys):
     assert f"baseline, scenario 3 ({label}), target {target}: " in capsys.readouterr().out
     found = json.loads((run / VALIDATION).read_text())
     (refuted,) = found["refuted"]
-    assert not found["validated"] and "the arm touches: clearance -5.0" in refuted["reason"]
+    assert not found["validated"] and "the arm is in collision: clearance -5.0" in refuted["reason"]
 
 
 def test_a_recorded_clearance_that_is_1_mm_off_is_refuted(run):

@@ -149,5 +149,5 @@ def test_a_plan_past_a_ball_in_a_capsule_is_validated_until_the_ball_is_in_the_p
 def assert_contact(plan: Path, clearance_m: float) -> None:
     """The first target is refuted, with that clearance, and proven segments."""
     refuted = validate_results(plan).refuted
-    assert f"the arm touches: clearance {1e3 * clearance_m:.3f} mm" in refuted[0].reason and refuted[0].target == 0
-    assert any("is recorded as valid, and touches" in each.reason for each in refuted)
+    assert f"in collision: clearance {1e3 * clearance_m:.3f} mm" in refuted[0].reason and refuted[0].target == 0
+    assert any("is recorded as valid, but collides" in each.reason for each in refuted)

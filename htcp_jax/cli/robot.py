@@ -32,7 +32,13 @@ COLUMNS = (
 )
 
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="URDF or MJCF file, with its meshes next to it.")]
-Tcp = Annotated[str | None, typer.Option(metavar="NAME", help="TCP: a site or body of the model; by default the last.")]
+Tcp = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="TCP: a site or body of the model; by default tcp or tool0, else the only site or outermost body.",
+    ),
+]
 Out = Annotated[Path, typer.Option(metavar="ARM.xml", help="Output file; a picture is written next to it.")]
 Most = Annotated[
     int | None,

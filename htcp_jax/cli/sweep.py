@@ -37,7 +37,10 @@ Methods = Annotated[
     typer.Option(metavar="A,B|all", help="Planning methods; htcp methods lists them.", autocompletion=complete_methods),
 ]
 Out = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Output folder (run); by default out/<name of the sweep>.")
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="Output folder (run); by default out/<sweep>, with --config out/<sweep>-<config>."
+    ),
 ]
 Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed.")]
 On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Run in this process or on a Ray cluster.")]

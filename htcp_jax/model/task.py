@@ -77,7 +77,7 @@ class Task:
 
     @property
     def sampled(self) -> bool:
-        """True if a row has no bound between two configurations: its edges are sampled, not proven."""
+        """True if the error of a row has no bound on its rate of change: edges are then checked at samples."""
         return any(part.sampled for part in self.parts)
 
     @property

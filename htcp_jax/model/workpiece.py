@@ -136,7 +136,7 @@ class Workpiece:
         if self.frames.normals is not None:
             return self.frames.normals
         if not len(self.cloud):
-            raise InputError(f"{self.name}: without a cloud, normals stand in the path's file: columns nx,ny,nz")
+            raise InputError(f"{self.name}: without a cloud, the path's file must contain normals, in columns nx,ny,nz")
         return wall_normals(self.cloud, self.path)
 
     @cached_property
@@ -151,7 +151,7 @@ class Workpiece:
 
     @cached_property
     def largest_gap_m(self) -> float:
-        """The largest distance from a point of the cloud to its nearest neighbour: holes are at least as wide."""
+        """Largest distance of a point of the cloud from its nearest neighbour [m]; the largest hole is no smaller."""
         return float(scipy.spatial.cKDTree(self.cloud).query(self.cloud, k=2)[0][:, 1].max())
 
     @property

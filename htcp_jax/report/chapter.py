@@ -288,7 +288,7 @@ def _notes_on_results(part: Part) -> list[str]:
     return [
         *([sampled] if names else []),
         "Executable are the targets to which a proven motion leads: from the given start, the arm clear all "
-        "along and the tool on its path. What lies beyond cannot be driven as it is planned. "
+        "along and the tool on its path. Targets beyond them are tracked, but not executable. "
         + _unchecked_sentence(part),
         "Means and the minimum clearance are over the tracked targets: a method that gets further also passes "
         "narrower places. Time is run time by attempted targets, over the complete run.",

@@ -92,7 +92,7 @@ def validation_summary(found: dict[str, Any]) -> str:
     checked, touching, paths = (sum(check[k] or 0 for check in checks) for k in ("checked", "paths_touching", "paths"))
     refuted = int(found["refuted_count"])
     outcome = "Validated: MuJoCo refutes none" if found["validated"] else f"Not valid: MuJoCo refutes {refuted:,}"
-    between = f"; {touching:,} of the {paths:,} joint paths between them touch" if found["between"] else ""
+    between = f"; {touching:,} of the {paths:,} joint paths between them collide" if found["between"] else ""
     return f"{outcome} of {checked:,} tracked targets{between}."
 
 

@@ -20,15 +20,15 @@ _VERDICT = {
 
 
 class ClarabelSolver:
-    """Solver of step QPs, equation (9), one after the other, on the caller's thread.
+    """Solver of step QPs, equation (9), in sequence on the caller's thread.
 
-    The interpreter's lock is released while a QP is solved: give every thread its own solver.
+    Not thread-safe, as the GIL is released while a QP is solved: use one solver per thread.
 
     Args:
         P: Diagonal of the cost.
         rows: Number of inequality rows, without the bounds.
-        tolerance: Clarabel's, of residuals and gap.
-        task_rows: Number of equations.
+        tolerance: Tolerance of Clarabel on the residuals and the duality gap.
+        task_rows: Number of equality rows.
     """
 
     def __init__(self, P: np.ndarray, rows: int, tolerance: float = 1e-8, task_rows: int = 3):

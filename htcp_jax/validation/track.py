@@ -248,7 +248,7 @@ def _failure_reasons(
     if found["tcp_error"] > tolerance_m + ROUNDING_M:
         reasons.append(f"the TCP is {1e3 * found['tcp_error']:.3f} mm from its target")
     if found["clearance"] <= -ROUNDING_M:
-        reasons.append(f"the arm touches: clearance {1e3 * found['clearance']:.3f} mm")
+        reasons.append(f"the arm is in collision: clearance {1e3 * found['clearance']:.3f} mm")
     beyond = (x < arm.lower - ROUNDING_M) | (x > arm.upper + ROUNDING_M)
     reasons += [f"{arm.joints[j]} is outside its limits at {x[j]:.6g}" for j in np.flatnonzero(beyond)]
     if found["through"]:
@@ -286,7 +286,7 @@ def _refuted_segments(track: Track, paths: JointPaths, found: dict[str, Any]) ->
     settings = track.config.settings
     away = holds_tcp(track.config.task) & proven & (found["deviation"] > settings.tube_m + ROUNDING_M)
     for k in np.flatnonzero(proven & found["touches"]).tolist():
-        reasons.setdefault(int(paths.target[k]), "the segment is recorded as valid, and touches")
+        reasons.setdefault(int(paths.target[k]), "the segment is recorded as valid, but collides")
     for k in np.flatnonzero(away).tolist():
         off = f"{1e3 * found['deviation'][k]:.3f} mm"
         reasons.setdefault(int(paths.target[k]), f"the segment is recorded as valid, and leaves its path by {off}")

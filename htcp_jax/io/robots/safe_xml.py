@@ -199,9 +199,7 @@ def _limit_number(joint: ElementTree.Element, name: str, path: Path) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(
-            f"{path}: joint {joint.get('name')!r} has the {name} {text!r}, which is not a number"
-        ) from None
+        raise InputError(f"{path}: joint {joint.get('name')!r}: <limit {name}={text!r}> is not a number") from None
 
 
 def unreadable_model(path: Path, error: Exception) -> InputError:

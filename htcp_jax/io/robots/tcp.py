@@ -133,7 +133,7 @@ def warn_of_jaw(model: mujoco.MjModel, path: Path, tip: Tip, joints: Sequence[in
     fix = " ".join(f"--fix {name}=VALUE" for name in moved)
     warnings.warn(
         f"{path}: the TCP {tip.name!r} is on a jaw that {', '.join(moved)} moves as a part of the arm; "
-        f"say --tcp with a frame before it ({_listed(names)}), or freeze it by {fix}",
+        f"choose a frame before the jaw with --tcp ({_listed(names)}), or freeze the jaw with {fix}",
         stacklevel=3,
     )
 
