@@ -15,6 +15,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.jobs.grid_axes import ScenarioPoint
+from htcp_jax.motion.dead_ends import DeadEnds, Tried
 from htcp_jax.motion.plans import ARRAYS, NO_TARGET
 from htcp_jax.runs import Run, open_run, tables, writer
 from htcp_jax.runs.identity import config_hash, identity
@@ -26,7 +27,8 @@ from htcp_jax.status import Status
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_RECOVERY, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NO_TARGET]]  # the last scenario has one target fewer
 JOINTS = tables.joint_columns(gp50())
-PLANS = plans_with(STATUS, joints=6)._replace(start=np.arange(24.0).reshape(4, 6) / 7)
+TRIED = DeadEnds.of({(1, 2): Tried(2, 300, 5, 1), (2, 1): Tried(0, 70, 0, 0)})
+PLANS = plans_with(STATUS, joints=6)._replace(start=np.arange(24.0).reshape(4, 6) / 7, dead_ends=TRIED)
 POINTS = tuple(ScenarioPoint(k, "starts", load_config(None, [f"margin_m={k / 10}"])) for k in range(4))
 SPANS = Span(0, 1), Span(2, 3)
 BY = planned_by()
@@ -75,6 +77,7 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path):
         value, written = getattr(plans, name), getattr(PLANS, name)
         np.testing.assert_array_equal(value[plans.exists], written[plans.exists], err_msg=name)
     np.testing.assert_array_equal(plans.exists, PLANS.exists)
+    assert [column.tolist() for column in plans.dead_ends] == [column.tolist() for column in TRIED]
     assert (plans.compile_s, plans.run_s) == (6.0, 2.0)  # the sums over two shards
 
 
@@ -96,6 +99,7 @@ def test_what_is_not_known_is_null_not_nan(tmp_path):
     for name in ("clearance_m", "residual_m", "joint_step_rad", "path_clear", "joint1_rad", "tcp_x_m"):
         assert table[name].is_null().to_pylist() == missed, name
     assert table["target_x_m"].null_count == 0
+    assert table["dead_end_found"].drop_null().to_pylist() == [5, 0]
 
 
 def test_the_parquet_files_are_plain_and_the_same_each_time(tmp_path):

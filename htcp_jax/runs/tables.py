@@ -16,7 +16,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import files
 from htcp_jax.jobs import grid_axes
 from htcp_jax.model import Robot
-from htcp_jax.motion import Plans, ViaPoints, motion, start_cause
+from htcp_jax.motion import Plans, Tried, ViaPoints, dead_ends, motion, start_cause
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs import parameters
 from htcp_jax.status import SegmentStatus, Status
@@ -32,6 +32,7 @@ XYZ = "xyz"
 MANIPULABILITY = "manipulability_m_rad"
 CAUSE = "colliding_body", "colliding_with", "cause"  # columns of scenarios that could not begin
 SHARES = "via_shares"
+TRIED = tuple(f"dead_end_{name}" for name in Tried._fields)
 STEPS = "joint_step_max_rad", "joint_step_target", "joint_step_joint"
 
 LEAST_CELLS = 1_000_000  # scenarios times targets that any file may expand to; or GROWTH times its rows
@@ -86,6 +87,9 @@ def target_table(
     columns[SHARES] = _via_point_column(plans, s, t, plans.via_points.shares_on)
     unknown = np.full(len(s), np.nan)
     columns[MANIPULABILITY] = _doubles(unknown if manipulability is None else manipulability[s, t])
+    ends, tried = plans.dead_ends, np.full((*plans.exists.shape, len(TRIED)), -1)
+    tried[ends.scenario, ends.target] = np.stack(ends[2:], axis=-1)
+    columns |= {name: pa.array(at, pa.int32(), mask=at < 0) for name, at in zip(TRIED, tried[s, t].T, strict=True)}
     return pa.table(columns)
 
 
@@ -136,7 +140,7 @@ def with_new_columns(rows: pa.Table, schema: pa.Schema) -> pa.Table:
 
     Without shares the tool stays at the target before.
     """
-    later = (MANIPULABILITY, SHARES, *STEPS, *CAUSE)
+    later = (MANIPULABILITY, SHARES, *TRIED, *STEPS, *CAUSE)
     new = [name for name in later if name in schema.names and name not in rows.column_names]
     if not new:
         return rows
@@ -214,7 +218,10 @@ def plans_of(
         array[s, t] = np.stack([_numpy(targets[name], np.nan) for name in names], axis=1)
     lists = zip(s.tolist(), t.tolist(), *(targets[name].to_pylist() for name in ("via_points", SHARES)), strict=True)
     via_points = [_segment(*row, len(joints)) for row in lists if row[2]]
-    return plans._replace(via_points=ViaPoints.of(via_points, len(joints)))
+    tried = [targets[name].to_pylist() for name in TRIED]
+    rows = zip(s.tolist(), t.tolist(), *tried, strict=True)
+    ends = {row[:2]: Tried(*row[2:]) for row in rows if row[2] is not None}
+    return plans._replace(via_points=ViaPoints.of(via_points, len(joints)), dead_ends=dead_ends.DeadEnds.of(ends))
 
 
 _READ = (
