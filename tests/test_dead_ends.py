@@ -35,6 +35,18 @@ def test_what_was_tried_is_recorded_at_the_lost_target_and_grows_with_the_effort
         assert "configurations sampled or extended" in much.dead_ends.on(int(s))[int(target)].description
 
 
+def test_the_search_ends_also_if_no_configuration_reaches_the_lost_target():
+    """Every round of draws costs effort (regression: an endless loop)."""
+    scenario = toy.scenario()
+    targets = scenario.targets.copy()
+    targets[-1] = [9.0, 0.0, 0.5]
+    settings = replace(toy.SETTINGS, effort=2.0, path_check="recoveries")  # no inserted goals
+    plans = toy.planned([replace(scenario, targets=targets)], settings=settings, threads=1)
+    tried = plans.dead_ends.on(0)[len(targets) - 1]
+    assert plans.outcome(0).failed == len(targets) - 1
+    assert tried.found == 0 and tried.configurations > 0
+
+
 def test_dead_ends_follow_their_scenarios():
     plans = with_effort(2.0)
     rows = np.arange(len(plans.status))[::-1]

@@ -17,6 +17,7 @@ import toy
 from jax.experimental.compilation_cache import compilation_cache
 
 import htcp_jax
+from htcp_jax import numerics
 from htcp_jax.cli.main import main
 from htcp_jax.device import Executor, compile_cache, executable_key, kept_executables
 from htcp_jax.device.executor import COMPILER, ExecutableCache
@@ -153,10 +154,13 @@ def test_files_that_were_not_used_for_the_longest_time_are_removed(folder, monke
         os.utime(folder / compile_cache.EXECUTABLES / name, (1e9 - age, 1e9 - age))
     (folder / "jit_old-cache").write_bytes(bytes(1000))  # of JAX's own cache
     os.utime(folder / "jit_old-cache", (1e8, 1e8))
+    (folder / "thesis.txt").write_bytes(bytes(1000))  # of somebody else
+    os.utime(folder / "thesis.txt", (1e7, 1e7))
     assert compile_cache.read_executable("used")
     monkeypatch.setattr(compile_cache, "MOST_BYTES", 3500)
     compile_cache.write_executable("last", bytes(1000))
     assert {file.name for file in files(folder)} == {"last", "new", "used"} and not (folder / "jit_old-cache").exists()
+    assert (folder / "thesis.txt").exists()
 
 
 def key_of(lane_function, settings=toy.SETTINGS, tables=(), scene=None):
@@ -219,11 +223,19 @@ def wraps_tcp(own=kinematics.tcp_position):
     return functools.wraps(own)(lambda *arguments: own(*arguments))
 
 
-@pytest.mark.parametrize("replaced", [lambda *_: None, key_of, wraps_tcp(), jax.jit(wraps_tcp())])
+@pytest.mark.parametrize(
+    "replaced",
+    [key_of, wraps_tcp(), jax.jit(wraps_tcp()), jax.vmap(key_of), partial(key_of), jax.custom_jvp(key_of)],
+)
 def test_a_process_that_replaced_a_function_of_the_core_gets_no_name(monkeypatch, replaced):
     """Neither does it load what others compiled, nor keep its own for others (regression: a fault passed the gate)."""
     assert key_of(TIP)
     monkeypatch.setattr(kinematics, "tcp_position", replaced)
+    assert key_of(TIP) is None
+
+
+def test_a_process_that_replaced_a_function_at_the_package_s_root_gets_no_name(monkeypatch):
+    monkeypatch.setattr(numerics, "product", lambda *_: None)
     assert key_of(TIP) is None
 
 

@@ -76,6 +76,19 @@ def test_a_first_column_that_counts_the_rows_is_ignored_with_a_note(tmp_path, he
         assert np.array_equal(read_points(file).xyz, POINTS), "a cloud is read alike"
 
 
+def test_a_straight_seam_with_normals_and_no_header_is_no_numbered_table(tmp_path):
+    """Steps of 1 mm count like rows (regression: y, z and nx were read as the point)."""
+    points = np.stack([np.arange(5.0), np.full(5, 10.25), np.full(5, 5.5)], axis=1)
+    found, said = read(write(tmp_path, "", points, np.tile([0.0, 0.0, 1.0], (5, 1))))
+    assert np.array_equal(found.xyz, points) and not said
+
+
+def test_normals_chosen_by_number_need_no_header_of_the_same_width(tmp_path):
+    file = write(tmp_path, "Point No x y z nx ny nz\n", NUMBERS, POINTS, NORMALS, separator=" ")
+    chosen = {name: k for k, name in enumerate(("x", "y", "z", "nx", "ny", "nz"), 2)}
+    assert np.allclose(read(file, chosen=chosen)[0].frames.normals, NORMALS)
+
+
 @pytest.mark.parametrize("column", [NUMBERS + 0.5, 2 * NUMBERS, NUMBERS + 1, NUMBERS[::-1]])
 def test_a_first_column_that_does_not_count_from_0_or_1_is_x(tmp_path, column):
     found, _ = read(write(tmp_path, "", column, POINTS))

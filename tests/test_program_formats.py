@@ -195,7 +195,7 @@ def test_a_job_holds_each_joint_in_its_group_and_each_group_at_its_own_speed():
 def read_rapid(text: str) -> tuple[np.ndarray, np.ndarray, list[float]]:
     """Robot axes, connected external axes, and times from configuration to configuration."""
     number, lines = r"(-?\d+\.\d+|9E9)", [line.strip() for line in text.splitlines()]
-    name = re.fullmatch(r"MODULE ([A-Za-z]\w*)", lines[0])[1]
+    name = re.fullmatch(r"MODULE ([A-Za-z]\w{0,25})Module", lines[0])[1]
     lines = [line for line in lines if not line.startswith("!")]
     assert lines[1] == f"PROC {name}()" and lines[-2:] == ["ENDPROC", "ENDMODULE"]
     axes = r"\[" + ",".join([number] * 6) + r"\]"
@@ -352,9 +352,9 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
         ("jbi-pulses", a_motion(), {"pulses": table_of(5)}, "5 pulses per radian for 6 joints"),
         ("jbi-pulses", a_motion(9), {}, "an arm of 9 joints"),
         ("rapid", a_motion(7), {}, "a robot of 7 joints; robjoint holds 6"),
-        ("rapid", a_motion(), {"slides": (True, *[False] * 5)}, "robjoint holds 6 turning joints"),
+        ("rapid", a_motion(), {"slides": (True, *[False] * 5)}, "j0 slides; robjoint holds revolute joints"),
         ("rapid", a_motion(13), {"groups": JointGroups(GROUPS.robot, (0, 1, 8), (9, 10, 11, 12))}, "7 external axes"),
-        ("rapid", a_motion(), {"name": "2 welds"}, "'2 welds' is not a name of a module"),
+        ("rapid", a_motion(), {"name": "2 welds"}, "'2 welds' is not a name of a procedure"),
         ("jbi-pulses", MANY, {}, "a job holds 9,999; the path has too many points"),
         ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),
         ("urscript", a_motion(), {"slides": (True, *[False] * 5)}, "1 of which slide"),

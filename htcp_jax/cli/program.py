@@ -131,10 +131,9 @@ def program(
     if found.drops:
         stdout().print()
         print_table(stdout(), drops)
-        middle = (
-            f"manipulability: the minimum there; its median on the path is {np.nanmedian(manipulability):.3f} m/rad."
-        )
-        stdout().print(Text(middle, style="dim"))
+        if not np.isnan(manipulability).all():
+            middle = f"its median on the path is {np.nanmedian(manipulability):.3f} m/rad"
+            stdout().print(Text(f"manipulability: the minimum there; {middle}.", style="dim"))
         if any(drop.reason == STOP for drop in found.drops):
             stdout().print(Text(f"{STOP}: the arm starts or stops there, as at both ends of the path.", style="dim"))
     return code
@@ -175,7 +174,7 @@ def _drop_table(found: figures.ProgramFigures, manipulability: Float[np.ndarray,
     rows = []
     for drop in found.drops:
         low, high = sorted((drop.first_target, drop.last_target))
-        own = float(np.nanmin(manipulability[low : high + 1]))
+        own = float(np.fmin.reduce(manipulability[low : high + 1]))
         rows.append((1e3 * drop.begin_m, 1e3 * drop.end_m, 1e3 * drop.feed_m_s, drop.target, own, drop.reason))
     return Table("feed_drops", COLUMNS, tuple(rows))
 

@@ -28,6 +28,7 @@ try:
 except ImportError:  # no POSIX system: processes that start together compile the same functions
     fcntl = None
 
+OF_JAX = "-cache", "-atime"  # ends of the names of JAX's files
 EXECUTABLES = "executables"  # the folder of executables, in the cache folder
 MOST_BYTES = 2**30  # of both kinds of files; beyond, those are removed that were not used for the longest time
 DIGEST = 32  # bytes at the beginning of a file of an executable
@@ -140,11 +141,11 @@ def _digest(key: str, content: bytes) -> bytes:
 
 
 def _remove_oldest(place: Path) -> None:
-    """Limit the files in the cache folder to MOST_BYTES."""
-    found = []
-    for each in [*os.scandir(place), *os.scandir(place / EXECUTABLES)]:
+    """Limit the files of JAX and of this package in the cache folder to MOST_BYTES; others are left alone."""
+    found, of_jax = [], [each for each in os.scandir(place) if each.name.endswith(OF_JAX)]
+    for each in [*of_jax, *os.scandir(place / EXECUTABLES)]:
         with contextlib.suppress(OSError):  # removed by another process
-            if each.is_file(follow_symlinks=False) and not each.name.endswith(".lock"):
+            if each.is_file(follow_symlinks=False):
                 known = each.stat(follow_symlinks=False)
                 found.append((max(known.st_atime, known.st_mtime), known.st_size, each.path))
     total = sum(size for _, size, _ in found)

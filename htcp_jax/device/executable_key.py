@@ -29,11 +29,9 @@ import numpy as np
 
 PACKAGE, ROOT = __name__.partition(".")[0], Path(__file__).parent.parent
 CORE = "model", "solvers", "clearance", "device", "motion", "planning", "reachability"  # of lane functions
-BEGINNINGS = tuple(f"{PACKAGE}.{name}" for name in CORE)  # of their modules' names
 LIBRARIES = "jax", "jaxlib", "numpy", "optax"  # that they use
-# Packages whose functions stand in the core's modules and classes without having been put there at run time.
-WRITTEN_BY = {PACKAGE, *LIBRARIES, *sys.stdlib_module_names, "beartype", "jaxtyping", "lazy_loader"} - {"__main__"}
-WRAPPERS = classmethod, staticmethod, type(jax.jit(len))
+INSTALLED = Path(jax.__file__).parents[1]  # where libraries are
+WRAPPERS = (classmethod, staticmethod, partial, type(jax.jit(len)), jax.custom_jvp, jax.custom_vjp, FunctionType)
 WITHOUT_EFFECT = re.compile("cache|platforms|default_device|log|traceback|dump")  # on programs, of JAX's configuration
 PROCESSOR = re.compile(
     "^(model name|flags|features|cpu (implementer|part|variant))\t*:.*", re.IGNORECASE | re.MULTILINE
@@ -117,21 +115,26 @@ def _source() -> str:
 def _has_replaced_functions() -> bool:
     """Tell whether a module or class of the core has a function that reads globals of a program, notebook or test."""
     for name, module in list(sys.modules.items()):
-        if name.startswith(BEGINNINGS):
+        package, *inner = name.split(".")
+        if package == PACKAGE and (len(inner) < 2 or inner[0] in CORE):
             own = vars(module)
             values = list(own.values())
             methods = (vars(each).values() for each in values if isinstance(each, type) and each.__module__ == name)
             for each in itertools.chain(values, *methods):
-                function = each.__wrapped__ if type(each) in WRAPPERS else each
-                if type(function) is FunctionType and function.__globals__ is not own:
-                    if not _is_installed(function.__globals__.get("__name__", PACKAGE)):
+                while type(each) in WRAPPERS:
+                    read = getattr(each, "__globals__", own)
+                    if read is not own and not _is_installed(read.get("__name__", PACKAGE)):
                         return True
+                    each = each.func if isinstance(each, partial) else getattr(each, "__wrapped__", None)
     return False
 
 
 @cache
 def _is_installed(module: str) -> bool:
-    return module.startswith("namedtuple_") or module.partition(".")[0] in WRITTEN_BY
+    """Tell whether a module is of this package, of Python or of a library, and not a program, notebook or test."""
+    package = module.partition(".")[0]
+    known = package == PACKAGE or package in sys.stdlib_module_names or module.startswith("namedtuple_")
+    return known or Path(getattr(sys.modules.get(package), "__file__", None) or "").is_relative_to(INSTALLED)
 
 
 @cache

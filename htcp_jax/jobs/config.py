@@ -241,7 +241,7 @@ class PulsesConfig(strict_model.FileSection):
 class JointGroupsConfig(strict_model.FileSection):
     """Names of the joints in the controller's groups, each in the controller's order."""
 
-    robot: tuple[str, ...]
+    robot: tuple[str, ...] = Field(min_length=1)
     base: tuple[str, ...] = ()  # axes that carry the robot: a rail
     station: tuple[str, ...] = ()  # axes of the positioner
 

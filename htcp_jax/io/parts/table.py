@@ -14,6 +14,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.io.files import read_array, read_bytes
 from htcp_jax.io.parts.columns import (
+    NEARLY_UNIT,
     XYZ,
     ColumnIndices,
     Heading,
@@ -79,10 +80,11 @@ def read_named(
     if unit not in (None, reader.columns.unit or unit):
         text = f"the header says {reader.columns.unit}, the job {unit}, which is used"
         warnings.warn(f"{path}: {text}", UserWarning, stacklevel=3)
-    names = [head.name for head in reader.header or ()] if reader.columns.named else []
+    header = reader.header if reader.columns.named and len(reader.header or ()) == reader.columns.width else None
+    names = [head.name for head in header or ()]
     for family in families:
         places = [reader.chosen.get(name, names.index(name) if name in names else None) for name in family]
-        if None in places or len(names) not in (0, reader.columns.width):
+        if None in places:
             continue
         cells = [[row[k] for k in places] for row in reader.rows]
         for k, row in enumerate(cells):
@@ -179,6 +181,8 @@ class _TableReader:
         ):
             return False
         first = _bare(self._counted[0][2][0] if self._counted else cells[0])
+        if not names and self.width == 6 and _is_unit(cells[3:]):  # coordinates and a normal
+            return False
         counts = first in ("0", "1") and _bare(cells[0]) == str(int(first) + len(self._counted))
         return counts and all(map(_is_numeric_cell, cells[1:4]))
 
@@ -252,6 +256,10 @@ def _table_text(path: Path) -> str:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file of points (it is not UTF-8)") from None
+
+
+def _is_unit(cells: Sequence[str]) -> bool:
+    return all(map(_is_numeric_cell, cells)) and abs(math.hypot(*map(float, cells)) - 1.0) < NEARLY_UNIT
 
 
 def _bare(cell: str) -> str:

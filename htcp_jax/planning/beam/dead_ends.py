@@ -25,6 +25,7 @@ from htcp_jax.status import SegmentStatus
 
 FIRST_ROUND = 100_000  # rounds of draws; smaller ones belong to other searches
 ROUNDS = 4  # of draws at a time
+FEW = 32  # of so many draws one counts as a configuration where fewer arrive at the target
 PUSHED = 24  # the clearest draws that are far apart; these are pushed clear
 APART_RAD = 0.2
 NEAR_RAD = 0.4  # standard deviation of draws around known configurations
@@ -151,7 +152,8 @@ class DeadEnds:
         order = reached[np.argsort(-here.clearance[reached], kind="stable")]
         apart = order[selection.first_apart(here.x[order], PUSHED, APART_RAD)]
         pushes = len(apart) * problem.settings.max_null_space_steps
-        self._sampled_on[s] = self._sampled_on.get(s, 0) + len(reached) + pushes
+        spent = max(len(reached), len(drawn) // FEW) + pushes
+        self._sampled_on[s] = self._sampled_on.get(s, 0) + spent
         inputs = problem.inputs(s, target, len(apart))
         pushed = checker.executor(stages.PUSH, inputs, here.x[apart]) if len(apart) else here
         at = checker.states(inputs, pushed.x)._replace(x=pushed.x, linear=None) if len(apart) else here

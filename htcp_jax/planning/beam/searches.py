@@ -105,8 +105,10 @@ class Searches:
 
     def chain(self, search: int) -> list[int]:
         """Return the search and those before it, latest first."""
-        earlier = int(self.columns.earlier[search])
-        return [search, *(self.chain(earlier) if earlier != NONE else [])]
+        found = [search]
+        while (earlier := int(self.columns.earlier[found[-1]])) != NONE:
+            found.append(earlier)
+        return found
 
     @property
     def tracked(self) -> int:

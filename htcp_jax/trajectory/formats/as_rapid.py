@@ -14,7 +14,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, header
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,25}")  # of the procedure; identifiers have up to 32 characters
 ROBOT_AXES, EXTERNAL_AXES = 6, 6
 NOT_CONNECTED = "9E9"
 MORE = (
@@ -24,20 +24,22 @@ MORE = (
 
 
 def rapid_text(timed: TimedMotion, controller: ControllerData) -> str:
-    """Return a module with one procedure of the same name.
+    """Return a module with one procedure.
 
     Raises:
         InputError: For a robot without exactly six revolute joints, for more than six external axes, and for an invalid
-            name of a module.
+            name.
     """
     groups = controller.groups or JointGroups(tuple(range(len(timed.joint_names))))
-    if len(groups.robot) != ROBOT_AXES or any(controller.slides[k] for k in groups.robot):
-        raise InputError(f"rapid: a robot of {len(groups.robot)} joints; robjoint holds {ROBOT_AXES} turning joints")
+    if len(groups.robot) != ROBOT_AXES:
+        raise InputError(f"rapid: a robot of {len(groups.robot)} joints; robjoint holds {ROBOT_AXES}")
+    if sliding := [timed.joint_names[k] for k in groups.robot if controller.slides[k]]:
+        raise InputError(f"rapid: {sliding[0]} slides; robjoint holds revolute joints, program.groups.base others")
     if len(groups.external) > EXTERNAL_AXES:
         raise InputError(f"rapid: {len(groups.external)} external axes; extjoint holds {EXTERNAL_AXES}")
     if not NAME.fullmatch(controller.name):
-        said = "up to 32 letters, digits and _, a letter first"
-        raise InputError(f"rapid: {controller.name!r} is not a name of a module; {said}")
+        said = "up to 26 letters, digits and _, a letter first"
+        raise InputError(f"rapid: {controller.name!r} is not a name of a procedure; {said}")
     tool = f"tool{controller.tool}"
     places = [f"[{_axes(row, controller, groups.robot)},{_axes(row, controller, groups.external)}]" for row in timed.x]
     about = header(timed, *MORE, f"Degrees and mm. {tool} must be set as it was planned.")
@@ -46,7 +48,7 @@ def rapid_text(timed: TimedMotion, controller: ControllerData) -> str:
     for k, (place, seconds) in enumerate(zip(places[1:], np.diff(timed.time_s).tolist(), strict=True), start=1):
         zone = "fine" if k == len(timed.x) - 1 else "z0"
         lines.append(f"    MoveAbsJ {place}\\NoEOffs,v1000\\T:={seconds:.6f},{zone},{tool};")
-    return "\n".join([f"MODULE {controller.name}", *lines, "  ENDPROC", "ENDMODULE"]) + "\n"
+    return "\n".join([f"MODULE {controller.name}Module", *lines, "  ENDPROC", "ENDMODULE"]) + "\n"
 
 
 def _axes(x: Float[np.ndarray, "N"], controller: ControllerData, columns: tuple[int, ...]) -> str:
