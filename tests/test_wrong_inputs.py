@@ -508,7 +508,7 @@ ARMS = [
     arm("<worldbody>", '<custom><numeric name="speed" data="1 0 1"/></custom><worldbody>', "'speed' must be positive"),
     arm('pos="0 0 1"', 'pos="0 0 nan"', ""),
     urdf('type="revolute"', 'type="floating"', "free joint"),
-    urdf('velocity="2"', 'velocity="fast"', "joint 'j2' has the velocity 'fast', which is not a number"),
+    urdf('velocity="2"', 'velocity="fast"', "joint 'j2': <limit velocity='fast'> is not a number"),
     urdf('<sphere radius="0.1"/>', '<box size="1 1 1"/>', "no capsule or sphere geoms"),
     urdf('<child link="l3"/>', '<child link="l9"/>', "not a model that MuJoCo can read"),
     urdf('lower="-1" upper="1" velocity="1"', 'lower="2" upper="1" velocity="1"', "joint 'j1' has range 2 to 1"),
