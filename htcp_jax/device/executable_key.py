@@ -120,12 +120,18 @@ def _has_replaced_functions() -> bool:
             own = vars(module)
             values = list(own.values())
             methods = (vars(each).values() for each in values if isinstance(each, type) and each.__module__ == name)
-            for each in itertools.chain(values, *methods):
-                while type(each) in WRAPPERS:
-                    read = getattr(each, "__globals__", own)
-                    if read is not own and not _is_installed(read.get("__name__", PACKAGE)):
-                        return True
-                    each = each.func if isinstance(each, partial) else getattr(each, "__wrapped__", None)
+            if any(_reads_others(each, own) for each in itertools.chain(values, *methods) if type(each) in WRAPPERS):
+                return True
+    return False
+
+
+def _reads_others(function: Any, own: dict[str, Any]) -> bool:
+    """Tell whether a function, or one that it wraps, reads globals of a program, notebook or test; not its module's."""
+    while type(function) in WRAPPERS:
+        read = getattr(function, "__globals__", own)
+        if read is not own and not _is_installed(read.get("__name__", PACKAGE)):
+            return True
+        function = function.func if isinstance(function, partial) else getattr(function, "__wrapped__", None)
     return False
 
 

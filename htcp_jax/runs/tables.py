@@ -218,9 +218,9 @@ def plans_of(
         array[s, t] = np.stack([_numpy(targets[name], np.nan) for name in names], axis=1)
     lists = zip(s.tolist(), t.tolist(), *(targets[name].to_pylist() for name in ("via_points", SHARES)), strict=True)
     via_points = [_segment(*row, len(joints)) for row in lists if row[2]]
-    tried = [targets[name].to_pylist() for name in TRIED]
-    rows = zip(s.tolist(), t.tolist(), *tried, strict=True)
-    ends = {row[:2]: Tried(*row[2:]) for row in rows if row[2] is not None}
+    ended = targets.filter(targets[TRIED[0]].is_valid())  # few of all rows
+    rows = zip(*(ended[name].to_pylist() for name in ("scenario", "target", *TRIED)), strict=True)
+    ends = {row[:2]: Tried(*row[2:]) for row in rows}
     return plans._replace(via_points=ViaPoints.of(via_points, len(joints)), dead_ends=dead_ends.DeadEnds.of(ends))
 
 

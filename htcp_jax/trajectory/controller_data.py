@@ -54,6 +54,11 @@ class ControllerData(NamedTuple):
     control_step_s: float = 0.002  # of the controller
     in_file: tuple[int, ...] | None = None  # the joints in the order of the model's file; None: the same
 
+    @property
+    def joint_groups(self) -> JointGroups:
+        """The groups; without any, all joints are the robot's."""
+        return self.groups or JointGroups(tuple(range(len(self.slides))))
+
 
 def header(timed: TimedMotion, *more: str) -> list[str]:
     """Return the header of every file, one sentence per line; `more` are further sentences of the format."""

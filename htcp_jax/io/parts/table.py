@@ -180,9 +180,9 @@ class _TableReader:
             or (len(names) != self.width - 1 and (coordinates_in(names) or "x" in names[:1]))
         ):
             return False
-        first = _bare(self._counted[0][2][0] if self._counted else cells[0])
         if not names and self.width == 6 and _is_unit(cells[3:]):  # coordinates and a normal
             return False
+        first = _bare(self._counted[0][2][0] if self._counted else cells[0])
         counts = first in ("0", "1") and _bare(cells[0]) == str(int(first) + len(self._counted))
         return counts and all(map(_is_numeric_cell, cells[1:4]))
 

@@ -13,7 +13,7 @@ follows Basler's and Balluff's pages on Yaskawa's pose format.
 
 import re
 import textwrap
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
@@ -69,31 +69,26 @@ def jbi_pulses_text(timed: TimedMotion, controller: ControllerData) -> str:
     """
     if (pulses := controller.pulses) is None:
         raise InputError("jbi-pulses: no table; program.pulses gives one: {per_rad: [...], source: ...}")
-    groups = controller.groups or JointGroups(tuple(range(len(timed.joint_names))))
+    groups = controller.joint_groups
     if len(groups.robot) > MOST_JOINTS:
         raise InputError(f"jbi-pulses: an arm of {len(groups.robot)} joints; a job holds up to {MOST_JOINTS}")
     if np.shape(pulses.per_unit) != timed.x.shape[1:]:
         raise InputError(f"jbi-pulses: {np.size(pulses.per_unit)} pulses per radian for {timed.x.shape[1]} joints")
     counts = np.round((timed.x - pulses.zero) * pulses.per_unit).astype(int)
-    columns = {kind: list(of) for kind, of in zip(POSITIONS, groups, strict=True) if of}
     positions = [
         f"{kind}{k:05d}={','.join(map(str, row))}"
-        for kind, of in columns.items()
-        for k, row in enumerate(counts[:, of].tolist())
+        for kind, columns in zip(POSITIONS, groups, strict=True)
+        if columns
+        for k, row in enumerate(counts[:, list(columns)].tolist())
     ]
     about = header(timed, *MORE, f"Tool {controller.tool}. Pulses by {pulses.source}.")
     moves = _pulse_move_lines(_percents(timed, controller, "jbi-pulses"), groups)
     names = [f"///TOOL {controller.tool}", "///POSTYPE PULSE", "///PULSE"]
-    return _job("jbi-pulses", controller, [*names, *positions], ["///ATTR SC,RW"], [*_remarks(about), *moves], columns)
+    return _job("jbi-pulses", controller, [*names, *positions], ["///ATTR SC,RW"], [*_remarks(about), *moves])
 
 
 def _job(
-    format: str,
-    controller: ControllerData,
-    positions: list[str],
-    attributes: list[str],
-    instructions: list[str],
-    kinds: Collection[str] = ("C",),
+    format: str, controller: ControllerData, positions: list[str], attributes: list[str], instructions: list[str]
 ) -> str:
     if not NAME.fullmatch(controller.name):
         raise InputError(f"{format}: {controller.name!r} is not a name of a job; up to 32 of A to Z, 0 to 9, - and _")
@@ -102,7 +97,8 @@ def _job(
     counts = [sum(re.match(rf"{kind}\d", line) is not None for line in positions) for kind in POSITIONS]
     head = ["/JOB", f"//NAME {controller.name}", "//POS", f"///NPOS {','.join(map(str, counts))},0,0,0", *positions]
     date = [] if controller.date is None else [f"///DATE {controller.date:%Y/%m/%d %H:%M}"]
-    groups = ["///GROUP1 RB1,BS1" if "BC" in kinds else "///GROUP1 RB1", *(["///GROUP2 ST1"] if "EC" in kinds else [])]
+    _, base, station = counts
+    groups = ["///GROUP1 RB1,BS1" if base else "///GROUP1 RB1", *(["///GROUP2 ST1"] if station else [])]
     return "\r\n".join([*head, "//INST", *date, *attributes, *groups, "NOP", *instructions, "END"]) + "\r\n"
 
 

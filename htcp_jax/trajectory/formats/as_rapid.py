@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, header
+from htcp_jax.trajectory.controller_data import ControllerData, header
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,25}")  # of the procedure; identifiers have up to 32 characters
@@ -30,7 +30,7 @@ def rapid_text(timed: TimedMotion, controller: ControllerData) -> str:
         InputError: For a robot without exactly six revolute joints, for more than six external axes, and for an invalid
             name.
     """
-    groups = controller.groups or JointGroups(tuple(range(len(timed.joint_names))))
+    groups = controller.joint_groups
     if len(groups.robot) != ROBOT_AXES:
         raise InputError(f"rapid: a robot of {len(groups.robot)} joints; robjoint holds {ROBOT_AXES}")
     if sliding := [timed.joint_names[k] for k in groups.robot if controller.slides[k]]:
