@@ -119,16 +119,17 @@ class Plan:
         at = self._least_manipulability
         if at is None:
             return {}
-        middle = np.nanmedian(self.manipulability)
+        middle = np.nanmedian(self.manipulability[self.scenario.on_path :])
         return {
             "manipulability": f"{self.manipulability[at]:.3g} m/rad minimum, at target {at}; {middle:.3g} m/rad median"
         }
 
     @property
     def _least_manipulability(self) -> int | None:
-        """Target of the smallest manipulability; None if none is known."""
-        known = self.manipulability
-        return None if np.isnan(known).all() else int(np.nanargmin(known))
+        """Target of the path with the smallest manipulability; None if none is known."""
+        first = int(self.scenario.on_path)
+        known = self.manipulability[first:]
+        return None if np.isnan(known).all() else first + int(np.nanargmin(known))
 
     def _length(self) -> dict[str, str]:
         """Return the length of the motion in the joints and of the executable part of the tool's path, as text."""

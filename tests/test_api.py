@@ -58,6 +58,18 @@ def test_a_plan_is_a_frame_a_figure_and_a_table(short, tmp_path):
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["tracked"] == 13
 
 
+def test_the_smallest_manipulability_is_that_of_the_path_without_its_approach(short):
+    plan = htcp_jax.plan(overrides=short, method="baseline")
+    values, first = plan.manipulability.copy(), int(plan.scenario.on_path)
+    values[:first] = 1e-6 * np.arange(1, first + 1)
+    plan.__dict__["manipulability"] = values
+    at, record = first + int(np.argmin(values[first:])), plan.record()
+    assert (record["manipulability_min_target"], record["manipulability_min_m_rad"]) == (at, values[at])
+    middle = np.median(values[first:])
+    expected = f"{values[at]:.3g} m/rad minimum, at target {at}; {middle:.3g} m/rad median"
+    assert plan.facts()["manipulability"] == expected
+
+
 def test_clearance_to_a_mesh_is_reported_with_and_without_the_covering_radius(short):
     """Clearance of a mesh: what is measured, and what is subtracted (regression: 0.5 mm were 1.88 mm by MuJoCo)."""
     plan = htcp_jax.plan(overrides=short, method="baseline")

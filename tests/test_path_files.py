@@ -162,6 +162,16 @@ def test_a_header_that_is_ambiguous_is_refused_with_its_names(tmp_path, header, 
     assert words in refusal(write(tmp_path, f"{header}\n", POINTS, QUATERNIONS))
 
 
+@pytest.mark.parametrize("header, unit", [
+    ("x [inch],y [inch],z [inch]", "inch"), ("X (Feet),y,z", "feet"), ("# x y z [100 mm]", "100_mm"),
+])  # fmt: skip
+def test_an_unknown_unit_of_a_header_is_refused_unless_the_job_states_one(tmp_path, header, unit):
+    file = write(tmp_path, f"{header}\n", POINTS)
+    valid = "m, mm, cm, in, or workpiece.path_unit for a path"
+    assert refusal(file) == f"the header states the unit {unit!r}; valid: {valid}"
+    assert np.allclose(read(file, unit="in")[0].xyz, 0.0254 * POINTS)
+
+
 def test_the_job_s_unit_takes_precedence_over_the_header_s_with_a_warning(tmp_path):
     found, said = read(write(tmp_path, "x_m,y_m,z_m\n", 1e3 * POINTS), unit="mm")
     assert np.allclose(found.xyz, POINTS, rtol=1e-15, atol=0)

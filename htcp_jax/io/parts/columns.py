@@ -41,7 +41,7 @@ class Heading(NamedTuple):
 
     text: str  # as it stands in the file
     name: str  # plain: small letters, without its unit
-    unit: str | None  # one of PER_METRE; None if it states none of them
+    unit: str | None  # as it states it, in small letters; None if it states none
 
 
 class ColumnIndices(NamedTuple):
@@ -51,7 +51,7 @@ class ColumnIndices(NamedTuple):
     xyz: tuple[int, ...]
     normals: tuple[int, ...] | None
     named: bool  # by a header or by the caller; otherwise the normals are a guess that `points` checks
-    unit: str | None = None  # of the coordinates, one of PER_METRE, as the header says; None if it says nothing
+    unit: str | None = None  # of the coordinates, as the header states it; None if it states none
     numbered: bool = False  # True if the first column counts the rows, and is ignored
 
     def points(self, xyz: np.ndarray, normals: np.ndarray | None, source: str, unit: str | None = None) -> TablePoints:
@@ -62,7 +62,14 @@ class ColumnIndices(NamedTuple):
             normals: Normals (P, 3), of any length; None without such columns.
             source: The file, for the Note.
             unit: One of PER_METRE; None: the header's, or m without one.
+
+        Raises:
+            InputError: If the header states a unit that is none of PER_METRE.
         """
+        unit = unit or self.unit or "m"
+        if unit not in PER_METRE:
+            valid = f"{', '.join(PER_METRE)}, or workpiece.path_unit for a path"
+            raise InputError(f"{source}: the header states the unit {unit!r}; valid: {valid}")
         normals = None if normals is None else _normalised(normals, certain=self.named)
         if not self.named and self.width > 3:
             rest = "and the others ignored" if normals is None else "the others as normals"
@@ -71,7 +78,7 @@ class ColumnIndices(NamedTuple):
                 rest = f", {rest}" if self.width > 4 else ""
                 text = f"{self.width} columns; the first counts the rows, the next three are taken as x, y, z{rest}"
             warnings.warn(f"{source}: {text}", Note, stacklevel=4)
-        return TablePoints(xyz / PER_METRE[unit or self.unit or "m"], normals)
+        return TablePoints(xyz / PER_METRE[unit], normals)
 
 
 def headings(line: str) -> list[Heading]:
@@ -94,7 +101,7 @@ def _heading(cell: str) -> Heading:
     if not unit and (found := SUFFIX.fullmatch(name)):
         name, unit = found.groups()
     name = re.sub(r"[.\s]+", "_", name).removeprefix("pose_")
-    return Heading(text.replace("[", " [") if inside else text, name, unit if unit in PER_METRE else None)
+    return Heading(text.replace("[", " [") if inside else text, name, unit or None)
 
 
 def cells_of(line: str) -> list[str]:
@@ -214,9 +221,9 @@ def unit_of(header: Sequence[Heading], xyz: Sequence[int], source: str) -> str |
     Raises:
         InputError: If it states several.
     """
-    units = list(dict.fromkeys(header[k].unit for k in xyz if k < len(header) and header[k].unit is not None))
+    units = list(dict.fromkeys(head.unit for head in (header[k] for k in xyz if k < len(header)) if head.unit))
     if len(units) > 1:
-        raise InputError(f"{source}: coordinates in {' and '.join(map(str, units))}: {listed(header)}")
+        raise InputError(f"{source}: coordinates in {' and '.join(units)}: {listed(header)}")
     return units[0] if units else None
 
 

@@ -15,7 +15,6 @@ from htcp_jax.io.parts import columns
 from htcp_jax.io.parts.table import read_named
 from htcp_jax.model import PathFrames
 
-NEARLY_UNIT = 0.01
 GUESSED = ("i", "j", "k")  # normals only if they are unit vectors; otherwise perhaps numbers of cells
 
 
@@ -58,7 +57,7 @@ def read_path_points(
 
 def _unit_vectors(values: np.ndarray, names: tuple[str, ...], what: str, path: Path) -> np.ndarray | None:
     length = np.linalg.norm(values, axis=1)
-    if len(wrong := np.flatnonzero(~(np.abs(length - 1.0) < NEARLY_UNIT))):
+    if len(wrong := np.flatnonzero(~(np.abs(length - 1.0) < columns.NEARLY_UNIT))):
         off = f"of point {wrong[0] + 1} has the length {length[wrong[0]]:.4g}"
         if names != GUESSED:
             raise InputError(f"{path}: the {what} {off}; 1 is needed")
