@@ -231,8 +231,9 @@ class Plan:
         if (lost := self._lost_place) is not None and end.failed is not None:
             place = f"{100 * lost.share:.0f} % of the way from target {end.failed - 1}"
             facts[f"failed at target {end.failed}"] += f"; at {place}"
-        if end.failed in self.dead_ends:
-            facts[f"after the dead end at target {end.failed}"] = self.dead_ends[end.failed].description
+        for target, tried in self.dead_ends.items():  # those before were passed
+            if end.failed is not None and target >= end.failed:
+                facts[f"after the dead end at target {target}"] = tried.description
         if self.start_cause is not None:
             facts["cause"] = self.start_cause.description
         elif self.obstruction is not None:
@@ -279,7 +280,7 @@ class Plan:
         known["manipulability_min_m_rad"] = None if at is None else float(self.manipulability[at])
         known["manipulability_min_target"] = at
         known["colliding_body"] = self.obstruction and self.obstruction.record()
-        known["dead_ends"] = [{"target": target} | tried._asdict() for target, tried in self.dead_ends.items()]
+        known["dead_ends"] = [{"target": target} | tried.record() for target, tried in self.dead_ends.items()]
         known["cause"] = self.start_cause and self.start_cause.description
         config = self.job.model_dump()
         files = runs.input_files.file_hashes(runs.input_files.anchor_files(config))

@@ -83,6 +83,35 @@ _MESSAGES = {
 }
 
 
+class Exclusion(enum.IntEnum):
+    """Reason why no configuration is clear at a target, if that is proven: the bodies that the proof needs."""
+
+    NONE = 0  # not proven
+    OUT_OF_REACH = 1  # no body
+    TOOL = 2
+    WRIST = 3  # in addition the link before the tool
+    ARM = 4
+
+    @property
+    def words(self) -> str:
+        """The name as text: "out of reach"."""
+        return self.name.replace("_", " ").lower()
+
+    @property
+    def message(self) -> str:
+        """Description in a few words."""
+        return _EXCLUSION_MESSAGES[self]
+
+
+_EXCLUSION_MESSAGES = {
+    Exclusion.NONE: "not excluded by proof",
+    Exclusion.OUT_OF_REACH: "the arm does not get there",
+    Exclusion.TOOL: "the tool collides",
+    Exclusion.WRIST: "the tool, or the link before it, collides",
+    Exclusion.ARM: "the tool or the arm behind it collides",
+}
+
+
 class SegmentStatus(enum.IntEnum):
     """Verification result for the motion segment from one row of a plan to the next; stored as int8."""
 

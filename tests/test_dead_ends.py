@@ -7,8 +7,13 @@ import pytest
 import toy
 
 from htcp_jax.errors import InputError
-from htcp_jax.motion import Plans
+from htcp_jax.model import Workpiece
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.motion import Plans, Tried
+from htcp_jax.motion.dead_ends import DeadEnds
+from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings, settings_of
+from htcp_jax.status import Exclusion
 
 
 def with_effort(effort: float) -> Plans:
@@ -35,16 +40,42 @@ def test_what_was_tried_is_recorded_at_the_lost_target_and_grows_with_the_effort
         assert "configurations sampled or extended" in much.dead_ends.on(int(s))[int(target)].description
 
 
+def towards_a_ball(**changes) -> Plans:
+    """A path that ends in the middle of a hollow ball, into which no tool gets."""
+    k = np.arange(4000) + 0.5
+    z, turn = 1 - 2 * k / 4000, np.pi * (1 + 5**0.5) * k
+    ball = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    path = np.array([[0.5, 0.3, 0.6], [0.5, 0.0, 0.5]])
+    part = Workpiece("ball", path[-1] + 0.05 * ball, path, interior="none", pivot=np.zeros(3),
+                     neutral_translation=np.zeros(3))  # fmt: skip
+    one, settings = make_scenario(toy.robot(), part, None, **changes), replace(toy.SETTINGS, path_check="recoveries")
+    return plan(toy.robot(), part, one, settings=settings, threads=1)  # without inserted goals
+
+
 def test_the_search_ends_also_if_no_configuration_reaches_the_lost_target():
-    """Every round of draws costs effort (regression: an endless loop)."""
+    """Every round of draws costs effort (regression: an endless loop). With a small margin few cells prove nothing."""
+    plans = towards_a_ball()
+    (tried,) = plans.dead_ends.on(0).values()
+    assert not tried.excluded and tried.found == 0 and tried.configurations > 0
+
+
+def test_nothing_is_searched_after_a_target_that_is_excluded_by_proof():
+    plans = towards_a_ball(margin_m=0.08)
+    assert plans.outcome(0).failed == plans.outcome(0).targets - 1
+    assert plans.dead_ends.on(0) == {plans.outcome(0).failed: Tried(excluded=Exclusion.TOOL)}
+
+
+def test_the_reason_of_an_exclusion_is_kept_when_rows_are_selected_and_folded():
     scenario = toy.scenario()
-    targets = scenario.targets.copy()
+    targets, last = scenario.targets.copy(), len(scenario.targets) - 1
     targets[-1] = [9.0, 0.0, 0.5]
-    settings = replace(toy.SETTINGS, effort=2.0, path_check="recoveries")  # no inserted goals
-    plans = toy.planned([replace(scenario, targets=targets)], settings=settings, threads=1)
-    tried = plans.dead_ends.on(0)[len(targets) - 1]
-    assert plans.outcome(0).failed == len(targets) - 1
-    assert tried.found == 0 and tried.configurations > 0
+    settings = replace(toy.SETTINGS, path_check="recoveries")  # no inserted goals
+    plans = toy.planned([toy.scenario(), replace(scenario, targets=targets)], settings=settings, threads=1)
+    tried = Tried(excluded=Exclusion.OUT_OF_REACH)
+    assert plans.dead_ends.on(1)[last] == tried and plans.rows([1]).dead_ends.on(0)[last] == tried
+    assert "excluded by proof: the arm does not get there" in tried.description
+    both = DeadEnds.of({(0, 3): Tried(1, 20, 0, 0), (0, 4): tried}).moved(np.zeros((1, 5), int))
+    assert both.on(0) == {0: Tried(1, 20, 0, 0, Exclusion.OUT_OF_REACH)}
 
 
 def test_dead_ends_follow_their_scenarios():

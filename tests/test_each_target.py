@@ -19,9 +19,9 @@ from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import max_reach, tcp_position
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.tool_cells import excluded
 from htcp_jax.reachability import Reach, initial_reachability, reachable_prefixes
 from htcp_jax.reachability.reachability import _upper_bounds
-from htcp_jax.reachability.tool_cells import excluded
 from htcp_jax.settings import Settings
 
 FAR = (5.0, 0.0, 0.5)

@@ -20,8 +20,8 @@ from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import link_poses, point_positions, tcp_position
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.tool_cells import tool_cells
 from htcp_jax.reachability import reachable_prefixes
-from htcp_jax.reachability.tool_cells import tool_cells
 from htcp_jax.settings import Settings
 
 COARSE = 0.22

@@ -22,12 +22,12 @@ from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.lock import locked
 from htcp_jax.runs.manifest import Manifest, Span
 from htcp_jax.runs.provenance import planned_by
-from htcp_jax.status import Status
+from htcp_jax.status import Exclusion, Status
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_RECOVERY, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NO_TARGET]]  # the last scenario has one target fewer
 JOINTS = tables.joint_columns(gp50())
-TRIED = DeadEnds.of({(1, 2): Tried(2, 300, 5, 1), (2, 1): Tried(0, 70, 0, 0)})
+TRIED = DeadEnds.of({(1, 2): Tried(2, 300, 5, 1), (2, 1): Tried(excluded=Exclusion.TOOL)})
 PLANS = plans_with(STATUS, joints=6)._replace(start=np.arange(24.0).reshape(4, 6) / 7, dead_ends=TRIED)
 POINTS = tuple(ScenarioPoint(k, "starts", load_config(None, [f"margin_m={k / 10}"])) for k in range(4))
 SPANS = Span(0, 1), Span(2, 3)
@@ -100,6 +100,7 @@ def test_what_is_not_known_is_null_not_nan(tmp_path):
         assert table[name].is_null().to_pylist() == missed, name
     assert table["target_x_m"].null_count == 0
     assert table["dead_end_found"].drop_null().to_pylist() == [5, 0]
+    assert table["dead_end_excluded"].drop_null().to_pylist() == ["tool"]
 
 
 def test_the_parquet_files_are_plain_and_the_same_each_time(tmp_path):

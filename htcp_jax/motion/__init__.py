@@ -7,9 +7,10 @@ between them, on one device; `collision_checker` has its calls.
 
 `motion_check` verifies each segment, `home` leads from and to the home configuration, `start_cause` finds the reason
 for a start that fails, `smoothing` shortens a motion within its margin. `configuration_tree` keeps configurations with
-their parents, `selection` chooses some that lie apart, `transfers` joins a plan to its start. `lane_inputs` and
-`step_functions` are the rows that compiled functions take, and those functions. `plans` and `motion` compute outcomes
-and figures: complete or not, cost, curvature, clearance.
+their parents, `selection` chooses some that lie apart, `transfers` joins a plan to its start. `tool_cells` and
+`exclusions` prove that a target has no clear configuration. `lane_inputs` and `step_functions` are the rows that
+compiled functions take, and those functions. `plans` and `motion` compute outcomes and figures: complete or not, cost,
+curvature, clearance.
 """
 
 import lazy_loader

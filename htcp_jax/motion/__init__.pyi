@@ -2,6 +2,7 @@ from . import (
     collision_checker,
     configuration_tree,
     dead_ends,
+    exclusions,
     home,
     lane_inputs,
     manipulability,
@@ -12,6 +13,7 @@ from . import (
     smoothing,
     start_cause,
     step_functions,
+    tool_cells,
     transfers,
 )
 from .collision_checker import CollisionChecker
@@ -31,6 +33,7 @@ __all__ = [
     "collision_checker",
     "configuration_tree",
     "dead_ends",
+    "exclusions",
     "home",
     "lane_inputs",
     "manipulability",
@@ -41,5 +44,6 @@ __all__ = [
     "smoothing",
     "start_cause",
     "step_functions",
+    "tool_cells",
     "transfers",
 ]

@@ -1,11 +1,11 @@
 """Search for any clear configuration at a target, complete at a stated resolution of the null space.
 
 With its tip on the target, an arm with six joints has as many degrees of freedom left as its tool has orientations. All
-of these are covered by cells of a stated radius (`tool_cells`), except those in which the tool certainly collides. Each
-cell's centre is the goal of Newton's method from several seeds, the nearest of many configurations with known poses, so
-that all branches of the inverse kinematics (elbow up or down and so on) are found. The results are brought onto the
-target, and the clearest that are far apart are pushed clear. An arm with more joints has further redundancy, which only
-the seeds cover.
+of these are covered by cells of a stated radius (`motion.tool_cells`), except those in which the tool certainly
+collides. Each cell's centre is the goal of Newton's method from several seeds, the nearest of many configurations with
+known poses, so that all branches of the inverse kinematics (elbow up or down and so on) are found. The results are
+brought onto the target, and the clearest that are far apart are pushed clear. An arm with more joints has further
+redundancy, which only the seeds cover.
 
 If a task does not fix the tip's position there are no cells: configurations spread over the joint limits are brought
 onto the target, and the search is not complete.
@@ -25,10 +25,9 @@ from htcp_jax.clearance import Scene, clearance
 from htcp_jax.device import lane_function, tables
 from htcp_jax.model import Robot, Task, inverse_kinematics, kinematics, rotations
 from htcp_jax.model import robot as robots
-from htcp_jax.motion import CollisionChecker, lane_inputs, selection, step_functions
+from htcp_jax.motion import CollisionChecker, lane_inputs, selection, step_functions, tool_cells
 from htcp_jax.numerics import product
 from htcp_jax.planning.tracking import stages
-from htcp_jax.reachability.tool_cells import MANY, Cells, tool_cells
 from htcp_jax.settings import Settings
 
 CELLS = 20_000  # maximum per target; with more, the resolution is coarser and is reported
@@ -90,8 +89,8 @@ def measure(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x):
     return clearance(scene.robot, scene.obstacles, lane, x)
 
 
-AIM = lane_function.LaneFunction("aim", aim, MANY)
-MEASURE = lane_function.LaneFunction("measure", measure, MANY)
+AIM = lane_function.LaneFunction("aim", aim, tool_cells.MANY)
+MEASURE = lane_function.LaneFunction("measure", measure, tool_cells.MANY)
 
 
 def known_configurations(robot: Robot, extensions_m: np.ndarray) -> KnownConfigurations:
@@ -129,7 +128,7 @@ def search(
     lanes, joints = len(inputs.row), len(checker.executor.limits[0])
     x, best = np.zeros((lanes, PUSHED, joints)), np.full((lanes, PUSHED), -np.inf)
     if checker.task.holds_tcp:
-        cells = tool_cells(checker.executor, inputs, resolution_rad, CELLS)
+        cells = tool_cells.tool_cells(checker.executor, inputs, resolution_rad, CELLS)
         lane, radius_rad, on = cells.lane, cells.radius_rad, _aimed(checker, known, inputs, cells)
     else:
         lane, radius_rad, on = np.arange(lanes), np.full(lanes, np.pi), _settled(checker, known, inputs)
@@ -203,7 +202,7 @@ def _random_moves(inputs: lane_inputs.LaneInputs, k: int, round_: int, joints: i
 
 
 def _aimed(
-    checker: CollisionChecker, known: KnownConfigurations, inputs: lane_inputs.LaneInputs, cells: Cells
+    checker: CollisionChecker, known: KnownConfigurations, inputs: lane_inputs.LaneInputs, cells: tool_cells.Cells
 ) -> OnTarget:
     """Return configurations on the target in all cells."""
     which, seeds = _seeds(checker.task, known, inputs, cells)
@@ -238,7 +237,7 @@ def _clearest_apart(
     return tables.gather((lane, x), np.concatenate(kept))
 
 
-def _seeds(task: Task, known: KnownConfigurations, inputs: lane_inputs.LaneInputs, cells: Cells):
+def _seeds(task: Task, known: KnownConfigurations, inputs: lane_inputs.LaneInputs, cells: tool_cells.Cells):
     """Return the known configurations whose poses are nearest to each cell: the cell's index, and the configuration."""
     which, seeds = [], []
     extension, place = inputs.tool_extension_m[cells.lane], task.tcp_place(inputs.target)

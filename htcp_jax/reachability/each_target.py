@@ -4,8 +4,9 @@ A target is reachable if a clear configuration was found there. Configurations o
 are carried over, re-anchored and pushed clear; where that fails, the target is searched at a coarse resolution, then
 proofs of exclusion are tried, and what they leave is searched at the requested resolution (`configuration_search`).
 
-An excluded target has a proof that no configuration is clear there (`tool_cells.excluded`). Its reason is the smallest
-set of bodies that the proof needs: none (out of reach), the tool, the link before it (wrist), or the arm.
+An excluded target has a proof that no configuration is clear there (`motion.tool_cells`). Its reason is the smallest
+set of bodies that the proof needs (`motion.exclusions`): none (out of reach), the tool, the link before it (wrist), or
+the arm.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,15 +15,13 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from htcp_jax.clearance.proof import exclusion
-from htcp_jax.device import tables
-from htcp_jax.model import Robot, Scenario, kinematics
-from htcp_jax.motion import CollisionChecker, lane_inputs
+from htcp_jax.model import Robot, Scenario
+from htcp_jax.motion import CollisionChecker, exclusions, lane_inputs
 from htcp_jax.reachability.configuration_search import CARRIED, KnownConfigurations, carried, search, searched
-from htcp_jax.reachability.tool_cells import excluded
+from htcp_jax.status import Exclusion
 
 TOGETHER, SEARCHED = 64, 4  # targets in one call, carried over or proven, and searched
 COARSER = 4  # first search resolution, as a multiple of the requested one
@@ -36,10 +35,10 @@ class Reach(IntEnum):
 
     NOT_JUDGED = -1
     REACHABLE = 0
-    OUT_OF_REACH = 1
-    TOOL = 2
-    WRIST = 3
-    ARM = 4
+    OUT_OF_REACH = Exclusion.OUT_OF_REACH
+    TOOL = Exclusion.TOOL
+    WRIST = Exclusion.WRIST
+    ARM = Exclusion.ARM
     UNDECIDED = 5
 
     @property
@@ -56,22 +55,13 @@ class Reach(IntEnum):
     @property
     def message(self) -> str:
         """Description in a few words."""
-        return _MESSAGES[self]
+        return _MESSAGES[self] if self in _MESSAGES else f"excluded: {Exclusion(self).message}"
 
 
 _MESSAGES = {
     Reach.NOT_JUDGED: "not on the path",
     Reach.REACHABLE: "a clear configuration was found",
-    Reach.OUT_OF_REACH: "excluded: the arm does not get there",
-    Reach.TOOL: "excluded: the tool collides",
-    Reach.WRIST: "excluded: the tool, or the link before it, collides",
-    Reach.ARM: "excluded: the tool or the arm behind it collides",
     Reach.UNDECIDED: "no clear configuration was found, and none excluded",
-}
-_REASONS = {
-    exclusion.Bodies.NONE: Reach.OUT_OF_REACH,
-    exclusion.Bodies.TOOL: Reach.TOOL,
-    exclusion.Bodies.WRIST: Reach.WRIST,
 }
 
 
@@ -112,7 +102,7 @@ def judge_each(
         x: Clear configurations that are known already [rad or m]; NaN elsewhere.
         seed: For random moves.
         resolution_rad: Resolution of the tool's orientations.
-        proof_cells: See `tool_cells.excluded`; 0: no proofs.
+        proof_cells: See `motion.tool_cells.excluded`; 0: no proofs.
         mapped: Maps a function over chunks of targets.
         progress: Called with the number of targets that are settled, and of all.
     """
@@ -222,17 +212,6 @@ class _Judge:
         return np.where(found, Reach.REACHABLE, Reach.UNDECIDED), x, np.where(found, np.inf, -np.inf)
 
     def _excluded(self, robot: Robot, cells: int, pairs: Pairs) -> tuple:
-        executor, inputs = self._checker.executor, self._inputs(pairs)
-        reach = np.where(excluded(executor, robot, inputs, cells), Reach.ARM, Reach.UNDECIDED)
-        reach[self._beyond(robot, inputs)] = Reach.OUT_OF_REACH
-        for bodies, reason in _REASONS.items():
-            left = np.flatnonzero(reach == Reach.ARM)
-            if len(left):
-                reach[left[excluded(executor, robot, tables.gather(inputs, left), cells, bodies)]] = reason
+        found = exclusions.exclusions(self._checker.executor, robot, self._inputs(pairs), cells)
+        reach = np.where(found == Exclusion.NONE, Reach.UNDECIDED, found)
         return reach, np.full((len(pairs), self.x.shape[2]), np.nan), np.full(len(pairs), -np.inf)
-
-    def _beyond(self, robot: Robot, inputs: lane_inputs.LaneInputs) -> Bool[np.ndarray, "n"]:
-        """Return True for targets that are farther away than the arm is long."""
-        task = self._checker.task
-        away = np.linalg.norm(task.tcp_place(inputs.target) - np.asarray(robot.T_parent_joint)[0, :3, 3], axis=1)
-        return away > kinematics.max_reach(robot) + inputs.tool_extension_m + task.tolerance_m

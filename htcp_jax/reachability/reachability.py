@@ -7,7 +7,7 @@ prefix.
 
 A clear configuration that is found proves that one exists: the prefix is a lower bound on the reachable targets. "Not
 found" does not imply unreachable. But if at some target every configuration certainly has the tool, or the arm behind
-it, in collision, or violates a row of the task (`tool_cells.excluded`), no configuration is clear there, and any path
+it, in collision, or violates a row of the task (`motion.tool_cells`), no configuration is clear there, and any path
 ends before it: an upper bound. Targets between the two bounds are undecided.
 """
 
@@ -24,7 +24,7 @@ from htcp_jax.clearance import Obstacles, Scene
 from htcp_jax.clearance.obstacles import of_workpiece, tip_guard
 from htcp_jax.device import Executor, devices, tables
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario
-from htcp_jax.motion import CollisionChecker, lane_inputs
+from htcp_jax.motion import CollisionChecker, lane_inputs, tool_cells
 from htcp_jax.reachability.configuration_search import (
     KnownConfigurations,
     carried,
@@ -33,7 +33,6 @@ from htcp_jax.reachability.configuration_search import (
     searched,
 )
 from htcp_jax.reachability.each_target import EachTarget, judge_each
-from htcp_jax.reachability.tool_cells import excluded
 from htcp_jax.settings import Settings
 
 RESOLUTION_RAD = 0.11
@@ -87,7 +86,7 @@ def reachable_prefixes(
             no proofs.
         obstacles: In addition to the workpiece; proofs ignore them.
         resolution_rad: Resolution of the tool's orientations at a target where carrying over fails.
-        proof_cells: See `tool_cells.excluded`; 0: no proofs.
+        proof_cells: See `motion.tool_cells.excluded`; 0: no proofs.
         each: True judges every target on the path by itself, too.
         progress: Called with (target, targets) after each target; then, with `each`, with the number of targets that
             are settled, and of all.
@@ -255,7 +254,7 @@ def _excluded_first(
     while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:
         further = np.minimum(found.prefix - 1 + ahead, high - 1)
         target = np.where(is_bounded, (low + high) // 2, further)[open_]
-        none = excluded(executor, robot, lane_inputs.lane_inputs(scenarios, open_, target), cells)
+        none = tool_cells.excluded(executor, robot, lane_inputs.lane_inputs(scenarios, open_, target), cells)
         high[open_[none]], low[open_[~none]] = target[none], target[~none]
         is_bounded[open_[none]] = True
         ahead *= 2

@@ -39,10 +39,11 @@ TARGETS = MappingProxyType(
         "via_shares": "share of the way from the target before at each via point; null for a straight joint path",
         "recovery": "0: none; k: recovery strategy k of the method; one beyond its last: planned backwards",
         "manipulability_m_rad": "smallest singular value of the task's Jacobian, see motion.manipulability",
-        "dead_end_searches": "searches backwards after a dead end at the target; null without one, as the next three",
+        "dead_end_searches": "searches backwards after a dead end at the target; null without one, as the next four",
         "dead_end_configurations": "configurations sampled, extended or moved after it",
         "dead_end_found": "clear configurations found at the target",
         "dead_end_connected": "of these, connected by a proven motion",
+        "dead_end_excluded": "why none is clear there, if that is proven: out of reach, tool, wrist, arm",
         "tcp": "tool centre point, world",
         "target_xyz": "target, world; never null",
     }

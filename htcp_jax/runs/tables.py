@@ -19,7 +19,7 @@ from htcp_jax.model import Robot
 from htcp_jax.motion import Plans, Tried, ViaPoints, dead_ends, motion, start_cause
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs import parameters
-from htcp_jax.status import SegmentStatus, Status
+from htcp_jax.status import Exclusion, SegmentStatus, Status
 
 if TYPE_CHECKING:
     import pandas
@@ -28,11 +28,12 @@ STATUSES = {status.name: int(status) for status in Status}
 SEGMENT_STATUSES: dict[str | None, int] = {None: int(SegmentStatus.NOT_CHECKED)} | {
     x.name: int(x) for x in SegmentStatus
 }
+EXCLUSIONS: dict[str | None, Exclusion] = {None: Exclusion.NONE} | {x.words: x for x in Exclusion if x}
 XYZ = "xyz"
 MANIPULABILITY = "manipulability_m_rad"
 CAUSE = "colliding_body", "colliding_with", "cause"  # columns of scenarios that could not begin
 SHARES = "via_shares"
-TRIED = tuple(f"dead_end_{name}" for name in Tried._fields)
+TRIED = tuple(f"dead_end_{name}" for name in Tried._fields)  # the last one is a text
 STEPS = "joint_step_max_rad", "joint_step_target", "joint_step_joint"
 
 LEAST_CELLS = 1_000_000  # scenarios times targets that any file may expand to; or GROWTH times its rows
@@ -89,7 +90,9 @@ def target_table(
     columns[MANIPULABILITY] = _doubles(unknown if manipulability is None else manipulability[s, t])
     ends, tried = plans.dead_ends, np.full((*plans.exists.shape, len(TRIED)), -1)
     tried[ends.scenario, ends.target] = np.stack(ends[2:], axis=-1)
-    columns |= {name: pa.array(at, pa.int32(), mask=at < 0) for name, at in zip(TRIED, tried[s, t].T, strict=True)}
+    *numbers, reasons = tried[s, t].T
+    columns |= {name: pa.array(at, pa.int32(), mask=at < 0) for name, at in zip(TRIED[:-1], numbers, strict=True)}
+    columns[TRIED[-1]] = pa.array([Exclusion(k).words if k > 0 else None for k in reasons.tolist()], pa.string())
     return pa.table(columns)
 
 
@@ -220,7 +223,7 @@ def plans_of(
     via_points = [_segment(*row, len(joints)) for row in lists if row[2]]
     ended = targets.filter(targets[TRIED[0]].is_valid())  # few of all rows
     rows = zip(*(ended[name].to_pylist() for name in ("scenario", "target", *TRIED)), strict=True)
-    ends = {row[:2]: Tried(*row[2:]) for row in rows}
+    ends = {row[:2]: Tried(*row[2:-1], EXCLUSIONS[row[-1]]) for row in rows}
     return plans._replace(via_points=ViaPoints.of(via_points, len(joints)), dead_ends=dead_ends.DeadEnds.of(ends))
 
 

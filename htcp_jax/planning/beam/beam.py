@@ -116,7 +116,7 @@ class BeamSearch:
             self._dead_ends.meet()
             tracked, target = searches.tracked - before, searches.columns.target
             ended = searches.pop_ended()
-            finished = [one for one in ended if not (self._begin_elsewhere(one) or self._dead_ends.retry(one))]
+            finished = [one for one in ended if not self._begin_again(one)]
             for last in finished:
                 search, *path = self._record.chosen(last)
                 via_points += self._record.write(search, *path)
@@ -136,6 +136,12 @@ class BeamSearch:
             others = self._other_configurations(new[k], 0, 0)
             roots[k] = others if len(others) else roots[k]
         self._searches.begin(new, (self._problem.scenarios.count[new] - 1).tolist(), roots)
+
+    def _begin_again(self, search: int) -> bool:
+        """Begin another search after one has ended, and return True; False if the scenario is finished."""
+        if self._dead_ends.is_excluded(search):
+            return False
+        return self._begin_elsewhere(search) or self._dead_ends.retry(search)
 
     def _begin_elsewhere(self, search: int) -> bool:
         """Begin a search from other configurations after one has failed, and return True if there are any.

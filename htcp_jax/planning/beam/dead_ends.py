@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.device import tables
-from htcp_jax.motion import CollisionChecker, Problem, Tried, selection, step_functions, transfers
+from htcp_jax.motion import CollisionChecker, Problem, Tried, exclusions, selection, step_functions, transfers
 from htcp_jax.planning.beam.functions import MOVE_TOWARDS, inputs_and_tubes
 from htcp_jax.planning.beam.searches import NONE, Searches
 from htcp_jax.planning.tracking import stages
-from htcp_jax.status import SegmentStatus
+from htcp_jax.status import Exclusion, SegmentStatus, Status
 
 FIRST_ROUND = 100_000  # rounds of draws; smaller ones belong to other searches
 ROUNDS = 4  # of draws at a time
@@ -30,6 +30,7 @@ PUSHED = 24  # the clearest draws that are far apart; these are pushed clear
 APART_RAD = 0.2
 NEAR_RAD = 0.4  # standard deviation of draws around known configurations
 SHARE = 0.25  # of the effort where the motion cannot begin elsewhere: they meet near the dead end or not at all
+PROOF_CELLS = 128  # maximum number of cells of a proof that excludes the lost target: about one extension of the beam
 MEET_RAD, PAIRS = 1.5, 4  # largest distance of configurations that are joined, and pairs tried at each target
 
 
@@ -50,11 +51,35 @@ class DeadEnds:
         self._sampled_on: dict[int, int] = {}  # configurations on the target that they gave, with each step of a push
         self._open: dict[int, tuple[int, dict[int, np.ndarray]]] = {}  # search backwards: the joined one, its tree's x
         self._meetings: dict[int, list[Meeting]] = {}
+        self._clear: set[tuple[int, int]] = set()  # scenarios and targets that no proof excludes
         self.tried: dict[tuple[int, int], Tried] = {}  # by scenario and lost target
 
     def has_begun(self, scenario: int) -> bool:
         """Return True if searches were begun after a dead end of the scenario."""
         return scenario in self._rounds
+
+    def is_excluded(self, ended: int) -> bool:
+        """Return True if a search has ended at a target that is proven to have no clear configuration.
+
+        Any other search would end there, too. If the lost target is on the way to the path, which may be left, the
+        proof is about the path's first point.
+        """
+        columns, chain, problem = self._searches.columns, self._searches.chain(ended), self._problem
+        if columns.status[ended] == NONE or not problem.task.holds_tcp or self._left(chain) <= 0:
+            return False
+        s, best = int(columns.scenario[ended]), self._farthest(chain)
+        lost = int(columns.target[best]) + 1
+        target = int(problem.scenarios.on_path[s]) if self._leaves_lines(s, lost) else lost
+        is_found = target == lost and columns.status[best] == Status.PATH_BLOCKED
+        if is_found or lost == 0 or (s, target) in self._clear:
+            return False
+        inputs = problem.inputs(s, target)
+        (reason,) = exclusions.exclusions(self._checker.executor, problem.robot, inputs, PROOF_CELLS).tolist()
+        if reason == Exclusion.NONE:
+            self._clear.add((s, target))
+            return False
+        self.tried[s, target] = Tried(excluded=Exclusion(reason))
+        return True
 
     def retry(self, ended: int) -> bool:
         """Begin another search after one has ended, and return True; False if the scenario is finished."""
@@ -72,7 +97,7 @@ class DeadEnds:
             return False
         best = self._farthest(chain)
         lost, on_path = int(columns.target[best]) + 1, int(scenarios.on_path[s])
-        off_path = lost <= on_path and not self._problem.begins_anywhere[s]
+        off_path = self._leaves_lines(s, lost)
         tree = self._ancestors(best)
         at = {int(t): self._tree.x[tree[self._tree.target[tree] == t]] for t in range(lost)}
         while lost > 0 and self._left(chain) > 0:
@@ -120,6 +145,10 @@ class DeadEnds:
         """Return the search that came farthest, the first of several."""
         columns = self._searches.columns
         return max((each for each in chain[::-1] if columns.step[each] > 0), key=lambda each: columns.target[each])
+
+    def _leaves_lines(self, s: int, lost: int) -> bool:
+        """Return True if the path's first point is sampled in place of the lost target, as the way to it is free."""
+        return bool(lost <= self._problem.scenarios.on_path[s] and not self._problem.begins_anywhere[s])
 
     def _first(self, search: int) -> int:
         """Return the target at which a search backwards ends: where the joined one begins."""

@@ -21,7 +21,7 @@ from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof import arm_exclusion, exclusion
 from htcp_jax.device import Executor, lane_function, tables
 from htcp_jax.model import Robot, rotations
-from htcp_jax.motion import lane_inputs
+from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
 
 MANY = lane_function.DeviceSizes(
@@ -65,9 +65,7 @@ class Cells(NamedTuple):
         )
 
 
-def tool(
-    settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, quaternion, rho, bodies
-) -> arm_exclusion.CellBounds:
+def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bodies) -> arm_exclusion.CellBounds:
     """Return the `CellBounds` of the tool's orientations within `rho` of a quaternion.
 
     An orientation that violates a row of the task counts as colliding.
@@ -86,9 +84,7 @@ def tool(
     return cell._replace(collides=cell.collides | (turn > rho + ROUNDING_RAD))
 
 
-def cell_bounds(
-    settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, cube, half, bodies
-) -> arm_exclusion.CellBounds:
+def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, bodies) -> arm_exclusion.CellBounds:
     """Return the `CellBounds` of a box of the joints before the wrist.
 
     The box is a cube in coordinates in which -1 to 1 is each joint's range; the range of a hinge is one revolution at
@@ -116,7 +112,7 @@ TOOL, ARM = lane_function.LaneFunction("tool", tool, MANY), lane_function.LaneFu
 
 def tool_cells(
     executor: Executor,
-    inputs: lane_inputs.LaneInputs,
+    inputs: LaneInputs,
     resolution_rad: float,
     most: int,
     before_wrist: int = 0,
@@ -157,7 +153,7 @@ def tool_cells(
 def excluded(
     executor: Executor,
     robot: Robot,
-    inputs: lane_inputs.LaneInputs,
+    inputs: LaneInputs,
     most: int,
     bodies: exclusion.Bodies = exclusion.Bodies.ARM,
 ) -> Bool[np.ndarray, "n"]:
@@ -192,7 +188,7 @@ def _largest(cells: Cells, column: np.ndarray, lanes: int) -> np.ndarray:
 def _halved_cells(
     executor: Executor,
     number: int,
-    inputs: lane_inputs.LaneInputs,
+    inputs: LaneInputs,
     cells: Cells,
     turn: Int[np.ndarray, "lanes"],
     bodies: exclusion.Bodies,
