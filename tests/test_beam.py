@@ -102,6 +102,13 @@ def test_after_a_dead_end_a_search_backwards_joins_the_beam():
     assert joined.outcome(0).can_be_driven and joined.dead_ends.on(0)[lost].connected > 0
 
 
+def test_configurations_found_after_a_dead_end_are_on_their_targets_as_closely_as_others():
+    """Regression: those pushed clear at the lost target were within the tolerance only, 0.5 mm off."""
+    plans = plan_by_beam([scenario(8, (0.2, -0.2))], replace(SMALL, effort=2.0))
+    assert plans.dead_ends.on(0)[88].connected and plans.tracked[0, 88]
+    assert np.nanmax(plans.residual) <= Task(tolerance_m=SMALL.tolerance_m).fine_m
+
+
 def test_a_narrower_tube_is_kept_to():
     settings = replace(SMALL, path_tolerance_m=2e-4)
     plans = plan_by_beam(poses()[2:], settings)
