@@ -11,13 +11,17 @@ import pytest
 import toy
 from scipy.spatial.transform import Rotation
 
+from htcp_jax.device import tables
 from htcp_jax.errors import InputError
 from htcp_jax.model import Task, TaskRow, Workpiece, kinematics
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, TaskPoint
 from htcp_jax.motion import motion as motions
+from htcp_jax.motion.step_functions import State
 from htcp_jax.planning.batch import Progress, plan
+from htcp_jax.planning.beam.joint_steps import JointSteps
+from htcp_jax.planning.beam.tree import BeamTree
 from htcp_jax.planning.inserted_goals import PathParts, inserted, pieces_of
 from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.validation.scene_rules import WorkpieceData
@@ -219,6 +223,31 @@ def test_the_bound_holds_for_the_sum_over_inserted_goals():
     bounded = rectangle("baseline", max_joint_step_rad=bound)[0]
     assert bounded.tracked[0, 2:].any()
     assert max(travelled(bounded, 0, t).max() for t in range(2, 5) if bounded.tracked[0, t]) <= bound
+
+
+@pytest.mark.parametrize("smooth, factor", [(False, 1.001), (True, 1.5)])
+def test_beam_may_use_all_of_the_bound_on_any_part_of_a_segment(smooth, factor):
+    """Regression: on each part between inserted goals only its share was allowed, and the first segment was lost."""
+    bound = factor * float(motions.largest_joint_steps(rectangle(smooth=smooth)[0], 1).step[0])
+    bounded = rectangle(smooth=smooth, max_joint_step_rad=bound)[0]
+    assert bounded.executable.all()
+    assert max(travelled(bounded, 0, t).max() for t in range(2, 5)) <= bound
+
+
+def test_a_search_backwards_counts_a_segment_s_travel_from_its_end():
+    """Three rows on the segment to target 1, then a self-motion at it, which belongs to the segment to target 2."""
+    bounds = JointSteps(np.array([[0, 1, 1, 1, 2, 3]]), np.full((1, 6, 1), 10.0))
+    tree, x, target = BeamTree(1), (0.0, 1.0, 3.0, 7.0, 15.0), (4, 3, 3, 2, 2)
+    at = [State(np.array([[q]]), clearance=np.zeros(1), residual=np.zeros(1), tcp=np.zeros((1, 3))) for q in x]
+    rows = [tree.plant(at[0], target[0])]
+    for k in range(1, 5):
+        rows.append(tree.grow(rows[-1], at[k], target[k], by_self_motion=target[k] == target[k - 1]))
+    s = np.zeros(1, int)
+    left = [float(bounds.left(tree, rows[k], s, np.array([row]))[0, 0]) for k, row in ((2, 4), (2, 3), (3, 2), (4, 2))]
+    np.testing.assert_allclose(left, [7.0, 10.0, 6.0, -2.0])
+    backwards = tree.nodes(np.concatenate(rows)[:4])
+    assert bounds.are_kept(0, tables.gather(backwards, np.arange(4)[::-1]))
+    assert not bounds.are_kept(0, tables.gather(tree.nodes(np.concatenate(rows)), np.arange(5)[::-1]))
 
 
 @pytest.mark.parametrize("bound", [0.0, -1.0, (0.1, 0.0, 0.1, 0.1), (0.1, 0.1)])

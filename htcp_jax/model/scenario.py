@@ -16,6 +16,7 @@ from htcp_jax.status import Status
 from htcp_jax.types import Anywhere, Bool, Float, Int
 
 NOT_REFUSED = -1
+PLACE_ROUNDING = 1e-9  # of sums of shares
 
 
 class OutOfReach(InputError):
@@ -42,11 +43,20 @@ class Scenario:
     task_goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
     obstacle_numbers: Float[Anywhere, "*S P"] | None = None  # of the kinds of obstacles [m]; None: there are none
     max_joint_step: Float[Anywhere, "*S T N"] | None = None  # most travel to a target of the path [rad or m]; None: any
+    # With goals inserted between targets: 3.25 is a quarter of the way from target 3 to 4; None: rows are targets
+    place: Float[Anywhere, "*S T"] | None = None  # of each row among the targets [1]
 
     @property
     def begins_anywhere(self) -> Bool[Anywhere, "*S"]:
         """True if the motion begins at the start, and the planner still has to choose it."""
         return np.asarray(np.isnan(self.x_home).any(axis=-1))
+
+    @property
+    def segments(self) -> Int[Anywhere, "*S T"]:
+        """The target at the end of the segment that each row is on, without inserted goals; see `place`."""
+        if self.place is None:
+            return np.broadcast_to(np.arange(self.targets.shape[-2]), self.targets.shape[:-1])
+        return np.ceil(np.asarray(self.place) - PLACE_ROUNDING).astype(int)
 
     @property
     def goals(self) -> Float[Anywhere, "*S T G"]:

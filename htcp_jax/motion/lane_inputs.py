@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.model import Scenario
 
@@ -24,7 +25,7 @@ class LaneInputs(NamedTuple):
     round: jax.Array  # of draws
     seed: jax.Array
     obstacle_numbers: jax.Array | None = None  # of kinds of obstacles, see `Scenario`
-    max_joint_step: jax.Array | None = None  # longest travel of each joint to the target [rad or m], see `Scenario`
+    max_joint_step: jax.Array | None = None  # longest travel of each joint to the target, see `longest_joint_steps`
 
 
 def lane_inputs(
@@ -51,5 +52,23 @@ def lane_inputs(
         round=np.full(row.shape, round_, np.int32),
         seed=np.full(row.shape, seed, np.int64),
         obstacle_numbers=None if (given := scenarios.obstacle_numbers) is None else given[scenario],
-        max_joint_step=None if (most := scenarios.max_joint_step) is None else most[scenario, row],
+        max_joint_step=longest_joint_steps(scenarios, scenario, row),
     )
+
+
+def longest_joint_steps(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray) -> Float[np.ndarray, "n N"] | None:
+    """Return the longest travel of each joint from the row before [rad or m]; None: any.
+
+    On a segment with inserted goals that is each part's share of the bound. A search that adds up the travel on a
+    segment may use more of it, see `planning.beam.joint_steps`.
+
+    Args:
+        scenarios: Stacked scenarios.
+        scenario: Each lane's scenario (n,), by its row.
+        row: Each lane's target (n,).
+    """
+    most, place = scenarios.max_joint_step, scenarios.place
+    if most is None:
+        return None
+    share = 1.0 if place is None else np.where(row > 0, place[scenario, row] - place[scenario, row - 1], 1.0)[:, None]
+    return most[scenario, row] * share

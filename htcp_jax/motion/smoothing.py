@@ -272,10 +272,11 @@ class Smoothing:
 
     def _keeps_steps(self, path: SmoothedPath, x: Float[np.ndarray, "P1 N"]) -> Bool[np.ndarray, "P"]:
         """Return True for joint paths on segments on which no joint moves too far."""
-        most = self._problem.scenarios.max_joint_step[path.scenario]
-        travel = np.zeros_like(most)
-        np.add.at(travel, path.target, np.abs(np.diff(x, axis=0)))
-        return (travel <= most).all(axis=1)[path.target]
+        scenarios = self._problem.scenarios
+        segment, most = (t[path.scenario, path.target] for t in (scenarios.segments, scenarios.max_joint_step))
+        travel = np.zeros((segment.max(initial=0) + 1, x.shape[1]))
+        np.add.at(travel, segment, np.abs(np.diff(x, axis=0)))
+        return (travel[segment] <= most).all(axis=1)
 
     def _inputs(self, paths: list[SmoothedPath]) -> LaneInputs:
         scenario = np.repeat([path.scenario for path in paths], [len(path.target) for path in paths])

@@ -173,11 +173,9 @@ def inserted(task: Task, scenarios: Scenario, parts: PathParts) -> Scenario:
     goals[own] = task.interpolated(_ends(scenarios.goals, *ends), share, places if places.shape[2] == 3 else None)
     count = parts.row[s[:, 0], scenarios.count - 1] + 1
     task_goals = None if scenarios.task_goals is None else goals
-    most = scenarios.max_joint_step
-    if most is not None:
-        most = most[s, parts.target] * (parts.end - parts.begin)[..., None]
-    count = count.astype(scenarios.count.dtype)
-    return replace(scenarios, targets=targets, task_goals=task_goals, count=count, max_joint_step=most)
+    most = None if scenarios.max_joint_step is None else scenarios.max_joint_step[s, parts.target]
+    place, count = parts.target - 1 + parts.end, count.astype(scenarios.count.dtype)
+    return replace(scenarios, targets=targets, task_goals=task_goals, count=count, max_joint_step=most, place=place)
 
 
 def folded(plans: Plans, count: Int[np.ndarray, "S"], parts: PathParts) -> Plans:

@@ -39,6 +39,7 @@ from htcp_jax.motion import (
 )
 from htcp_jax.planning.beam.dead_ends import DeadEnds
 from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION, inputs_and_tubes
+from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
 from htcp_jax.planning.beam.tree import BeamTree
@@ -97,7 +98,8 @@ class BeamSearch:
         self._tree = BeamTree(plans.x.shape[2])
         self._searches = Searches(problem.settings, self._tree, checker.executor.freedom > 0)
         self._record = BeamRecord(problem, plans, checker, self._searches)
-        self._dead_ends = DeadEnds(problem, checker, self._searches)
+        self._joint_steps = JointSteps.of(problem.scenarios)
+        self._dead_ends = DeadEnds(problem, checker, self._searches, self._joint_steps)
 
     def run(self, scenarios: Iterator[int]) -> tuple[list[ViaPointRow], dict[tuple[int, int], Tried]]:
         """Plan until the iterator is exhausted.
@@ -173,11 +175,13 @@ class BeamSearch:
         x, before = self._tree.x[pending.node], self._tree.target[pending.node]
         target, zero = before + step, np.zeros_like(before)
         inputs = lane_inputs.lane_inputs(self._problem.scenarios, scenario, target, seed=self._problem.settings.seed)
+        if self._joint_steps is not None:
+            left = self._joint_steps.left(self._tree, pending.node, scenario, np.maximum(before, target))
+            inputs = inputs._replace(max_joint_step=left)
         extended = self._checker.executor(EXTEND, inputs, x)
         good = self._checker.valid(inputs, extended.at)
         if inputs.max_joint_step is not None:
-            travel = self._tree.travel(pending.node) * (step[:, None] > 0) + np.abs(extended.at.x - x)
-            good &= (travel <= inputs.max_joint_step).all(axis=1)
+            good &= (np.abs(extended.at.x - x) <= inputs.max_joint_step).all(axis=1)
         proven = good.copy()
         if good.any():
             segments, tube = inputs_and_tubes(self._problem, scenario, np.maximum(before, target), zero, False)
@@ -206,10 +210,9 @@ class BeamSearch:
             edges = _in_order_of_travel(way[lane], before[lane, step], before[lane, step + 1])
             proof = self._checker.edges(tables.gather(inputs, lane), *edges, tables.gather(tube, lane), tip=False)
             proven[lane, step] = proof.verdict == SegmentStatus.VALID
-        if (most := self._problem.scenarios.max_joint_step) is not None:
-            travel = self._tree.travel(origins.node)[:, None] + np.abs(np.diff(before, axis=1)).cumsum(axis=1)
-            following = np.minimum(target + 1, most.shape[1] - 1)
-            proven &= (travel <= most[scenario, following][:, None]).all(axis=2)
+        if self._joint_steps is not None:
+            left = self._joint_steps.left(self._tree, origins.node, scenario, target + 1)
+            proven &= (np.abs(np.diff(before, axis=1)).cumsum(axis=1) <= left[:, None]).all(axis=2)
         steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
         last = moved.path.x[np.arange(len(x)), np.maximum(steps - 1, 0)]
         good = self._checker.tip_free(inputs, last, steps > 0)

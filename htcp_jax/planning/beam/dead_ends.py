@@ -28,6 +28,7 @@ from htcp_jax.motion import (
     transfers,
 )
 from htcp_jax.planning.beam.functions import MOVE_TOWARDS, inputs_and_tubes
+from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.searches import NONE, Searches
 from htcp_jax.planning.tracking import stages
 from htcp_jax.status import Exclusion, SegmentStatus, Status
@@ -54,8 +55,9 @@ class Meeting(NamedTuple):
 class DeadEnds:
     """Searches after dead ends, for all scenarios of one tree."""
 
-    def __init__(self, problem: Problem, checker: CollisionChecker, searches: Searches):
+    def __init__(self, problem: Problem, checker: CollisionChecker, searches: Searches, joint_steps: JointSteps | None):
         self._problem, self._checker, self._searches, self._tree = problem, checker, searches, searches.tree
+        self._joint_steps = joint_steps
         self._rounds: dict[int, int] = {}  # rounds of draws so far, by scenario
         self._sampled_on: dict[int, int] = {}  # configurations on the target that they gave, with each step of a push
         self._open: dict[int, tuple[int, dict[int, np.ndarray]]] = {}  # search backwards: the joined one, its tree's x
@@ -268,19 +270,9 @@ class DeadEnds:
                 here = tree[self._tree.target[tree] == self._tree.target[row]]
                 parent = int(here[(self._tree.x[here] == begin).all(axis=1)][0])
             end = self._branch(parent, between, path[::-1], int(self._problem.scenarios.on_path[s]))
-            if self._keeps_joint_steps(s, end):
+            if self._joint_steps is None or self._joint_steps.are_kept(s, self._tree.nodes(self._tree.path(end))):
                 found[root] = end
         return list(found.values())
-
-    def _keeps_joint_steps(self, s: int, row: int) -> bool:
-        """Return True if no joint travels farther between two targets than allowed, on the way to a node."""
-        if (most := self._problem.scenarios.max_joint_step) is None:
-            return True
-        nodes = self._tree.nodes(self._tree.path(row))
-        stays = np.diff(nodes.target) == 0
-        travel = np.zeros((most.shape[1] + 1, most.shape[2]))
-        np.add.at(travel, nodes.target[1:] + stays, np.abs(np.diff(nodes.at.x, axis=0)))
-        return bool((travel[:-1] <= most[s]).all())
 
     def _branch(
         self, parent: int | None, between: step_functions.State | None, path: Int[np.ndarray, "k"], on_path: int

@@ -81,17 +81,6 @@ class BeamTree(configuration_tree.Tree):
             Nodes(at, zero + target, parent, np.full(len(parent), by_self_motion), zero + step_qps, dwells, cost)
         )
 
-    def travel(self, rows: Int[np.ndarray, "m"]) -> Float[np.ndarray, "m N"]:
-        """Return how far each joint has moved by self-motions since a node's target was reached [rad or m]."""
-        found, which, rows = np.zeros_like(self.x[rows]), np.arange(len(rows)), rows.copy()
-        while len(which):
-            nodes = self.nodes(rows)
-            moved = nodes.by_self_motion & (nodes.parent != configuration_tree.NO_PARENT)
-            which, rows, parent = which[moved], rows[moved], nodes.parent[moved]
-            found[which] += np.abs(self.x[rows] - self.x[parent])
-            rows = parent
-        return found
-
     @property
     def is_overgrown(self) -> bool:
         """True if there are more than twice as many nodes as after the last pruning."""

@@ -69,10 +69,8 @@ class LaneChecks:
             x: Ends of the paths (lanes, N) [rad or m].
             requested: True to check them.
         """
-        most = self._scenarios.max_joint_step
-        near = (
-            True if most is None else (np.abs(x - lanes.x_previous) <= most[lanes.scenario, lanes.target]).all(axis=1)
-        )
+        most = lane_inputs.longest_joint_steps(self._scenarios, lanes.scenario, lanes.target)
+        near = True if most is None else (np.abs(x - lanes.x_previous) <= most).all(axis=1)
         if not (requested and len(x)):
             return np.where(near, np.full(len(x), -1), 0).astype(np.int8)
         return (near & self._checker.path_clear(self.inputs(lanes), lanes.x_previous, x)).astype(np.int8)
