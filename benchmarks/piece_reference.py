@@ -3,8 +3,8 @@
     python -m benchmarks piece-reference ARM.xml... [--rows N]
 
 One row is a random configuration, one of the arm's pieces, and one body of each kind near it. Points and the axes of
-capsules are 1 um thick in FCL, whose distances from wider round bodies are too large by up to 0.3 mm; a cylinder is the prism
-that fixtures are measured by. Overlapping bodies are compared by their verdict alone.
+capsules are 1 um thick in FCL, whose distances from wider round bodies are too large by up to 0.3 mm. A cylinder is the
+prism that fixtures are measured by. Overlapping bodies are compared by their verdict alone.
 """
 
 import argparse
