@@ -3,6 +3,7 @@
     python -m benchmarks clearance         an exact query against brute force, 5,000 to 500,000 points
     python -m benchmarks cell-distances    self-distances of arms, and distances to a cell, against MuJoCo's
     python -m benchmarks piece-distances   processor time of distances of convex pieces
+    python -m benchmarks piece-reference ARM...    distances of an arm's convex pieces next to FCL's
     python -m benchmarks decompositions MESH...    convex pieces of link meshes by cuts, CoACD and V-HACD
     python -m benchmarks step-qps          the solvers of the step QP, on 100,000 recorded QPs
     python -m benchmarks tables            both of the paper's tables by six planners under configs/paper.yaml
@@ -32,6 +33,7 @@ CASES = (
     "clearance",
     "cell-distances",
     "piece-distances",
+    "piece-reference",
     "decompositions",
     "step-qps",
     "tables",

@@ -24,7 +24,8 @@ import trimesh
 from benchmarks import hardware
 from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures
-from htcp_jax.clearance.obstacles.self_collision import SelfCollision, self_collision
+from htcp_jax.clearance.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.self_exclusions import distances
 from htcp_jax.device import compile_cache
 from htcp_jax.io.cell import load_cell
 from htcp_jax.io.robots.loading import load_robot
@@ -113,7 +114,7 @@ def compare(file: Path, folder: Path, count: int) -> list[Compared]:
     arm, robot = MujocoArm(file), load_robot(file)
     (fixed,), own = make_fixtures(robot, load_cell(_cell(folder, SOLID))), self_collision(robot)
     x = drawn(robot, count)
-    ours, pairs = map(np.asarray, _ours(robot, fixed, own, jnp.asarray(x)))
+    ours, pairs = np.asarray(_ours(robot, fixed, jnp.asarray(x))), distances(robot, own.pairs, x)
     theirs, their_pairs = _theirs(arm, _cell(folder, AS_MESH), fixed.names, own.pairs, x)
     rows = [_compared(name, ours[:, k], theirs[:, k]) for k, name in enumerate(fixed.names)]
     apart = pairs > -CROSSING * arm.radius[np.array(own.pairs)].sum(axis=1)
@@ -166,14 +167,9 @@ def _cell(folder: Path, box: str) -> Path:
 
 
 @jax.jit
-def _ours(robot: Robot, fixed, own: SelfCollision, x):
-    """Distances to every shape, and between every pair, by htcp_jax [m]."""
-
-    def at(x):
-        p, q = capsule_segments(robot, x)
-        return fixed.distances(robot, p, q), own.distances(robot, p, q)
-
-    return jax.lax.map(at, x, batch_size=64)
+def _ours(robot: Robot, fixed, x):
+    """Distances to every shape by htcp_jax [m]."""
+    return jax.lax.map(lambda x: fixed.distances(robot, *capsule_segments(robot, x)), x, batch_size=64)
 
 
 def _theirs(arm: MujocoArm, cell: Path, names, pairs, x) -> tuple[np.ndarray, np.ndarray]:

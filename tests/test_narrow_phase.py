@@ -18,6 +18,7 @@ from htcp_jax.clearance import Scene, by_pieces, clearance, contacts
 from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
 from htcp_jax.clearance.obstacles.fixtures import fixtures
+from htcp_jax.clearance.obstacles.narrow_phase import decide_together
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
@@ -132,6 +133,27 @@ def outline(name: str) -> tuple[np.ndarray, float]:
     turn = np.linspace(0, 2 * np.pi, 120)
     rim = [np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), np.full(120, z)], axis=1) for z in (-0.5, 0.5)]
     return solid.centre + np.concatenate(rim), 0.0
+
+
+def test_obstacles_that_are_searched_together_have_the_contacts_of_each_alone():
+    """Two sets of solids, one with a floor, with different numbers of corners, and the arm itself."""
+    arm, seen = arm_with_pieces(), 0
+    pairs = tuple((a, b) for a in range(8) for b in range(8) if arm.capsule_link[a] > arm.capsule_link[b] + 1)
+    two = [fixtures(arm, [(name, SOLIDS[name]) for name in names]) for names in (("floor", "crate"), ("bar", "post"))]
+    every = *two, SelfCollision(pairs)
+
+    def measured(x):
+        bodies = bodies_at(arm, WHERE, x)
+        alone = [each.contacts(arm, WHERE, bodies) for each in every]
+        return alone, [each.contacts(arm, WHERE, bodies) for each in decide_together(arm, every, WHERE, bodies)]
+
+    measured = jax.jit(measured)
+    for x in made_once.configurations(arm, 20, seed=2):
+        alone, together = measured(x)
+        for one, other in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+        seen += sum(int(np.sum(each.radius == 0)) for each in alone)
+    assert seen > 40  # decided by pieces
 
 
 @pytest.mark.parametrize("name", SOLIDS)

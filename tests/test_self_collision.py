@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from htcp_jax.clearance.distance.segments import nearest_columns, nearest_points
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows, contacts
 from htcp_jax.clearance.obstacles.self_collision import FEW_PAIRS, SelfCollision, self_collision
-from htcp_jax.clearance.obstacles.self_exclusions import candidates
+from htcp_jax.clearance.obstacles.self_exclusions import candidates, distances, samples
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import row_travel_bound
 from htcp_jax.clearance.proof.motion_bound import travel_bound
@@ -29,6 +30,7 @@ from htcp_jax.model.kinematics import capsule_segments, link_poses
 from htcp_jax.model.robot import GP50
 
 PLACES = 1000
+PIPE = Path(__file__).parents[1] / "configs/pipe"
 
 
 def arm(name: str, folder) -> tuple[Robot, mujoco.MjModel]:
@@ -223,6 +225,16 @@ def test_pairs_are_checked_unless_the_model_excludes_them_or_they_nearly_always_
     assert named(robot, own.pairs) == pairs.split()
     assert dict(zip(named(robot, own.excluded), [each.rule for each in own.excluded], strict=True)) == excluded
     assert own.described(robot).startswith(f"{len(own.pairs)} pairs of bodies")
+
+
+def test_a_pair_that_is_always_1_mm_apart_is_not_checked():
+    """The shipped arm's wrist, a sphere on the last joint's axis, and its holder: 1 mm, give or take rounding."""
+    robot = load_robot(PIPE / "arm.xml")
+    pair = robot.capsule_names.index("holder"), robot.capsule_names.index("wrist")
+    away = distances(robot, [pair], samples(robot))
+    assert np.ptp(away) < 1e-12 and 1e-3 < away.max() < 1e-3 + 1e-12
+    own = self_collision(robot)
+    assert pair not in own.pairs and pair in {(each.first, each.second) for each in own.excluded}
 
 
 def test_without_meshes_adjacent_links_that_overlap_in_some_configurations_are_not_checked(tmp_path):

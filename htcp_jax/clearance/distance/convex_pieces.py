@@ -88,10 +88,8 @@ def face_contact(placed: PlacedPiece, other: PlacedPiece) -> PieceContact:
     near = nearest(lambda direction: _lowest(a, direction), lambda direction: _lowest(b, direction))
 
     def overlapping() -> tuple[Scalar, Vector3, Vector3]:
-        depth, outwards = _best(a, b, -a.normals)
-        other_depth, inwards = _best(a, b, b.normals)
-        by_own = depth > other_depth  # a face of `a`, nearest to a corner of `b`
-        distance, normal = jnp.maximum(depth, other_depth), jnp.where(by_own, outwards, inwards)
+        distance, normal, k = _best(a, b, jnp.concatenate([b.normals, -a.normals]))
+        by_own = k >= len(b.normals)  # a face of `a`, nearest to a corner of `b`
         corner = _lowest(b, -normal) + distance * normal
         return distance, normal, jnp.where(by_own, corner, _lowest(a, normal))
 
@@ -198,17 +196,19 @@ def _contact(a: ConvexPiece, b: ConvexPiece | Cylinder) -> tuple[Scalar, Vector3
 def _least_penetration(a: ConvexPiece, b: ConvexPiece | Cylinder) -> tuple[Scalar, Vector3]:
     """Return the largest f(n) of all candidates for the normal of least penetration, and its n."""
     if isinstance(b, ConvexPiece):
-        return _best_with_edges(a, b, _best(a, b, jnp.concatenate([-a.normals, b.normals])))
+        return _best_with_edges(a, b, _best(a, b, jnp.concatenate([-a.normals, b.normals]))[:2])
     ends = product(a.vertices - b.centre[None], b.rotation)[a.edges]
     own = jax.vmap(b.penetration_normals)(ends[:, 0], ends[:, 1]).reshape(-1, 3)
-    return _best(a, b, jnp.concatenate([-a.normals, product(own, b.rotation.T)]))
+    return _best(a, b, jnp.concatenate([-a.normals, product(own, b.rotation.T)]))[:2]
 
 
-def _best(a: ConvexPiece, b: ConvexPiece | Cylinder, normals: Float[Array, "n 3"]) -> tuple[Scalar, Vector3]:
-    """Return the largest f(n) of unit normals [m], and its n. Those of length 0 are ignored."""
+def _best(
+    a: ConvexPiece, b: ConvexPiece | Cylinder, normals: Float[Array, "n 3"]
+) -> tuple[Scalar, Vector3, Int[Array, ""]]:
+    """Return the largest f(n) of unit normals [m], its n and its number. Those of length 0 are ignored."""
     f = jnp.where(jnp.any(normals != 0, axis=1), -_highest(a, -normals) - _highest(b, normals), -jnp.inf)
     k = _argmax(f)
-    return f[k], normals[k]
+    return f[k], normals[k], k
 
 
 def _best_with_edges(a: ConvexPiece, b: ConvexPiece, best: tuple[Scalar, Vector3]) -> tuple[Scalar, Vector3]:
@@ -236,7 +236,7 @@ def _best_with_edges(a: ConvexPiece, b: ConvexPiece, best: tuple[Scalar, Vector3
         k = _argmax(bound)
         n = jnp.cross(d[k // len(e)], e[k % len(e)])
         n = n / safe_norm(n)
-        own_f, n = _best(a, b, jnp.stack([n, -n]))
+        own_f, n, _ = _best(a, b, jnp.stack([n, -n]))
         return bound.at[k].set(-jnp.inf), jnp.maximum(f, own_f), jnp.where(own_f > f, n, normal)
 
     return jax.lax.while_loop(lambda state: jnp.any(state[0] > state[1]), verify, (bound, *best))[1:]

@@ -54,9 +54,9 @@ def nearest(a: Support, b: Support) -> Nearest:
 
     def step(now: Nearest) -> Nearest:
         point, corner = lowest(now.difference)
-        length = jnp.sqrt(now.square)
+        length, first = jnp.sqrt(now.square), now.rounds == 0
         normal = now.difference / length
-        height = product(normal, corner)
+        height = jnp.where(first, -jnp.inf, product(normal, corner))
         lower, normal = jnp.maximum(now.lower, height), jnp.where(height > now.lower, normal, now.normal)
         square, difference, weights = _nearest_of_simplex(corner, now.corners, now.weights > 0, lower <= 0)
         stays = now._replace(lower=lower, normal=normal, done=jnp.ones((), bool))
@@ -69,19 +69,16 @@ def nearest(a: Support, b: Support) -> Nearest:
             jnp.where(drop[:, None], point[None], now.points),
             lower,
             normal,
-            square <= (TOUCHES_M / 2) ** 2,
+            square <= jnp.where(first, 0.0, (TOUCHES_M / 2) ** 2),
             now.rounds + 1,
         )
-        stops = (length - lower <= CONVERGED_M) | ~(square < now.square)
+        stops = ~first & ((length - lower <= CONVERGED_M) | ~(square < now.square))
         return jax.tree.map(lambda old, new: jnp.where(stops, old, new), stays, moves)
 
-    first = jnp.array([1.0, 0.0, 0.0])
-    point, corner = lowest(first)
-    square = product(corner, corner)
-    corners, points = jnp.broadcast_to(corner, (3, 3)), jnp.broadcast_to(point, (3, 3))
-    nothing = jnp.full((), -jnp.inf), jnp.zeros(3), square == 0, jnp.zeros((), int)
-    start = Nearest(corner, square, first, corners, points, *nothing)
-    return jax.lax.while_loop(lambda now: ~now.done & (now.rounds < ROUNDS), step, start)
+    x, nothing = jnp.array([1.0, 0.0, 0.0]), jnp.zeros((3, 3))  # no simplex: the first round goes along x
+    unknown = jnp.full((), -jnp.inf), jnp.zeros(3), jnp.zeros((), bool), jnp.zeros((), int)
+    start = Nearest(x, jnp.ones(()), jnp.zeros(3), nothing, nothing, *unknown)
+    return jax.lax.while_loop(lambda now: ~now.done & (now.rounds <= ROUNDS), step, start)
 
 
 def _nearest_of_simplex(

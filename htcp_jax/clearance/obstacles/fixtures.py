@@ -43,15 +43,19 @@ class Fixtures(Obstacle):
     names: tuple[str, ...] = field(metadata=LABEL)
     solids: ConvexPiece | None = None  # all but half-spaces in the order of the names, for an arm with pieces
 
+    in_pairs = True
+
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest solid."""
-        found = self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.is_checked)
-        return found if robot.pieces is None else self._by_pieces(robot, where, bodies, found)
+        if robot.pieces is not None:
+            return narrow_phase.decide(robot, bodies, [self.doubts(robot, where, bodies)])[0]
+        return self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.is_checked)
 
-    def _by_pieces(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, capsules: Contacts) -> Contacts:
-        """Return the contacts of capsules, or of the pieces in them where these are in doubt, see `narrow_phase`."""
+    def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> narrow_phase.Doubts:
+        """Return the bodies whose capsules are in doubt, and the solids near them."""
         if self.solids is None and not all(isinstance(kind, HalfSpace) for kind in (*self.simple, self.pieces) if kind):
             raise ValueError("fixtures for an arm without pieces are measured for an arm with pieces")
+        capsules = self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.is_checked)
         limit = narrow_phase.limit_m(where)
         doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
         parts = [_each_seen(kind, bodies.p, bodies.q).distance - robot.capsule_radius[None] for kind in self.simple]
@@ -60,16 +64,8 @@ class Fixtures(Obstacle):
         lower = jnp.where(self.is_checked & doubt[None], jnp.concatenate(parts), jnp.inf)
         solid, body = jnp.indices(lower.shape).reshape(2, -1)
         planes = next((kind for kind in self.simple if isinstance(kind, HalfSpace)), None)
-        found = narrow_phase.nearest_pieces(
-            robot,
-            bodies,
-            narrow_phase.Pairs(body, solid, body),
-            self.solids,
-            planes,
-            lower.reshape(-1),
-            narrow_phase.undecided(capsules, limit),
-        )
-        return narrow_phase.decided(capsules, found, doubt)
+        known = narrow_phase.undecided(capsules, limit)
+        return narrow_phase.Doubts(capsules, doubt, known, body, solid, body, lower.reshape(-1), self.solids, planes)
 
     def touches_along(
         self,

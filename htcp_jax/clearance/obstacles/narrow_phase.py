@@ -7,29 +7,45 @@ meshes collide all the same, the pieces in them are measured. The row's distance
 
 continuous, and a lower bound on the distance of the meshes. The contact, and so the gradient, is that of the
 representation that decided.
+
+The pairs of all obstacles are measured by one search, so that a program contains it once, see `decide_together`.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.distance.convex_pieces import PlacedPiece, face_contact, piece_contact
+from htcp_jax.clearance.distance.convex_pieces import PieceContact, PlacedPiece, face_contact, piece_contact
 from htcp_jax.clearance.distance.solids import HalfSpace
-from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose
+from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles, RowPairs
 from htcp_jax.model import ConvexPiece, Robot
 from htcp_jax.numerics import one_by_one, safe_norm, segment_parameter
+from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Array, Bool, Float, Int, Pose, Scalar
 
 CLOSE_M = 0.005  # above the margin: a step QP may go this far by the capsules before it sees the pieces
 
 
-class Pairs(NamedTuple):
-    """P pairs of a body and another piece, and the rows that they belong to."""
+class Doubts(NamedTuple):
+    """R rows of an obstacle, and the P pairs of pieces that decide those in doubt.
 
+    The second body of a pair is a body of the robot if there are neither planes nor solids; else a plane, or a solid
+    after the planes.
+    """
+
+    capsules: Contacts
+    rows: Bool[Array, "R"]  # True: in doubt
+    known: Contacts  # without the pairs
     first: Int[Array, "P"]
     second: Int[Array, "P"]
     row: Int[Array, "P"]
+    lower: Float[Array, "P"]  # bounds on the pairs' distances [m]; infinite for those that are not measured
+    solids: ConvexPiece | None = None  # stacked, in the world
+    planes: HalfSpace | None = None  # stacked
 
 
 def margin_m(where: HasWorkpiecePose) -> Scalar:
@@ -65,39 +81,51 @@ def decided(capsules: Contacts, pieces: Contacts, doubt: Bool[Array, "R"]) -> Co
     return chosen(doubt & (pieces.distance > capsules.distance), pieces, capsules)
 
 
-def nearest_pieces(
-    robot: Robot,
-    bodies: BodyAxes,
-    pairs: Pairs,
-    others: ConvexPiece | None,
-    planes: HalfSpace | None,
-    lower: Float[Array, "P"],
-    best: Contacts,
-) -> Contacts:
-    """Return `best`, or in each row the contact of the pair of pieces with a smaller distance.
+def decide(robot: Robot, bodies: BodyAxes, every: Sequence[Doubts]) -> list[Contacts]:
+    """Return the contacts of each obstacle: the capsules', or those of the pieces where they decide.
 
     Args:
         robot: The robot, with pieces.
         bodies: The bodies.
-        pairs: The pairs, whose first bodies move.
-        others: The pieces of the second bodies, in the world; None: there are none.
-        planes: Half-spaces, which come before them; None: there are none. Without either, the second bodies are the
-            robot's, too.
-        lower: Lower bound on each pair's distance [m]; infinite for those that are not measured.
-        best: A contact of every row.
+        every: The doubts of each obstacle.
     """
-    arguments = robot.pieces.excess_m == 0, robot.capsule_radius, bodies.p, bodies.q, bodies.T, lower, best
-    return _nearest_pieces((robot.pieces.piece, pairs, others, planes), *jax.lax.stop_gradient(arguments))
+    pairs, known, solids, planes = [], [], [], []
+    for each in every:
+        second = each.second
+        if each.planes is not None or each.solids is not None:  # planes are numbered from -1 downwards
+            above = 0 if each.planes is None else len(each.planes.offset)
+            plane = -1 - second - sum(len(own.offset) for own in planes)
+            solid = second - above + len(robot.capsule_link) + sum(len(own.radius) for own in solids)
+            second = jnp.where(second < above, plane, solid)
+        pairs.append((each.first, second, each.row + sum(len(own.distance) for own in known)))
+        known.append(each.known)
+        solids += [] if each.solids is None else [each.solids]
+        planes += [] if each.planes is None else [each.planes]
+    joined = lambda parts: jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)  # noqa: E731
+    exact, lower = robot.pieces.excess_m == 0, jnp.concatenate([each.lower for each in every])
+    arguments = exact, robot.capsule_radius, bodies.p, bodies.q, bodies.T, lower, joined(known)
+    shared = robot.pieces.piece, joined(pairs), tuple(solids), joined(planes) if planes else None
+    found = _nearest_pieces(shared, *jax.lax.stop_gradient(arguments))
+    contacts, start = [], 0
+    for each in every:
+        rows = slice(start, start := start + len(each.rows))
+        contacts.append(decided(each.capsules, jax.tree.map(lambda leaf, rows=rows: leaf[rows], found), each.rows))
+    return contacts
 
 
 @one_by_one
-def _nearest_pieces(shared, is_exact, radius, p, q, T, lower, best):
-    pieces, pairs, others, planes = shared
-    count = 0 if planes is None else len(planes.offset)
+def _nearest_pieces(shared, is_exact, radius, p, q, T, lower, known):
+    """Return the known contacts, or in each row that of the pair of pieces with a smaller distance."""
+    pieces, (first, second, row), solids, planes = shared
+    sizes = [max(own[k].shape[1] for own in (pieces, *solids)) for k in (0, 1)]
+
+    def chosen_from(stack: ConvexPiece, k) -> ConvexPiece:
+        vertices, normals = (_padded(leaf[k], most) for leaf, most in zip(stack[:2], sizes, strict=True))
+        return ConvexPiece(vertices, normals, *jnp.zeros((2, 0, 2), int), stack.radius[k])
 
     def body(k) -> PlacedPiece:
-        piece = jax.tree.map(lambda leaf: leaf[k], pieces)
-        axis = jnp.stack([p[k], q[k]])[jnp.arange(len(piece.vertices)) % 2]
+        piece = chosen_from(pieces, k)
+        axis = jnp.stack([p[k], q[k]])[jnp.arange(sizes[0]) % 2]
         return PlacedPiece(
             piece._replace(
                 vertices=jnp.where(is_exact[k], axis, piece.vertices),
@@ -106,35 +134,68 @@ def _nearest_pieces(shared, is_exact, radius, p, q, T, lower, best):
             jnp.where(is_exact[k], jnp.eye(4), T[k]),
         )
 
-    def contact(k):
-        first, second = body(pairs.first[k]), pairs.second[k]
-        if others is None and planes is None:
-            return face_contact(first, body(second))
+    def other(k) -> PlacedPiece:
+        found, start = body(jnp.minimum(k, len(radius) - 1)), len(radius)
+        for stack in solids:
+            new = PlacedPiece(chosen_from(stack, jnp.clip(k - start, 0, len(stack.radius) - 1)), jnp.eye(4))
+            found = jax.tree.map(partial(jnp.where, k >= start), new, found)
+            start += len(stack.radius)
+        return found
 
-        def solid():
-            other = jax.tree.map(lambda leaf: leaf[second - count], others)
-            return face_contact(first, PlacedPiece(other, jnp.eye(4)))
-
-        def plane():
-            return piece_contact(first, jax.tree.map(lambda leaf: leaf[jnp.minimum(second, count - 1)], planes))
-
-        if others is None or planes is None:
-            return solid() if planes is None else plane()
-        return jax.lax.cond(second < count, plane, solid)
+    def contact(pair) -> PieceContact:
+        one, k = body(first[pair]), second[pair]
+        if planes is None:
+            return face_contact(one, other(k))
+        plane = jax.tree.map(lambda leaf: leaf[jnp.clip(-1 - k, 0, len(planes.offset) - 1)], planes)
+        return jax.lax.cond(k < 0, lambda: piece_contact(one, plane), lambda: face_contact(one, other(k)))
 
     def is_open(lower, best):
-        return lower < best.distance[pairs.row]
+        return lower < best[row, 0]
 
     def measure(state):
         lower, best = state
-        k = jnp.argmin(jnp.where(is_open(lower, best), lower, jnp.inf))
-        found, row = contact(k), pairs.row[k]
-        new = Contacts(found.distance, found.point, found.normal, jnp.zeros(()), jnp.zeros((), bool))
-        nearer = found.distance < best.distance[row]
-        best = jax.tree.map(lambda old, new: old.at[row].set(jnp.where(nearer, new, old[row])), best, new)
-        return lower.at[k].set(jnp.inf), best
+        pair = jnp.argmin(jnp.where(is_open(lower, best), lower, jnp.inf))
+        found, old = contact(pair), best[row[pair]]
+        new = jnp.concatenate([found.distance[None], found.point, found.normal])
+        return lower.at[pair].set(jnp.inf), best.at[row[pair]].set(jnp.where(new[0] < old[0], new, old))
 
-    return jax.lax.while_loop(lambda state: jnp.any(is_open(*state)), measure, (lower, best))[1]
+    best = jnp.concatenate([known.distance[:, None], known.point, known.normal], axis=1)
+    best = jax.lax.while_loop(lambda state: jnp.any(is_open(*state)), measure, (lower, best))[1]
+    is_new = best[:, 0] < known.distance
+    radius, plane = jnp.where(is_new, 0.0, known.radius), known.plane & ~is_new
+    return Contacts(best[:, 0], best[:, 1:4], best[:, 4:], radius, plane)
+
+
+def _padded(rows: Float[Array, "n 3"], count: int) -> Float[Array, "m 3"]:
+    return jnp.concatenate([rows, jnp.broadcast_to(rows[-1:], (count - len(rows), 3))])
+
+
+@register_pytree
+@dataclass(frozen=True)
+class _Decided(Obstacle):
+    """An obstacle whose contacts at the current configuration are known."""
+
+    kind: Obstacle
+    found: Contacts
+
+    @property
+    def per_body(self) -> bool:
+        return self.kind.per_body
+
+    def rows(self, robot: Robot) -> RowPairs:
+        return self.kind.rows(robot)
+
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
+        return self.found
+
+
+def decide_together(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, bodies: BodyAxes) -> Obstacles:
+    """Return the obstacles for queries at one configuration: those whose pieces are measured in pairs by one search."""
+    in_pairs = [] if robot.pieces is None else [each for each in obstacles if each.in_pairs]
+    if not in_pairs:
+        return obstacles
+    found = iter(decide(robot, bodies, [each.doubts(robot, where, bodies) for each in in_pairs]))
+    return tuple(_Decided(each, next(found)) if each.in_pairs else each for each in obstacles)
 
 
 def ball_bounds(

@@ -7,7 +7,7 @@ which they share: the nearest counts. Any other kind has its own rows.
 `obstacle_kind` has the plainer protocol for obstacles of other packages.
 """
 
-from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -101,11 +101,13 @@ class Obstacle:
 
     per_body: its rows are the K bodies', shared with other such kinds; a kind of its own rows defines `rows`, too.
     of_workpiece: it is a part of the workpiece, in messages. sweeps: it defines `clear_along`. names: of its parts.
+    in_pairs: for an arm with pieces it defines `doubts`, and no other query.
     """
 
     per_body: ClassVar[bool] = True
     of_workpiece: ClassVar[bool] = False
     sweeps: ClassVar[bool] = False
+    in_pairs: ClassVar[bool] = False
     names: ClassVar[tuple[str, ...]] = ()
 
     def rows(self, robot: Robot) -> RowPairs:
@@ -118,6 +120,10 @@ class Obstacle:
         At other configurations, a fixed contact must never predict less than the true distance, see `contact_model`.
         For a kind with `per_body`, a body without a contact has infinite distance.
         """
+        raise NotImplementedError
+
+    def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Any:
+        """Return the `narrow_phase.Doubts`, for a kind with `in_pairs` and an arm with pieces."""
         raise NotImplementedError
 
     def closest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:

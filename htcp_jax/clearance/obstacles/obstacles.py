@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.backend import backend
+from htcp_jax.clearance.obstacles.narrow_phase import decide_together
 from htcp_jax.clearance.obstacles.obstacle import (
     Contacts,
     HasWorkpiecePose,
@@ -44,6 +45,7 @@ def contacts(
     `Obstacle.closest`.
     """
     bodies = bodies_at(robot, where, x)
+    obstacles = decide_together(robot, obstacles, where, bodies)
     query = lambda each: each.closest if smallest else each.contacts  # noqa: E731
     groups = [[query(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
     return _one_after_another([_nearest_contacts(own) for own in groups])
@@ -87,6 +89,7 @@ def clearance(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Jo
 def is_clear(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Bool[jax.Array, ""]:
     """Return True if D(x, O) > 0; cheaper than `clearance`."""
     bodies = bodies_at(robot, where, x)
+    obstacles = decide_together(robot, obstacles, where, bodies)
     return ~_together(jnp.logical_or, [each.touches(robot, where, bodies) for each in obstacles])
 
 
@@ -124,6 +127,7 @@ def all_clear(
 def free_radius(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Float[jax.Array, "R"]:
     """Return each row's free radius [m] at x, see `Obstacle.free_radius`; at most 0 in collision."""
     bodies = bodies_at(robot, where, x)
+    obstacles = decide_together(robot, obstacles, where, bodies)
     groups = [[each.free_radius(robot, where, bodies) for each in own] for own in grouped(obstacles)]
     return _one_after_another([_together(jnp.minimum, own) for own in groups])
 
@@ -137,6 +141,7 @@ def clearance_rows(
 
 def _smallest_distance(x: Joints, robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose) -> Scalar:
     bodies = bodies_at(robot, where, x)
+    obstacles = decide_together(robot, obstacles, where, bodies)
     return _together(jnp.minimum, [each.smallest(robot, where, bodies) for each in obstacles])
 
 

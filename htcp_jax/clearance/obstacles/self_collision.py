@@ -54,6 +54,7 @@ class SelfCollision(Obstacle):
     excluded: tuple[robots.Exclusion, ...] = field(default=(), metadata=LABEL)
 
     per_body = False
+    in_pairs = True
 
     def rows(self, robot: Robot) -> RowPairs:
         """Return one row per body and link before it with a checked pair."""
@@ -63,17 +64,18 @@ class SelfCollision(Obstacle):
         """Return the nearest points of the axes of the nearest pair of every row."""
         return self._contacts(robot, where, bodies, _measured(robot, self.pairs, bodies.p, bodies.q))
 
-    def _contacts(
-        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, every: "_MeasuredPairs"
-    ) -> Contacts:
-        found = every.contacts(self._nearest_of(every.distance, list(self._rows(robot).values())))
-        return found if robot.pieces is None else self._by_pieces(robot, where, bodies, every, found)
+    def _contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, every: "_MeasuredPairs") -> Contacts:
+        if robot.pieces is not None:
+            return narrow_phase.decide(robot, bodies, [self._doubts(robot, where, every)])[0]
+        return every.contacts(self._nearest_of(every.distance, list(self._rows(robot).values())))
 
-    def _by_pieces(
-        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, every: "_MeasuredPairs", capsules: Contacts
-    ) -> Contacts:
-        """Return the contacts of capsules, or of the pieces in them where these are in doubt, see `narrow_phase`."""
+    def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> narrow_phase.Doubts:
+        """Return the rows whose capsules are in doubt, and their pairs."""
+        return self._doubts(robot, where, _measured(robot, self.pairs, bodies.p, bodies.q))
+
+    def _doubts(self, robot: Robot, where: HasWorkpiecePose, every: "_MeasuredPairs") -> narrow_phase.Doubts:
         rows = list(self._rows(robot).values())
+        capsules = every.contacts(self._nearest_of(every.distance, rows))
         row = np.argsort(np.concatenate(rows)), np.repeat(np.arange(len(rows)), list(map(len, rows)))
         row_of_pair = jnp.asarray(row[1][row[0]])
         first, second = (jnp.asarray(side) for side in zip(*self.pairs, strict=True))
@@ -82,17 +84,10 @@ class SelfCollision(Obstacle):
         doubt &= (capsules.distance < limit)[row_of_pair]
         certain = self._nearest_of(jnp.where(doubt, jnp.inf, every.distance), rows)
         exact = every.contacts(certain)
-        far = narrow_phase.undecided(capsules, limit)
         is_near = (exact.distance < limit) & ~doubt[certain]
-        best = narrow_phase.chosen(is_near, exact, far)
-        pairs = narrow_phase.Pairs(first, second, row_of_pair)
+        known = narrow_phase.chosen(is_near, exact, narrow_phase.undecided(capsules, limit))
         lower = jnp.where(doubt, every.distance, jnp.inf)
-        found = narrow_phase.nearest_pieces(robot, bodies, pairs, None, None, lower, best)
-        return narrow_phase.decided(capsules, found, capsules.distance < limit)
-
-    def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "n"]:
-        """Return the distance of every pair, in their order."""
-        return _measured(robot, self.pairs, p, q).distance
+        return narrow_phase.Doubts(capsules, capsules.distance < limit, known, first, second, row_of_pair, lower)
 
     def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
         """Return the name of the capsule nearest to the body of a row, by it or the piece in it, for messages."""

@@ -62,7 +62,8 @@ def on_interval(
         requested: True: obstacles' own bounds are used; False: only the bodies' travel.
     """
     bodies, moves = bodies_at(robot, where, x), body_sweep(robot, x, rates, half)
-    free_radius = [each.free_radius(robot, where, bodies) for each in obstacles]
+    measured = narrow_phase.decide_together(robot, obstacles, where, bodies)
+    free_radius = [each.free_radius(robot, where, bodies) for each in measured]
     middle = jnp.min(jnp.concatenate(free_radius))
     good = jnp.maximum(kept * middle, least)
     # A larger bound than required is computed, as it is recorded.
