@@ -355,7 +355,29 @@ def plan(
         overrides = {**overrides, "method": name} if isinstance(overrides, Mapping) else [*overrides, f"method={name}"]
     with devices.on(devices.choose(device)[0]):
         job = with_kinds(load_config(config, overrides), obstacles, task)
-        chosen = registry.find(job.method) if method is None or isinstance(method, str) else method
+    return plan_job(job, None if isinstance(method, str) else method, progress=progress, device=device)
+
+
+def plan_job(
+    job: PlanConfig,
+    method: registry.Method | None = None,
+    *,
+    progress: Callable[[batch.Progress], None] | None = None,
+    device: str | None = None,
+) -> Plan:
+    """Plan a job that is loaded already.
+
+    Args:
+        job: The job.
+        method: In place of the method that the job names.
+        progress: See `plan`.
+        device: See `plan`.
+
+    Raises:
+        InputError: As `plan`.
+    """
+    with devices.on(devices.choose(device)[0]):
+        chosen = method or registry.find(job.method)
         robot, workpiece, scenario = jobs.build.scene(job)
         all_obstacles = jobs.build.obstacles_of(job.cell, robot)
         plans = batch.plan(

@@ -75,11 +75,15 @@ class Registry:
             return self._built_in[name]
         if name in self._own:
             return self._own[name]
-        if name not in self._entry_points:
-            raise InputError(f"{name!r} is not {self._a_noun}; valid: {', '.join(self.names()) or 'none is installed'}")
+        self.refuse_unknown(name)
         if name not in self._loaded:
             self._loaded[name] = self._load(self._entry_points[name])
         return self._loaded[name]
+
+    def refuse_unknown(self, name: str) -> None:
+        """Raise InputError for an unknown name. Nothing is imported."""
+        if name not in self.names():
+            raise InputError(f"{name!r} is not {self._a_noun}; valid: {', '.join(self.names()) or 'none is installed'}")
 
     def all(self, without: Collection[str] = ()) -> dict[str, Any]:
         """Return everything by its name. What cannot be imported is excluded, with a UserWarning.

@@ -3,8 +3,23 @@
 Axes: N joints, K bodies (capsules), P points, T targets, S scenarios, L lanes, M rows of a QP.
 """
 
+import sys
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
+
+if TYPE_CHECKING:
+    from jax import Array
+else:
+
+    class _OfJax(type):
+        def __instancecheck__(cls, value: Any) -> bool:
+            return "jax" in sys.modules and isinstance(value, sys.modules["jax"].Array)
+
+    class Array(metaclass=_OfJax):
+        """`jax.Array`, by its instances: a job is read and refused without importing JAX, which takes a second."""
+
 
 Anywhere = Array | np.ndarray  # on the device or on the host
 Scalar = Float[Array, ""]

@@ -12,8 +12,9 @@ from page_package import Place, files
 
 import htcp_jax
 from htcp_jax.clearance import clearances
+from htcp_jax.clearance.obstacles.given_obstacle import GivenObstacle, given_obstacles, with_given
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
-from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES, GivenObstacle, given_obstacles, with_given
+from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES
 from htcp_jax.clearance.proof.row_proof import between, rows_left
 from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.jobs import load_config

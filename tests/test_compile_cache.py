@@ -1,5 +1,7 @@
 """The compilation cache uses the user's cache folder, a given folder, or none."""
 
+import os
+
 import jax
 import pytest
 
@@ -36,3 +38,20 @@ def test_a_folder_that_cannot_be_made_is_a_warning(monkeypatch, tmp_path):
     monkeypatch.setenv("HTCP_CACHE", str(tmp_path / "file" / "cache"))
     with pytest.warns(UserWarning, match="compiled programs are not kept"):
         assert compile_cache.enable() is None
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="folders have no owner here")
+def test_a_folder_of_another_user_is_a_warning(monkeypatch, tmp_path):
+    monkeypatch.setenv("HTCP_CACHE", str(tmp_path))
+    tmp_path.chmod(0o755)
+    monkeypatch.setattr(os, "geteuid", lambda: os.stat(tmp_path).st_uid + 1)
+    with pytest.warns(UserWarning, match="belongs to another user.*compiled programs are not kept"):
+        assert compile_cache.enable() is None and compile_cache.folder() is None
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="this user can write everywhere")
+def test_a_folder_that_cannot_be_written_is_a_warning(monkeypatch, tmp_path):
+    monkeypatch.setenv("HTCP_CACHE", str(tmp_path))
+    tmp_path.chmod(0o500)
+    with pytest.warns(UserWarning, match="permission denied.*compiled programs are not kept"):
+        assert compile_cache.enable() is None and compile_cache.folder() is None

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import lint
@@ -217,6 +218,15 @@ def test_source_that_changed_while_the_process_runs_has_no_name(monkeypatch):
     newest = max(file.stat().st_mtime for file in executable_key._source_files())
     monkeypatch.setattr(htcp_jax, "_imported_s", newest)
     assert key_of(TIP) is None
+
+
+def test_source_that_was_replaced_by_an_older_file_has_no_name(monkeypatch):
+    """As by `cp -p` or rsync: the file brings its time along."""
+    now = htcp_jax._imported_s
+    for changed, is_named in ((now - 1, True), (now + 1, False)):
+        known = SimpleNamespace(st_mtime=0.0, st_ctime=changed)
+        monkeypatch.setattr(executable_key, "os", SimpleNamespace(stat=lambda _: known, environ=os.environ))  # noqa: B023
+        assert (key_of(TIP) is not None) == is_named
 
 
 def wraps_tcp(own=kinematics.tcp_position):

@@ -56,5 +56,25 @@ def test_the_core_imports_no_library_of_files_charts_tables_or_simulation():
     assert found == "set()\n"
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--set", "nokey=3"],
+        ["--set", "margin_m=wide"],
+        ["--set", "task=[{point: tcp, on: nowhere}]"],
+        ["--set", "cell.obstacles=[{kind: none-of-them}]"],
+        ["--method", "none-of-them"],
+        ["no-such-file.yaml"],
+    ],
+)
+def test_a_bad_job_is_refused_before_jax_and_scipy_are_imported(words):
+    script = (
+        f"import sys; from htcp_jax.cli.main import main; code = main(['plan', *{words}]); "
+        "print(code, {'jax', 'scipy', 'pandas', 'mujoco', 'matplotlib'} & set(sys.modules))"
+    )
+    found = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    assert found.stdout == "2 set()\n" and found.stderr.count("\n") == 1
+
+
 def _git(folder: Path, *words: str) -> str:
     return subprocess.run(["git", "-C", str(folder), *words], check=True, capture_output=True, text=True).stdout

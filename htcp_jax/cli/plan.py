@@ -3,16 +3,18 @@
 import importlib
 import threading
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.text import Text
 
-from htcp_jax import api
-from htcp_jax.api import Plan, forget_validation
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Device, Json, Overrides, claim_device, print_facts, print_json, progress_bar, stdout
-from htcp_jax.runs import plan_folder
+from htcp_jax.jobs import PlanConfig, load_config
+from htcp_jax.planning import registry
+
+if TYPE_CHECKING:
+    from htcp_jax.api import Plan
 
 COMPLETE, INCOMPLETE = 0, 3
 MATPLOTLIB = "matplotlib.figure", "matplotlib.backends.backend_agg"
@@ -61,13 +63,16 @@ def plan(
       htcp plan cone --method hybrid            a third one, by another method
       htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
-    claim_device(device)  # before anything is read
+    job = job_of(config, [*(overrides or ()), *([] if seed is None else [f"settings.seed={seed}"])], method)
+    claim_device(device)
     threading.Thread(target=_load_matplotlib, daemon=True).start()
-    overrides = [*(overrides or ()), *([] if seed is None else [f"settings.seed={seed}"])]
+    from htcp_jax import api  # here, as it imports JAX
+    from htcp_jax.runs import plan_folder
+
     with plan_folder.written_whole(out) as folder:
-        made = plan_with_progress(config, overrides, method, device)
+        made = plan_with_progress(job, device)
         made.write(folder, retract=retract)
-    forget_validation(out)
+    api.forget_validation(out)
     if as_json:
         print_json(made.record())
     else:
@@ -83,25 +88,35 @@ def _load_matplotlib() -> None:
         importlib.import_module(module)
 
 
-def plan_with_progress(
-    config: Path | None, overrides: list[str] | None, method: str | None, device: str | None = None
-) -> Plan:
-    """Plan a job, with a bar of tracked targets on a terminal.
+def job_of(config: Path | None, overrides: list[str], method: str | None) -> PlanConfig:
+    """Load a job, without JAX unless a kind of another package needs it.
 
     Args:
         config: The job file or example; None: the default job.
         overrides: Changes of the job, "dotted.key=value" each.
         method: The planning method; None: the job's.
+
+    Raises:
+        InputError: As `load_config`, and for a method that does not exist.
+    """
+    job = load_config(config, [*overrides, *([] if method is None else [f"method={method}"])])
+    registry.METHODS.refuse_unknown(job.method)
+    return job
+
+
+def plan_with_progress(job: PlanConfig, device: str | None = None) -> "Plan":
+    """Plan a job, with a bar of tracked targets on a terminal.
+
+    Args:
+        job: The job.
         device: The device; None: a GPU if there is one.
 
     Raises:
         InputError: As `api.plan`.
     """
+    from htcp_jax import api
+    from htcp_jax.device import compile_cache
+
+    compile_cache.enable()
     with progress_bar("targets") as progress:
-        return api.plan(
-            config,
-            overrides or (),
-            method=method,
-            device=device,
-            progress=lambda now: progress(now.targets_tracked, now.targets),
-        )
+        return api.plan_job(job, device=device, progress=lambda now: progress(now.targets_tracked, now.targets))

@@ -12,7 +12,7 @@ from rich.text import Text
 from htcp_jax.cli.feed import OneWay, PlayedFeed, played_feed
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Overrides, stdout
-from htcp_jax.cli.plan import plan_with_progress
+from htcp_jax.cli.plan import job_of, plan_with_progress
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs import examples
 from htcp_jax.process_exit import stop_message
@@ -100,6 +100,6 @@ def _replays_and_programs(
         return replay.recorded_replays(found), lambda scenario, by: plan_program.program_of(
             found, feed_m_s, by, scenario, **how
         )
-    name, plan = str(what or "the default job"), plan_with_progress(what, overrides, method)
+    name, plan = str(what or "the default job"), plan_with_progress(job_of(what, overrides or [], method))
     of_job = name, plan.plans, 0, plan.job, feed_m_s
     return replay.replays_of(name, plan), lambda _, by: plan_program.program_of_plans(*of_job, by, retract=retract)

@@ -31,14 +31,15 @@ except ImportError:  # no POSIX system: processes that start together compile th
 OF_JAX = "-cache", "-atime"  # ends of the names of JAX's files
 EXECUTABLES = "executables"  # the folder of executables, in the cache folder
 MOST_BYTES = 2**30  # of both kinds of files; beyond, those are removed that were not used for the longest time
+OTHERS_WRITE, OTHERS_ANY = 0o022, 0o077  # permissions of group and others
 DIGEST = 32  # bytes at the beginning of a file of an executable
 
 
 def enable() -> Path | None:
     """Keep executables in the user's cache folder, or in HTCP_CACHE; HTCP_CACHE=off disables the cache.
 
-    A folder already set through JAX takes precedence. A folder that is not writable disables the cache, with a warning:
-    it must never stop a plan.
+    A folder already set through JAX takes precedence. A folder of another user, or one that cannot be written, disables
+    the cache with a warning: it must not stop a plan.
 
     Returns:
         The folder, or None if nothing is kept.
@@ -56,17 +57,17 @@ def enable() -> Path | None:
     try:
         found = Path(choice) if choice else _user_cache() / "htcp_jax" / "programs"
         found.mkdir(mode=0o700, parents=True, exist_ok=True)
-        trusted, writable = is_trusted(found), os.access(found, os.W_OK)
+        exposed, own, writable = not _is_closed(found, OTHERS_WRITE), _is_own(found), os.access(found, os.W_OK)
     except (OSError, RuntimeError) as error:  # RuntimeError: no home folder
         _warn_unwritable(choice or "the user's cache folder", getattr(error, "strerror", None) or str(error))
         return None
-    if not trusted:
+    if exposed:
         raise InputError(
             f"{found} can be written by other users, and compiled programs in it would run as this one: "
             f"chmod 700 {found}, or set HTCP_CACHE to another folder, or to off"
         )
-    if not writable:
-        _warn_unwritable(found, "permission denied")
+    if not own or not writable:
+        _warn_unwritable(found, "permission denied" if own else "it belongs to another user")
         return None
     jax.config.update("jax_compilation_cache_dir", str(found))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
@@ -82,14 +83,18 @@ def folder() -> Path | None:
 
 
 def _warn_unwritable(where: str | Path, why: str) -> None:
-    line = f"{where} cannot be written ({why}): compiled programs are not kept; HTCP_CACHE names another folder"
+    line = f"{where} cannot be used ({why}): compiled programs are not kept; HTCP_CACHE names another folder"
     warnings.warn(line, UserWarning, stacklevel=3)
 
 
-def is_trusted(path: Path, mode: int = 0o022) -> bool:
-    """True if the user owns a folder, and nobody else has one of these permissions."""
-    found = os.stat(path)
-    return not hasattr(os, "geteuid") or (found.st_uid == os.geteuid() and not stat.S_IMODE(found.st_mode) & mode)
+def _is_own(path: Path) -> bool:
+    """True if the user owns a folder."""
+    return not hasattr(os, "geteuid") or os.stat(path).st_uid == os.geteuid()
+
+
+def _is_closed(path: Path, mode: int) -> bool:
+    """True if nobody but the owner has one of these permissions."""
+    return not hasattr(os, "geteuid") or not stat.S_IMODE(os.stat(path).st_mode) & mode
 
 
 def read_executable(key: str) -> bytes | None:
@@ -131,7 +136,7 @@ def _executables() -> Path:
         raise NotADirectoryError
     place = there / EXECUTABLES
     place.mkdir(mode=0o700, exist_ok=True)
-    if place.is_symlink() or not is_trusted(place, 0o077):
+    if place.is_symlink() or not _is_own(place) or not _is_closed(place, OTHERS_ANY):
         raise PermissionError
     return place
 

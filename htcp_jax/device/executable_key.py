@@ -105,7 +105,9 @@ def _source() -> str:
         raise UnknownSource
     try:
         imported_s = vars(sys.modules[PACKAGE])["_imported_s"]
-        if max(os.stat(file).st_mtime for file in _source_files()) >= imported_s:
+        known = [os.stat(file) for file in _source_files()]
+        # st_ctime: a file that replaces another one may bring an older time along
+        if max(max(each.st_mtime, each.st_ctime) for each in known) >= imported_s:
             raise UnknownSource
         return _source_digest()
     except OSError:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles
-from htcp_jax.clearance.obstacles import obstacle_kind, of_cell, self_collision
+from htcp_jax.clearance.obstacles import given_obstacle, of_cell, self_collision
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
@@ -217,7 +217,7 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
         for each, T in standing.clouds
     )
     own = self_collision.self_collision(robot) if cell.self_collision else None
-    given = obstacle_kind.given_obstacles(cell.obstacles)
+    given = given_obstacle.given_obstacles(cell.obstacles)
     return (
         *of_cell.make_fixtures(robot, standing.shapes, standing.excluded),
         *clouds,

@@ -27,7 +27,6 @@ from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.given_kinds import given_kind_of, needs_kind, record_of
 from htcp_jax.model import TaskRow, Tool, duct, task_row_kind
-from htcp_jax.model import robot as robots
 from htcp_jax.registry import NAME
 from htcp_jax.settings import Settings
 
@@ -116,6 +115,8 @@ class RobotConfig(strict_model.FileSection):
     @property
     def file(self) -> Path:
         """The model's file."""
+        from htcp_jax.model import robot as robots  # here, as it imports JAX
+
         return robots.GP50 if self.is_gp50 else Path(self.model)
 
 

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -13,9 +13,12 @@ from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError, described
 from htcp_jax.io import strict_model
 from htcp_jax.kinds import ExtensionKind, with_arrays
-from htcp_jax.model import Fixture, fixture, tool
+from htcp_jax.model import tool
 from htcp_jax.registry import Registry
 from htcp_jax.types import Triple
+
+if TYPE_CHECKING:
+    from htcp_jax.model import Fixture
 
 
 def given_kind_of(registry: Registry, base: type[ExtensionKind]) -> Callable[[Any, Callable], Any]:
@@ -83,11 +86,13 @@ def _adapter(kind: type[ExtensionKind]) -> TypeAdapter:
     return TypeAdapter(kind)
 
 
-def shapes_in_world(kind: obstacle_kind.ObstacleKind) -> tuple[Fixture, ...]:
+def shapes_in_world(kind: obstacle_kind.ObstacleKind) -> tuple["Fixture", ...]:
     """Return a kind's shapes at their poses in the world; none if it knows none.
 
     Raises InputError for a shape that MuJoCo lacks, naming the kind.
     """
+    from htcp_jax.model import Fixture, fixture  # here, as they import JAX
+
     found = []
     for shape in with_arrays(kind).shapes():
         wanted = fixture.PRIMITIVES.get(shape.type)

@@ -11,7 +11,6 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 
 # x, a, zc, b above, b below, n above, n below; lengths in m
@@ -50,6 +49,8 @@ INTERIOR_DEPTH_M = 0.2
 
 @cache
 def _sections() -> Any:
+    import scipy  # here, as a job names the duct
+
     return scipy.interpolate.PchipInterpolator(STATIONS[:, 0], STATIONS[:, 1:], extrapolate=False)
 
 
@@ -122,6 +123,8 @@ def weld(points: int = WELD_POINTS) -> Float[np.ndarray, "{points} 3"]:
 
     They are equally spaced by arc length along the cubic spline through WELD_KNOTS.
     """
+    import scipy
+
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(WELD_KNOTS, axis=0), axis=1)))
     return equal_steps(scipy.interpolate.CubicSpline(chord, WELD_KNOTS), chord[-1], points)
 

@@ -6,7 +6,7 @@ differently; it also depends on jax_dataclasses and tyro.
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Float, Scalar, Vector3
@@ -98,7 +98,7 @@ def turned_directions(
 ) -> Float[np.ndarray, "n 3"]:
     """Return a share of the smallest rotation from unit directions a to b, applied to a."""
     turns = np.array([least_turn(one, other) for one, other in zip(a, b, strict=True)]).reshape(-1, 3)
-    return Rotation.from_rotvec(share[:, None] * turns).apply(a) if len(a) else a
+    return scipy.spatial.transform.Rotation.from_rotvec(share[:, None] * turns).apply(a) if len(a) else a
 
 
 def turned_frames(
@@ -107,9 +107,11 @@ def turned_frames(
     """Return a share of the smallest rotation from frames a to b, applied to a."""
     if not len(a):
         return a
-    return Rotation.from_rotvec(share[:, None] * frame_turns(a, b)).as_matrix() @ a
+    return scipy.spatial.transform.Rotation.from_rotvec(share[:, None] * frame_turns(a, b)).as_matrix() @ a
 
 
 def frame_turns(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
     """Return the smallest rotation vectors, in the world, that turn frames a into b [rad]."""
-    return Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).as_rotvec() if len(a) else np.zeros((0, 3))
+    if not len(a):
+        return np.zeros((0, 3))
+    return scipy.spatial.transform.Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).as_rotvec()

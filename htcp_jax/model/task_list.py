@@ -4,23 +4,26 @@
       - {point: tcp, on: path}
       - {axis: tcp.z, towards: -path.normal, cone_deg: 60}
 
-`goals` converts them to the planner's kinds of rows, with goals at every target.
+`goals` converts them to the planner's kinds of rows, with goals at every target, by `listed_rows`. This module does
+without JAX until a method is called, as it reads a job.
 """
 
 import math
 from dataclasses import dataclass, fields
-from typing import ClassVar
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.model.arm_features import frame_of, point_of
-from htcp_jax.model.robot import Robot
 from htcp_jax.model.task_row_kind import PlacedPath, TaskRowKind
-from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, Row, TaskPoint
 from htcp_jax.types import Triple
+
+if TYPE_CHECKING:
+    from htcp_jax.model.robot import Robot
+    from htcp_jax.model.task_rows import Row
 
 FRAMES = "world", "workpiece", "path"
 DIRECTIONS = "path.normal", "-path.normal", "path.tangent", "-path.tangent"
@@ -86,17 +89,17 @@ class TaskRow(TaskRowKind):
         """True for an axis and for an orientation."""
         return self.point is None
 
-    def part(self, robot: Robot) -> Row:
+    def part(self, robot: "Robot") -> "Row":
         """Return the row for a robot. Raises InputError for a name that it lacks, and for numbers in a moving world."""
         if robot.part_moves and self.is_in_world:
             raise InputError("frame is world, and the part moves; valid: workpiece, path")
-        return _row_of_task(self, robot)
+        return _listed_rows().row_of_task(self, robot)
 
-    def goals(self, part: Row, posed: PlacedPath) -> Float[np.ndarray, "T g"]:
+    def goals(self, part: "Row", posed: PlacedPath) -> Float[np.ndarray, "T g"]:
         """Return the goals of the row at the points of the path."""
-        return _goals(self, part, posed)
+        return _listed_rows().goals_of_row(self, part, posed)
 
-    def drawn(self, part: Row, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
+    def drawn(self, part: "Row", rng: np.random.Generator) -> Float[np.ndarray, "g"]:
         """Return a random goal."""
         return part.drawn(rng)
 
@@ -175,84 +178,6 @@ class TaskRow(TaskRowKind):
             raise InputError("orientation is a quaternion of length 0")
 
 
-def _row_of_task(row: TaskRow, robot: Robot) -> Row:
-    if row.orientation is not None:
-        frame = frame_of(robot, row.of)
-        return FrameOrientation(frame.link, frame.columns, cone=row.limit_deg is not None)
-    if row.axis is not None:
-        name, k, sign = row.axis_of
-        frame = frame_of(robot, name, "axis")
-        axis = tuple(sign * value for value in frame.columns[k])
-        looks_from = None if row.looks_at_m is None else frame.origin_m
-        return AxisTowards(frame.link, axis, looks_from, cone=row.limit_deg is not None)
-    link, offset, *_ = point_of(robot, row.point, row.offset_m)
-    if row.on in ("plane", "line"):
-        return PointAlong(link, offset, 1 if row.on == "plane" else 2, row.within_m is not None)
-    of_world = (row.frame == "world" or row.axes == "xyz") and row.within_m is None  # then all three are equivalent
-    if of_world and not (link is None and any(offset)):
-        return TaskPoint(link, offset, tuple("xyz".index(axis) for axis in row.axes))
-    return PointAlong(link, offset, len(row.axes), row.within_m is not None)
-
-
-def _goals(row: TaskRow, part: Row, posed: PlacedPath) -> Float[np.ndarray, "T g"]:
-    count = len(posed.path)
-    if isinstance(part, TaskPoint):
-        return _places(row, posed)[:, list(part.axes)]
-    if isinstance(part, PointAlong):
-        across = _across(row, posed)
-        offsets = np.einsum("tkj,tj->tk", across, _places(row, posed))
-        rows = np.concatenate([across, offsets[:, :, None]], axis=2).reshape(count, -1)
-        return np.column_stack([rows, np.full(count, row.within_m)]) if part.band else rows
-    found = _rotations(row, posed).reshape(count, 9) if isinstance(part, FrameOrientation) else _directions(row, posed)
-    return np.column_stack([found, np.full(count, np.deg2rad(row.limit_deg))]) if part.inequalities else found
-
-
-def _places(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T 3"]:
-    if row.on == "path":
-        return posed.path
-    place = row.through_m if row.on in ("plane", "line") else row.on
-    return np.tile(_in_world(row, np.array(place), posed, is_place=True), (len(posed.path), 1))
-
-
-def _across(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T k 3"]:
-    """Return the directions in which a point is constrained."""
-    count = len(posed.path)
-    if row.on == "plane":
-        normal = _in_world(row, np.array(row.normal), posed)
-        return np.tile(normal / np.linalg.norm(normal), (count, 1, 1))
-    if row.on == "line":
-        along = _in_world(row, np.array(row.direction), posed)
-        return np.tile(np.linalg.svd(along[None])[2][1:], (count, 1, 1))
-    if row.frame == "path":
-        x, z = (directions @ posed.rotate.T for directions in (posed.workpiece.tangents, posed.workpiece.normals))
-        x = x - (x * z).sum(axis=1, keepdims=True) * z
-        x = x / np.linalg.norm(x, axis=1, keepdims=True)
-        axes = np.stack([x, np.cross(z, x), z], axis=1)
-    else:
-        axes = np.tile(posed.rotate.T if row.frame == "workpiece" else np.eye(3), (count, 1, 1))
-    return axes[:, ["xyz".index(axis) for axis in row.axes]]
-
-
-def _directions(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T 3"]:
-    """Return the wanted directions of an axis; for a row with looks_at_m, the place."""
-    count = len(posed.path)
-    if row.looks_at_m is not None:
-        return np.tile(_in_world(row, np.array(row.looks_at_m), posed, is_place=True), (count, 1))
-    if isinstance(row.towards, str):
-        own = posed.workpiece.normals if row.towards.endswith("normal") else posed.workpiece.tangents
-        return (-1.0 if row.towards.startswith("-") else 1.0) * own @ posed.rotate.T
-    direction = _in_world(row, np.array(row.towards), posed)
-    return np.tile(direction / np.linalg.norm(direction), (count, 1))
-
-
-def _rotations(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T 3 3"]:
-    if row.orientation == "path":
-        return posed.rotate @ posed.workpiece.frames.rotations
-    own = scipy.spatial.transform.Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
-    return np.tile(posed.rotate @ own if row.frame == "workpiece" else own, (len(posed.path), 1, 1))
-
-
-def _in_world(row: TaskRow, vector: np.ndarray, posed: PlacedPath, is_place: bool = False) -> Float[np.ndarray, "3"]:
-    if row.frame != "workpiece":
-        return vector
-    return posed.rotate @ vector + (posed.translate if is_place else 0.0)
+def _listed_rows() -> ModuleType:
+    """Return the module that computes, imported when it is used, as it imports JAX."""
+    return import_module("htcp_jax.model.listed_rows")

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacle, Obstacles, Scene, by_pieces, contacts, nearest_to, surface_points
-from htcp_jax.clearance.obstacles import obstacle_kind, of_workpiece, self_collision
+from htcp_jax.clearance.obstacles import given_obstacle, obstacle_kind, of_workpiece, self_collision
 from htcp_jax.device import devices as compute_devices
 from htcp_jax.device import processes as worker_processes
 from htcp_jax.device import tables
@@ -102,7 +102,7 @@ def plan(
         scenarios = scenario_functions.stack(scenarios)
     elif scenarios.x_start.ndim == 1:
         scenarios = scenario_functions.stack([scenarios])
-    obstacles, scenarios = obstacle_kind.with_given(obstacles, jax.tree.map(np.asarray, scenarios))
+    obstacles, scenarios = given_obstacle.with_given(obstacles, jax.tree.map(np.asarray, scenarios))
     scenarios = _with_refused(robot, obstacles, scenarios, check_starts)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     _check_task(task, robot, scenarios)

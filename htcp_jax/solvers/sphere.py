@@ -159,23 +159,29 @@ class _Climb(NamedTuple):
 def _climb(sphere: Sphere, w: Direction, seen: Observation, steps: int = 12) -> _Climb:
     """Climb from w to a local maximum of the predicted merit, by SQP steps within a trust region."""
 
-    def body(climb):
+    def stepped(climb):
         step, multipliers, gain = _tangent_step(sphere, climb)
-        w = _unit_direction(climb.w + step)
+        return _unit_direction(climb.w + step), multipliers, gain, 0.25 * jnp.max(jnp.abs(step))
+
+    def body(climb):
+        begins = climb.steps < 0
+        stay = lambda climb: (climb.w, climb.multipliers, jnp.full((), jnp.inf), climb.radius)  # noqa: E731
+        w, multipliers, gain, shorter = jax.lax.cond(begins, stay, stepped, climb)
         value, gradient = sphere.predict_with_gradient(w, seen)
         merit = _merit(sphere, w, jnp.min(value))
         # A step that gains too little was too long: the next is a quarter of it. A QP without predicted gain ends it.
-        shorter = 0.25 * jnp.max(jnp.abs(step))
         radius = jnp.where(merit - climb.merit > 0.1 * gain, jnp.minimum(2 * climb.radius, 0.5), shorter)
         radius = jnp.where(gain > 1e-10, radius, 0.0)
         there, here = (w, value, gradient, merit), (climb.w, climb.value, climb.gradient, climb.merit)
-        higher = jax.tree.map(lambda new, old: jnp.where(merit > climb.merit, new, old), there, here)
+        higher = jax.tree.map(lambda new, old: jnp.where(begins | (merit > climb.merit), new, old), there, here)
+        lowest = jax.nn.one_hot(jnp.argmin(value), value.shape[0])
+        multipliers = jnp.where(begins, lowest, multipliers)
         return _Climb(*higher, multipliers, radius, climb.steps + 1)
 
-    value, gradient = sphere.predict_with_gradient(w, seen)
-    lowest = jax.nn.one_hot(jnp.argmin(value), value.shape[0])
-    merit = _merit(sphere, w, jnp.min(value))
-    start = _Climb(w, value, gradient, merit, lowest, jnp.full((), 0.5), jnp.zeros((), jnp.int32))
+    # The first iteration predicts at w itself, so that the prediction is compiled once.
+    rows, dimension = jax.eval_shape(sphere.predict, w, seen).shape[0], w.shape[0]
+    unknown = w, jnp.zeros(rows), jnp.zeros((rows, dimension)), jnp.full((), -jnp.inf), jnp.zeros(rows)
+    start = _Climb(*unknown, jnp.full((), 0.5), jnp.full((), -1, jnp.int32))
     return jax.lax.while_loop(lambda climb: ~climb.ended & (climb.steps < steps), body, start)
 
 

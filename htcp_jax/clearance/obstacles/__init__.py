@@ -5,7 +5,8 @@ fixtures and clouds that stay where they are. `self_collision` keeps the arm cle
 the pairs of capsules that need no check, from sampled configurations. `tip_guard` keeps the bare tip of the tool out of
 the part's triangles.
 
-`obstacle_kind` has the base class of kinds that other packages add, and their registry.
+`obstacle_kind` has the base class of kinds that other packages add, and their registry; `given_obstacle` their
+distances to bodies.
 
 `linearisation` has task and clearance at one configuration to first order, as the step QP needs them. `contact_model`
 holds the contacts of one configuration fixed, to predict distances near it without another search.

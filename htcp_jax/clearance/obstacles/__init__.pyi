@@ -1,5 +1,6 @@
 from . import (
     contact_model,
+    given_obstacle,
     linearisation,
     obstacle_kind,
     of_cell,
@@ -11,6 +12,7 @@ from . import (
 
 __all__ = [
     "contact_model",
+    "given_obstacle",
     "linearisation",
     "obstacle_kind",
     "of_cell",

@@ -1,0 +1,130 @@
+"""Obstacles of some `obstacle_kind.ObstacleKind`: distances of bodies from that of a point.
+
+The nearest point of a body's axis is searched for on it: by golden sections for a convex obstacle, whose distance is
+a convex function along a line. For any other, PIECES equal intervals of length h are measured. The distance of a
+point changes by no more than the point moves, so on an interval it is at least (d_i + d_i+1 - h) / 2 (Piyavskii, An
+algorithm for finding the absolute extremum of a function, 1972): the free radius is that, and the distance itself is
+refined about the smallest.
+
+Bodies that are fixed in the world are not checked. Nor are bodies of the first link that touch at x = 0: an arm stands
+on its pedestal. See docs/add-an-obstacle.md.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles, bodies_at
+from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind
+from htcp_jax.errors import InputError
+from htcp_jax.kinds import Template, numbers_of, template_of
+from htcp_jax.model import Robot, Scenario
+from htcp_jax.numerics import safe_norm
+from htcp_jax.pytree import register_pytree
+from htcp_jax.types import Bool, Float, Scalar, Vector3
+
+PIECES, SECTIONS = 128, 48  # of an axis that is not searched by sections alone; golden sections
+GOLDEN = (np.sqrt(5) - 1) / 2
+
+
+@register_pytree
+@dataclass(frozen=True)
+class GivenObstacle(Obstacle):
+    """An obstacle of some kind; its numbers are the scenario's, from `first` on."""
+
+    template: Template = field(metadata={"static": True})
+    first: int = field(metadata={"static": True})
+
+    @property
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]  # nobody sets an obstacle's names
+        """The kind's name, as a tuple."""
+        return (self.template.kind.name,)
+
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
+        """Return the contact of every body with the obstacle."""
+        return self._measured(robot, where, bodies)[0]
+
+    def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
+        """Return lower bounds on the distances."""
+        return self._measured(robot, where, bodies)[1]
+
+    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
+        """Return the kind's name, for messages."""
+        return f"the obstacle {self.template.kind.name!r}"
+
+    def _measured(
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes
+    ) -> tuple[Contacts, Float[jax.Array, "K"]]:
+        numbers: Float[jax.Array, "P"] = where.obstacle_numbers  # type: ignore[attr-defined]  # as `Scenario` has them
+        own = self.template.with_numbers(numbers[self.first : self.first + self.template.size])
+        radius = robot.capsule_radius
+        point, distance, least = jax.vmap(lambda p, q: _nearest(own, p, q))(bodies.p, bodies.q)
+        normal = jax.vmap(jax.grad(lambda point: own.distance(point).reshape(())))(point)
+        length = safe_norm(normal)[:, None]
+        normal = jnp.where(length > 1e-9, normal / jnp.maximum(length, 1e-9), jnp.array([0.0, 0.0, 1.0]))
+        is_checked = self._checked_bodies(own, robot, where)
+        far = jnp.where(is_checked, 0.0, jnp.inf)
+        return Contacts(distance - radius + far, point, normal, radius, distance <= 0), least - radius + far
+
+    def _checked_bodies(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
+        """True for bodies that are checked."""
+        links = np.array(robot.capsule_link)
+        first = np.setdiff1d(np.flatnonzero(links == 0), robot.attached)
+        is_checked = jnp.asarray(links >= 0)
+        if not len(first):
+            return is_checked
+        drawn = bodies_at(robot, where, jnp.zeros(len(robot.slides)))
+        at_zero = jax.vmap(lambda p, q: _nearest(own, p, q)[1])(drawn.p[first], drawn.q[first])
+        return is_checked.at[first].set(at_zero > robot.capsule_radius[first])
+
+
+def _nearest(own: ObstacleKind, p: Vector3, q: Vector3) -> tuple[Vector3, Scalar, Scalar]:
+    """Return the point of an axis nearest to an obstacle, its distance, and a lower bound on that [m]."""
+
+    def at(t: Scalar) -> Scalar:
+        return jnp.asarray(own.distance(p + t * (q - p)), float).reshape(())
+
+    def section(_, ends):
+        low, high = ends
+        a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+        left = at(a) < at(b)
+        return jnp.where(left, low, a), jnp.where(left, b, high)
+
+    low, high = jnp.zeros(()), jnp.ones(())
+    bound: Scalar | float = jnp.inf
+    if not own.convex:
+        t = jnp.linspace(0.0, 1.0, PIECES + 1)
+        d = jax.vmap(at)(t)
+        bound = jnp.min(d[:-1] + d[1:] - safe_norm(q - p) / PIECES) / 2
+        best = t[jnp.argmin(d)]
+        low, high = jnp.maximum(best - 1 / PIECES, 0.0), jnp.minimum(best + 1 / PIECES, 1.0)
+    low, high = jax.lax.fori_loop(0, SECTIONS, section, (low, high))
+    t = jnp.stack([jnp.zeros(()), 0.5 * (low + high), jnp.ones(())])
+    d = jax.vmap(at)(t)
+    best = jnp.argmin(d)
+    return p + t[best] * (q - p), d[best], jnp.minimum(bound, d[best])
+
+
+def given_obstacles(kinds: Sequence[ObstacleKind]) -> Obstacles:
+    """Return the obstacles of some kinds; their numbers, `numbers_of(kinds)`, belong into the scenarios."""
+    templates = [template_of(each) for each in kinds]
+    first = np.cumsum([0, *(each.size for each in templates)]).tolist()
+    return tuple(GivenObstacle(each, k) for each, k in zip(templates, first, strict=False))
+
+
+def with_given(obstacles: Sequence[Obstacle | ObstacleKind], scenarios: Scenario) -> tuple[Obstacles, Scenario]:
+    """Return obstacles and stacked scenarios in which kinds are obstacles with numbers.
+
+    Raises InputError if the scenarios have such numbers already.
+    """
+    kinds = [each for each in obstacles if isinstance(each, ObstacleKind)]
+    others = tuple(each for each in obstacles if not isinstance(each, ObstacleKind))
+    if not kinds:
+        return others, scenarios
+    if scenarios.obstacle_numbers is not None:
+        raise InputError("the scenarios have obstacles of a job; add these there, to cell.obstacles")
+    numbers = np.tile(numbers_of(kinds), (len(scenarios.number), 1))
+    return (*others, *given_obstacles(kinds)), replace(scenarios, obstacle_numbers=numbers)
