@@ -60,7 +60,10 @@ def test_the_motion_leads_back_where_required(here, capsys):
 def test_an_incomplete_plan_exits_3_saves_what_it_has_and_names_the_failure(here, capsys):
     (here / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")  # the second point lies in the wall
     assert main(["plan", *SHORT, "--method", "baseline", "--out", "out"]) == 3
-    assert "failed at target 12: " in capsys.readouterr().out
+    output = capsys.readouterr().out
+    first = output.splitlines()[1]
+    assert first.startswith("can be run            to target 11, the first 12 of 13; target 12: ")
+    assert "failed at target 12: " in output
     (failure,) = json.loads((here / "out" / "summary.json").read_text())["failures"]
     assert failure["target"] == 12 and failure["reason"]
     assert (here / "out" / "plan.png").stat().st_size > 0
