@@ -11,8 +11,19 @@ from rich.text import Text
 from htcp_jax import api
 from htcp_jax.api import Plan, forget_validation
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.output import Device, Json, Overrides, claim_device, print_facts, print_json, progress_bar, stdout
+from htcp_jax.cli.output import (
+    Device,
+    Json,
+    Overrides,
+    Seed,
+    claim_device,
+    print_facts,
+    print_json,
+    progress_bar,
+    stdout,
+)
 from htcp_jax.runs import plan_folder
+from htcp_jax.runs import sweep as sweeps
 
 COMPLETE, INCOMPLETE = 0, 3
 MATPLOTLIB = "matplotlib.figure", "matplotlib.backends.backend_agg"
@@ -29,7 +40,6 @@ Retract = Annotated[
     bool, typer.Option("--retract", help="Append the motion back to the start, or to home, to motion.csv.")
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
-Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more rows: smoothness, joint paths, clearance.")]
 
 
@@ -63,7 +73,7 @@ def plan(
     """
     claim_device(device)  # before anything is read
     threading.Thread(target=_load_matplotlib, daemon=True).start()
-    overrides = [*(overrides or ()), *([] if seed is None else [f"settings.seed={seed}"])]
+    overrides = [*sweeps.seeded(overrides or (), seed)]
     with plan_folder.written_whole(out) as folder:
         made = plan_with_progress(config, overrides, method, device)
         made.write(folder, retract=retract)
