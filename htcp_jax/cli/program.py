@@ -125,7 +125,8 @@ def program(
     if overloaded and not allow_effort:
         code = code or OVERLOADED
     if as_json:
-        record = {**found._asdict(), "feed_drops": drops.records(), "shares": _share_record(found.shares)}
+        record = {key: value for key, value in found._asdict().items() if key != "drops"}
+        record |= {"feed_drops": drops.records(), "shares": _share_record(found.shares)}
         record["path_shares"] = _share_record(found.path_shares)
         record["peak_torque"] = peak_torque and peak_torque._asdict()
         print_json({**record, "check": checked or None, "file": str(out)})
