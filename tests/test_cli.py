@@ -2,11 +2,13 @@
 
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
 
 from htcp_jax.cli import main
+from htcp_jax.cli.main import COMMANDS
 from htcp_jax.motion import Plans, Problem
 from htcp_jax.planning import registry
 from htcp_jax.planning.method import Method
@@ -60,7 +62,10 @@ def test_the_motion_leads_back_where_required(here, capsys):
 def test_an_incomplete_plan_exits_3_saves_what_it_has_and_names_the_failure(here, capsys):
     (here / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")  # the second point lies in the wall
     assert main(["plan", *SHORT, "--method", "baseline", "--out", "out"]) == 3
-    assert "failed at target 12: " in capsys.readouterr().out
+    output = capsys.readouterr().out
+    first = output.splitlines()[1]
+    assert first.startswith("can be run            to target 11, the first 12 of 13; target 12: ")
+    assert "failed at target 12: " in output
     (failure,) = json.loads((here / "out" / "summary.json").read_text())["failures"]
     assert failure["target"] == 12 and failure["reason"]
     assert (here / "out" / "plan.png").stat().st_size > 0
@@ -123,3 +128,23 @@ def test_help_and_version_are_answers(capsys):
     for arguments in ([], ["--help"], ["-h"], ["--version"], ["plan", "--help"], ["plan", "-h"]):
         assert main(arguments) == 0
     assert "htcp plan pipe" in capsys.readouterr().out
+
+
+def options(command: str, capsys) -> dict[str, str]:
+    """Options of a command with their placeholders, as its help lists them."""
+    assert main([command, "-h"]) == 0
+    text = capsys.readouterr().out
+    assert "Exit code" in text, command
+    return dict(
+        re.findall(r"^  (?:-\w, )?(--[a-z-]+)(?: ([A-Za-z|,.=:\[\]_]+))?", text.split("\nOptions:\n")[1], re.MULTILINE)
+    )
+
+
+def test_each_command_lists_its_exit_codes_and_each_option_has_one_spelling(capsys):
+    found = {command: options(command, capsys) for command in COMMANDS}
+    spellings = {(name, form) for each in found.values() for name, form in each.items() if name != "--out"}
+    assert sorted({name for name, _ in spellings}) == sorted(name for name, _ in spellings)
+    seeded = {"plan", "sweep", "place", "reachability", "view"}  # as everything else is decided by what they read
+    assert {command for command, each in found.items() if "--seed" in each} == seeded
+    for one in ("--feed-mm-s", "--output", "--force", "--overwrite", "--random-seed"):
+        assert not any(one in each for each in found.values())

@@ -18,7 +18,7 @@ from htcp_jax.model.kinematics import capsules_and_tcp, tcp_pose
 from htcp_jax.runs import open_plans
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, write_json
 from htcp_jax.status import Kind
-from htcp_jax.trajectory import FORMATS
+from htcp_jax.trajectory import FORMATS, limits_overrides
 from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.plan_program import program_of
 from htcp_jax.validation import check_timed
@@ -53,6 +53,42 @@ def here(tmp_path, monkeypatch):
 
 def run(plans, *words: str) -> int:
     return main(["program", str(plans / "good"), "--feed", "20mm/s", *words])
+
+
+def limits_file(folder, **limits) -> str:
+    """File in which joint6 of the GP50 has other limits than its model states."""
+    text = json.dumps({"default_velocity_scaling_factor": 0.1, "joint_limits": {"joint6": limits, "gripper": {}}})
+    (folder / "joint_limits.yaml").write_text(text)
+    return str(folder / "joint_limits.yaml")
+
+
+def test_limits_of_a_file_replace_the_model_s_joint_by_joint_and_set_precedes_them(plans, here, capsys):
+    file = limits_file(here, max_velocity=0.25, has_acceleration_limits=False, max_acceleration=9)
+    (change,) = limits_overrides(file, gp50())
+    assert change == f"program.velocity={[*np.asarray(gp50().speed)[:5].tolist(), 0.25]}"
+    for words, expected in (([], 0.25), (["--set", "program.velocity=[1, 1, 1, 1, 1, 2]"], 2.0)):
+        assert run(plans, "--out", "weld.ros.yaml", "--limits", file, *words, "--json") == 0
+        record = json.loads(capsys.readouterr().out)
+        made = program_of(open_plans(plans / "good"), 0.02, overrides=words[1:] or [change])
+        assert made.limits.velocity[5] == expected
+        assert record["duration_s"] == pytest.approx(made.program.duration_s)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("joints: {}", "the mapping joint_limits is missing"),
+        ("joint_limits: {a1: {max_velocity: 1}}", "no joint of gp50 is listed; its joints: joint1, joint2"),
+        ("joint_limits: {joint6: 1}", "joint joint6 is no mapping"),
+        ("joint_limits: {joint6: {max_velocity: 0}}", "max_velocity of joint joint6 is 0; a positive number is needed"),
+        ("joint_limits: {joint6: {max_jerk: 1}}", "max_jerk of joint joint1 is missing, and the model states none"),
+        ("joint_limits: {joint6: {}}", "limits no joint of gp50"),
+    ],
+)
+def test_a_file_without_usable_limits_is_refused(plans, here, capsys, text, line):
+    (here / "limits.yaml").write_text(text)
+    assert run(plans, "--out", "weld.csv", "--limits", "limits.yaml") == 2
+    assert line in capsys.readouterr().err and not (here / "weld.csv").exists()
 
 
 def test_the_table_says_how_long_it_takes_where_the_feed_drops_and_what_is_used_of_each_limit(plans, here, capsys):

@@ -11,7 +11,7 @@ import pytest
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, kinematics
-from htcp_jax.model.robot import lengthen_tool
+from htcp_jax.model.robot import capsule_label, lengthen_tool
 from htcp_jax.validation.mujoco_arm import MujocoArm
 
 # Standard DH of the GP50: d, a, alpha; and its capsules: frame, p, q, radius.
@@ -403,6 +403,11 @@ def test_bad_model_gets_one_line(case, tmp_path, monkeypatch):
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not list(Path().glob("MUJOCO_LOG.TXT"))
+
+
+@pytest.mark.parametrize(("capsule", "label"), [("capsule_4", "link4"), ("capsule_6b", "link6 (capsule_6b)")])
+def test_a_numbered_capsule_goes_by_its_link_and_by_its_own_name_only_among_others(capsule, label):
+    assert capsule_label(gp50(), capsule) == label
 
 
 def test_gp50_refuses_an_unknown_profile():

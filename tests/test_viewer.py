@@ -515,7 +515,7 @@ def test_only_this_machine_can_connect(viewer):
     [
         (["{plan}", "--scenario", "7"], "has no scenario 7 by baseline; it has 0"),
         (["{plan}", "--method", "hybrid"], "has no results of 'hybrid'; it has baseline"),
-        (["{plan}", "--set", "margin_m=0"], "--set changes a job; a run folder is shown as it is"),
+        (["{plan}", "--set", "margin_m=0"], "--set and --seed change a job; a run folder is shown as it is"),
         (["{plan}", "--host", "no such host"], "cannot listen on no such host, port 8080"),
         (["{plan}/.."], "holds neither a run of htcp sweep"),
         (["nowhere"], "nowhere: no such run folder, and no such job"),

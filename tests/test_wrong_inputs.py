@@ -316,7 +316,7 @@ COMMANDS = [
     Wrong(["view", LONG], "File name too long"),
     Wrong(["view", "--port", "99999", "."], "--port"),
     Wrong(["view", "--port", "http", "."], "--port"),
-    Wrong(["view", "--set", "margin_m=1e-3", "."], "--set changes a job"),
+    Wrong(["view", "--set", "margin_m=1e-3", "."], "--set and --seed change a job"),
     Wrong(["view", "--method", "rrt"], "'rrt' is not a method"),
     Wrong(["view", "."], ". holds neither a run of htcp sweep"),
     Wrong(["render"], "RUN"),

@@ -2,13 +2,16 @@
 
     <!-- table: job keys -->      every key of a job: type, unit, default, meaning
     <!-- table: columns NAME -->  every column of a Parquet table: unit, description
+    <!-- table: json NAME -->     every value in docs/schemas/NAME-1.json: type, meaning
     <!-- table: statuses NAME --> every member of an enumeration in htcp_jax.status: name, meaning
 
 Types and ranges of job keys come from the schema of `PlanConfig`, their meanings from the comments in
 configs/duct.yaml.
 """
 
+import json
 import re
+from collections.abc import Iterator
 from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,8 +22,9 @@ from htcp_jax import status
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.runs import columns
 
-MARK = re.compile(r"^<!-- table: (job keys|columns|statuses)(?: (\w+))? -->$", re.MULTILINE)
+MARK = re.compile(r"^<!-- table: (job keys|columns|json|statuses)(?: (\w+))? -->$", re.MULTILINE)
 JOB = Path(__file__).parents[2] / "configs" / "duct.yaml"
+SCHEMAS = Path(__file__).parents[1] / "schemas"
 UNITS = {"_rad": "rad", "_m": "m", "_s": "s", "num_cpus": "cores"}
 LIMITS = {"minimum": ">= {:g}", "exclusiveMinimum": "> {:g}", "maximum": "<= {:g}", "exclusiveMaximum": "< {:g}"}
 WIDE = 1e5  # bounds beyond are against mistyped numbers only
@@ -38,8 +42,8 @@ class JobKey(NamedTuple):
 
 def on_page_markdown(markdown: str, **_) -> str:
     """Replace the marks by tables; called by mkdocs with every page's source."""
-    tables = {"job keys": lambda _: keys_table(), "columns": columns_table, "statuses": statuses_table}
-    return MARK.sub(lambda found: tables[found[1]](found[2]), markdown)
+    tables = {"columns": columns_table, "json": json_table, "statuses": statuses_table}
+    return MARK.sub(lambda found: tables[found[1]](found[2]) if found[2] else keys_table(), markdown)
 
 
 def keys_table() -> str:
@@ -54,6 +58,28 @@ def columns_table(table: str) -> str:
     texts = columns.TABLES[table].items()
     rows = (f"| `{name}` | {columns.unit_of(name, ())} | {_cell(text)} |" for name, text in texts)
     return "| column | unit | description |\n|---|---|---|\n" + "\n".join(rows)
+
+
+def json_table(name: str) -> str:
+    """Return the table of the values that a JSON schema lists, those of an array's items under `[]`."""
+    rows = (f"| `{where}` | {kind} | {_cell(text)} |" for where, kind, text in _values(_schema(name), ""))
+    return "| value | type | meaning |\n|---|---|---|\n" + "\n".join(rows)
+
+
+def _schema(name: str) -> dict[str, Any]:
+    return json.loads((SCHEMAS / f"{name}-1.json").read_text())
+
+
+def _values(schema: dict[str, Any], where: str) -> Iterator[tuple[str, str, str]]:
+    """Yield the place, type and meaning of every value below."""
+    for key, each in schema.get("properties", {}).items():
+        kinds = each["type"] if isinstance(each["type"], list) else [each["type"]]
+        yield f"{where}{key}", " or ".join(kinds), each.get("description", "")
+        yield from _values(each, f"{where}{key}.")
+    if isinstance(more := schema.get("additionalProperties"), dict):
+        yield from _values(more, f"{where}NAME.")
+    if "items" in schema:
+        yield from _values(schema["items"], f"{where[:-1]}[].")
 
 
 def statuses_table(enumeration: str) -> str:

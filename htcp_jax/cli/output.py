@@ -46,6 +46,7 @@ Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job fi
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job; may be repeated.")
 ]
+Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed.")]
 
 
 def claim_device(device: str | None) -> None:

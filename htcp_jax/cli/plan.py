@@ -9,7 +9,17 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.output import Device, Json, Overrides, claim_device, print_facts, print_json, progress_bar, stdout
+from htcp_jax.cli.output import (
+    Device,
+    Json,
+    Overrides,
+    Seed,
+    claim_device,
+    print_facts,
+    print_json,
+    progress_bar,
+    stdout,
+)
 from htcp_jax.jobs import PlanConfig, load_config
 from htcp_jax.planning import registry
 
@@ -31,7 +41,6 @@ Retract = Annotated[
     bool, typer.Option("--retract", help="Append the motion back to the start, or to home, to motion.csv.")
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
-Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more rows: smoothness, joint paths, clearance.")]
 
 

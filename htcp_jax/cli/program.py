@@ -15,10 +15,11 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError
+from htcp_jax.jobs import PlanConfig, build
 from htcp_jax.jobs import feed as feed_rates
 from htcp_jax.report import Column, Table
 from htcp_jax.runs import open_plans, open_run, plan_folder, timing_file
-from htcp_jax.trajectory import FORMATS, PeakTorque, PlanProgram, figures, format_of, plan_program
+from htcp_jax.trajectory import FORMATS, PeakTorque, PlanProgram, figures, format_of, limits_overrides, plan_program
 from htcp_jax.validation import check_timed
 
 REFUTED, OVERLOADED = 1, 3  # exit codes
@@ -47,6 +48,10 @@ Method = Annotated[
 ]
 Check = Annotated[bool, typer.Option("--check", help="Check the configuration at every millisecond with MuJoCo.")]
 AllowEffort = Annotated[bool, typer.Option("--allow-effort", help="Accept joint torques above the effort limits.")]
+Limits = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Joint limits, as in MoveIt's joint_limits.yaml, instead of the job's."),
+]
 Step = Annotated[
     float | None, typer.Option(metavar="MS", help="Time between configurations; the default depends on the format.")
 ]
@@ -64,6 +69,7 @@ def program(
     check: Check = False,
     allow_effort: AllowEffort = False,
     step_ms: Step = None,
+    limits: Limits = None,
     overrides: ProgramKeys = None,
     as_json: Json = False,
 ) -> int:
@@ -71,7 +77,8 @@ def program(
 
     The motion leads from home over the approach and along the path to the last target, and back. Along the path the TCP
     moves at the required feed rate, elsewhere as fast as the joint limits allow. Where a limit requires a lower feed,
-    the table lists where, how low, and which joint limits it. The job's section program has limits and controller data.
+    the table lists where, how low, and which joint limits it. Limits and controller data are in the job's section
+    program; --limits takes precedence over it, and --set over both.
 
     With --all, every scenario of a sweep is timed instead: cycle time, feed and limits become columns of the run, for
     htcp report and htcp gate. Scenarios that are timed already with the same feed and limits are skipped.
@@ -95,7 +102,7 @@ def program(
         given += [name for name, is_set in flags.items() if is_set]
         if given:
             raise InputError(f"{given[0]} is for one program; --all times every scenario, from home and back")
-        return _time_all(run, feed, method, overrides or (), as_json)
+        return _time_all(run, feed, method, limits, overrides or (), as_json)
     if out is None:
         raise InputError("--out is missing: the file to write; or use --all to time every scenario of a sweep")
     format, scenario = format or "csv", scenario or 0
@@ -103,8 +110,9 @@ def program(
     if feed is not None:
         feed_rates.feed_of(feed)  # before anything is opened
     found, step_s = open_plans(run), _step_seconds(step_ms)
-    feed_m_s = plan_program.requested_feed(feed, plan_program.with_program(found.config, overrides or ()))
-    made = plan_program.program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())
+    changes = [*_limits_overrides(limits, found.config), *(overrides or ())]
+    feed_m_s = plan_program.requested_feed(feed, plan_program.with_program(found.config, changes))
+    made = plan_program.program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
     peak_torque = made.peak_torque
     text, found = made.text(format, out.stem, step_s), figures.program_figures(made.program, made.limits)
     with plan_folder.made_folder(out.parent):
@@ -117,7 +125,8 @@ def program(
     if overloaded and not allow_effort:
         code = code or OVERLOADED
     if as_json:
-        record = {**found._asdict(), "feed_drops": drops.records(), "shares": _share_record(found.shares)}
+        record = {key: value for key, value in found._asdict().items() if key != "drops"}
+        record |= {"feed_drops": drops.records(), "shares": _share_record(found.shares)}
         record["path_shares"] = _share_record(found.path_shares)
         record["peak_torque"] = peak_torque and peak_torque._asdict()
         print_json({**record, "check": checked or None, "file": str(out)})
@@ -139,11 +148,18 @@ def program(
     return code
 
 
-def _time_all(folder: Path, feed: str | None, method: str | None, overrides: Sequence[str], as_json: bool) -> int:
+def _limits_overrides(file: Path | None, job: PlanConfig) -> list[str]:
+    return [] if file is None else limits_overrides(file, build.robot_of(job.robot, job.cell))
+
+
+def _time_all(
+    folder: Path, feed: str | None, method: str | None, limits: Path | None, overrides: Sequence[str], as_json: bool
+) -> int:
     if (folder / plan_folder.SUMMARY).exists():
         raise InputError(f"{folder} holds one plan of htcp plan; --all is for a run of htcp sweep")
     run = open_run(folder)
-    run = timed(run, feed, None if method is None else (method,), overrides)
+    changes = [*_limits_overrides(limits, run.config), *overrides]
+    run = timed(run, feed, None if method is None else (method,), changes)
     methods = [name for name in run.methods if run.timing(name)] if method is None else [method]
     refuse_untimed(run, methods)
     if as_json:

@@ -14,6 +14,7 @@ from htcp_jax.cli.output import (
     Json,
     Limit,
     Overrides,
+    Seed,
     print_facts,
     print_json,
     print_table,
@@ -27,6 +28,7 @@ from htcp_jax.model import Scenario
 from htcp_jax.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, SearchStopped
 from htcp_jax.report import reach_study
 from htcp_jax.runs import Run, manifest, open_run, plan_folder, reachability_file
+from htcp_jax.runs import sweep as sweeps
 
 File = Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Sweep file, job file, or example.")]
 Each = Annotated[
@@ -51,6 +53,7 @@ def reachability(
     limit: Limit = None,
     config: Config = None,
     overrides: Overrides = None,
+    seed: Seed = None,
     as_json: Json = False,
 ) -> int:
     """Bound the number of consecutive targets in each scenario that any method can reach.
@@ -72,7 +75,7 @@ def reachability(
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
-    batch = (spec := grid.load_sweep_or_job(file, config, overrides or ())).batch(limit)
+    batch = (spec := grid.load_sweep_or_job(file, config, sweeps.seeded(overrides or (), seed))).batch(limit)
     run = open_run(out) if (out / manifest.MANIFEST).exists() else None
 
     def record_of(found: Reachability) -> dict:

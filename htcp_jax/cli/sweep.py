@@ -18,6 +18,7 @@ from htcp_jax.cli.output import (
     Json,
     Limit,
     Overrides,
+    Seed,
     SweepFile,
     claim_device,
     print_json,
@@ -42,7 +43,6 @@ Out = Annotated[
         metavar="DIR", help="Output folder (run); by default out/<sweep>, with --config out/<sweep>-<config>."
     ),
 ]
-Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed.")]
 On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Run in this process or on a Ray cluster.")]
 Shard = Annotated[
     int | None,

@@ -11,12 +11,13 @@ from rich.text import Text
 
 from htcp_jax.cli.feed import OneWay, PlayedFeed, played_feed
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.output import Overrides, stdout
+from htcp_jax.cli.output import Overrides, Seed, stdout
 from htcp_jax.cli.plan import job_of, plan_with_progress
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs import examples
 from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import open_plans
+from htcp_jax.runs import sweep as sweeps
 from htcp_jax.trajectory import PlanProgram, plan_program
 from htcp_jax.viewer import replay
 
@@ -41,6 +42,7 @@ def view(
     scenario: Scenario = None,
     method: Method = None,
     overrides: Overrides = None,
+    seed: Seed = None,
     host: Host = "127.0.0.1",
     port: Port = 8080,
     feed: PlayedFeed = None,
@@ -58,7 +60,7 @@ def view(
     \b
     Examples:
       htcp view                                    the default job
-      htcp view pipe --set settings.seed=1 --port 8081
+      htcp view pipe --seed 1 --port 8081
       htcp plan
       htcp view out/plan --feed 20mm/s             in real time
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
@@ -67,7 +69,9 @@ def view(
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     feed_m_s = played_feed(feed, one_way=one_way)
-    replays, programs = _replays_and_programs(what, method, overrides or [], feed_m_s, not one_way)
+    replays, programs = _replays_and_programs(
+        what, method, [*sweeps.seeded(overrides or (), seed)], feed_m_s, not one_way
+    )
     from htcp_jax.viewer import Viewer  # viser is an extra
 
     viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
@@ -95,7 +99,7 @@ def _replays_and_programs(
         raise InputError(f"{what}: no such run folder, and no such job")
     if what is not None and what.is_dir():
         if overrides and feed_m_s is None:
-            raise InputError("--set changes a job; a run folder is shown as it is")
+            raise InputError("--set and --seed change a job; a run folder is shown as it is")
         found, how = open_plans(what), {"retract": retract, "overrides": overrides}
         return replay.recorded_replays(found), lambda scenario, by: plan_program.program_of(
             found, feed_m_s, by, scenario, **how

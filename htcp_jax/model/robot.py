@@ -145,12 +145,17 @@ def radius_to_workpiece(robot: Robot) -> Float[Array, "K"]:
 
 
 def capsule_label(robot: Robot, name: str) -> str:
-    """Return a capsule's name for a message; a capsule that is only numbered comes with its link's name, if known."""
+    """Return a capsule's name for a message.
+
+    A capsule that is only numbered goes by its link's name, if known, followed by its own if the link has several.
+    """
     if not name.startswith("capsule"):
         return f"capsule {name}"
     link = robot.capsule_link[robot.capsule_names.index(name)]
     own = (frame.name for frame in robot.frames if frame.link == link and not any(frame.origin_m))
-    return f"{body} ({name})" if (body := next(own, None)) else name
+    if (body := next(own, None)) is None:
+        return name
+    return f"{body} ({name})" if robot.capsule_link.count(link) > 1 else body
 
 
 def mesh_note(

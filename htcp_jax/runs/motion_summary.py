@@ -50,7 +50,7 @@ class MotionSummary(NamedTuple):
             why = f"the segment to target {n} is {end.segment_status.words}"
         else:
             why = f"target {n}: {end.status.ended}"
-        return f"no: {f'only the first {n} of {end.targets} targets' if n else f'none of {end.targets} targets'}; {why}"
+        return f"to target {n - 1}, the first {n} of {end.targets}; {why}" if n else f"no, to no target; {why}"
 
     def _transfer(self) -> dict[str, str]:
         legs = self.transfer_legs

@@ -2,6 +2,7 @@ from . import figures, plan_program
 from .displacement import tcp_at
 from .formats.writers import FORMATS, format_of
 from .joint_torques import PeakTorque
+from .limits_file import limits_overrides
 from .plan_program import PlanProgram
 from .program import Program
 from .run_timing import check_limits, time_run
@@ -16,6 +17,7 @@ __all__ = [
     "check_limits",
     "figures",
     "format_of",
+    "limits_overrides",
     "plan_program",
     "tcp_at",
     "time_run",
