@@ -348,7 +348,8 @@ def test_a_cell_with_locked_joints_moves_as_mujocos_tree_with_these_joints_at_th
     x = np.random.default_rng(1).uniform(robot.lower, robot.upper, (200, 5))
     names = (*robot.joint_names, *LOCKED)
     values = np.column_stack([x, np.tile(list(LOCKED.values()), (200, 1))])
-    position, axes, jacobian, middles = in_mujoco(CELLS["a rail below the arm, and a positioner"], names, "table", values)
+    xml = CELLS["a rail below the arm, and a positioner"]
+    position, axes, jacobian, middles = in_mujoco(xml, names, "table", values)
     T, (p, q) = jax.vmap(lambda x: (kinematics.tcp_pose(robot, x), kinematics.capsule_segments(robot, x)))(x)
     found = T[:, :3, 3], T[:, :3, :3], jax.vmap(kinematics.jacobian, (None, 0))(robot, x), (p + q) / 2
     for ours, theirs in zip(found, (position, axes, jacobian[..., :5], middles), strict=True):
@@ -378,7 +379,8 @@ def test_validation_holds_locked_joints_at_their_values(tmp_path):
 def test_bad_locked_joints_are_named_in_one_line(tmp_path, capsys, locked, words):
     (tmp_path / "cell.xml").write_text(CELLS["a rail below the arm, and a positioner"])
     (tmp_path / "job.yaml").write_text(
-        f"robot: {{model: cell.xml, locked: {locked}}}\nstart_rad: [0, 0, 0, 0, 0]\nworkpiece: {{cloud: none, path: weld}}\n"
+        f"robot: {{model: cell.xml, locked: {locked}}}\n"
+        "start_rad: [0, 0, 0, 0, 0]\nworkpiece: {cloud: none, path: weld}\n"
     )
     assert main(["plan", str(tmp_path / "job.yaml"), "--out", str(tmp_path / "out")]) == 2
     message = capsys.readouterr().err
