@@ -336,3 +336,81 @@ def test_a_part_or_tool_that_makes_no_chain_is_refused_in_one_line(tool, part, m
     error = capsys.readouterr().err.splitlines()[-1]
     assert message in error, error
     assert not (tmp_path / "cell.xml").exists()
+
+
+LOCKED = {"b3": 0.1, "b1": -0.4}
+
+
+def test_a_cell_with_locked_joints_moves_as_mujocos_tree_with_these_joints_at_their_values(tmp_path):
+    (tmp_path / "cell.xml").write_text(CELLS["a rail below the arm, and a positioner"])
+    robot = load_robot(tmp_path / "cell.xml", locked=LOCKED)
+    assert robot.joint_names == ("b2", "rail", "a1", "a2", "a3")
+    x = np.random.default_rng(1).uniform(robot.lower, robot.upper, (200, 5))
+    names = (*robot.joint_names, *LOCKED)
+    values = np.column_stack([x, np.tile(list(LOCKED.values()), (200, 1))])
+    xml = CELLS["a rail below the arm, and a positioner"]
+    position, axes, jacobian, middles = in_mujoco(xml, names, "table", values)
+    T, (p, q) = jax.vmap(lambda x: (kinematics.tcp_pose(robot, x), kinematics.capsule_segments(robot, x)))(x)
+    found = T[:, :3, 3], T[:, :3, :3], jax.vmap(kinematics.jacobian, (None, 0))(robot, x), (p + q) / 2
+    for ours, theirs in zip(found, (position, axes, jacobian[..., :5], middles), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+
+
+def test_validation_holds_locked_joints_at_their_values(tmp_path):
+    (tmp_path / "cell.xml").write_text(CELLS["a rail below the arm, and a positioner"])
+    robot, arm = load_robot(tmp_path / "cell.xml", locked=LOCKED), MujocoArm(tmp_path / "cell.xml", locked=LOCKED)
+    assert arm.joints == robot.joint_names
+    x = arm.random(50, seed=3)
+    p, q = jax.vmap(kinematics.capsule_segments, (None, 0))(robot, x)
+    posed = arm.arm_poses(x)
+    np.testing.assert_allclose((posed.p + posed.q) / 2, (p + q) / 2, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("locked", "words"),
+    [
+        ("{b9: 0}", "no hinge or slide 'b9' to lock; there are "),
+        ("{b1: 2}", "b1=2 is beyond the limits of the joint, -1 to 1.2 rad"),
+        ("{b1: far}", "robot.locked"),
+        ("[b1]", "are no locked joints; valid: {JOINT: VALUE, ...}"),
+        ("{b1: 0, b2: 0, b3: 0, rail: 0, a1: 0, a2: 0, a3: 0}", "no joints from the part's link 'table' to the TCP"),
+    ],
+)
+def test_bad_locked_joints_are_named_in_one_line(tmp_path, capsys, locked, words):
+    (tmp_path / "cell.xml").write_text(CELLS["a rail below the arm, and a positioner"])
+    (tmp_path / "job.yaml").write_text(
+        f"robot: {{model: cell.xml, locked: {locked}}}\n"
+        "start_rad: [0, 0, 0, 0, 0]\nworkpiece: {cloud: none, path: weld}\n"
+    )
+    assert main(["plan", str(tmp_path / "job.yaml"), "--out", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert words in message and message.count("\n") == 1
+
+
+def test_a_plan_with_a_locked_joint_is_confirmed_in_mujocos_tree_and_its_key_frames_hold_the_joint(job, tmp_path):
+    job = job | {"robot": job["robot"] | {"locked": {"j2": 0.9}}, "program": {"velocity": [1.0] * 4}}
+    job["settings"] = dataclasses.replace(toy.SETTINGS, q_weights=(1.0,) * 4)
+    plan = htcp_jax.plan(job)
+    assert plan.robot.joint_names == ("turn", "j1", "j3", "j4") and plan.complete, plan.failure()
+    plan.save(tmp_path / "plan")
+    assert validate_results(tmp_path / "plan").validated
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "cell.xml"))
+    made = program_of(open_plans(tmp_path / "plan"), 0.02)
+    data, keys = mujoco.MjData(model), ElementTree.fromstring(made.text("keyframes", "weld")).findall(".//key")
+    data.qpos[:] = [float(number) for number in keys[3].get("qpos").split()]
+    assert data.joint("j2").qpos[0] == 0.9
+    found = [data.joint(name).qpos[0] for name in plan.robot.joint_names]
+    assert found == made.timed("keyframes").x[3].tolist()
+
+
+def test_a_sweep_varies_a_locked_joint_by_its_name(job):
+    job = job | {"robot": job["robot"] | {"locked": {"turn": 0.0}}, "start_rad": [0.0] * 4}
+    job |= {"program": {"velocity": [1.0] * 4}, "settings": dataclasses.replace(toy.SETTINGS, q_weights=(1.0,) * 4)}
+    spec = load_sweep({"grid": [{"robot.locked.turn": [0.0, 0.4]}]}, job)
+    assert [point.config.robot.locked for point in spec.points()] == [(("turn", 0.0),), (("turn", 0.4),)]
+    batch = spec.batch()
+    x = jnp.zeros(4)
+    angle = [float(kinematics.tcp_pose(cell.robot, x)[0, 3]) for cell in batch.cells]
+    assert len(batch.cells) == 2 and angle[0] != angle[1]
+    with pytest.raises(InputError, match=r"robot.locked.tilt: robot.locked has no joint tilt; valid: turn"):
+        list(load_sweep({"grid": [{"robot.locked.tilt": [0.0]}]}, job).points())

@@ -54,6 +54,7 @@ def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL) -> Robot:
         base_m=arm.base_m,
         base_rpy_rad=arm.base_rpy_rad,
         tool=arm.tool,
+        locked=dict(arm.locked),
     )
     if arm.bodies == "capsules":
         robot = replace(robot, pieces=None)

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
     Field,
     PlainSerializer,
     PlainValidator,
@@ -81,6 +82,19 @@ Obstacle = Annotated[
     WrapSerializer(record_of),
 ]
 
+def _locked(value: Any) -> Any:
+    """Return the pairs of joint and value of a mapping.
+
+    Raises:
+        InputError: For anything else.
+    """
+    pairs = tuple(value.items()) if isinstance(value, dict) else value  # a record has pairs
+    if not isinstance(pairs, tuple | list) or any(isinstance(pair, str) for pair in pairs):
+        raise InputError(f"{value!r} are no locked joints; valid: {{JOINT: VALUE, ...}}")
+    return tuple(map(tuple, pairs))
+
+
+LockedJoints = Annotated[tuple[tuple[str, Number], ...], BeforeValidator(_locked), PlainSerializer(dict)]
 SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of DEPENDENT
 DEPENDENT = (
     "robot.limits",
@@ -105,6 +119,7 @@ class RobotConfig(strict_model.FileSection):
     base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
     tool: Tool | None = None
     tool_extension_m: Number = 0.0
+    locked: LockedJoints = ()  # joints of the file that do not move, by their names, and their positions [rad or m]
     bodies: Literal["capsules", "meshes"] | None = None  # meshes: their convex pieces; None: meshes where there are any
 
     @property

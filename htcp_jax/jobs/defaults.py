@@ -109,4 +109,6 @@ def _joint_names(robot: dict) -> tuple[str, ...]:
     site = tcp if isinstance(tcp, str) else "tcp"
     from htcp_jax.io.robots import model_file  # here, as MuJoCo is imported for an arm's file only
 
-    return model_file.read_robot_file(Path(robot["model"]), site, "model", np.eye(4), None).facts["joint_names"]
+    locked = robot.get("locked") if isinstance(robot.get("locked"), dict) else {}
+    arm = model_file.read_robot_file(Path(robot["model"]), site, "model", np.eye(4), None, locked)
+    return arm.facts["joint_names"]

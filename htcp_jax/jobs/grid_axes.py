@@ -30,7 +30,10 @@ NO_AXIS = "method", "program", "ray"  # a sweep has its own list of methods; the
 MOST_ROWS = 8  # of a task that an axis may name
 OF_A_ROW = {"cone_deg": 0.0, "within_deg": 0.0, "within_m": 0.0, "offset_m": (0.0, 0.0, 0.0)}  # keys that may vary
 FILE_KEYS = {".".join(key): words for key, words in FILES.items()}
-OF_A_KIND = re.compile(r"((?:cell\.obstacles|task)\.[1-9]\d*\.[a-zA-Z_]\w*)(?:\.([xyz]))?")  # of other packages
+LOCKED = "robot.locked"  # its keys are the names of the joints
+OF_A_KIND = re.compile(  # of other packages, and of locked joints
+    r"((?:cell\.obstacles|task)\.[1-9]\d*\.[a-zA-Z_]\w*|robot\.locked\.[^.]+)(?:\.([xyz]))?"
+)
 XYZ = "xyz"
 
 
@@ -137,9 +140,9 @@ def parameters(joints: Sequence[str]) -> dict[str, AxisParameter]:
 
 
 def kind_parameter(name: str) -> AxisParameter | None:
-    """Return the parameter of an obstacle or a row of another package; None if the name is of no such form.
+    """Return the parameter of an obstacle or a row of another package, or of a locked joint; None for other names.
 
-    Whether the kind has that key is checked by `put_parameter`.
+    Whether there is such a key is checked by `put_parameter`.
     """
     if (found := OF_A_KIND.fullmatch(name)) is None:
         return None
@@ -154,15 +157,7 @@ def put_parameter(raw: dict, column: AxisColumn, value: Any) -> None:
         InputError: For an offset or an element of a value that is not given, and for an element that it lacks.
     """
     parameter = column.parameter
-    section, _, key = parameter.key.rpartition(".")
-    owner = _task_row(raw, parameter) if section[-1:].isdecimal() else raw[section] if section else raw
-    if key not in owner or (parameter.key not in KEYS and strict_model.KIND not in owner):
-        valid = (
-            ", ".join(name for name in owner if name != strict_model.KIND)
-            if strict_model.KIND in owner
-            else ", ".join(OF_A_ROW)
-        )
-        raise InputError(f"{parameter.name}: {section} has no key {key} that may vary; valid: {valid}")
+    owner, key = _owner(raw, parameter), parameter.key.rpartition(".")[2]
     old = owner[key]
     if old is None and column.relative:
         raise InputError(f"{parameter.name} is not given, so nothing can be added to it")
@@ -176,6 +171,29 @@ def put_parameter(raw: dict, column: AxisColumn, value: Any) -> None:
     new = list(old)
     new[parameter.element] = old[parameter.element] + value if column.relative else value
     owner[key] = tuple(new)
+
+
+def _owner(raw: dict, parameter: AxisParameter) -> dict:
+    """Return the part of a plain configuration that has the parameter's key.
+
+    Raises:
+        InputError: If it has no such key.
+    """
+    section, _, key = parameter.key.rpartition(".")
+    if section == LOCKED:
+        owner = raw["robot"]["locked"] = dict(raw["robot"]["locked"])
+        if key not in owner:
+            raise InputError(f"{parameter.name}: robot.locked has no joint {key}; valid: {', '.join(owner) or 'none'}")
+        return owner
+    owner = _task_row(raw, parameter) if section[-1:].isdecimal() else raw[section] if section else raw
+    if key not in owner or (parameter.key not in KEYS and strict_model.KIND not in owner):
+        valid = (
+            ", ".join(name for name in owner if name != strict_model.KIND)
+            if strict_model.KIND in owner
+            else ", ".join(OF_A_ROW)
+        )
+        raise InputError(f"{parameter.name}: {section} has no key {key} that may vary; valid: {valid}")
+    return owner
 
 
 def _task_row(raw: dict, parameter: AxisParameter) -> dict:
@@ -316,4 +334,4 @@ def _added(parameter: AxisParameter, old: Any, offset: Any) -> Any:
 
 
 def _hashable(item: Any) -> Any:
-    return tuple(item) if isinstance(item, list) else item
+    return tuple(item) if isinstance(item, list) else tuple(item.items()) if isinstance(item, dict) else item

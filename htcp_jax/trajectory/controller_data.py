@@ -1,6 +1,8 @@
 """Controller data that a program needs in addition to its motion: names, numbers and tables."""
 
 import datetime
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -52,7 +54,8 @@ class ControllerData(NamedTuple):
     groups: JointGroups | None = None  # None: all joints are the robot's
     date: datetime.datetime | None = None  # to write into the file
     control_step_s: float = 0.002  # of the controller
-    in_file: tuple[int, ...] | None = None  # the joints in the order of the model's file; None: the same
+    in_file: tuple[int, ...] | None = None  # the joints and the locked ones in the order of the file; None: the same
+    locked: Mapping[str, float] = MappingProxyType({})  # positions of joints that do not move [rad or m]
 
     @property
     def joint_groups(self) -> JointGroups:

@@ -6,7 +6,7 @@ armature are included if the model has them. MJX computes many configurations at
 """
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -51,6 +51,7 @@ def model_of(arm: config.RobotConfig) -> mujoco.MjModel | None:
         for each in list(elements):
             spec.delete(each)
     model = model_file.compile_spec(spec, path)
+    model_file.fix_joints(model, path, dict(arm.locked))
     massive = {int(model.body_weldid[body.id]) for body in spec.bodies if body.explicitinertial and body.mass > 0}
     if not set(model.body_weldid[model.jnt_bodyid].tolist()) <= massive:
         return None
@@ -59,13 +60,19 @@ def model_of(arm: config.RobotConfig) -> mujoco.MjModel | None:
     return model
 
 
-def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
-    """Return a function from configurations, velocities and accelerations (n, N) to joint torques [N m or N]."""
+def torques(model: mujoco.MjModel, locked: Collection[str] = ()) -> Callable[..., Float[np.ndarray, "n N"]]:
+    """Return a function from configurations, velocities and accelerations (n, N) to joint torques [N m or N].
+
+    Args:
+        model: See `model_of`.
+        locked: Names of the joints that do not move.
+    """
     with contextlib.redirect_stdout(None):  # its import prints messages about missing packages
         from mujoco import mjx
     device = mjx.put_model(model)
-    joints = np.array(model_file.chain_of_file(model, Path("model")).joints)  # of the model, in the robot's order
-    order = np.argsort(joints)
+    fixed = [j for j in range(model.njnt) if model_file.joint_name(model, j) in locked]
+    joints = np.array(model_file.chain_of_file(model, Path("model"), fixed).joints)  # in the robot's order
+    still = np.array([model.qpos0, np.zeros(model.nv), np.zeros(model.nv)])
     blank = mjx.make_data(device)
 
     @partial(jax.jit, compiler_options=PLAIN)
@@ -79,7 +86,9 @@ def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
         torque = np.empty_like(x)
         with jax.numpy_rank_promotion("allow"):  # MJX has its own style
             for first in range(0, len(x), AT_ONCE):
-                own = [np.resize(part[first : first + AT_ONCE, order], (AT_ONCE, x.shape[1])) for part in (x, v, a)]
+                own = np.repeat(still[:, None], AT_ONCE, axis=1)
+                for k, part in enumerate((x, v, a)):
+                    own[k][:, joints] = np.resize(part[first : first + AT_ONCE], (AT_ONCE, x.shape[1]))
                 torque[first : first + AT_ONCE] = np.asarray(at(*own))[: len(x) - first, joints]
         return torque
 

@@ -88,7 +88,7 @@ class PlanProgram(NamedTuple):
         if (model := model_of(self.job.robot)) is None:
             return None
         timed = self.program.timed(TORQUES_EVERY_S)
-        torque = torques(model)(timed.x, timed.velocity, timed.acceleration)
+        torque = torques(model, dict(self.job.robot.locked))(timed.x, timed.velocity, timed.acceleration)
         return peak_torque(timed, torque, np.asarray(self.robot.effort))
 
     def controller(self, format: str, name: str, timed: TimedMotion) -> ControllerData:
@@ -109,17 +109,19 @@ class PlanProgram(NamedTuple):
         groups = self._groups()
         if self.robot.part_moves and format_of(format).by_group and groups is None:
             raise InputError(f"{format}: the part moves; program.groups gives the joints of robot, base and station")
-        requested, own = self.job.program, np.asarray(self.robot.speed, float)
+        requested, speed = self.job.program, np.asarray(self.robot.speed, float)
+        own, locked = self.job.robot, dict(self.job.robot.locked)
         return ControllerData(
             name.upper() if format.startswith("jbi") else name,
             self.robot.slides,
-            speed=np.where(np.isfinite(own), own, self.limits.velocity),
+            speed=np.where(np.isfinite(speed), speed, self.limits.velocity),
             tool=requested.tool,
             user_frame=self._user_frame(timed) if format == "jbi" else None,
             pulses=self._pulses(),
             groups=groups,
             control_step_s=requested.control_step_s,
-            in_file=model_file.joints_in_file(self.job.robot.file) if self.robot.part_moves else None,
+            in_file=model_file.joints_in_file(own.file, tuple(locked)) if self.robot.part_moves or locked else None,
+            locked=locked,
         )
 
     def _user_frame(self, timed: TimedMotion) -> UserFrame | None:

@@ -185,7 +185,7 @@ class _Timer:
 
     def _torques(self, arm: str, number: int) -> Callable:
         if arm not in self._inverse:
-            self._inverse[arm] = torques(self._model(self.jobs[number]))
+            self._inverse[arm] = torques(self._model(self.jobs[number]), dict(self.jobs[number].robot.locked))
         return self._inverse[arm]
 
     def _model(self, job: PlanConfig) -> mujoco.MjModel | None:

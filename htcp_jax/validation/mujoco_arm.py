@@ -9,7 +9,7 @@ the part's link, which takes the place of the world.
 
 import copy
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -59,6 +59,7 @@ class MujocoArm:
         base_m: Position of the model's frame in the world.
         base_rpy_rad: Rotation of the model's frame, about world x, then y, then z.
         tool: The tool on the frame `tcp`, which is then the flange.
+        locked: Values of joints that do not move, by their names [rad or m].
         pieces: False: the capsules have no pieces.
 
     Raises:
@@ -75,10 +76,11 @@ class MujocoArm:
         base_m: Triple = tools.ZERO,
         base_rpy_rad: Triple = tools.ZERO,
         tool: Tool | None = None,
+        locked: Mapping[str, float] | None = None,
         pieces: bool = True,
     ):
         spec = safe_xml.read_spec(Path(path), contacts=True)
-        self._path, self._list = Path(path), _list(spec)
+        self._path, self._list, self._locked = Path(path), _list(spec), locked or {}
         self._mounted = {body.name for body in tool.bodies} if tool else set()
         self._model, self._site = _compile(Path(path), tcp, tool)
         self._probe = self._model.geom(_PROBE).id
@@ -88,7 +90,10 @@ class MujocoArm:
             _move_base(self._model, self._geoms, base_m, base_rpy_rad)
         self._data = mujoco.MjData(self._model)
         self.root = _part_body(spec, self._model)
-        self._order = _joint_order(self._model, self.root)
+        fixed = {_joint_name(self._model, j): j for j in range(self._model.njnt)}
+        fixed = {fixed[name]: value for name, value in self._locked.items()}
+        self._data.qpos[list(fixed)] = list(fixed.values())
+        self._order = _joint_order(self._model, self.root, fixed)
         if tool_extension_m:
             own = _joints_to(self._model, self.root, self._order) if self.root else None
             moved = _lengthen(self._model, self._site, self._geoms, tool_extension_m, int(self._order[-1]), own)
@@ -99,10 +104,10 @@ class MujocoArm:
         self.radius = self._model.geom_size[self._geoms, 0].copy()
         self._half = np.where(self._model.geom_type[self._geoms] == _CAPSULE, self._model.geom_size[self._geoms, 1], 0)
         self.length = 2 * self._half
-        self.joints = tuple(self._model.joint(j).name or f"joint{j + 1}" for j in self._order)
+        self.joints = tuple(_joint_name(self._model, j) for j in self._order.tolist())
         self.lower, self.upper = (limit[self._order] for limit in _limits_of_profile(self._model, limits))
         self.speed = _numeric(self._model, "speed", math.inf)[self._order]
-        self._pose(np.zeros(self._model.njnt))
+        self._pose(np.zeros(len(self._order)))
         self._joints_to = _joints_to(self._model, self.root, self._order)
         joints = self._joints_to[self._model.geom_bodyid[self._geoms]]
         self.links = joints  # 0: fixed to the world, or to the part
@@ -140,7 +145,7 @@ class MujocoArm:
     @cached_property
     def meshes(self) -> LinkMeshes | None:
         """The vendor's meshes that the arm's file refers to; None without a list of pairs."""
-        return None if self._list is None else LinkMeshes.read(self._path)
+        return None if self._list is None else LinkMeshes.read(self._path, self._locked)
 
     def random(self, count: int, seed: int) -> Float[np.ndarray, "n N"]:
         """Random configurations within the joint limits; without limits within half a turn or a metre of zero."""
@@ -370,10 +375,18 @@ def _part_body(spec: mujoco.MjSpec, model: mujoco.MjModel) -> int:
     return model.body(names[0]).id if names else 0
 
 
-def _joint_order(model: mujoco.MjModel, root: int) -> np.ndarray:
-    """Joints in the order from the part to the TCP: those that move its link, the last one first, then the others."""
-    own = [j for j in range(model.njnt) if model.jnt_bodyid[j] in _upwards(model, root)]
-    return np.array([*own[::-1], *(j for j in range(model.njnt) if j not in own)], int)
+def _joint_name(model: mujoco.MjModel, j: int) -> str:
+    return model.joint(j).name or f"joint{j + 1}"
+
+
+def _joint_order(model: mujoco.MjModel, root: int, fixed: Collection[int]) -> np.ndarray:
+    """Joints in the order from the part to the TCP: those that move its link, the last one first, then the others.
+
+    Fixed joints are not among them.
+    """
+    free = [j for j in range(model.njnt) if j not in fixed]
+    own = [j for j in free if model.jnt_bodyid[j] in _upwards(model, root)]
+    return np.array([*own[::-1], *(j for j in free if j not in own)], int)
 
 
 def _joints_to(model: mujoco.MjModel, root: int, order: np.ndarray) -> np.ndarray:

@@ -170,6 +170,7 @@ def _compiled(arms: dict[config.RobotConfig, MujocoArm], robot: config.RobotConf
             base_m=robot.base_m,
             base_rpy_rad=robot.base_rpy_rad,
             tool=robot.tool,
+            locked=dict(robot.locked),
             pieces=robot.bodies != "capsules",
         )
     return arms[robot]

@@ -7,14 +7,16 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots.model_file import frame, joint_name, shifted_frame, turned_frame
+from htcp_jax.io.robots.frames import frame, joint_name, shifted_frame, turned_frame
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _FOLLOWS = int(mujoco.mjtEq.mjEQ_JOINT)
 _UNITS = {_HINGE: "rad", _SLIDE: "m"}
 
 
-def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float]) -> dict[int, float]:
+def fix_joints(
+    model: mujoco.MjModel, path: Path, values: Mapping[str, float], verb: str = "fix"
+) -> dict[int, float]:
     """Freeze hinges and slides of a compiled model, which is modified.
 
     A joint that follows a frozen one, by <mimic> in a URDF, is frozen where it follows, unless it has a value itself.
@@ -23,6 +25,7 @@ def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float]) -
         model: The compiled model.
         path: Its file, for messages.
         values: Values by the names of the joints [rad or m].
+        verb: What is done to a joint, for messages.
 
     Returns:
         Values of the frozen joints, by their indices in the model [rad or m].
@@ -33,7 +36,7 @@ def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float]) -
     known = {joint_name(model, j): j for j in range(model.njnt) if model.jnt_type[j] in _UNITS}
     for name, value in values.items():
         if name not in known:
-            raise InputError(f"{path}: no hinge or slide {name!r} to fix; there are {', '.join(known) or 'none'}")
+            raise InputError(f"{path}: no hinge or slide {name!r} to {verb}; there are {', '.join(known) or 'none'}")
         j = known[name]
         lower, upper = model.jnt_range[j]
         if model.jnt_limited[j] and not lower <= value <= upper:

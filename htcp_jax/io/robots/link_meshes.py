@@ -15,7 +15,8 @@ from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Triangles, clip
-from htcp_jax.io.robots.model_file import Chain, chain_of_file, compile_spec, link_frames, no_log
+from htcp_jax.io.robots.fixed_joints import fix_joints
+from htcp_jax.io.robots.model_file import NONE_LOCKED, Chain, chain_of_file, compile_spec, link_frames, no_log
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.vendor_import import ImportedArm, enclosed_triangles
 from htcp_jax.model import Robot
@@ -71,8 +72,13 @@ class LinkMeshes:
         return cls(arm.model, arm.chain, held)
 
     @classmethod
-    def read(cls, arm: Path) -> "LinkMeshes | None":
-        """Read the meshes to which an arm's file refers; None without a reference, or if that model is gone."""
+    def read(cls, arm: Path, locked: Mapping[str, float] = NONE_LOCKED) -> "LinkMeshes | None":
+        """Read the meshes to which an arm's file refers; None without a reference, or if that model is gone.
+
+        Args:
+            arm: The file.
+            locked: Values of joints that do not move, by their names [rad or m].
+        """
         with no_log():
             spec = read_spec(arm, contacts=True)
         texts = {text.name: text.data for text in spec.texts}
@@ -93,7 +99,7 @@ class LinkMeshes:
             for cut in _read_cuts(cuts or "") if piece is not None else ():
                 piece = clip(piece, cut)
             held[name] = body, _capsule_of_geom(model, geom) if piece is None or not len(piece) else piece
-        return cls(model, chain_of_file(model, arm), held)
+        return cls(model, chain_of_file(model, arm, fix_joints(model, arm, locked)), held)
 
     def poses(self, x: Float[np.ndarray, "n N"], data: mujoco.MjData | None = None) -> Poses:
         """Return the bodies' poses at configurations x [rad or m].
@@ -196,6 +202,7 @@ class MeshesInFile(NamedTuple):
     """`LinkMeshes` of an arm's file, read on first use."""
 
     file: Path
+    locked: tuple[tuple[str, float], ...] = ()  # joints that do not move, and their values [rad or m]
 
     def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
         """Return the depth of the deepest contact between two capsules' meshes [m]; 0 without meshes.
@@ -205,7 +212,7 @@ class MeshesInFile(NamedTuple):
             second: Name of another one.
             x: Configuration [rad or m].
         """
-        meshes = _read_meshes(self.file)
+        meshes = _read_meshes(self.file, self.locked)
         return 0.0 if meshes is None else meshes.deepest_m(first, second, meshes.poses(x[None]))
 
     def outside_m(
@@ -219,15 +226,15 @@ class MeshesInFile(NamedTuple):
             x: Configuration [rad or m].
             point: The point, world [m].
         """
-        meshes = _read_meshes(self.file)
+        meshes = _read_meshes(self.file, self.locked)
         if meshes is None or capsule not in meshes.names:
             return None
         return meshes.outside_m(capsule, robot, x, point)
 
 
 @lru_cache(maxsize=8)
-def _read_meshes(file: Path) -> LinkMeshes | None:
-    return LinkMeshes.read(file)
+def _read_meshes(file: Path, locked: tuple[tuple[str, float], ...]) -> LinkMeshes | None:
+    return LinkMeshes.read(file, dict(locked))
 
 
 def cuts_text(cuts: Iterable[Cut]) -> str:

@@ -1,13 +1,14 @@
 """Loading of a Robot from a model file, MJCF or URDF, and the built-in GP50."""
 
 import os
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
 import jax
 
 from htcp_jax.io.robots.link_meshes import MeshesInFile
-from htcp_jax.io.robots.model_file import PART, no_log, read_robot_file
+from htcp_jax.io.robots.model_file import NONE_LOCKED, PART, no_log, read_robot_file
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.model import Robot, Tool, robot
 from htcp_jax.model import tool as tools
@@ -22,6 +23,7 @@ def load_robot(
     base_m: Triple = tools.ZERO,
     base_rpy_rad: Triple = tools.ZERO,
     tool: Tool | None = None,
+    locked: Mapping[str, float] = NONE_LOCKED,
 ) -> Robot:
     """Read the serial chain to the TCP out of an MJCF or URDF file, through MuJoCo.
 
@@ -39,15 +41,16 @@ def load_robot(
         base_m: Position of the model's own frame in the world.
         base_rpy_rad: Its orientation: rotated about world x, then y, then z.
         tool: Mounted on the frame `tcp_site`, which is then the flange.
+        locked: Values of joints that do not move, by their names [rad or m]; they are no joints of the robot.
 
     Raises:
-        InputError: For a file that cannot be read, fewer than three joints, ball or free joints, joints off the chain,
-            no TCP, no capsules, a radius that is not positive, a number that is not finite, a profile that the model
-            does not have, a body of the tool with the name of a body in the model, and, if the part moves, for more
-            than nine joints and a base that is moved.
+        InputError: For a file that cannot be read, an unknown joint or a value beyond its limits in `locked`, fewer
+            than three joints, ball or free joints, joints off the chain, no TCP, no capsules, a radius that is not
+            positive, a number that is not finite, a profile that the model does not have, a body of the tool with the
+            name of a body in the model, and, if the part moves, for more than nine joints and a base that is moved.
     """
-    fields = read_robot_file(Path(path), tcp_site, limits, tools.pose(base_m, base_rpy_rad), tool)
-    meshes = MeshesInFile(Path(path).resolve()) if fields.facts["listed"] else None
+    fields = read_robot_file(Path(path), tcp_site, limits, tools.pose(base_m, base_rpy_rad), tool, locked)
+    meshes = MeshesInFile(Path(path).resolve(), tuple(locked.items())) if fields.facts["listed"] else None
     return Robot(**jax.device_put(fields.arrays), **fields.facts, pieces=jax.device_put(fields.pieces()), meshes=meshes)
 
 

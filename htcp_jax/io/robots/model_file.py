@@ -11,7 +11,7 @@ Every error in a file is an InputError, one line that starts with its path. `loa
 import itertools
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +21,8 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule
+from htcp_jax.io.robots.fixed_joints import fix_joints
+from htcp_jax.io.robots.frames import frame, joint_name, shifted_frame, turned_frame
 from htcp_jax.io.robots.safe_xml import read_spec, unreadable_model
 from htcp_jax.io.robots.stored_pieces import StoredPiece, pieces_of, read_pieces
 from htcp_jax.model import BodyPieces, Tool, robot
@@ -34,6 +36,7 @@ FEWEST_JOINTS = 3
 MOST_JOINTS = 9  # of a chain from a part that moves
 # Names of the <text> before an arm's list, and of a pair's <tuple>.
 LIST, EXCLUDED = "self_collision", "excluded {}, rule {}"
+NONE_LOCKED: Mapping[str, float] = {}
 PART = "link of the part"  # name of the <text> with the name of the part's link
 
 
@@ -68,6 +71,11 @@ class Chain(NamedTuple):
     joints: tuple[int, ...]
     reversed: tuple[bool, ...]  # True: the joint is passed from its body to that body's parent
 
+    def without(self, fixed: Collection[int]) -> "Chain":
+        """Return the chain without the joints that are fixed, given by their indices in the model."""
+        pairs = [pair for pair in zip(self.joints, self.reversed, strict=True) if pair[0] not in fixed]
+        return self._replace(joints=tuple(j for j, _ in pairs), reversed=tuple(back for _, back in pairs))
+
 
 class _Pair(NamedTuple):
     """A <tuple> in an arm's list."""
@@ -77,7 +85,14 @@ class _Pair(NamedTuple):
     share: float
 
 
-def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.ndarray, tool: Tool | None) -> RobotFields:
+def read_robot_file(
+    path: Path,
+    tcp_site: str,
+    limits: str,
+    T_world_base: np.ndarray,
+    tool: Tool | None,
+    locked: Mapping[str, float] = NONE_LOCKED,
+) -> RobotFields:
     """Read the serial chain from the world, or from the part's link, to the TCP.
 
     Args:
@@ -86,13 +101,14 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         limits: Profile of the joint limits.
         T_world_base: Pose of the model's own frame in the world (4, 4) [m]; the identity if the part moves.
         tool: Mounted on the TCP's frame; None: none.
+        locked: Values of joints that do not move, by their names [rad or m].
 
     Raises:
         InputError: See `loading.load_robot`.
     """
     model, geom_types, pairs, stored = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
-    chain = _whole_chain(model, path, tcp_body)
+    chain = _whole_chain(model, path, tcp_body, fix_joints(model, path, locked, "lock"))
     if chain.root and (T_world_base != np.eye(4)).any():
         raise InputError(f"{path}: robot.base_m and base_rpy_rad must be 0: the part moves, and the model is the cell")
     joints = list(chain.joints)
@@ -267,29 +283,6 @@ def _effort(model: mujoco.MjModel) -> np.ndarray:
 # The chain and its frames
 
 
-def frame(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """Return a pose (4, 4) from a position (3,) [m] and a unit quaternion (4,), w first."""
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, quaternion)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), position
-    return pose
-
-
-def turned_frame(axis: np.ndarray, angle: float) -> np.ndarray:
-    """Return the pose (4, 4) of a frame that is turned about an axis (3,) by an angle [rad]."""
-    quaternion = np.zeros(4)
-    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
-    return frame(np.zeros(3), quaternion)
-
-
-def shifted_frame(offset: np.ndarray) -> np.ndarray:
-    """Return the pose (4, 4) of a frame that is shifted by (3,) [m]."""
-    pose = np.eye(4)
-    pose[:3, 3] = offset
-    return pose
-
-
 def upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
     """Yield the body and its ancestors, by their indices in the model, without the world."""
     while body > 0:
@@ -359,8 +352,8 @@ def chain_between(model: mujoco.MjModel, root: int, tcp_body: int) -> Chain:
     return Chain(root, found, tuple(k < count for k in range(len(found))))
 
 
-def chain_of_file(model: mujoco.MjModel, path: Path) -> Chain:
-    """Return the chain of an arm's or a cell's file, for which every joint is on it.
+def chain_of_file(model: mujoco.MjModel, path: Path, fixed: Collection[int] = ()) -> Chain:
+    """Return the chain of an arm's or a cell's file, for which every joint that is not fixed is on it.
 
     Raises:
         InputError: For an unknown link of the part.
@@ -368,17 +361,19 @@ def chain_of_file(model: mujoco.MjModel, path: Path) -> Chain:
     root = part_body(model, path)
     up = [j for body in upwards(model, root) for j in reversed(_joints_of(model, body))]
     down = [j for j in range(model.njnt) if j not in up]
-    return Chain(root, (*up, *down), (*(True for _ in up), *(False for _ in down)))
+    return Chain(root, (*up, *down), (*(True for _ in up), *(False for _ in down))).without(fixed)
 
 
-def joints_in_file(path: Path) -> tuple[int, ...]:
-    """Return the indices of the file's joints on its chain, in the order of the file.
+def joints_in_file(path: Path, locked: Sequence[str] = ()) -> tuple[int, ...]:
+    """Return the indices of the file's joints, in the order of the file, among those of the robot and then the locked.
 
     Raises:
         InputError: For a file that cannot be read.
     """
-    joints = chain_of_file(_compile_model(path)[0], path).joints
-    return tuple(np.argsort(joints).tolist())
+    model = _compile_model(path)[0]
+    names = [joint_name(model, j) for j in chain_of_file(model, path).joints]
+    order = [*(name for name in names if name not in locked), *locked]
+    return tuple(order.index(joint_name(model, j)) for j in range(model.njnt))
 
 
 def _joints_of(model: mujoco.MjModel, body: int) -> range:
@@ -386,10 +381,10 @@ def _joints_of(model: mujoco.MjModel, body: int) -> range:
     return range(first, first + int(model.body_jntnum[body]))
 
 
-def _whole_chain(model: mujoco.MjModel, path: Path, tcp_body: int) -> Chain:
-    """Return the chain to the TCP; its joints must be all joints of the model."""
-    chain = chain_between(model, part_body(model, path), tcp_body)
-    stray = [joint_name(model, j) for j in range(model.njnt) if j not in chain.joints]
+def _whole_chain(model: mujoco.MjModel, path: Path, tcp_body: int, fixed: Collection[int]) -> Chain:
+    """Return the chain to the TCP; its joints must be all joints of the model that are not fixed."""
+    chain = chain_between(model, part_body(model, path), tcp_body).without(fixed)
+    stray = [joint_name(model, j) for j in range(model.njnt) if j not in (*chain.joints, *fixed)]
     if stray:
         off = f"joints off the chain from {_root_name(model, chain)} to the TCP: {', '.join(stray)}"
         raise InputError(f"{path}: {off}; {_next_step(path)}")
@@ -418,11 +413,6 @@ def check_joints(
     if chain.root and len(joints) > MOST_JOINTS:
         raise InputError(f"{found}; at most {MOST_JOINTS} can be used: freeze some by --fix JOINT=VALUE")
     return tuple(joint_name(model, j) for j in joints)
-
-
-def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """Return the joint's own name, or joint1, joint2, ... by its index in the model."""
-    return model.joint(joint).name or f"joint{joint + 1}"
 
 
 def link_frames(

@@ -17,7 +17,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.parts.point_cloud import load_geometry
 from htcp_jax.io.robots import collada_mesh
 from htcp_jax.io.robots.capsule_fit import Capsule, Triangles
-from htcp_jax.io.robots.model_file import frame
+from htcp_jax.io.robots.frames import frame
 
 ENDINGS = ".stl", ".obj", ".ply"
 SIDES = 48  # of the prism about a cylinder

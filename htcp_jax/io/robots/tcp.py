@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.fixed_joints import followers
-from htcp_jax.io.robots.model_file import FEWEST_JOINTS, frame, joint_name, upwards
+from htcp_jax.io.robots.frames import frame, joint_name
+from htcp_jax.io.robots.model_file import FEWEST_JOINTS, upwards
 
 SURE = "tcp", "tool0"  # names of the TCP or the flange that take precedence
 MOST_NAMED = 12  # candidates

@@ -24,13 +24,13 @@ from htcp_jax.io.robots.capsule_fit import (
     hull_volume,
 )
 from htcp_jax.io.robots.fixed_joints import fix_joints
+from htcp_jax.io.robots.frames import joint_name
 from htcp_jax.io.robots.model_file import (
     Chain,
     chain_between,
     check_joints,
     compile_spec,
     find_link,
-    joint_name,
     joint_numbers,
     link_frames,
     no_log,
@@ -211,13 +211,12 @@ def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed:
     Raises:
         InputError: If the part moves, and no joint is left.
     """
-    chain = chain_between(model, root, tip.body)
-    pairs = [pair for pair in zip(chain.joints, chain.reversed, strict=True) if pair[0] not in fixed]
-    if root and not pairs:
+    chain = chain_between(model, root, tip.body).without(fixed)
+    if root and not chain.joints:
         part, carrier = model.body(root).name, body_name(model, tip.body)
         where = f"both are on link {part!r}" if tip.body == root else f"the TCP is on {carrier!r}"
         raise InputError(f"{path}: no joint between the part's link {part!r} and the TCP {tip.name!r}: {where}")
-    return Chain(root, tuple(j for j, _ in pairs), tuple(back for _, back in pairs))
+    return chain
 
 
 def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
