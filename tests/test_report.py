@@ -24,7 +24,7 @@ from htcp_jax.reachability import Obstruction
 from htcp_jax.report import Column, Table, make_report, paper, tables, write_report
 from htcp_jax.report.best import best_scenarios
 from htcp_jax.report.cell import OpenedScene
-from htcp_jax.report.chapter import chapter, choice, label, part_facts, tables_of
+from htcp_jax.report.chapter import answers, chapter, choice, label, part_facts, tables_of
 from htcp_jax.report.document import Heading, Picture, html, markdown
 from htcp_jax.report.groups import read_parts
 from htcp_jax.report.motions import meaning, motion_table
@@ -306,6 +306,20 @@ def test_tracked_targets_that_are_not_executable_are_counted_by_the_result_of_th
     assert rows["reverses"]["scenarios"] == rows["undecided"]["scenarios"] == 1
     assert sum(row["targets"] for row in rows.values()) == result["tracked"] - result["executable"]
     assert table in chapter(part, tables_of(part) | {table.name: table}, "", 2)
+
+
+def test_a_chapter_begins_with_the_scenarios_that_can_be_run_and_their_guaranteed_clearance(folder):
+    part = part_of(folder, "poses")
+    done = part.plans["baseline"].outcomes.can_be_driven
+    known = part.motions["baseline"].segment_clearance_min_m
+    first = chapter(part, tables_of(part), "", 2)[0]
+    assert first == answers(part)[0] and first.startswith("baseline: a proven motion leads to the last target in ")
+    assert f" in {done.sum()} of {len(done)} scenarios" in first
+    if done.any():
+        assert f"at least {1e3 * known[done].min():.3g} mm" in first
+    unknown = part.motions["baseline"]._replace(segment_clearance_min_m=np.full(len(done), np.nan))
+    without = answers(replace(part, motions=part.motions | {"baseline": unknown}))
+    assert without[0].endswith(" scenarios.") and len(without) == len(part.plans)
 
 
 def test_a_study_with_a_scene_of_its_own_is_not_compared_with_the_paper_s(folder):

@@ -1,4 +1,4 @@
-"""Formulas as MathML, written into the page when the site is built: no script, no font, nothing from the network.
+"""Formulas as MathML, written into the page when the site is built: no script, nothing from the network.
 
 pymdownx.arithmatex finds the formulas. One with braces that do not match or with a command that the converter does not
 know, which it would print as it stands, stops the build.

@@ -64,6 +64,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         level: Level of the headings.
     """
     return [
+        *answers(part),
         *part_facts(part),
         Heading(level, "Results"),
         made["results"],
@@ -93,6 +94,21 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         f"For the complete run, on {_device(part)}.",
         made["times"],
     ]
+
+
+def answers(part: Part) -> list[str]:
+    """State for each method in how many scenarios a proven motion leads to the last target, and its clearance."""
+    found = []
+    for method, plans in part.plans.items():
+        ends = plans.outcomes
+        done, count = ends.can_be_driven, int(ends.planned.sum())
+        known = part.motions[method].segment_clearance_min_m[done]
+        known = known[~np.isnan(known)]
+        least = f", with a guaranteed clearance of at least {1e3 * known.min():.3g} mm" if known.size else ""
+        found.append(
+            f"{method}: a proven motion leads to the last target in {done.sum():,} of {count:,} scenarios{least}."
+        )
+    return found
 
 
 def part_facts(part: Part) -> list[str]:

@@ -160,7 +160,7 @@ def _html(block: Block, pictures: dict[str, bytes]) -> str:
             return _html_table(block)
         case Picture(name, _, alt):
             data = base64.b64encode(pictures[name]).decode()
-            return f'<img src="data:image/png;base64,{data}" alt="{escape(alt)}">'
+            return f'<div class="picture"><img src="data:image/png;base64,{data}" alt="{escape(alt)}"></div>'
     return f"<p>{escape(block)}</p>"
 
 
@@ -207,6 +207,7 @@ h2 { font-size: 1.4rem; margin: 3.2rem 0 .6rem; padding-top: 1rem; border-top: 2
 h3 { font-size: 1.1rem; margin: 2.2rem 0 .5rem; }
 p { max-width: 46rem; margin: .5rem 0 .9rem; }
 img { display: block; width: 100%; height: auto; margin: 1.2rem 0; }
+@media (max-width: 48rem) { .picture { overflow-x: auto; } .picture img { width: 48rem; } }
 .wide { overflow-x: auto; margin: 1rem 0; width: max-content; max-width: calc(100vw - 2.5rem); }
 table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-weight: 600; padding-bottom: .4rem; }
@@ -219,5 +220,7 @@ td:not(:last-child) { white-space: nowrap; }
 .number { text-align: right; white-space: nowrap; }
 .quiet { color: #5d6b77; }
 tbody tr:hover { background: #f5f7f8; }
-@media print { body { max-width: none; margin: 0; } h2 { break-before: page; } img { break-inside: avoid; } }
+@media print { body { max-width: none; margin: 0; } h2 { break-before: page; } img { break-inside: avoid; }
+  .wide { overflow: visible; max-width: none; width: auto; } table { font-size: .7rem; }
+  .picture img { width: 100%; } }
 """

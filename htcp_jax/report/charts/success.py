@@ -24,7 +24,8 @@ from htcp_jax.report.charts.style import (
     plain_axes,
 )
 
-TRACKED = LinearSegmentedColormap.from_list("tracked", ["#fbf3e4", "#d8dfd6", "#8fb8cf", "#3f82b5", "#0d3f6e"])
+_COLOURS = (0, "#fbf3e4"), (0.113, "#d8dfd6"), (0.395, "#8fb8cf"), (0.694, "#3f82b5"), (1, "#0d3f6e")
+TRACKED = LinearSegmentedColormap.from_list("tracked", _COLOURS)  # placed by their distances in CIELAB
 MOST_NUMBERS, MOST_NAMES = 15, 12  # along a side of a map
 
 
