@@ -31,6 +31,7 @@ from htcp_jax.motion.motion import motion, transfers
 from htcp_jax.motion.motion_check import verify_motions
 from htcp_jax.planning import start_clearance
 from htcp_jax.planning.batch import plan
+from htcp_jax.planning.beam import dead_ends
 from htcp_jax.settings import Settings
 from htcp_jax.status import Kind, SegmentStatus, Status
 
@@ -100,6 +101,16 @@ def test_after_a_dead_end_a_search_backwards_joins_the_beam():
     lost = ended.outcome(0).failed
     assert lost is not None and not len(ended.dead_ends.scenario)
     assert joined.outcome(0).can_be_driven and joined.dead_ends.on(0)[lost].connected > 0
+
+
+def test_where_a_search_backwards_does_not_meet_the_beam_a_wider_one_passes_the_dead_end(monkeypatch):
+    """The same dead end, with configurations at the lost target that are too far from the beam's to be joined."""
+    monkeypatch.setattr(dead_ends, "MEET_RAD", 0.0)
+    one, settings = first_of(scenario(14, (0.4, -0.3)), 60), replace(SMALL, beam_width=1, min_beam_width=1)
+    plans = plan_by_beam([one], replace(settings, self_motions=1, self_motion_rounds=1, effort=40.0))
+    (tried,) = plans.dead_ends.on(0).values()
+    assert plans.outcome(0).can_be_driven and (tried.searches, tried.wider, tried.connected) == (1, 1, 1)
+    assert "1 search backwards, 1 with a wider beam" in tried.description
 
 
 def test_configurations_found_after_a_dead_end_are_on_their_targets_as_closely_as_others():

@@ -75,7 +75,7 @@ def test_the_reason_of_an_exclusion_is_kept_when_rows_are_selected_and_folded():
     assert plans.dead_ends.on(1)[last] == tried and plans.rows([1]).dead_ends.on(0)[last] == tried
     assert "excluded by proof: the arm does not get there" in tried.description
     both = DeadEnds.of({(0, 3): Tried(1, 20, 0, 0), (0, 4): tried}).moved(np.zeros((1, 5), int))
-    assert both.on(0) == {0: Tried(1, 20, 0, 0, Exclusion.OUT_OF_REACH)}
+    assert both.on(0) == {0: Tried(1, 20, 0, 0, excluded=Exclusion.OUT_OF_REACH)}
 
 
 def test_dead_ends_follow_their_scenarios():

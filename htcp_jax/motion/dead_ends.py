@@ -16,6 +16,7 @@ class Tried(NamedTuple):
     configurations: int = 0  # sampled, extended or moved
     found: int = 0  # valid configurations at the lost target
     connected: int = 0  # of these, to the start by a proven motion, or to a configuration where the motion may begin
+    wider: int = 0  # searches forwards from an earlier target, with a wider beam
     excluded: Exclusion = Exclusion.NONE  # why no configuration is clear at the lost target, so nothing is searched
 
     @property
@@ -25,6 +26,7 @@ class Tried(NamedTuple):
             return f"the target is excluded by proof: {self.excluded.message}; no search"
         connected = str(self.connected) if self.connected else "none"
         searches = f"{self.searches} search{'es' if self.searches != 1 else ''} backwards"
+        searches += f", {self.wider} with a wider beam" if self.wider else ""
         work = f"{searches}, {self.configurations:,} configurations sampled or extended"
         found = f"{self.found} clear configuration{'s' if self.found != 1 else ''} found at the target"
         return f"{work}; {found}" + (f", {connected} connected" if self.found else "")
@@ -44,10 +46,11 @@ class DeadEnds(NamedTuple):
 
     scenario: Int[np.ndarray, "n"]  # its row in the plans
     target: Int[np.ndarray, "n"]  # the lost target
-    searches: Int[np.ndarray, "n"]  # as in `Tried`, as are the next four
+    searches: Int[np.ndarray, "n"]  # as in `Tried`, as are the next five
     configurations: Int[np.ndarray, "n"]
     found: Int[np.ndarray, "n"]
     connected: Int[np.ndarray, "n"]
+    wider: Int[np.ndarray, "n"]
     excluded: Int[np.ndarray, "n"]  # numbers of `Exclusion`
 
     @classmethod

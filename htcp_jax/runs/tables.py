@@ -223,7 +223,7 @@ def plans_of(
     via_points = [_segment(*row, len(joints)) for row in lists if row[2]]
     ended = targets.filter(targets[TRIED[0]].is_valid())  # few of all rows
     rows = zip(*(ended[name].to_pylist() for name in ("scenario", "target", *TRIED)), strict=True)
-    ends = {row[:2]: Tried(*row[2:-1], EXCLUSIONS[row[-1]]) for row in rows}
+    ends = {row[:2]: Tried(*(count or 0 for count in row[2:-1]), EXCLUSIONS[row[-1]]) for row in rows}
     return plans._replace(via_points=ViaPoints.of(via_points, len(joints)), dead_ends=dead_ends.DeadEnds.of(ends))
 
 

@@ -5,6 +5,7 @@
     meet      at each target, by self-motions from the tree's configurations to those nearest to them
     arrive    if the motion may begin in another configuration: at the first target, to be joined in free space
     graft     the reversed motions become branches of the tree, and the search goes on forwards from the lost target
+    widen     if configurations there are not connected: forwards from some targets earlier, with a wider beam
 
 The configurations that lead on were often dropped, or never sampled, at earlier targets. Whatever is extended backwards
 from the lost target leads there. `settings.effort` bounds the work, in configurations.
@@ -40,6 +41,7 @@ PUSHED = 24  # the clearest draws that are far apart; these are pushed clear
 APART_RAD = 0.2
 NEAR_RAD = 0.4  # standard deviation of draws around known configurations
 SHARE = 0.25  # of the effort where the motion cannot begin elsewhere: they meet near the dead end or not at all
+BACK, WIDER = 8, 2  # targets before the lost one at which a wider search begins, and the multiple of the beam's width
 PROOF_CELLS = 128  # maximum number of cells of a proof that excludes the lost target: about one extension of the beam
 MEET_RAD, PAIRS = 1.5, 4  # largest distance of configurations that are joined, and pairs tried at each target
 
@@ -62,6 +64,8 @@ class DeadEnds:
         self._sampled_on: dict[int, int] = {}  # configurations on the target that they gave, with each step of a push
         self._open: dict[int, tuple[int, dict[int, np.ndarray]]] = {}  # search backwards: the joined one, its tree's x
         self._meetings: dict[int, list[Meeting]] = {}
+        self._wider: dict[int, int] = {}  # wider search: the lost target, until it is reached
+        self._reached: dict[int, int] = {}  # wider search: its work until then
         self._clear: set[tuple[int, int]] = set()  # scenarios and targets that no proof excludes
         self.tried: dict[tuple[int, int], Tried] = {}  # by scenario and lost target
 
@@ -106,6 +110,8 @@ class DeadEnds:
                 return True
         elif columns.status[ended] == NONE:
             return False
+        if ended in self._wider:
+            self._count(s, self._wider[ended], configurations=int(columns.work[ended]))
         best = self._farthest(chain)
         lost, on_path = int(columns.target[best]) + 1, int(scenarios.on_path[s])
         off_path = self._leaves_lines(s, lost)
@@ -123,7 +129,24 @@ class DeadEnds:
                 first = last if off_path else self._first(best)
                 self._searches.begin([s], [first], [roots], ended, backwards=not off_path)
                 return True
-        return False
+        return not off_path and self._widen(s, lost, tree, chain)
+
+    def _widen(self, s: int, lost: int, tree: Int[np.ndarray, "n"], chain: list[int]) -> bool:
+        """Begin a wider search some targets before the lost one, and return True, if that may help.
+
+        That is if clear configurations were found there, and none of them is connected.
+        """
+        known = self.tried.get((s, lost), Tried())
+        is_found = known.found or self._searches.columns.status[self._farthest(chain)] == Status.PATH_BLOCKED
+        if known.connected or known.wider or not is_found or self._left(chain, share=1.0) <= 0:
+            return False
+        target = self._tree.target[tree]
+        roots = tree[target == max(lost - BACK, int(target.min()))]
+        self._count(s, lost, wider=1)
+        self._wider[len(self._searches.columns.target)] = lost
+        last = int(self._problem.scenarios.count[s]) - 1
+        self._searches.begin([s], [last], [roots], chain[0], width=WIDER)
+        return True
 
     def meet(self) -> None:
         """Join the beams of searches backwards with the trees at their targets, where they are near; stop what is done.
@@ -138,19 +161,33 @@ class DeadEnds:
             tree_x = self._open[search][1].pop(int(columns.target[search]), None)  # pairs are tried once
             pairs += [] if tree_x is None else self._nearest(search, tree_x)
             stop[search] = self._left(self._searches.chain(search)) <= 0
+        for search, lost in list(self._wider.items()):
+            if columns.target[search] >= lost:
+                columns.width[search], self._reached[search] = 1, int(columns.work[search])
+                s = int(columns.scenario[search])
+                self._count(s, self._wider.pop(search), configurations=self._reached[search], connected=1)
+            elif self._searches.going[search]:
+                stop[search] = self._left(self._searches.chain(search), share=1.0) <= 0
         for search, meeting in self._joined(pairs):
             self._meetings.setdefault(search, []).append(meeting)
             stop[search] = True
         self._searches.stop(stop)
 
-    def _left(self, chain: list[int]) -> float:
-        """Return the configurations that may still be spent: on draws, and on extending them backwards."""
-        columns = self._searches.columns
+    def _left(self, chain: list[int], share: float | None = None) -> float:
+        """Return the configurations that may still be spent: on draws, on extending them backwards, and wider searches.
+
+        Args:
+            chain: The searches of a scenario.
+            share: Of the effort; None: that of searches backwards.
+        """
+        columns, s = self._searches.columns, int(self._searches.columns.scenario[chain[0]])
         forwards = columns.step[chain] > 0
-        spent = self._sampled_on.get(int(columns.scenario[chain[0]]), 0) + columns.work[chain][~forwards].sum()
-        s = int(columns.scenario[chain[0]])
-        share = 1.0 if self._may_arrive(s, self._farthest(chain)) else SHARE
-        return share * self._problem.settings.effort * columns.work[chain][forwards].sum() - spent
+        spent = self._sampled_on.get(s, 0) + columns.work[chain][~forwards].sum()
+        wider = sum(int(columns.work[k]) if k in self._wider else self._reached.get(k, 0) for k in chain)
+        if share is None:
+            share = 1.0 if self._may_arrive(s, self._farthest(chain)) else SHARE
+        before = columns.work[chain][forwards].sum() - wider
+        return float(share * self._problem.settings.effort * before - spent - wider)
 
     def _farthest(self, chain: list[int]) -> int:
         """Return the search that came farthest, the first of several."""

@@ -49,6 +49,7 @@ class SearchColumns(NamedTuple):
     rounds: Int[np.ndarray, "n"]  # rounds of self-motions at this target
     draws: Int[np.ndarray, "n"]  # rounds of self-motions in total
     work: Int[np.ndarray, "n"]  # configurations extended and self-motions so far
+    width: Int[np.ndarray, "n"]  # multiple of the settings' beam widths and rounds of self-motions
     failure: Int[np.ndarray, "n"]  # its Status if no more configurations reach the next target
     status: Int[np.ndarray, "n"]  # Status of a search that ended before the last target; or NONE
 
@@ -74,6 +75,7 @@ class Searches:
         roots: list[np.ndarray],
         earlier: int = NONE,
         backwards: bool = False,
+        width: int = 1,
     ) -> None:
         """Add searches, each of one scenario, all at one target.
 
@@ -83,6 +85,7 @@ class Searches:
             roots: One or more tree rows to begin from, per search.
             earlier: The search before, if these begin at other configurations; or NONE.
             backwards: True if they go from target to target towards the start.
+            width: See `SearchColumns`.
         """
         count, draws = len(scenario), 0 if earlier == NONE else self.columns.draws[earlier]
         first = len(self.going)
@@ -92,7 +95,7 @@ class Searches:
             np.array(scenario),
             target,
             np.array(last),
-            *(np.full(count, value) for value in (-1 if backwards else 1, earlier, 0, draws, 0, NONE, NONE)),
+            *(np.full(count, value) for value in (-1 if backwards else 1, earlier, 0, draws, 0, width, NONE, NONE)),
         )
         self.columns, self.going = tables.concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
         goes_on = np.append(np.zeros(first, bool), target != last)  # the others have arrived already
@@ -125,7 +128,8 @@ class Searches:
         now, count, extended = self.columns, self._count(arrived), self.has(self.pending)
         now.work[:] += self._count(self.pending)
         last = now.target + now.step == now.last
-        thin = extended & (count > 0) & (count < self._settings.min_beam_width) & ~last & self._has_self_motions
+        is_thin = (count > 0) & (count < self._settings.min_beam_width * now.width)
+        thin = extended & is_thin & ~last & self._has_self_motions
         self.pending, self.arrived = Members.none(), arrived.of(thin)
         self._lose(extended & (count == 0) & ((now.target < 0) | (not self._has_self_motions) | self._rounds_spent))
         self._select_beams(arrived.of(~thin))
@@ -189,7 +193,7 @@ class Searches:
 
     @property
     def _rounds_spent(self) -> Bool[np.ndarray, "searches"]:
-        return self.columns.rounds >= self._settings.self_motion_rounds
+        return self.columns.rounds >= self._settings.self_motion_rounds * self.columns.width
 
     def _count(self, members: Members) -> Int[np.ndarray, "searches"]:
         return np.bincount(members.search, minlength=len(self.going))
@@ -200,7 +204,10 @@ class Searches:
     def _select_beams(self, arrived: Members) -> None:
         """Make the best of the configurations at the next target the new beams."""
         which = self.has(arrived)
-        new = self._dispersed(arrived, most=self._settings.beam_width)
+        new = Members.none()
+        for width in np.unique(self.columns.width[which]).tolist():
+            own = arrived.of(self.columns.width == width)
+            new = new.appended(self._dispersed(own, most=self._settings.beam_width * width))
         self.beam, self.pending = self.beam.of(~which).appended(new), self.pending.appended(new)
         self.columns.target[which] += self.columns.step[which]
         self.columns.rounds[which] = 0
