@@ -16,6 +16,7 @@ from htcp_jax.clearance.proof.row_proof import between, rows_hold
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import load_robot
 from htcp_jax.jobs import build, load_config
+from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import PathFrames, Task, TaskRow, Workpiece
 from htcp_jax.model.task_row_kind import PlacedPath
 from htcp_jax.trajectory.displacement import arm_at, displacement_bound
@@ -241,3 +242,11 @@ def test_a_part_that_stands_still_with_its_seam_within_the_cone_is_planned_as_wi
     job["workpiece"]["neutral_translation_m"] = [0.5, 0, 0.25]
     plan = htcp_jax.plan(job | {"task": [{"point": "tcp", "on": "path"}, FLAT | {"cone_deg": 55}]})
     assert plan.complete, plan.failure()
+
+
+def test_a_sweep_keeps_scenarios_whose_angle_no_joint_changes(job, tmp_path):
+    (tmp_path / "cell.xml").write_text(toy.ARM)
+    job["workpiece"]["neutral_translation_m"] = [0.5, 0, 0.25]
+    still = job | {"settings": job["settings"] | {"q_weights": (1.0,) * 4}, "start_rad": list(toy.START)}
+    batch = load_sweep({"grid": [{"task.2.cone_deg": [12.0, 55.0]}]}, still).batch()
+    np.testing.assert_allclose(batch.scenarios.goals[:, -1, -1], np.deg2rad([12, 55]))
