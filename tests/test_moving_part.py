@@ -233,7 +233,7 @@ def test_programs_have_all_joints_by_name_and_key_frames_are_in_the_order_of_the
         ({"robot.base_m": [0, 0, 1]}, "base_m and base_rpy_rad must be 0: the part moves"),
         ({"cell.self_collision": False}, "self_collision is false, but 'pillar' moves relative to the part"),
         ({"workpiece.inlet_direction": "world-x"}, "inlet_direction is world-x, but the part moves"),
-        ({"task": [{"axis": "tcp.z", "towards": [0, 0, -1]}]}, "task.1: frame is world, and the part moves"),
+        ({"task": [{"axis": "tcp.z", "looks_at_m": [0, 0, 1]}]}, "task.1: frame is world, and the part moves"),
         ({"cell.clouds": [{"cloud": "disc.xyz"}]}, "'disc' is a cloud of points; a box or a mesh can move with a link"),
         ({"cell.model": "floor.xml"}, "is a plane; a box or a mesh can move with a link"),
     ],

@@ -140,7 +140,7 @@ def scenario_of(
         robot: From `robot_of`.
         workpiece: From `workpiece_of`.
         number: Number of the scenario, for the random keys.
-        beyond_reach: See `make_scenario`.
+        beyond_reach: See `make_scenario`; likewise for angles that no joint changes.
         follows: Position at the start of the point that follows the path, world [m], if known.
     """
     part, task = job.workpiece, task_of_job(job, robot)
@@ -161,7 +161,10 @@ def scenario_of(
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    return goals.with_goals(scenario, job.task, task, robot, workpiece)
+    scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
+    if beyond_reach == "raise":
+        goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
+    return scenario
 
 
 def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] | None:

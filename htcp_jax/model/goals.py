@@ -47,6 +47,8 @@ def task_of(rows: Sequence[TaskRowKind], robot: Robot, tolerance_m: float = 1e-3
             parts.append(row.part(robot))
         except InputError as error:
             raise InputError(f"task.{k}: {error}") from None
+        if parts[-1].equalities and _turns_against_world(row, robot):
+            _check_turns(k, row, robot, parts[-1])
     task = Task(tuple(parts), tolerance_m, tolerance_rad)
     task.freedom(robot)
     for k in range(2, len(parts) + 1):
@@ -112,6 +114,27 @@ def with_goals(
     return replace(scenario, task_goals=np.concatenate(columns, axis=1))
 
 
+def check_constant_angles(
+    scenario: Scenario, rows: Sequence[TaskRowKind], task: Task, robot: Robot, workpiece: Workpiece
+) -> None:
+    """Check that angles to directions of the world that no joint changes are as required.
+
+    Args:
+        scenario: A scenario with the rows' goals.
+        rows: Rows of the task list.
+        task: The rows' task, see `task_of`.
+        robot: The robot.
+        workpiece: The scenario's workpiece.
+
+    Raises:
+        InputError: For a cone or an angle that is violated on the path and that no joint changes.
+    """
+    for k, (row, part, start) in enumerate(zip(rows or ON_PATH, task.parts, task.starts, strict=True), 1):
+        if part.inequalities and _turns_against_world(row, robot):
+            on_path = scenario.goals[-len(workpiece.path) :, start : start + part.numbers]
+            _check_constant(k, row, robot, part, np.asarray(on_path))
+
+
 def _jacobian_rank(robot: Robot, rows: Sequence[TaskRowKind], task: Task) -> int:
     """Return the rank of the equalities' Jacobian: the largest one at some random configurations and goals."""
     rng = np.random.default_rng(0)
@@ -125,6 +148,7 @@ def _jacobian_rank(robot: Robot, rows: Sequence[TaskRowKind], task: Task) -> int
 
 
 _VALUE = jax.jit(lambda robot, x, task: task.value(robot, x), static_argnums=2)
+_SLOPES = jax.jit(lambda robot, x, task: task.jacobian(robot, x), static_argnums=2)
 _JACOBIAN = jax.jit(lambda robot, x, goal, task: task.linear_at(robot, x, goal).jacobian, static_argnums=3)
 
 
@@ -141,6 +165,45 @@ def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
                 raise InputError(
                     f"task.{k} ({row}): tangent and normal are parallel at point {flat[0] + 1} of the path"
                 )
+
+
+def _turns_against_world(row: TaskRowKind, robot: Robot) -> bool:
+    """Return True for a row about a direction of the world that may be the same in all configurations."""
+    return isinstance(row, TaskRow) and row.angular and row.is_in_world and (robot.part_moves or row.is_of_path)
+
+
+def _slopes(robot: Robot, part: Row) -> Float[np.ndarray, "D V N"]:
+    """Return the Jacobians of a row's features at some random configurations."""
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    x = np.random.default_rng(0).uniform(lower, upper, (DRAWS, len(lower)))
+    return np.array([_SLOPES(robot, jnp.asarray(each), Task((part,))) for each in x])
+
+
+def _check_turns(k: int, row: TaskRow, robot: Robot, part: Row) -> None:
+    """Raise InputError for a direction of the world that too few joints turn to be held exactly."""
+    sizes = np.linalg.svd(_slopes(robot, part), compute_uv=False)
+    turns = int((sizes > FLAT).sum(axis=1).max())
+    if turns < part.equalities:
+        raise InputError(
+            f"task.{k} ({row}): it has {part.equalities} equations, and joints turn it in {turns} directions; "
+            "an angle is allowed by cone_deg or within_deg"
+        )
+
+
+def _check_constant(k: int, row: TaskRow, robot: Robot, part: Row, goals: Float[np.ndarray, "T g"]) -> None:
+    """Raise InputError for a cone or an angle that no joint changes and that is violated on the path."""
+    if np.abs(_slopes(robot, part)).max() > FLAT:
+        return
+    x = jnp.asarray(np.clip(0.0, robot.lower, robot.upper))
+    value, goals = _VALUE(robot, x, Task((part,))), jnp.asarray(goals)
+    slack = np.asarray(jax.vmap(lambda goal: (part.slack(value, goal) - part.aim(value, goal))[0])(goals))
+    if len(far := np.flatnonzero(slack < 0)):
+        most = float(goals[far[0], -1])
+        angle = np.rad2deg(most - float(part.slack(value, goals[far[0]])[0]))
+        raise InputError(
+            f"task.{k} ({row}): no joint changes this angle; it is {angle:.4g} degrees at point {far[0] + 1} of the "
+            f"path, {np.rad2deg(most):.4g} are allowed"
+        )
 
 
 def _check_pairs(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.ndarray], before: int) -> None:
@@ -167,7 +230,7 @@ def _unmet_turns(
     A frame requires the direction of each axis of its link. The angle between two axes is what it is, and each may be
     off by its limit; as the angle of a frame to another may.
     """
-    if any(part.is_view for part in of) or of[0].link != of[1].link:
+    if any(part.is_view for part in of) or (of[0].link, of[0].seen_from) != (of[1].link, of[1].seen_from):
         return None
     at = 9 if isinstance(of[0], FrameOrientation) else 3, 9 if isinstance(of[1], FrameOrientation) else 3
     most = sum(goal[:, n] if part.cone else tolerance_rad for part, goal, n in zip(of, goals, at, strict=True))

@@ -6,22 +6,26 @@ from jaxtyping import Float
 
 from htcp_jax.model.arm_features import frame_of, point_of
 from htcp_jax.model.robot import Robot
-from htcp_jax.model.task_list import TaskRow
+from htcp_jax.model.task_list import DIRECTIONS, TaskRow
 from htcp_jax.model.task_row_kind import PlacedPath
 from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, Row, TaskPoint
 
 
 def row_of_task(row: TaskRow, robot: Robot) -> Row:
     """Return a task row for a robot. Raises InputError for a name that the robot lacks."""
+    seen_from = robot.world if robot.part_moves and row.is_in_world else None
     if row.orientation is not None:
         frame = frame_of(robot, row.of)
-        return FrameOrientation(frame.link, frame.columns, cone=row.limit_deg is not None)
+        return FrameOrientation(frame.link, frame.columns, row.limit_deg is not None, seen_from)
     if row.axis is not None:
+        if row.is_of_path:  # the angle is the same from the other side: a direction of the world, towards the path's
+            axis = np.array(row.towards) / np.linalg.norm(row.towards) @ np.array(robot.world.columns)
+            return AxisTowards(robot.world.link, tuple(axis.tolist()), cone=row.limit_deg is not None)
         name, k, sign = row.axis_of
         frame = frame_of(robot, name, "axis")
         axis = tuple(sign * value for value in frame.columns[k])
         looks_from = None if row.looks_at_m is None else frame.origin_m
-        return AxisTowards(frame.link, axis, looks_from, cone=row.limit_deg is not None)
+        return AxisTowards(frame.link, axis, looks_from, row.limit_deg is not None, seen_from)
     link, offset, *_ = point_of(robot, row.point, row.offset_m)
     if row.on in ("plane", "line"):
         return PointAlong(link, offset, 1 if row.on == "plane" else 2, row.within_m is not None)
@@ -76,9 +80,9 @@ def _directions(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T 3"]:
     count = len(posed.path)
     if row.looks_at_m is not None:
         return np.tile(_in_world(row, np.array(row.looks_at_m), posed, is_place=True), (count, 1))
-    if isinstance(row.towards, str):
-        own = posed.workpiece.normals if row.towards.endswith("normal") else posed.workpiece.tangents
-        return (-1.0 if row.towards.startswith("-") else 1.0) * own @ posed.rotate.T
+    if (name := row.axis if row.is_of_path else row.towards) in DIRECTIONS:
+        own = posed.workpiece.normals if name.endswith("normal") else posed.workpiece.tangents
+        return (-1.0 if name.startswith("-") else 1.0) * own @ posed.rotate.T
     direction = _in_world(row, np.array(row.towards), posed)
     return np.tile(direction / np.linalg.norm(direction), (count, 1))
 

@@ -24,7 +24,7 @@ from htcp_jax.model.kinematics import (
     point_positions,
     tcp_position,
 )
-from htcp_jax.model.robot import Robot
+from htcp_jax.model.robot import ArmFrame, Robot
 from htcp_jax.model.task_rows import XYZ, Feature, Row, TaskPoint
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Anywhere, Array, Float, Joints, Scalar
@@ -275,26 +275,41 @@ TCP_POSITION = Task()  # the paper's
 
 
 def feature_at(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3"]:
-    """Return a point's position in the world [m], or a direction in the world, of length 1; all three coordinates."""
+    """Return a point's position [m], or a direction of length 1; all three coordinates, in the world.
+
+    If the part moves, its link takes the place of the world, except for a direction that is `seen_from` a frame.
+    """
     if _is_tcp(feature):
         return tcp_position(robot, x)
     vector, links = _fixed(robot, feature)
-    return (directions if feature.is_direction else point_positions)(robot, x, vector[None], links)[0]
+    found = (directions if feature.is_direction else point_positions)(robot, x, vector[None], links)[0]
+    return found if feature.seen_from is None else product(_axes(robot, x, feature.seen_from), found)
 
 
 def _feature_jacobian(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3 N"]:
     if _is_tcp(feature):
         return jacobian(robot, x)
     of = direction_jacobians if feature.is_direction else point_jacobians
-    return of(robot, x, feature_at(robot, x, feature)[None], _fixed(robot, feature)[1])[0]
+    vector, links = _fixed(robot, feature)
+    if feature.seen_from is None:
+        return of(robot, x, feature_at(robot, x, feature)[None], links)[0]
+    found, axes = directions(robot, x, vector[None], links), _axes(robot, x, feature.seen_from)
+    turning = direction_jacobians(robot, x, axes, 3 * (feature.seen_from.link,))
+    return product(axes, of(robot, x, found, links)[0]) + jnp.sum(found[:, :, None] * turning, axis=1)
 
 
 def _is_tcp(feature: Feature) -> bool:
     return feature.link is None and not feature.is_direction and not any(feature.vector)
 
 
+def _axes(robot: Robot, x: Joints, frame: ArmFrame) -> Float[Array, "3 3"]:
+    """Return a frame's axes at x, one a row."""
+    return directions(robot, x, jnp.asarray(frame.columns), 3 * (frame.link,))
+
+
 def _turns_with_last(robot: Robot, feature: Feature) -> bool:
-    return feature.is_direction and feature.link in (None, len(robot.slides) - 1)
+    last = feature.link in (None, len(robot.slides) - 1)
+    return last and feature.is_direction and feature.seen_from is None
 
 
 def _fixed(robot: Robot, feature: Feature) -> tuple[Float[Array, "3"], tuple[int]]:

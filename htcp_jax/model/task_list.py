@@ -42,7 +42,8 @@ class TaskRow(TaskRowKind):
 
     A name is the TCP's, tcp, or that of a site or body of the model. frame: for places and directions given in numbers,
     the workpiece's or the world's; for a point on the path, the frame of its axes, which may also be the path's own,
-    with x along the tangent and z along the normal.
+    with x along the tangent and z along the normal. If the part moves, the chain's root is its link, and directions of
+    the world are features of the link that the world is.
 
     Raises:
         InputError: For fields that do not belong together, an invalid place or direction, and an angle out of its
@@ -61,7 +62,7 @@ class TaskRow(TaskRowKind):
     axes: str = "xyz"  # in which a point on the path or at a place is constrained
     frame: str = "world"
     within_m: float | None = None  # tolerance to both sides in each direction; None: exactly
-    axis: str | None = None  # a name and x, y or z of its frame, tcp.z; a minus reverses it
+    axis: str | None = None  # a name and x, y or z of its frame, tcp.z; a minus reverses it; or one of DIRECTIONS
     towards: str | Triple | None = None  # one of DIRECTIONS, or in numbers, of any length
     looks_at_m: Triple | None = None  # a place, from the origin of the axis's frame
     cone_deg: float | None = None  # half angle [degrees, pi rad are 180]; 0 or None: exactly
@@ -90,9 +91,10 @@ class TaskRow(TaskRowKind):
         return self.point is None
 
     def part(self, robot: "Robot") -> "Row":
-        """Return the row for a robot. Raises InputError for a name that it lacks, and for numbers in a moving world."""
-        if robot.part_moves and self.is_in_world:
-            raise InputError("frame is world, and the part moves; valid: workpiece, path")
+        """Return the row for a robot. Raises InputError for a name that it lacks, and for a place in a moving world."""
+        if robot.part_moves and self.is_in_world and (self.point is not None or self.looks_at_m is not None):
+            valid = "workpiece" if self.angular else "workpiece, path"
+            raise InputError(f"frame is world, and the part moves; valid for a place: {valid}")
         return _listed_rows().row_of_task(self, robot)
 
     def goals(self, part: "Row", posed: PlacedPath) -> Float[np.ndarray, "T g"]:
@@ -112,6 +114,11 @@ class TaskRow(TaskRowKind):
         return self.frame == "world" and (numbers or (self.on == "path" and by_axes))
 
     @property
+    def is_of_path(self) -> bool:
+        """True for an axis that is the path's normal or tangent, towards a direction in the world."""
+        return self.axis in DIRECTIONS
+
+    @property
     def limit_deg(self) -> float | None:
         """Half angle of a cone or an angle tolerance; None if the row is an equality."""
         return (self.cone_deg if self.cone_deg is not None else self.within_deg) or None
@@ -126,8 +133,8 @@ class TaskRow(TaskRowKind):
     def uses(self) -> set[str]:
         """Path frames that the row requires: normals, tangents, rotations."""
         found = {"rotations"} if self.orientation == "path" else set()
-        if isinstance(self.towards, str):
-            found.add("normals" if self.towards.endswith("normal") else "tangents")
+        if (direction := self.axis if self.is_of_path else self.towards) in DIRECTIONS:
+            found.add("normals" if direction.endswith("normal") else "tangents")
         return found | ({"normals", "tangents"} if self.on == "path" and self.frame == "path" else set())
 
     def __str__(self) -> str:
@@ -156,8 +163,10 @@ class TaskRow(TaskRowKind):
 
     def _check_axis(self) -> None:
         name, dot, letter = self.axis.lstrip("-").rpartition(".")
-        if not name or not dot or letter not in ("x", "y", "z"):
-            raise InputError(f"axis is {self.axis!r}; it is a name and x, y or z, as in tcp.z")
+        if not self.is_of_path and (not name or not dot or letter not in ("x", "y", "z")):
+            raise InputError(f"axis is {self.axis!r}; it is a name and x, y or z, as in tcp.z, or a path's direction")
+        if self.is_of_path and not (isinstance(self.towards, tuple) and self.frame == "world"):
+            raise InputError(f"axis is {self.axis}, the part's own; it needs towards: [x, y, z] in frame: world")
         if (self.towards is None) == (self.looks_at_m is None):
             raise InputError(f"an axis needs either towards ({', '.join(DIRECTIONS)}, or x,y,z) or looks_at_m")
         if isinstance(self.towards, str) and self.towards not in DIRECTIONS:

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from htcp_jax.errors import InputError
+from htcp_jax.model.robot import ArmFrame
 from htcp_jax.model.rotations import (
     angle,
     axis_error,
@@ -41,6 +42,7 @@ class Feature(NamedTuple):
     vector: Triple  # in that frame: of a point [m], of a direction of length 1
     is_direction: bool = False
     rows: tuple[int, ...] = XYZ  # the coordinates in use
+    seen_from: ArmFrame | None = None  # frame of its coordinates, for a direction; None: the chain's root
 
 
 class Row:
@@ -293,6 +295,7 @@ class AxisTowards(Row):
     axis: Triple  # of length 1, in the frame of the link
     looks_from_m: Triple | None = None  # origin of the view, in the frame of the link; None: no place
     cone: bool = True
+    seen_from: ArmFrame | None = None  # frame of a goal's direction; None: the chain's root
 
     angular: ClassVar[bool] = True
     turns: ClassVar[bool] = True
@@ -305,7 +308,7 @@ class AxisTowards(Row):
     @property
     def features(self) -> tuple[Feature, ...]:
         """The axis and, if it points at a place, the point `looks_from_m`."""
-        axis = Feature(self.link, self.axis, is_direction=True)
+        axis = Feature(self.link, self.axis, is_direction=True, seen_from=self.seen_from)
         return (axis,) if self.looks_from_m is None else (axis, Feature(self.link, self.looks_from_m))
 
     @property
@@ -392,6 +395,7 @@ class FrameOrientation(Row):
     link: int | None
     columns: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # the frame's axes
     cone: bool = False
+    seen_from: ArmFrame | None = None  # frame of a goal's rotation; None: the chain's root
 
     angular: ClassVar[bool] = True
     turns: ClassVar[bool] = True
@@ -399,7 +403,8 @@ class FrameOrientation(Row):
     @property
     def features(self) -> tuple[Feature, ...]:
         """The three axes of the frame."""
-        return tuple(Feature(self.link, column, is_direction=True) for column in self.columns)
+        axes = (Feature(self.link, column, is_direction=True, seen_from=self.seen_from) for column in self.columns)
+        return tuple(axes)
 
     @property
     def equalities(self) -> int:

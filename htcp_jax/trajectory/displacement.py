@@ -8,7 +8,7 @@ by joint i no larger than l_max(i, j), 0 for two slides. So the point moves by n
 
 The second bound accounts for joints that compensate each other's motion, as for a tool that stays on its path. Both
 also hold for a direction that is fixed to a link: hinges move its end like a point, r_j = |z_j x direction|, slides do
-not.
+not. Seen from another link, it is moved by the hinges between, in either order, so that r_j <= 1 is used for these.
 """
 
 from collections.abc import Callable
@@ -70,7 +70,13 @@ def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[task_rows.
     levers, slopes, tcp = in_padded_sizes(_point_slopes, robot, x)
     if features:
         more = in_padded_sizes(partial(_features, features), robot, x)[0]
-        levers = np.concatenate([levers, np.linalg.norm(more, axis=2)], axis=1)
+        found = np.linalg.norm(more, axis=2)
+        for k, feature in enumerate(features):
+            if feature.seen_from is not None:
+                ends = len(robot.slides) - 1 if feature.link is None else feature.link, feature.seen_from.link
+                joints = np.arange(len(robot.slides))
+                found[:, k] = (joints > min(ends)) & (joints <= max(ends)) & ~np.array(robot.slides)
+        levers = np.concatenate([levers, found], axis=1)
         slopes = np.concatenate([slopes, more], axis=1)
     return ArmLevers(levers, slopes, tcp, ~np.array(robot.slides), _turning(robot, len(features)), len(features))
 

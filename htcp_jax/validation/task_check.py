@@ -274,13 +274,21 @@ def _off_place(row: TaskRow, point: np.ndarray, place: PartPose) -> Float[np.nda
 
 def _off_axis(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n"]:
     """Angle between an axis and its required direction [rad]."""
-    return _angle(_axis_direction(row, arm, x), _turned_to(row, arm, x, place))
+    return _angle(_axis_direction(row, arm, x, place), _turned_to(row, arm, x, place))
 
 
-def _axis_direction(row: TaskRow, arm: MujocoArm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:
+def _axis_direction(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n 3"]:
+    if row.is_of_path:
+        return _of_path(row.axis, place)
     name, k, sign = row.axis_of
     _, rotation = arm.frames(x, name)
     return sign * rotation[:, :, k]
+
+
+def _of_path(name: str, place: PartPose) -> Float[np.ndarray, "n 3"]:
+    """Normal or tangent of the path, by its name in a row."""
+    own = place.workpiece.normals if name.lstrip("-") == "path.normal" else place.workpiece.tangents
+    return (-1.0 if name.startswith("-") else 1.0) * own[place.point] @ place.rotate.T
 
 
 def _turned_to(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n 3"]:
@@ -289,9 +297,11 @@ def _turned_to(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> 
         origin, _ = arm.frames(x, row.axis_of[0])
         return place.world(row, row.looks_at_m, True) - origin
     if isinstance(row.towards, str):
-        own = place.workpiece.normals if row.towards.endswith("normal") else place.workpiece.tangents
-        return (-1.0 if row.towards.startswith("-") else 1.0) * own[place.point] @ place.rotate.T
-    return np.broadcast_to(place.world(row, row.towards), (len(x), 3))
+        return _of_path(row.towards, place)
+    direction = place.world(row, row.towards)
+    if arm.root and row.frame == "world":
+        return arm.frames(x, "world")[1] @ direction
+    return np.broadcast_to(direction, (len(x), 3))
 
 
 def _angle(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
@@ -301,15 +311,17 @@ def _angle(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np
 def _off_turn(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n"]:
     """Angle of the rotation between a frame and its required orientation [rad]."""
     _, rotation = arm.frames(x, row.of)
-    return _turn_angle(rotation, _orientation(row, len(x), place))
+    return _turn_angle(rotation, _orientation(row, arm, x, place))
 
 
-def _orientation(row: TaskRow, count: int, place: PartPose) -> Float[np.ndarray, "n 3 3"]:
+def _orientation(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n 3 3"]:
     """Required orientation of a frame."""
     if row.orientation == "path":
         return place.rotate @ place.workpiece.rotations[place.point]
     own = Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
-    return np.tile(place.rotate @ own if row.frame == "workpiece" else own, (count, 1, 1))
+    if arm.root and row.frame == "world":
+        return arm.frames(x, "world")[1] @ own
+    return np.tile(place.rotate @ own if row.frame == "workpiece" else own, (len(x), 1, 1))
 
 
 def _turn_angle(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n"]:
@@ -327,12 +339,14 @@ def _turned_between(
     limit = np.deg2rad(row.limit_deg or 0.0)
     if row.axis is None:
         (_, now), off = arm.frames(x, row.of), _turn_angle
-        a, b = (_orientation(row, len(x), place) for place in places)
+        a, b = (_orientation(row, arm, x, place) for place in places)
         both = Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).as_rotvec() if len(x) else np.zeros((0, 3))
         middle = Rotation.from_rotvec(0.5 * both).as_matrix() @ a
     else:
-        now, off = _axis_direction(row, arm, x), _angle
-        a, b = (_turned_to(row, arm, x, place) for place in places)
+        now, ends, off = _axis_direction(row, arm, x, places[1]), _turned_to, _angle
+        if row.is_of_path:  # what lies between two targets is the path's direction
+            now, ends = _turned_to(row, arm, x, places[1]), _axis_direction
+        a, b = (ends(row, arm, x, place) for place in places)
         middle = a / np.linalg.norm(a, axis=1)[:, None] + b / np.linalg.norm(b, axis=1)[:, None]
     good = (off(now, a) <= limit + tolerance_rad) | (off(now, b) <= limit + tolerance_rad)
     return good | (off(now, middle) <= np.maximum(limit, 0.5 * off(a, b)) + tolerance_rad)
