@@ -369,7 +369,7 @@ def test_validation_holds_locked_joints_at_their_values(tmp_path):
 @pytest.mark.parametrize(
     ("locked", "words"),
     [
-        ("{b9: 0}", "no hinge or slide 'b9' to lock; there are "),
+        ("{b9: 0}", "robot.locked: no hinge or slide 'b9' to fix; there are "),
         ("{b1: 2}", "b1=2 is beyond the limits of the joint, -1 to 1.2 rad"),
         ("{b1: far}", "robot.locked"),
         ("[b1]", "are no locked joints; valid: {JOINT: VALUE, ...}"),

@@ -91,7 +91,7 @@ def _locked(value: Any) -> Any:
     pairs = tuple(value.items()) if isinstance(value, dict) else value  # a record has pairs
     if not isinstance(pairs, tuple | list) or any(isinstance(pair, str) for pair in pairs):
         raise InputError(f"{value!r} are no locked joints; valid: {{JOINT: VALUE, ...}}")
-    return tuple(map(tuple, pairs))
+    return tuple(sorted(map(tuple, pairs)))
 
 
 LockedJoints = Annotated[tuple[tuple[str, Number], ...], BeforeValidator(_locked), PlainSerializer(dict)]

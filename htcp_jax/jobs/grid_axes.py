@@ -334,4 +334,4 @@ def _added(parameter: AxisParameter, old: Any, offset: Any) -> Any:
 
 
 def _hashable(item: Any) -> Any:
-    return tuple(item) if isinstance(item, list) else tuple(item.items()) if isinstance(item, dict) else item
+    return tuple(item) if isinstance(item, list) else item

@@ -87,6 +87,8 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
         config["settings"] = {key: value for key, value in config["settings"].items() if key != "tolerance_rad"}
     if "cell" in config and not config["cell"].get("fixtures"):  # as in runs from older versions
         config["cell"] = {key: value for key, value in config["cell"].items() if key != "fixtures"}
+    if "robot" in config and not config["robot"].get("locked"):
+        config["robot"] = {key: value for key, value in config["robot"].items() if key != "locked"}
     same = plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
     parts = {}
     for file in sorted(set(files) - named, key=lambda file: (Path(file).name, files[file])):

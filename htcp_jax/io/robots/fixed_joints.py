@@ -15,7 +15,7 @@ _UNITS = {_HINGE: "rad", _SLIDE: "m"}
 
 
 def fix_joints(
-    model: mujoco.MjModel, path: Path, values: Mapping[str, float], verb: str = "fix"
+    model: mujoco.MjModel, path: Path, values: Mapping[str, float], where: str = ""
 ) -> dict[int, float]:
     """Freeze hinges and slides of a compiled model, which is modified.
 
@@ -25,7 +25,7 @@ def fix_joints(
         model: The compiled model.
         path: Its file, for messages.
         values: Values by the names of the joints [rad or m].
-        verb: What is done to a joint, for messages.
+        where: Key with the values, for messages.
 
     Returns:
         Values of the frozen joints, by their indices in the model [rad or m].
@@ -36,12 +36,13 @@ def fix_joints(
     known = {joint_name(model, j): j for j in range(model.njnt) if model.jnt_type[j] in _UNITS}
     for name, value in values.items():
         if name not in known:
-            raise InputError(f"{path}: no hinge or slide {name!r} to {verb}; there are {', '.join(known) or 'none'}")
+            valid = ", ".join(known) or "none"
+            raise InputError(f"{path}: {where}no hinge or slide {name!r} to fix; there are {valid}")
         j = known[name]
         lower, upper = model.jnt_range[j]
         if model.jnt_limited[j] and not lower <= value <= upper:
             limits = f"{lower:g} to {upper:g} {_UNITS[int(model.jnt_type[j])]}"
-            raise InputError(f"{path}: {name}={value:g} is beyond the limits of the joint, {limits}")
+            raise InputError(f"{path}: {where}{name}={value:g} is beyond the limits of the joint, {limits}")
     given = {known[name]: value for name, value in values.items()}
     fixed = {j: value for one in given for j, value in _followers(model, one, given[one])} | given
     for j in sorted(fixed):

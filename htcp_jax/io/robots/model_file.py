@@ -108,7 +108,7 @@ def read_robot_file(
     """
     model, geom_types, pairs, stored = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
-    chain = _whole_chain(model, path, tcp_body, fix_joints(model, path, locked, "lock"))
+    chain = _whole_chain(model, path, tcp_body, fix_joints(model, path, locked, "robot.locked: "))
     if chain.root and (T_world_base != np.eye(4)).any():
         raise InputError(f"{path}: robot.base_m and base_rpy_rad must be 0: the part moves, and the model is the cell")
     joints = list(chain.joints)

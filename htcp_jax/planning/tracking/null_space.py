@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
+from htcp_jax.backend import backend
 from htcp_jax.clearance import HasWorkpiecePose, Obstacles, Scene, clearance, clearances, contacts
 from htcp_jax.clearance.obstacles import contact_model
 from htcp_jax.errors import InputError
@@ -248,7 +249,10 @@ def keep_clear_ascent(
 
     def step(state):
         best, scale, count = state
-        x = jax.lax.cond(count < 0, lambda best, _: best.x, raised, best, scale)
+        if backend().is_cpu:
+            x = jax.lax.cond(count < 0, lambda best, _: best.x, raised, best, scale)
+        else:  # under vmap both are computed, and all that a branch of a cond reads is batched: the scene must not be
+            x = jnp.where(count < 0, best.x, raised(best, scale))
         new = anchor(scene, settings, where, x, target)
         better = (count < 0) | (new.clearance > best.clearance) & scene.task.reached(new.residual)
         best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
