@@ -18,16 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.device import tables
-from htcp_jax.motion import (
-    CollisionChecker,
-    Problem,
-    Tried,
-    exclusions,
-    lane_inputs,
-    selection,
-    step_functions,
-    transfers,
-)
+from htcp_jax.motion import CollisionChecker, Problem, Tried, exclusions, selection, step_functions, transfers
 from htcp_jax.planning.beam.functions import MOVE_TOWARDS, inputs_and_tubes
 from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.searches import NONE, Searches
@@ -233,27 +224,12 @@ class DeadEnds:
         self._sampled_on[s] = self._sampled_on.get(s, 0) + spent
         inputs = problem.inputs(s, target, len(apart))
         pushed = checker.executor(stages.PUSH, inputs, here.x[apart]) if len(apart) else here
-        at, good = self._settled(inputs, pushed.x) if len(apart) else (here, apart)
+        at = checker.states(inputs, pushed.x)._replace(x=pushed.x, linear=None) if len(apart) else here
+        good = np.flatnonzero(checker.valid(inputs, at)) if len(apart) else apart
         good = good[np.argsort(-at.clearance[good], kind="stable")]
         separation, zero = problem.settings.beam_separation_rad, np.zeros(len(good), int)
         good = good[selection.dispersed(at.x[good], zero, problem.settings.beam_width, separation)]
         return self._tree.plant(tables.gather(at, good), target)
-
-    def _settled(
-        self, inputs: lane_inputs.LaneInputs, x: Float[np.ndarray, "n N"]
-    ) -> tuple[step_functions.State, Int[np.ndarray, "m"]]:
-        """Return configurations brought onto their targets as closely as extended ones, and the valid rows.
-
-        Pushes leave them within the tolerance only. Those that would lose the margin stay as they are.
-        """
-        checker = self._checker
-        states = [checker.states(inputs, q)._replace(x=q, linear=None) for q in (x, checker.project(inputs, x))]
-        as_pushed, settled = (checker.valid(inputs, at) for at in states)
-
-        def chosen(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-            return np.where(settled.reshape(-1, *[1] * (after.ndim - 1)), after, before)
-
-        return jax.tree.map(chosen, *states), np.flatnonzero(as_pushed | settled)
 
     def _nearest(self, search: int, tree_x: Float[np.ndarray, "n N"]) -> list[tuple[int, np.ndarray, int]]:
         """Return the pairs to join: search, configuration of the tree, tree row of the search's."""
