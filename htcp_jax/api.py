@@ -234,6 +234,12 @@ class Plan:
         for target, tried in self.dead_ends.items():  # those before were passed
             if end.failed is not None and target >= end.failed:
                 facts[f"after the dead end at target {target}"] = tried.description
+        bound = self.job.settings.max_joint_step_rad
+        if bound is not None and end.failed is not None and end.failed > self.scenario.on_path:
+            facts["joint steps"] = (
+                f"settings.max_joint_step_rad allows {bound} from target to target; "
+                "a larger bound, or targets closer together, may lead further"
+            )
         if self.start_cause is not None:
             facts["cause"] = self.start_cause.description
         elif self.obstruction is not None:

@@ -198,3 +198,10 @@ def test_a_plan_s_robot_is_the_one_with_its_tool(short, tmp_path):
             np.testing.assert_allclose(replays.replay(0, "baseline").tcp[t], plan.plans.tcp[0, t], atol=1e-12)
     again = batch.plan(plan.robot, plan.workpiece, plan.scenario, "baseline", plan.job.settings)
     np.testing.assert_allclose(again.x, plan.plans.x, atol=1e-9)  # the tool extension is not applied twice
+
+
+def test_a_plan_that_a_bound_on_joint_steps_ends_names_the_bound(short):
+    plan = htcp_jax.plan(overrides={**short, "method": "baseline", "settings.max_joint_step_rad": 1e-5})
+    assert plan.outcome.failed is not None and plan.outcome.failed > plan.scenario.on_path
+    assert plan.failure()["joint steps"].startswith("settings.max_joint_step_rad allows 1e-05 from target to target; ")
+    assert "joint steps" not in htcp_jax.plan(overrides={**short, "method": "baseline"}).failure()
