@@ -129,12 +129,12 @@ def test_validation_measures_boxes_and_meshes_on_links_exactly_in_every_place_of
     )
     robot = build.robot_of(arm, surroundings)
     obstacles = build.obstacles_of(surroundings, robot)
-    x = random_configurations(robot, 100)
+    x = random_configurations(robot, 30)
     bound = np.asarray(jax.jit(jax.vmap(partial(clearance, robot, obstacles, toy.scenario())))(x))
     own = MujocoArm(tmp_path / "arm.xml")
     measured = MujocoCell(surroundings, own, own).distances(x, own.arm_poses(x)).min(axis=1)
     clear = measured > 0
-    assert 20 < clear.sum() < 95 and (bound[clear] <= measured[clear] + 1e-6).all()
+    assert 5 < clear.sum() < 28 and (bound[clear] <= measured[clear] + 1e-6).all()
     assert (bound[clear] >= measured[clear] - 0.03).all() and (bound[~clear] < 0).all()
 
 
