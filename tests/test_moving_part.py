@@ -154,6 +154,9 @@ def job(tmp_path):
     }
 
 
+STEP = {"max_joint_step_rad": 0.01}
+
+
 @pytest.fixture
 def planned(job, tmp_path):
     plan = htcp_jax.plan(job)
@@ -167,6 +170,10 @@ def test_a_plan_with_a_turntable_is_confirmed_in_mujocos_tree_and_refuted_with_t
     found = validate_results(tmp_path / "plan")
     assert found.validated, found.refuted[:3]
     summary = json.loads((tmp_path / "plan/summary.json").read_text())
+    bounded = summary | {"config": summary["config"] | {"settings": summary["config"]["settings"] | STEP}}
+    (tmp_path / "plan/summary.json").write_text(json.dumps(bounded))
+    found = validate_results(tmp_path / "plan")
+    assert not found.validated and "on the segment, more than the job allows" in found.refuted[0].reason
     summary["config"]["cell"]["shift_m"] = [0.1, -0.3, 0.0]
     (tmp_path / "plan/summary.json").write_text(json.dumps(summary))
     found = validate_results(tmp_path / "plan")

@@ -108,6 +108,7 @@ def check(
         arm, track, t, tolerance, ROUNDING_M if bound and not hulls else RECORD_M, {**found, "through": through}
     )
     refuted += _refuted_segments(track, paths, between_rows)
+    refuted += _refuted_joint_steps(arm, track, paths, on_path)
     on = t[t >= on_path]
     rows_hold = _check_task_rows(results, arm, track, scene, on, on_path)
     refuted += _refuted_rows(track, rows_hold, on)
@@ -291,6 +292,22 @@ def _refuted_segments(track: Track, paths: JointPaths, found: dict[str, Any]) ->
         off = f"{1e3 * found['deviation'][k]:.3f} mm"
         reasons.setdefault(int(paths.target[k]), f"the segment is recorded as valid, and leaves its path by {off}")
     return [Refutation(track.method, track.scenario, target, reasons[target]) for target in sorted(reasons)]
+
+
+def _refuted_joint_steps(arm: MujocoArm, track: Track, paths: JointPaths, on_path: int) -> list[Refutation]:
+    """Segments along the path on which a joint travels farther than the job allows, via points included."""
+    if (most := track.config.settings.max_joint_step_rad) is None:
+        return []
+    travel = np.zeros(track.x.shape)
+    np.add.at(travel, paths.target, np.abs(paths.b - paths.a))
+    excess = travel - np.asarray(most)
+    found = []
+    for target in np.flatnonzero((excess > ROUNDING_M).any(axis=1)).tolist():
+        if target > on_path:
+            joint = int(excess[target].argmax())
+            reason = f"{arm.joints[joint]} travels {travel[target, joint]:.6g} on the segment, more than the job allows"
+            found.append(Refutation(track.method, track.scenario, target, reason))
+    return found
 
 
 def _check_paths(
