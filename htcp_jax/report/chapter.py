@@ -64,7 +64,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         level: Level of the headings.
     """
     return [
-        *answers(part),
+        answer(part),
         *part_facts(part),
         Heading(level, "Results"),
         made["results"],
@@ -96,19 +96,22 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
     ]
 
 
-def answers(part: Part) -> list[str]:
-    """State for each method in how many scenarios a proven motion leads to the last target, and its clearance."""
+def answer(part: Part) -> str:
+    """State in how many scenarios a proven motion leads to the last target, with its clearance; best method first."""
     found = []
     for method, plans in part.plans.items():
-        ends = plans.outcomes
-        done, count = ends.can_be_driven, int(ends.planned.sum())
+        done = plans.outcomes.can_be_driven
         known = part.motions[method].segment_clearance_min_m[done]
         known = known[~np.isnan(known)]
-        least = f", with a guaranteed clearance of at least {1e3 * known.min():.3g} mm" if known.size else ""
-        found.append(
-            f"{method}: a proven motion leads to the last target in {done.sum():,} of {count:,} scenarios{least}."
-        )
-    return found
+        found.append((int(done.sum()), method, f"{1e3 * known.min():.3g} mm" if known.size else None))
+    found.sort(key=lambda each: -each[0])
+    planned = int(part.plans[found[0][1]].outcomes.planned.sum())
+    of, at_least = f" of {planned:,} scenarios", "guaranteed clearance at least "
+    words = []
+    for count, method, least in found:
+        words.append(f"{count:,}{of} by {method}" + (f" ({at_least}{least})" if least else ""))
+        of = at_least = ""
+    return f"A proven motion leads to the last target in {', '.join(words)}."
 
 
 def part_facts(part: Part) -> list[str]:

@@ -208,7 +208,7 @@ h3 { font-size: 1.1rem; margin: 2.2rem 0 .5rem; }
 p { max-width: 46rem; margin: .5rem 0 .9rem; }
 img { display: block; width: 100%; height: auto; margin: 1.2rem 0; }
 @media (max-width: 48rem) { .picture { overflow-x: auto; } .picture img { width: 48rem; } }
-.wide { overflow-x: auto; margin: 1rem 0; width: max-content; max-width: calc(100vw - 2.5rem); }
+.wide { overflow-x: auto; margin: 1rem 0; width: max-content; max-width: min(100vw - 2.5rem, 50vw + 33.75rem); }
 table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-weight: 600; padding-bottom: .4rem; }
 th, td { padding: .32rem .42rem; text-align: left; vertical-align: top; }
