@@ -2,6 +2,7 @@
 
 import importlib
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,7 +21,7 @@ from htcp_jax.cli.output import (
     progress_bar,
     stdout,
 )
-from htcp_jax.jobs import PlanConfig, load_config
+from htcp_jax.jobs import PlanConfig, load_config, seeded
 from htcp_jax.planning import registry
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def plan(
       htcp plan cone --method hybrid            a third one, by another method
       htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
-    job = job_of(config, [*(overrides or ()), *([] if seed is None else [f"settings.seed={seed}"])], method)
+    job = job_of(config, seeded(overrides or (), seed), method)
     claim_device(device)
     threading.Thread(target=_load_matplotlib, daemon=True).start()
     from htcp_jax import api  # here, as it imports JAX
@@ -97,7 +98,7 @@ def _load_matplotlib() -> None:
         importlib.import_module(module)
 
 
-def job_of(config: Path | None, overrides: list[str], method: str | None) -> PlanConfig:
+def job_of(config: Path | None, overrides: Sequence[str], method: str | None) -> PlanConfig:
     """Load a job, without JAX unless a kind of another package needs it.
 
     Args:

@@ -23,12 +23,11 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.device import tables
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.jobs import grid
+from htcp_jax.jobs import grid, seeded
 from htcp_jax.model import Scenario
 from htcp_jax.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, SearchStopped
 from htcp_jax.report import reach_study
 from htcp_jax.runs import Run, manifest, open_run, plan_folder, reachability_file
-from htcp_jax.runs import sweep as sweeps
 
 File = Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Sweep file, job file, or example.")]
 Each = Annotated[
@@ -75,7 +74,7 @@ def reachability(
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
-    batch = (spec := grid.load_sweep_or_job(file, config, sweeps.seeded(overrides or (), seed))).batch(limit)
+    batch = (spec := grid.load_sweep_or_job(file, config, seeded(overrides or (), seed))).batch(limit)
     run = open_run(out) if (out / manifest.MANIFEST).exists() else None
 
     def record_of(found: Reachability) -> dict:

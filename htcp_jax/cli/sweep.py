@@ -27,7 +27,7 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
-from htcp_jax.jobs import grid
+from htcp_jax.jobs import grid, seeded
 from htcp_jax.report import Column, Table, tables
 from htcp_jax.runs import Run, RunningSummary, plan_folder, summary
 from htcp_jax.runs import sweep as sweeps
@@ -85,7 +85,7 @@ def sweep(
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     running, chosen = RunningSummary(), sweeps.method_names(methods)
     claim_device(sweeps.device_of(on, device))  # before anything is read
-    spec = grid.load_sweep(file, config, sweeps.seeded(overrides or (), seed))
+    spec = grid.load_sweep(file, config, seeded(overrides or (), seed))
     feed = spec.config.program.feed if feed is None else feed
     if feed is not None:
         check_feed(spec, feed)  # before anything is planned

@@ -2,7 +2,7 @@
 
 import importlib.util
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -14,10 +14,9 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Overrides, Seed, stdout
 from htcp_jax.cli.plan import job_of, plan_with_progress
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.jobs import examples
+from htcp_jax.jobs import examples, seeded
 from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import open_plans
-from htcp_jax.runs import sweep as sweeps
 from htcp_jax.trajectory import PlanProgram, plan_program
 from htcp_jax.viewer import replay
 
@@ -69,9 +68,7 @@ def view(
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     feed_m_s = played_feed(feed, one_way=one_way)
-    replays, programs = _replays_and_programs(
-        what, method, [*sweeps.seeded(overrides or (), seed)], feed_m_s, not one_way
-    )
+    replays, programs = _replays_and_programs(what, method, seeded(overrides or (), seed), feed_m_s, not one_way)
     from htcp_jax.viewer import Viewer  # viser is an extra
 
     viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
@@ -87,7 +84,7 @@ def view(
 
 
 def _replays_and_programs(
-    what: Path | None, method: str | None, overrides: list[str], feed_m_s: float | None, retract: bool
+    what: Path | None, method: str | None, overrides: Sequence[str], feed_m_s: float | None, retract: bool
 ) -> tuple[replay.Replays, Callable[[int, str], PlanProgram]]:
     """Open the plans to show; a job is planned.
 
@@ -104,6 +101,6 @@ def _replays_and_programs(
         return replay.recorded_replays(found), lambda scenario, by: plan_program.program_of(
             found, feed_m_s, by, scenario, **how
         )
-    name, plan = str(what or "the default job"), plan_with_progress(job_of(what, overrides or [], method))
+    name, plan = str(what or "the default job"), plan_with_progress(job_of(what, overrides, method))
     of_job = name, plan.plans, 0, plan.job, feed_m_s
     return replay.replays_of(name, plan), lambda _, by: plan_program.program_of_plans(*of_job, by, retract=retract)

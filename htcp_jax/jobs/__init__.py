@@ -3,7 +3,8 @@
 `PlanConfig` is a job, checked, and `load_config` reads it from files and overrides. Module `config` defines its
 sections and keys, `config_file` merges files and finds those that a job names. `build` reads these files and makes
 robot, workpiece, scenario and scene of a job; `cell_shapes` loads the shapes of its cell. `given_kinds` makes
-the obstacles that a job gives by kind, and `with_kinds` adds obstacles or task rows of a notebook to a job.
+the obstacles that a job gives by kind; `with_kinds` adds obstacles or task rows of a notebook to a job, `seeded` a seed
+to overrides.
 
 `grid` reads a sweep: a grid of jobs, whose scenarios are stacked into batches. `grid_axes` are the keys that may vary
 and their values, `grid_points` the values of each scenario. `examples` lists the jobs that ship with the package, and

@@ -1,6 +1,6 @@
 from . import build, config, config_file, examples, feed, given_kinds, grid, grid_axes, grid_points
 from .config import PlanConfig
-from .load_config import load_config, with_kinds
+from .load_config import load_config, seeded, with_kinds
 
 __all__ = [
     "PlanConfig",
@@ -14,5 +14,6 @@ __all__ = [
     "grid_axes",
     "grid_points",
     "load_config",
+    "seeded",
     "with_kinds",
 ]

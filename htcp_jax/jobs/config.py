@@ -68,7 +68,20 @@ def _column(value: Any) -> int | str:
     raise InputError(f"{value!r} is not a column; valid: a number from 1, or a name in the file's header")
 
 
+def _locked(value: Any) -> Any:
+    """Return the pairs of joint and value of a mapping.
+
+    Raises:
+        InputError: For anything else.
+    """
+    pairs = tuple(value.items()) if isinstance(value, dict) else value  # a record has pairs
+    if not isinstance(pairs, tuple | list) or any(isinstance(pair, str) for pair in pairs):
+        raise InputError(f"{value!r} are no locked joints; valid: {{JOINT: VALUE, ...}}")
+    return tuple(sorted(map(tuple, pairs)))
+
+
 PathColumn = Annotated[int | str, PlainValidator(_column)]
+LockedJoints = Annotated[tuple[tuple[str, Number], ...], BeforeValidator(_locked), PlainSerializer(dict)]
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
 # Entries {kind: NAME, ...} of a job are of other packages; a row without a kind is a `TaskRow`.
@@ -82,19 +95,6 @@ Obstacle = Annotated[
     WrapSerializer(record_of),
 ]
 
-def _locked(value: Any) -> Any:
-    """Return the pairs of joint and value of a mapping.
-
-    Raises:
-        InputError: For anything else.
-    """
-    pairs = tuple(value.items()) if isinstance(value, dict) else value  # a record has pairs
-    if not isinstance(pairs, tuple | list) or any(isinstance(pair, str) for pair in pairs):
-        raise InputError(f"{value!r} are no locked joints; valid: {{JOINT: VALUE, ...}}")
-    return tuple(sorted(map(tuple, pairs)))
-
-
-LockedJoints = Annotated[tuple[tuple[str, Number], ...], BeforeValidator(_locked), PlainSerializer(dict)]
 SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of DEPENDENT
 DEPENDENT = (
     "robot.limits",

@@ -85,3 +85,12 @@ def with_kinds(
     raw["cell"]["obstacles"] = [*job.cell.obstacles, *obstacles]
     raw["task"] = list(job.task if task is None else task)
     return strict_model.validate_model(raw, PlanConfig, "the arguments")
+
+
+def seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Sequence[str] | Mapping[str, Any]:
+    """Add the seed to overrides, as the key `settings.seed`."""
+    if seed is None:
+        return overrides
+    if isinstance(overrides, Mapping):
+        return {**overrides, "settings.seed": seed}
+    return [*overrides, f"settings.seed={seed}"]

@@ -85,10 +85,9 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
     if config.get("task") == []:  # then the tolerance of angles has no effect
         del config["task"]
         config["settings"] = {key: value for key, value in config["settings"].items() if key != "tolerance_rad"}
-    if "cell" in config and not config["cell"].get("fixtures"):  # as in runs from older versions
-        config["cell"] = {key: value for key, value in config["cell"].items() if key != "fixtures"}
-    if "robot" in config and not config["robot"].get("locked"):
-        config["robot"] = {key: value for key, value in config["robot"].items() if key != "locked"}
+    for section, absent in (("cell", "fixtures"), ("robot", "locked")):  # as in runs from older versions
+        if section in config and not config[section].get(absent):
+            config[section] = {key: value for key, value in config[section].items() if key != absent}
     same = plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
     parts = {}
     for file in sorted(set(files) - named, key=lambda file: (Path(file).name, files[file])):

@@ -25,7 +25,7 @@ from htcp_jax.device import devices
 from htcp_jax.device import tables as device_tables
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs import grid as grids
-from htcp_jax.jobs import grid_axes
+from htcp_jax.jobs import grid_axes, seeded
 from htcp_jax.model import task_row_kind
 from htcp_jax.motion import Plans, manipulability, start_cause
 from htcp_jax.planning import Progress as ShardProgress
@@ -173,15 +173,6 @@ def keep_plans(
                 own = found.rows(slice(span.first, span.last + 1))
                 run = writer.add(run, method, span, tables(batch, method, span, own), own, planned_by())
     return run
-
-
-def seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Sequence[str] | Mapping[str, Any]:
-    """Add the seed to overrides, as the key `settings.seed`."""
-    if seed is None:
-        return overrides
-    if isinstance(overrides, Mapping):
-        return {**overrides, "settings.seed": seed}
-    return [*overrides, f"settings.seed={seed}"]
 
 
 def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:

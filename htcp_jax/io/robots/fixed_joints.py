@@ -14,9 +14,7 @@ _FOLLOWS = int(mujoco.mjtEq.mjEQ_JOINT)
 _UNITS = {_HINGE: "rad", _SLIDE: "m"}
 
 
-def fix_joints(
-    model: mujoco.MjModel, path: Path, values: Mapping[str, float], where: str = ""
-) -> dict[int, float]:
+def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float], where: str = "") -> dict[int, float]:
     """Freeze hinges and slides of a compiled model, which is modified.
 
     A joint that follows a frozen one, by <mimic> in a URDF, is frozen where it follows, unless it has a value itself.
