@@ -29,7 +29,7 @@ check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan
 	$(PYTEST) $(CHECKED)
 
 test: lint  ## lint and the quick tests
-	@echo "The quick tests: about 13 minutes on two cores, fewer once programs are compiled"
+	@echo "The quick tests: about 22 minutes on two cores, fewer once programs are compiled"
 	$(PYTEST)
 
 test-slow: WHOLE = 1
@@ -46,14 +46,10 @@ test-oldest:  ## the quick tests, or TESTS="FILES", with the oldest allowed vers
 	$(OLDEST)/uv pip install --quiet --python $(OLDEST)/python --resolution lowest-direct --editable '.[test]'
 	$(OLDEST)/python -m pytest $(TESTS)
 
-notebooks: $(VENV)/.installed-notebooks  ## execute the notebooks; build/notebooks/*.html
-	mkdir -p build/notebooks
-	set -e; for name in $(basename $(notdir $(wildcard notebooks/*.py))); do \
-		echo "$$name"; \
-		$(VENV)/bin/jupytext --quiet --to ipynb --output build/notebooks/$$name.ipynb \
-			--execute --run-path $(CURDIR)/notebooks notebooks/$$name.py; \
-	done
-	$(VENV)/bin/jupyter-nbconvert --log-level ERROR --to html build/notebooks/*.ipynb
+NOTEBOOKS = $(basename $(notdir $(wildcard notebooks/[0-9]*.py)))
+notebooks: $(VENV)/.installed-notebooks  ## execute the notebooks: outputs in notebooks/*.ipynb, and build/notebooks/*.html
+	$(VENV)/bin/python notebooks/make.py $(NOTEBOOKS)
+	$(VENV)/bin/jupyter-nbconvert --log-level ERROR --to html --output-dir build/notebooks $(NOTEBOOKS:%=notebooks/%.ipynb)
 
 docs: $(VENV)/.installed-docs  ## build the documentation into build/site, warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict

@@ -1,9 +1,9 @@
 """Benchmarks, one command for every case:
 
-    python -m benchmarks clearance         an exact query against brute force, 5,000 to 500,000 points
+    python -m benchmarks clearance         exact clearance queries against brute force, 5,000 to 500,000 points
     python -m benchmarks cell-distances    self-distances of arms, and distances to a cell, against MuJoCo's
     python -m benchmarks piece-distances   processor time of distances of convex pieces
-    python -m benchmarks piece-reference ARM...    distances of an arm's convex pieces next to FCL's
+    python -m benchmarks piece-reference ARM...    distances of an arm's convex pieces, compared with FCL
     python -m benchmarks decompositions MESH...    convex pieces of link meshes by cuts, CoACD and V-HACD
     python -m benchmarks step-qps          the solvers of the step QP, on 100,000 recorded QPs
     python -m benchmarks tables            both of the paper's tables by six planners under configs/paper.yaml
@@ -16,14 +16,15 @@
     python -m benchmarks baseline-margin OUT.png    the baseline's success by margin and QP tolerance
     python -m benchmarks paper-deviations  experiments behind the deviations from the two tables
     python -m benchmarks mountings         placement search: grid, random draws, htcp place, differential evolution
-    python -m benchmarks ladder SWEEP      a dense ladder graph next to the beam, by tracked targets
+    python -m benchmarks ladder SWEEP      a dense ladder graph compared with the beam, by tracked targets
     python -m benchmarks seams OUT.png     a picture of the seams of the generated duct
-    python -m benchmarks speed             times, next to committed figures, or in pairs with another checkout
-    python -m benchmarks shape             sizes and depth of imports of the source, next to other checkouts
+    python -m benchmarks gallery           the pictures of docs/gallery.md, by the commands on that page
+    python -m benchmarks speed             times, compared with committed figures or with another checkout
+    python -m benchmarks shape             sizes and depth of imports of the source, compared with other checkouts
     python -m benchmarks mutants           mutation testing: 60 small faults in the mathematics and the planners
 
-Options follow the case: --help shows them. The machine should be idle while times are measured. RESULTS.md next to
-this file has the numbers measured so far.
+Options follow the case; pass --help after it to list them. Leave the machine idle while times are measured. RESULTS.md
+in this folder contains the numbers measured so far.
 """
 
 import importlib
@@ -47,6 +48,7 @@ CASES = (
     "mountings",
     "ladder",
     "seams",
+    "gallery",
     "speed",
     "shape",
     "mutants",

@@ -2,8 +2,8 @@
 
     python benchmarks/baseline_margin.py OUT.png [--set KEY=VALUE]...
 
-Plans sweeps/workpiece.yaml under configs/paper.yaml by the baseline for every pair of the values below and draws the
-success rate; the numbers go to OUT.csv. About three minutes on two cores.
+Plans sweeps/workpiece.yaml with configs/paper.yaml by the baseline, for every pair of margin and tolerance, and draws
+the success rate. The numbers are written to OUT.csv. It takes about three minutes on two cores.
 """
 
 import argparse
@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main() -> None:
-    """Plan, write, draw."""
+    """Plan the sweep for every pair of values, write the CSV file, and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def draw(success: np.ndarray, workpiece: str):
-    """Draw one line per tolerance over the margin, on a logarithmic axis with 0 at its left end."""
+    """Return a figure of the success over the margin, one line per tolerance, on a logarithmic axis."""
     figure = new_figure(3.6, "Baseline: success against margin and QP tolerance", f"49 poses, {workpiece}, one row")
     axes = figure.subplots()
     x = [1e-10, *MARGINS_M[1:]]

@@ -1,10 +1,10 @@
-"""Self-distances of arms, and distances to the shapes of a cell, against MuJoCo's and, for a ring, trimesh's.
+"""Self-distances of arms and distances to a cell's shapes, compared with MuJoCo's and, for a ring, with trimesh's.
 
     python -m benchmarks cell-distances [--configurations N] [MODEL[:TCP] ...]
 
-Arms: the GP50, and models as `htcp robot` reads them. At random configurations within the joint limits every capsule is
-measured to every shape, and so is every checked pair of capsules; MuJoCo's distances use MuJoCo's kinematics.
-mj_geomDistance is undefined where a capsule's axis crosses a box, so for MuJoCo a box is a mesh of eight corners.
+The arms are the GP50, and models that `htcp robot` can read. At random configurations within the joint limits, the
+distances of every capsule from every shape and of every checked pair of capsules are measured. MuJoCo's distances use
+MuJoCo's kinematics. mj_geomDistance is undefined if a capsule's axis crosses a box, so MuJoCo gets boxes as meshes.
 Clearances to the ring, which is not convex, are lower bounds; their largest distance from trimesh's is measured at
 every 100th configuration.
 """
@@ -48,13 +48,13 @@ SHAPES = {
 }
 SOLID, AS_MESH = 'box" size="0.1 0.3 0.2', 'mesh" mesh="box'  # a box
 RING_AT, EVERY, PLACES = (0.4, 0.0, 0.7), 100, 101  # ring's position, every N-th configuration, samples of an axis
-FAR_M, CROSSING = 1e3, 0.99  # of two radii; MuJoCo's normal differs where two axes cross
+FAR_M, CROSSING = 1e3, 0.99  # cut-off distance; share of the radii beyond which axes cross
 
 
 class Compared(NamedTuple):
     """Comparison with MuJoCo for one kind of shape.
 
-    It has the largest difference [m], the numbers of distances and of contacts, and that of different verdicts.
+    The fields are the largest difference [m], the number of distances, of contacts, and of different verdicts.
     """
 
     kind: str
@@ -74,7 +74,8 @@ class _World(NamedTuple):
 class Ring(NamedTuple):
     """Comparison with trimesh for the ring.
 
-    It has the largest differences below and above trimesh's clearance [m], and the number of false "clear" verdicts.
+    The fields are the largest differences below and above trimesh's clearance [m], the number of clearances, and the
+    number of wrong "clear" verdicts.
     """
 
     below_m: float
@@ -84,7 +85,7 @@ class Ring(NamedTuple):
 
 
 def main() -> None:
-    """Compare and print."""
+    """Compare the distances of every arm, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--configurations", type=int, default=10_000)
     parser.add_argument("models", nargs="*", metavar="MODEL[:TCP]")
@@ -124,7 +125,7 @@ def compare(file: Path, folder: Path, count: int) -> list[Compared]:
 def compare_ring(file: Path, folder: Path, count: int) -> Ring:
     """Compare clearances to a ring with trimesh's distances from samples of the capsules' axes.
 
-    MuJoCo cannot serve here, as it represents the ring by its hull.
+    MuJoCo is not used, as it replaces the ring by its hull.
     """
     robot, arm = load_robot(file), MujocoArm(file).moving
     ring = trimesh.creation.annulus(0.35, 0.4, 0.2)
@@ -148,12 +149,12 @@ def compare_ring(file: Path, folder: Path, count: int) -> Ring:
 
 
 def _to_triangles(mesh: trimesh.Trimesh, places: np.ndarray) -> np.ndarray:
-    """Minimum distance of the samples (K, m, 3) on each axis [m]."""
+    """Return the minimum distance of each axis's samples (K, m, 3) from the mesh [m]."""
     return trimesh.proximity.closest_point_naive(mesh, places.reshape(-1, 3))[1].reshape(places.shape[:2]).min(axis=1)
 
 
 def drawn(robot: Robot, count: int) -> np.ndarray:
-    """Random configurations, uniform within the joint limits and within half a turn of zero."""
+    """Return random configurations, uniform within the joint limits and within half a turn of zero."""
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     return np.random.default_rng(0).uniform(lower, upper, (count, len(lower)))
 
@@ -168,12 +169,12 @@ def _cell(folder: Path, box: str) -> Path:
 
 @jax.jit
 def _ours(robot: Robot, fixed, x):
-    """Distances to every shape by htcp_jax [m]."""
+    """Return the arm's distances from every shape, by htcp_jax [m]."""
     return jax.lax.map(lambda x: fixed.distances(robot, *capsule_segments(robot, x)), x, batch_size=64)
 
 
 def _theirs(arm: MujocoArm, cell: Path, names, pairs, x) -> tuple[np.ndarray, np.ndarray]:
-    """Distances to every shape, and between every pair, by mj_geomDistance and MuJoCo's kinematics [m]."""
+    """Return the distances from every shape and of every pair, by mj_geomDistance and MuJoCo's kinematics [m]."""
     spec = mujoco.MjSpec.from_file(str(cell))
     for k, (radius, length) in enumerate(zip(arm.radius, arm.length, strict=True)):
         spec.worldbody.add_geom(

@@ -2,8 +2,8 @@
 
     python -m benchmarks clearance [--set KEY=VALUE]... [--json FILE]
 
-Configurations are near the nominal plan. Brute force, jitted and vectorised, computes all distances and the minimum
-for each body, here without a gradient.
+Configurations are near the nominal plan. Brute force, compiled and vectorised, computes all distances and each body's
+minimum, without a gradient.
 """
 
 import argparse
@@ -31,14 +31,14 @@ from htcp_jax.planning.batch import plan
 ROOT = Path(__file__).resolve().parents[1]
 CLOUDS = (5_000, 50_000, 500_000)
 QUERIES = 1024
-NAMES = "gradient", "alone", "path of 20"  # timed queries, named as in RESULTS.md
+NAMES = "gradient", "alone", "path of 20"  # names of the timed queries, as in RESULTS.md
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure the times for every number of points, and print them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="the times once more, for a machine")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the times as JSON, too")
     chosen = parser.parse_args()
     compile_cache.enable()
     job = load_config(ROOT / "configs/duct.yaml", chosen.overrides)
@@ -67,12 +67,12 @@ def main() -> None:
 
 
 def row(size: int, ours: float, alone: float, path: float, brute: float) -> str:
-    """Format a row of the table: points, and times [us]."""
+    """Return a row of the table: the number of points, and times per query [us]."""
     return f"{size:8,} {ours:23.1f} us {alone:5.1f} us {path:8.1f} us {brute:12.0f} us {brute / ours:6.0f}"
 
 
 def _cloud(points: np.ndarray, size: int, random) -> np.ndarray:
-    """Part of the cloud, or the cloud several times over with 1 mm of noise."""
+    """Return `size` points: a part of the cloud, or copies of the cloud with 1 mm of noise."""
     if size <= len(points):
         return points[random.permutation(len(points))[:size]]
     more = np.tile(points, (-(-size // len(points)), 1))[:size]
@@ -80,7 +80,7 @@ def _cloud(points: np.ndarray, size: int, random) -> np.ndarray:
 
 
 def _brute_force(robot, obstacle: Obstacles, where, x):
-    """Minimum distance of every body to all points, without its gradient."""
+    """Return every body's minimum distance from all points, without a gradient."""
     p, q = capsule_segments(robot, x)
     T = where.T_world_workpiece
     p, q = (p - T[:3, 3][None]) @ T[:3, :3], (q - T[:3, 3][None]) @ T[:3, :3]
@@ -101,9 +101,9 @@ def _path(robot, obstacle: Obstacles, where, x):
 
 
 def _time(function, x: np.ndarray, repeats: int = 5) -> float:
-    """Time per configuration [us]: the median of some runs after the first.
+    """Return the time per configuration [us], the median of some runs after the first one.
 
-    On a CPU a few configurations are batched, as in the engine, on a GPU all of them.
+    On a CPU a few configurations form a batch, as in the engine; on a GPU, all of them.
     """
     side_by_side = 4 if jax.default_backend() == "cpu" else len(x)
     program = jax.jit(lambda x: jax.lax.map(function, x, batch_size=side_by_side))

@@ -2,8 +2,8 @@
 
     python -m benchmarks.cost_against_margin OUT.png [--set KEY=VALUE]...
 
-Plans the default job by `beam` with every margin below, with and without smoothing, and draws the cost of its
-motion if it leads to the last target; the numbers go to OUT.csv. About a minute on two cores. The figure of the docs:
+Plans the default job by `beam` with several margins, with and without smoothing, and draws the cost of motions that
+lead to the last target. The numbers are written to OUT.csv. It takes about a minute on two cores. For the docs' figure:
 
     python -m benchmarks.cost_against_margin docs/figures/cost_against_margin.png \\
         --set workpiece.rotation_y_rad=0.4 --set workpiece.rotation_z_rad=-0.1
@@ -17,15 +17,16 @@ import numpy as np
 
 import htcp_jax
 from htcp_jax.device import compile_cache
-from htcp_jax.report.charts.style import new_figure
+from htcp_jax.report.charts.style import LINES, new_figure, plain_axes
 from htcp_jax.solvers.path_qp import path_cost
 
 MARGINS_MM = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0)
 SMOOTH = {True: "smoothed", False: "as the search found it"}
+LOOKS = {True: LINES["nspace-sqp"], False: LINES["baseline"]}  # colour and line style, with and without smoothing
 
 
 def cost(plan: htcp_jax.Plan) -> float:
-    """Cost (3) over all configurations, with weights of 1 [rad2]; NaN if no motion leads to the last target."""
+    """Return the cost (3) of a plan with weights of 1 [rad2]; NaN if no motion leads to the last target."""
     plans = plan.plans
     if not plans.executable[plans.exists].all():
         return np.nan
@@ -35,7 +36,7 @@ def cost(plan: htcp_jax.Plan) -> float:
 
 
 def main() -> None:
-    """Plan, write, draw."""
+    """Plan with every margin, write the CSV file, and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
@@ -55,15 +56,17 @@ def main() -> None:
 
 
 def draw(costs: dict[bool, list[float]]):
-    """Draw two lines over the margin."""
+    """Return a figure of the cost over the margin, with a line for each kind of plan."""
     figure = new_figure(3.6, "Cost of equation (3) against the margin", "beam, one pose; complete motions alone")
     axes = figure.subplots()
     for smooth, row in costs.items():
-        axes.plot(MARGINS_MM, row, marker="o", markersize=4, label=SMOOTH[smooth])
+        colour, style = LOOKS[smooth]
+        axes.plot(MARGINS_MM, row, color=colour, linestyle=style, marker="o", markersize=4, label=SMOOTH[smooth])
     axes.set_xlabel("required margin at the targets [mm]")
     axes.set_ylabel("cost [rad²]")
     axes.set_ylim(bottom=0)
     axes.legend(frameon=False)
+    plain_axes(axes)
     return figure
 
 

@@ -1,12 +1,12 @@
-"""Convex pieces of link meshes, by three ways: cuts by planes, CoACD and V-HACD.
+"""Convex pieces of link meshes by three methods: cuts by planes, CoACD and V-HACD.
 
-    pip install coacd vhacdx        # into an environment of its own, next to this package
+    pip install coacd vhacdx        # into a separate environment that also contains this package
     python -m benchmarks decompositions MESH...
 
-Cuts are those of `io.robots.capsule_fit`, chosen to save the most volume of the pieces' hulls: every triangle is in a
-piece. What the pieces of the others miss is the largest distance from all of them, of 1,000 points of the mesh.
-`reduced` is the largest distance of a piece from 64 of its vertices, chosen one by one: the radius that a piece with no
-more than these needs. Seconds of processor time.
+The cuts are those of `io.robots.capsule_fit`, which reduce the volume of the pieces' hulls most; every triangle is in a
+piece. CoACD and V-HACD may leave parts of a mesh outside all pieces: `missed` is the largest distance from the pieces,
+of 1,000 points of the mesh. `reduced` is the largest distance of a piece from the hull of 64 of its vertices, which is
+the radius by which this hull must be enlarged. Times are CPU seconds.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from htcp_jax.io.robots.capsule_fit import CUTS, Cut, clip, hull_volume
 from htcp_jax.model.convex_piece import make_piece
 
 SPACING_M, POINTS = 0.005, 1000
-MOST, WORTH = 4, 0.03  # pieces by cuts; share of the volume that another one must save
+MOST, WORTH = 4, 0.03  # maximum number of pieces by cuts; minimum share of the volume that a cut must save
 VERTICES = 64
 
 
@@ -75,7 +75,7 @@ WAYS: dict[str, Callable[[trimesh.Trimesh], list[np.ndarray]]] = {
 
 
 def missed(points: np.ndarray, pieces: list[np.ndarray]) -> float:
-    """Largest distance of the points from the union of the pieces' hulls [m]."""
+    """Return the largest distance of the points from the union of the pieces' hulls [m]."""
     left = np.full(len(points), np.inf)
     for piece in pieces:
         hull = ConvexHull(piece)
@@ -88,7 +88,7 @@ def missed(points: np.ndarray, pieces: list[np.ndarray]) -> float:
 
 
 def reduced(points: np.ndarray) -> float:
-    """Largest height of the points over the hull of VERTICES of them [m]."""
+    """Return the largest height of the points over the hull of VERTICES of them [m]."""
     chosen = list(dict.fromkeys([*points.argmin(axis=0), *points.argmax(axis=0)]))
     while True:
         faces = ConvexHull(points[chosen]).equations

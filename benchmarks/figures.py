@@ -1,6 +1,6 @@
-"""Machine-readable figures of a benchmark, and the committed ones in figures.yaml next to this file.
+"""Machine-readable figures of a benchmark, and committed figures in figures.yaml.
 
-An entry of that file is a case on one machine: its figures, with the commit and the versions that were measured.
+An entry of figures.yaml contains the figures of a case on one machine, with the measured commit and versions.
 """
 
 import json
@@ -17,20 +17,20 @@ HEAD = "# Written by `python -m benchmarks speed --record`.\n"
 
 
 class Figure(NamedTuple):
-    """Number measured by a case."""
+    """Number measured by a benchmark case."""
 
     name: str
     value: float
     unit: str
-    count: int | None = None  # of targets or programs; must not change
+    count: int | None = None  # number of targets or programs, which must not change
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Committed figures of a case."""
+    """Committed figures of a benchmark case on one machine."""
 
     case: str
-    job: str  # the workpiece, and differences from the complete case
+    job: str  # workpiece, and differences from the complete case
     machine: str
     commit: str
     versions: str
@@ -38,30 +38,30 @@ class Entry:
 
 
 def save(file: Path | None, figures: Iterable[Figure]) -> None:
-    """Write figures for `load`, if there is a file."""
+    """Write figures to a JSON file, which `load` reads; None: nothing is written."""
     if file is not None:
         file.write_text(json.dumps([figure._asdict() for figure in figures]))
 
 
 def load(file: Path) -> list[Figure]:
-    """Read the figures that a benchmark wrote with --json."""
+    """Return the figures in a file that a benchmark wrote with --json."""
     return [Figure(**raw) for raw in json.loads(file.read_text())]
 
 
 def committed(file: Path) -> list[Entry]:
-    """Read the entries of a file; none if it does not exist."""
+    """Return the entries in a file; none if the file does not exist."""
     raw = yaml.safe_load(file.read_text(encoding="utf-8")) if file.is_file() else []
     return [Entry(**{**each, "figures": tuple(Figure(**one) for one in each["figures"])}) for each in raw or []]
 
 
 def nearest(entries: Iterable[Entry], case: str, job: str, machine: str) -> Entry | None:
-    """Find the entry of a case and job on this machine, else the last one on another."""
+    """Return the entry of a case and job on this machine, else the last one on another machine; None without one."""
     found = [entry for entry in entries if (entry.case, entry.job) == (case, job)]
     return next((entry for entry in found if entry.machine == machine), found[-1] if found else None)
 
 
 def record(file: Path, new: list[Entry]) -> None:
-    """Replace the entries of the same case, job and machine, atomically."""
+    """Write new entries into a file, atomically; each replaces the entry of the same case, job and machine."""
     replaced = {(entry.case, entry.job, entry.machine) for entry in new}
     kept = [entry for entry in committed(file) if (entry.case, entry.job, entry.machine) not in replaced]
     aside = file.with_suffix(".part")

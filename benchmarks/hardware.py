@@ -15,7 +15,7 @@ PACKAGES = "jax", "jaxlib", "numpy", "clarabel", "mujoco"
 
 
 def machine() -> dict[str, str | int]:
-    """Processor, cores that this process may use, accelerators."""
+    """Return the processor, the cores that this process may use, and the accelerators."""
     info = Path("/proc/cpuinfo")
     names = [row.split(":")[1].strip() for row in info.read_text().splitlines() if row.startswith("model name")] or [""]
     devices = [device.device_kind for device in choose() if device.platform != "cpu"]
@@ -25,12 +25,12 @@ def machine() -> dict[str, str | int]:
 
 
 def line() -> str:
-    """Processor, cores that this process may use, accelerators, versions."""
+    """Return one line on processor, cores that this process may use, accelerators and versions."""
     return f"{machine()['machine']}; Python {platform.python_version()}, jax {jax.__version__}"
 
 
 def version(package: str) -> str:
-    """Name of a package with its version, or a note that it is not installed."""
+    """Return a package's name and version, or a note that it is not installed."""
     try:
         return f"{package} {version_of(package)}"
     except PackageNotFoundError:

@@ -2,17 +2,17 @@
 
     python -m benchmarks ladder SWEEP [--scenarios 246,248] [--samples 5000] [--set KEY=VALUE]...
 
-A rung is a target. Its vertices are configurations there that satisfy the task, keep the margin and are connected to a
-vertex of the previous rung: by an edge, a straight joint path, or by an edge and then self-motions on this rung. They
-are the vertices of the previous rung, extended as the planner does, and samples of inverse kinematics: a half of these
-are drawn around vertices of the previous rung and joined to them, a quarter around vertices of this rung, and a quarter
-uniformly; the latter two are joined to the nearest vertices. Edges and self-motions are proven by the planner's own
-collision checker, in the planner's tubes. A rung keeps one vertex per cell of a grid of joint angles, the clearest, and
-at most `--samples` of them, drawn at random; so its counts are lower bounds.
+A rung is a target. Its vertices are configurations at this target that satisfy the task, keep the margin, and are
+connected to a vertex of the previous rung by an edge (a straight joint path), or by an edge and self-motions on this
+rung. Candidates are the vertices of the previous rung, extended as the planner does, and samples of inverse kinematics.
+Half of the samples are drawn around vertices of the previous rung and joined to them, a quarter around vertices of this
+rung, and a quarter uniformly; the latter two are joined to the nearest vertices. Edges and self-motions are proven by
+the planner's own collision checker, in the planner's tubes. In each cell of a grid of joint angles, a rung keeps the
+vertex with the largest clearance, and at most `--samples` vertices, drawn at random. So the counts are lower bounds.
 
-Up to the path's first point all uniform samples are vertices, as the arm may take any joint path there: whether it can
-move to them from home is not tested. This favours the reference; it is what `settings.transfers` allows. A scenario's
-count is the number of its rungs that have vertices. Next to it are the beam's tracked and executable targets.
+Up to the path's first point all uniform samples are vertices, as `settings.transfers` allows any joint path to them;
+whether the arm can move there from home is not tested, which favours the reference. A scenario's count is the number
+of its rungs with vertices. The table also contains the beam's tracked and executable targets.
 """
 
 import argparse
@@ -35,10 +35,10 @@ from htcp_jax.planning.batch import plan
 from htcp_jax.planning.beam.functions import EXTEND, MOVE_TOWARDS, inputs_and_tubes
 from htcp_jax.status import SegmentStatus
 
-GRID_RAD = 0.06  # of the vertices that count as one
+GRID_RAD = 0.06  # width of a grid cell, which keeps one vertex
 AROUND_RAD, HALVINGS = 0.4, 4  # largest standard deviation of samples around vertices, and how often it is halved
-NEAR_RAD, NEAREST = 1.2, 2  # largest length of a self-motion to a sample, and vertices from which one is tried
-ROUNDS = 4  # of samples on one rung, each around the vertices so far
+NEAR_RAD, NEAREST = 1.2, 2  # maximum length of a self-motion to a sample, and number of vertices from which it is tried
+ROUNDS = 4  # rounds of samples on a rung, each around the vertices so far
 ROW = "{:>8} {:>7} {:>9} {:>7} {:>10} {:>7} {:>8}"
 
 Rows = Float[np.ndarray, "n N"]
@@ -50,7 +50,7 @@ class Ladder:
     Args:
         problem: Scene, settings and scenarios.
         scenario: Row of the scenario.
-        samples: Most samples drawn on a rung, and most vertices kept there.
+        samples: Maximum number of samples drawn on a rung, and of vertices kept on it.
     """
 
     def __init__(self, problem: Problem, scenario: int, samples: int):
@@ -59,22 +59,22 @@ class Ladder:
         self._draw = np.random.default_rng([problem.settings.seed, int(problem.scenarios.number[scenario])])
         start, (lower, upper) = problem.scenarios.x_start[scenario], self._checker.executor.limits
         self._limits = lower, upper
-        self._box = np.maximum(lower, start - np.pi), np.minimum(upper, start + np.pi)  # uniform samples
+        self._box = np.maximum(lower, start - np.pi), np.minimum(upper, start + np.pi)  # box of the uniform samples
 
     def rungs(self):
-        """Yield the vertices of one rung after the other, until one on the path has none."""
+        """Yield the vertices rung by rung, until a rung on the path has none."""
         scenarios, x = self._problem.scenarios, np.empty((0, len(self._box[0])))
         on_path = int(scenarios.on_path[self._scenario])
         for target in range(int(scenarios.count[self._scenario])):
             x = self._next(x, target) if len(x) else x
-            if target <= on_path:  # by any joint path in free space
+            if target <= on_path:  # any joint path in free space leads there
                 x = np.concatenate([x, self._kept(*self._continued(self._uniform(self._samples), target)[:2])])
             elif not len(x):
                 return
             yield x
 
     def _next(self, x: Rows, target: int) -> Rows:
-        """Return the vertices of a rung, given those of the one before."""
+        """Return the vertices of a rung, given the vertices of the previous rung."""
         extended = self._checker.executor(EXTEND, self._problem.inputs(self._scenario, target, len(x)), x).at
         before, drawn = self._around(x, self._samples // 2)
         before, drawn = np.concatenate([x, before]), np.concatenate([extended.x, drawn])
@@ -98,20 +98,20 @@ class Ladder:
         return self._draw.uniform(*self._box, (count, len(self._box[0])))
 
     def _continued(self, x: Rows, target: int) -> tuple[Rows, np.ndarray, np.ndarray]:
-        """Return the valid configurations on a target by inverse kinematics, their clearance [m], and rows."""
+        """Return valid configurations on a target by inverse kinematics, their clearance [m], and their rows in x."""
         inputs = self._problem.inputs(self._scenario, target, len(x))
         at = self._checker.states(inputs, self._checker.project(inputs, np.clip(x, *self._limits)))
         good = np.flatnonzero(self._checker.valid(inputs, at))
         return at.x[good], at.clearance[good], good
 
     def _kept(self, x: Rows, clear: np.ndarray) -> Rows:
-        """Return one vertex per cell of a grid, the clearest, and at most as many as samples."""
+        """Return the vertex with the largest clearance in each grid cell, at most as many vertices as samples."""
         order = np.argsort(-clear, kind="stable")
         first = np.unique(np.rint(x[order] / GRID_RAD), axis=0, return_index=True)[1]
         return x[order[self._draw.permutation(first)[: self._samples]]]
 
     def _proven(self, a: Rows, b: Rows, target: int, turns: bool, tip: bool = True) -> Bool[np.ndarray, "n"]:
-        """Return True for straight joint paths that are proven on the segment to a target, or as self-motions on it."""
+        """Return a mask of the straight joint paths that are proven on the segment to a target, or as self-motions."""
         if not len(a):
             return np.zeros(0, bool)
         one = np.full(len(a), target)
@@ -119,7 +119,7 @@ class Ladder:
         return self._checker.edges(inputs, a, b, tube, tip=tip).verdict == SegmentStatus.VALID
 
     def _joined(self, vertices: Rows, x: Rows, target: int) -> Bool[np.ndarray, "n"]:
-        """Return True for samples to which a proven self-motion leads from one of the nearest vertices."""
+        """Return a mask of the samples to which a proven self-motion leads from one of the nearest vertices."""
         good = np.zeros(len(x), bool)
         if not len(x):
             return good
@@ -143,7 +143,7 @@ class Ladder:
 
 
 def counts(batch: Batch, row: int, samples: int) -> list[int | str]:
-    """Return a scenario's targets, what the reference and the beam find, and the processor time of both [s]."""
+    """Return a scenario's row of the table: targets, results of the reference and the beam, and CPU times [s]."""
     cell, settings = batch.cells[batch.cell[row]], replace(batch.points[row].config.settings, transfers=True)
     one = jax.tree.map(lambda leaf: leaf[row : row + 1], batch.scenarios)
     began, more = time.process_time(), {"task": cell.task, "obstacles": cell.obstacles}
@@ -161,7 +161,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sweep", type=Path)
     parser.add_argument("--config", type=Path, default=Path(__file__).parents[1] / "configs/duct.yaml")
-    parser.add_argument("--scenarios", help="by their numbers, with commas; by default all of them")
+    parser.add_argument("--scenarios", help="numbers of scenarios, separated by commas; default: all")
     parser.add_argument("--samples", type=int, default=5000)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     chosen = parser.parse_args()

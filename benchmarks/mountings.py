@@ -1,11 +1,11 @@
-"""Placement search on one budget by a grid, random draws, `htcp place` and differential evolution.
+"""Placement search with equal budgets by a grid, random draws, `htcp place` and differential evolution.
 
     python -m benchmarks mountings [PLACE.yaml] [--scenarios 2000] [--seeds 5] [--threads N] [--out out/mountings]
 
-Every search proposes mountings in the same ranges, which the same quick planner evaluates, with `--seeds` seeds (the
-grid has one). The results are the number of mountings that complete the path, and the best clearance at their targets.
-Every round is a sweep under `--out`, so the same command resumes an interrupted run. Writes mountings.csv and
-mountings.png there, and prints a table.
+Every search proposes mountings in the same ranges, and the same quick planner evaluates them. Each search runs with
+`--seeds` seeds (the grid with one). The results are the number of mountings that complete the path, and the best
+clearance at their targets. Every round is a sweep in the folder `--out`, so the same command resumes an interrupted
+run. It writes mountings.csv and mountings.png into this folder, and prints a table.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from htcp_jax.runs import Run
 from htcp_jax.runs.sweep import sweep
 
 Evaluate = Callable[[Float[np.ndarray, "n d"]], SearchResults]  # evaluates mountings in the unit cube
-Approach = Callable[[Evaluate, int, int, int], None]  # of a number of dimensions, a budget and a seed
+Approach = Callable[[Evaluate, int, int, int], None]  # with the number of dimensions, budget and seed
 
 
 class Found(NamedTuple):
@@ -38,14 +38,14 @@ class Found(NamedTuple):
 
     approach: str
     seed: int
-    best_m: Float[np.ndarray, "n"]  # minimum clearance of the best so far, after each mounting; NaN: none yet
+    best_m: Float[np.ndarray, "n"]  # minimum clearance of the best mounting so far, after each mounting; NaN: none yet
     complete: Float[np.ndarray, "n"]  # number of complete mountings so far
 
 
 def grid(scores: Evaluate, d: int, budget: int, seed: int) -> None:
-    """Evaluate a grid with as many points per axis as the budget allows, at the centres of equal parts.
+    """Evaluate a grid with as many points as the budget allows, at the centres of equal parts.
 
-    The first axes have one more.
+    The first axes may have one point more than the others.
     """
     counts = np.full(d, int(budget ** (1 / d) + 1e-9))
     for k in range(d):
@@ -61,7 +61,7 @@ def draws(scores: Evaluate, d: int, budget: int, seed: int) -> None:
 
 
 def search(scores: Evaluate, d: int, budget: int, seed: int) -> None:
-    """Search as `htcp place` does: evenly, and then near the best."""
+    """Search as `htcp place` does: first evenly over the ranges, then near the best mountings."""
     rounds = int((1 - EVEN) * budget) // (FROM * POPULATION)
     evolution = Evolution(scores(even(d, 0, budget - rounds * FROM * POPULATION, seed)), 1, seed)
     for _ in range(rounds):
@@ -69,7 +69,7 @@ def search(scores: Evaluate, d: int, budget: int, seed: int) -> None:
 
 
 def differential(scores: Evaluate, d: int, budget: int, seed: int) -> None:
-    """Search by SciPy's differential evolution with its defaults, by generations, with the same score."""
+    """Search by SciPy's differential evolution with default settings and the same score, by generations."""
     parents = max(5, min(15 * d, budget // 4))
     known: list[SearchResults] = []
 
@@ -84,7 +84,7 @@ def differential(scores: Evaluate, d: int, budget: int, seed: int) -> None:
 
 
 def _fixed_score(known: SearchResults) -> Float[np.ndarray, "n"]:
-    """Score in the order of `search.score`, which for one mounting is equal in every generation."""
+    """Return scores that rank as `search.score` does, but do not depend on the other mountings in the generation."""
     return np.where(known.complete, -1.0 - known.objective[:, 0], 1.0 - known.done)
 
 
@@ -127,7 +127,7 @@ def results(requested: Search, seeds: int, budget: int, out: Path, threads: int 
 
 
 def draw(found: list[Found]):
-    """Draw complete mountings and best clearance over the budget, one line per seed."""
+    """Return a figure of complete mountings and best clearance over the budget, one line per seed."""
     figure = new_figure(3.8, "Mountings found on the same budget", "a line a seed; evaluated by the same quick planner")
     left, right = figure.subplots(1, 2)
     for k, approach in enumerate(APPROACHES):
@@ -144,7 +144,7 @@ def draw(found: list[Found]):
 
 
 def main() -> None:
-    """Search, print, write."""
+    """Run every search, write its results, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path, nargs="?", default=Path("configs/place/duct.yaml"), metavar="PLACE.yaml")
     parser.add_argument(

@@ -3,15 +3,15 @@
     python -m benchmarks mutants [--only N,...] [--jobs 1] [--cache DIR] [--record] [-- PYTEST ARGUMENT...]
     python -m benchmarks mutants --draw SEED     (pip install cosmic-ray==8.7.0)
 
-mutants.yaml next to this file lists them: a number, the file, the operator, the source lines before and after, the test
-files, and whether these noticed the mutant. The lines before are found by their text, in the file or, if it has moved,
-in another file of the package. The exit code is 1 if a mutant is unnoticed that was noticed before; --record stores the
-result instead.
+mutants.yaml lists the mutants: a number, the file, the operator, the source lines before and after, the test files, and
+whether these noticed the mutant. The original lines are found by their text, in the file or, if they have moved, in
+another file of the package. The exit code is 1 if a mutant is not noticed that mutants.yaml lists as noticed. With
+--record the results are written to mutants.yaml instead.
 
 Each mutant gets a temporary copy of the tree, in which `pytest -x` runs its test files at low priority. A failed test,
 a crash and a run over LIMIT_S count as noticed. The unmutated test files run first, with the compiled programs in
---cache or with none: they must pass, and a mutant's files together in half of LIMIT_S. Every mutant then starts from a
-copy of what they compiled.
+--cache or with none. They must pass, and the files of one mutant together must take at most half of LIMIT_S. Every
+mutant then starts with a copy of the compiled programs.
 
 --draw replaces the list. The sites are all those of cosmic-ray's operators in MODULES, drawn without replacement by
 `random.Random(SEED)`; one of the site's mutations is then drawn. Excluded: annotations, decorators, imports, `raise`,
@@ -41,8 +41,8 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 LIST = Path(__file__).with_name("mutants.yaml")
-LIMIT_S = 240  # CPU time of pytest's process: what else runs on the machine changes no result
-HANG_S = 900  # time by the clock, for a process that waits without end
+LIMIT_S = 240  # CPU time of pytest's process, so that other work on the machine does not change results
+HANG_S = 900  # wall time, to end a process that waits without end
 TEST_FILES = 3
 MODEL = "convex_hull goals inverse_kinematics kinematics path_frames robot surface task task_rows".split()
 MODULES = [f"model/{name}.py" for name in MODEL] + ["io/robots/capsule_fit.py", "numerics.py"]
@@ -53,7 +53,7 @@ FAMILIES = "Add Sub Mul Div FloorDiv Mod Pow", "RShift LShift BitOr BitAnd BitXo
 
 
 class Run(NamedTuple):
-    """A run of test files: pytest's exit code (negative: a signal), CPU time [s] and the line of the failure."""
+    """Result of running test files: pytest's exit code (negative: a signal), CPU time [s], and the failure's line."""
 
     code: int
     cpu_s: float
@@ -61,7 +61,7 @@ class Run(NamedTuple):
 
 
 def mutated(root: Path, mutant: dict) -> tuple[Path, str]:
-    """Return the file under `root` that holds the mutant's lines exactly once, and its mutated text."""
+    """Return the file under `root` that contains the mutant's lines exactly once, and its mutated text."""
     before, after = f"\n{mutant['before']}\n", f"\n{mutant['after']}\n"
     for file in [root / mutant["file"], *sorted((root / "htcp_jax").rglob("*.py"))]:
         text = "\n" + (file.read_text(encoding="utf-8") if file.is_file() else "")
@@ -71,7 +71,7 @@ def mutated(root: Path, mutant: dict) -> tuple[Path, str]:
 
 
 def run_tests(tests: list[str], cache: Path, extra: list[str], mutant: dict | None = None) -> Run:
-    """Run test files with pytest in a temporary copy of the tree, mutated if there is a mutant."""
+    """Run test files with pytest in a temporary copy of the tree, which is mutated if `mutant` is not None."""
     with tempfile.TemporaryDirectory() as folder:
         root = shutil.copytree(ROOT, Path(folder, "tree"), ignore=NOT_COPIED)
         if mutant is not None:
@@ -88,7 +88,7 @@ def run_tests(tests: list[str], cache: Path, extra: list[str], mutant: dict | No
             _, status, used = os.wait4(process.pid, 0)
             hang.cancel()
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)  # workers that a crash left behind
+                os.killpg(process.pid, signal.SIGKILL)  # ends workers that a crash left behind
             log.seek(0)
             failures = [line.strip() for line in log if line.startswith(("FAILED", "ERROR"))]
         code = os.waitstatus_to_exitcode(status)
@@ -98,10 +98,10 @@ def run_tests(tests: list[str], cache: Path, extra: list[str], mutant: dict | No
 def check(mutants: list[dict], jobs: int, start: Path | None, extra: list[str]) -> list[bool]:
     """Return True for each mutant that its test files notice; print each result as soon as it is known.
 
-    `start` is a folder with compiled programs to start from, None for none.
+    `start` is a folder with compiled programs to start with; None: start without any.
     """
     for mutant in mutants:
-        mutated(ROOT, mutant)  # is found before anything runs
+        mutated(ROOT, mutant)  # raises here, before tests run, if the lines are not found
     files, alone_s = sorted({file for mutant in mutants for file in mutant["tests"]}), {}
     noticed = []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
@@ -162,7 +162,7 @@ def draw(seed: int, count: int = 60) -> list[dict]:
 
 
 def _is_drawn(name: str) -> bool:
-    """True if an operator of cosmic-ray stays in its family and changes results."""
+    """Return True if an operator of cosmic-ray stays in its family and can change results."""
     kind, _, pair = name.rpartition("Operator_")
     if kind in ("ReplaceBinary", "ReplaceComparison"):
         return any(set(pair.split("_")) <= set(family.split()) for family in FAMILIES)
@@ -170,7 +170,7 @@ def _is_drawn(name: str) -> bool:
 
 
 def _excluded(tree: ast.Module) -> list[tuple]:
-    """Spans of source, (line, column) each, that no mutant changes."""
+    """Return the spans of source, with begin and end as (line, column), that no mutant changes."""
     found = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Raise | ast.JoinedStr | ast.Import | ast.ImportFrom):
@@ -188,7 +188,7 @@ def _parsed(text: str) -> str | None:
 
 
 def _lines(text: str, changed: str) -> tuple[str, str]:
-    """The line that differs, before and after, with as many lines above it as make it unique in the file."""
+    """Return the changed line before and after, with as many preceding lines as make it unique in the file."""
     old, new = text.splitlines(), changed.splitlines()
     first = next(i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a != b)
     behind = next(i for i, (a, b) in enumerate(zip(old[::-1], new[::-1], strict=False)) if a != b)
@@ -200,7 +200,7 @@ def _lines(text: str, changed: str) -> tuple[str, str]:
 
 
 def _imported(file: Path) -> dict[str, int]:
-    """Modules of the package that a file imports, dotted, with the number of uses of the names from each."""
+    """Return the number of uses of imported names, by module of the package from which a file imports them."""
     tree, names = ast.parse(file.read_text(encoding="utf-8")), {}
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and str(node.module).partition(".")[0] == "htcp_jax":
@@ -216,14 +216,14 @@ def _imported(file: Path) -> dict[str, int]:
 
 
 def _has_quick_test(file: Path) -> bool:
-    """True if a test of the file is not marked slow."""
+    """Return True if a file has a test that is not marked slow."""
     nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
     tests = [node for node in nodes if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")]
     return any("pytest.mark.slow" not in map(ast.unparse, test.decorator_list) for test in tests)
 
 
 def _tests_of(path: str) -> list[str]:
-    """The most direct test files of a module, at most TEST_FILES."""
+    """Return the most direct test files of a module, at most TEST_FILES."""
     tests = {file: _imported(file) for file in (ROOT / "tests").glob("test_*.py") if _has_quick_test(file)}
     package = {file: _imported(file) for file in (ROOT / "htcp_jax").rglob("*.py")}
     modules = seen = {path.removesuffix(".py").replace("/", ".")}
@@ -247,8 +247,8 @@ def main() -> int:
     parser.add_argument("--only", type=lambda text: {int(n) for n in text.split(",")}, metavar="N,...")
     parser.add_argument("--jobs", type=int, default=1, help="mutants that run at the same time")
     parser.add_argument("--cache", type=Path, metavar="DIR", help="compiled programs, e.g. ~/.cache/htcp_jax")
-    parser.add_argument("--record", action="store_true", help="store what is noticed in mutants.yaml")
-    parser.add_argument("--draw", type=int, metavar="SEED", help="replace the list")
+    parser.add_argument("--record", action="store_true", help="write to mutants.yaml which mutants are noticed")
+    parser.add_argument("--draw", type=int, metavar="SEED", help="replace the list by mutants drawn with this seed")
     chosen, extra = parser.parse_args(sys.argv[1:split]), sys.argv[split + 1 :]
     if chosen.draw is not None:
         _write(draw(chosen.draw))

@@ -134,12 +134,12 @@ def unreachable(problem: PathProblem) -> str:
 
 
 def main() -> None:
-    """Print a row each."""
+    """Print a row of results for each problem."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--problems", help="by their names, with commas; by default all of them")
-    parser.add_argument("--runs", type=int, default=0, help="more of them by other seeds")
-    parser.add_argument("--effort", type=int, default=10, help="of these runs, times the settings' defaults")
+    parser.add_argument("--problems", help="names of problems, separated by commas; default: all")
+    parser.add_argument("--runs", type=int, default=0, help="number of additional runs with other seeds")
+    parser.add_argument("--effort", type=int, default=10, help="factor on the beam's default settings in these runs")
     requested = parser.parse_args()
     known = problems(requested.data)
     names = known if requested.problems is None else requested.problems.split(",")

@@ -1,7 +1,7 @@
-"""Interface of one scenario for the peers that plan motions.
+"""Interface of one scenario for other planners (peers) that plan motions.
 
 Compiled functions of htcp_jax provide inverse kinematics from any sample, exact clearance, and the proof of a joint
-path. Only the search is the peer's.
+path. Each peer contributes only its search.
 """
 
 from typing import NamedTuple
@@ -29,7 +29,7 @@ class Brought(NamedTuple):
     tcp: np.ndarray  # world [m]
 
     def of(self, which: np.ndarray | int) -> "Brought":
-        """Select some of them, or one."""
+        """Return some of the configurations, or one."""
         return Brought(*(column[which] for column in self))
 
 
@@ -62,7 +62,7 @@ class Cell:
         return Brought(*self.problem.checkers[0].executor(BRING, self._lanes(np.full(len(x), target)), x))
 
     def is_satisfied(self, here: Brought) -> np.ndarray:
-        """Mask of those that are on their target and keep the margin."""
+        """Return the mask of the configurations that are on their target and satisfy the margin."""
         return self.problem.task.is_satisfied(here.clearance, here.residual, self.margin)
 
     def brought_clear(self, x: np.ndarray, target: int) -> Brought:
@@ -71,7 +71,7 @@ class Cell:
         return here.of(self.is_satisfied(here))
 
     def proven(self, a: np.ndarray, b: np.ndarray, target: int, turns: np.ndarray | bool = False) -> np.ndarray:
-        """Mask of the straight joint paths from a to b (n, N), n >= 1, that are proven as segments to a target.
+        """Return a mask of the straight joint paths from a to b, (n, N), that are proven as segments to a target.
 
         `turns` is True if the arm changes its configuration at the previous target.
         """

@@ -79,7 +79,7 @@ class Clock:
 
 
 def ours(method: str) -> Callable[[Batch, list[Task]], Outcome]:
-    """Planner by a method of htcp_jax."""
+    """Return a planner that runs a method of htcp_jax."""
 
     def run(batch: Batch, tasks: list[Task]) -> Outcome:
         how = {"settings": tasks[0].settings, "threads": 1, "check_paths": False}
@@ -94,7 +94,7 @@ def ours(method: str) -> Callable[[Batch, list[Task]], Outcome]:
 
 
 def theirs(make: Callable[[Task], Advance], note: str) -> Callable[[Batch, list[Task]], Outcome]:
-    """Planner of single targets: scenario by scenario, each until its first failure."""
+    """Return a planner that plans target by target, scenario by scenario, each until its first failure."""
 
     def run(batch: Batch, tasks: list[Task]) -> Outcome:
         found, attempted, run, setup = [], 0, Clock(), Clock()
@@ -125,7 +125,7 @@ PLANNERS = {
 
 
 def passed(batch: Batch, arm: MujocoArm, wall: Wall, found: list[np.ndarray]) -> int:
-    """Number of targets passed by MuJoCo, up to the first that is not in each scenario."""
+    """Return the number of targets that pass MuJoCo's check, counted in each scenario up to the first that fails."""
     total = 0
     for point, x in zip(batch.points, found, strict=True):
         config, part = point.config, point.config.workpiece
@@ -163,7 +163,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenarios", type=int, default=9, choices=range(1, POSES + 1), metavar="N", help="poses")
     parser.add_argument("--real", nargs=5, metavar=("CLOUD", "PATH", "X", "Y", "Z"), help="files; the inlet's centre")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="CPU times and counts once more; not of --motions")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write CPU times and counts as JSON; not with --motions"
+    )
     parser.add_argument("--motions", action="store_true", help="by executable targets")
     parser.add_argument("--planners", default=",".join(peer_motions.NAMES), help="of --motions; by default all of them")
     parser.add_argument("--limit-s", type=float, default=30.0, help="of OMPL's processor time for a pose")

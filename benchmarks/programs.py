@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", help="that htcp sweep or htcp plan wrote")
     parser.add_argument("--feed", default="20mm/s")
     parser.add_argument("--checked", type=int, default=1, help="number of scenarios that MuJoCo checks")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="the times and counts once more, for a machine")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the times and counts as JSON, too")
     chosen = parser.parse_args()
     print(hardware.line())
     print(
@@ -97,25 +97,25 @@ def of_run(folder: str, feed_m_s: float, checked: int) -> Iterator[Found]:
 
 
 def made_of(made: PlanProgram, left: MotionSlack) -> tuple:
-    """Arguments of `time_motion` after the robot."""
+    """Return the arguments of `time_motion` after the robot."""
     return made.program.motion, left, made.limits, made.program.feed_m_s
 
 
 def timed(function: Callable) -> tuple[Any, float]:
-    """Result of a function, and its CPU time [ms]."""
+    """Return a function's result, and its CPU time [ms]."""
     begin = time.process_time()
     found = function()
     return found, 1e3 * (time.process_time() - begin)
 
 
 def largest(x: Float[np.ndarray, "n N"], made: PlanProgram) -> float:
-    """Largest share of any limit, by finite differences."""
+    """Return the largest share of any limit, by finite differences of configurations at 1 ms."""
     rates = (np.diff(x, n=n, axis=0) / STEP_S**n for n in (1, 2, 3))
     return max(float((np.abs(rate) / limit).max()) for rate, limit in zip(rates, made.limits, strict=True))
 
 
 def medians(found: list[Found]) -> tuple[float, float]:
-    """Median CPU times of a program and of its configurations [ms]."""
+    """Return the median CPU times of a program and of its configurations [ms]."""
     return statistics.median(one.made_ms for one in found), statistics.median(one.written_ms for one in found)
 
 

@@ -22,7 +22,7 @@ ASIDE_RAD, ABOVE_RAD = np.radians((25.0, 25.0))  # of the side view
 
 
 def main() -> None:
-    """Draw and save."""
+    """Draw the seams, and save the picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     draw().savefig(parser.parse_args().out, dpi=110)

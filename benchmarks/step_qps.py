@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main() -> None:
-    """Record, solve, compare, print."""
+    """Record step QPs, solve them by every solver, and print times and differences."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=100_000)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")

@@ -28,12 +28,12 @@ SIX = "baseline,cspace-sample,nspace-sample,nspace-sqp,nspace-ip,nspace-cmaes"
 
 
 def main() -> None:
-    """Plan, time, print."""
+    """Plan every sweep by every method, and print the times."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sweeps", default="robot,workpiece")
     parser.add_argument("--methods", default=SIX)
     parser.add_argument("--every", type=int, default=1, help="only every N-th scenario")
-    parser.add_argument("--copies", type=int, default=1, help="every scenario so many times, to see the memory")
+    parser.add_argument("--copies", type=int, default=1, help="copies of every scenario, to see the memory")
     parser.add_argument("--device")
     parser.add_argument("--processes", type=int, help="as many share the scenarios; by default as many as pay")
     parser.add_argument("--config", type=Path, default=ROOT / "configs/paper.yaml")
@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("--no-paths", action="store_true", help="skip the joint-path checks")
     parser.add_argument("--once", action="store_true", help="time the first run, less its compilation")
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="the seconds and counts once more, for a machine")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the seconds and counts as JSON, too")
     chosen = parser.parse_args()
     compile_cache.enable()
     claim_device(chosen.device)  # before anything is computed

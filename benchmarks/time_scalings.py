@@ -31,7 +31,7 @@ Found = Callable[[np.ndarray], np.ndarray]  # places at times
 
 
 def own(path: PathCurve, limits: MotionLimits) -> tuple[float, Found]:
-    """Time scaling of this package."""
+    """Return duration and time scaling by this package."""
     scaling = time_scaling(path, limits)
     return scaling.speed.duration_s, lambda time: scaling.speed.at(time)[0]
 
@@ -117,7 +117,7 @@ SCALINGS = {"own": own, "copp-py, 2nd order": copp_2, "copp-py, 3rd order": copp
 
 
 def paths(folder: str) -> Iterator[tuple[str, PathCurve, MotionLimits]]:
-    """Air moves of a plan's motion."""
+    """Yield name, path and limits of each air move in a plan's motion."""
     found = open_plans(folder)
     plans, job = found.plans(found.methods[0]), found.jobs[0]
     robot, _, scenario = scene(job)
@@ -129,7 +129,7 @@ def paths(folder: str) -> Iterator[tuple[str, PathCurve, MotionLimits]]:
 
 
 def row(scaling: Callable, path: PathCurve, limits: MotionLimits) -> str:
-    """Cells of one row: a time scaling on one air move."""
+    """Return one row of the table: a time scaling on one air move, as text."""
     taken = []
     for _ in range(REPEATS):
         begin = time.process_time()

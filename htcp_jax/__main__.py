@@ -1,4 +1,4 @@
-"""The command `htcp`, which is `python -m htcp_jax`. Signals are handled before anything large is imported."""
+"""Entry point of `htcp` and of `python -m htcp_jax`. It installs signal handlers before it imports JAX."""
 
 import sys
 from typing import NoReturn
@@ -7,7 +7,7 @@ from htcp_jax.process_exit import run
 
 
 def _command() -> int:
-    from htcp_jax.cli import main  # here, as it takes a second
+    from htcp_jax.cli import main  # here, as the import takes a second
 
     return main()
 

@@ -1,4 +1,4 @@
-"""One job from Python: `htcp_jax.plan(...)` and the Plan that it returns. `htcp plan` is this and a progress bar."""
+"""Plan one job from Python: `htcp_jax.plan(...)` returns a `Plan`. The command `htcp plan` uses it, too."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +15,7 @@ from htcp_jax.clearance.obstacles import obstacle_kind, self_collision
 from htcp_jax.device import devices
 from htcp_jax.jobs import PlanConfig, load_config, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
+from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Motion, Plans, Tried
 from htcp_jax.motion import manipulability as manipulabilities
@@ -28,31 +29,31 @@ from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import motion_summary as motion_summaries
 from htcp_jax.runs import plan_folder, provenance
 from htcp_jax.runs import summary as summaries
-from htcp_jax.status import NOT_TRIED
+from htcp_jax.status import NOT_TRIED, Status
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
 
-NOTABLE_RAD = 0.1  # difference between the first configuration and the given start
+NOTABLE_RAD = 0.1  # `facts` reports the first segment if the joints travel farther than this from the given start
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """A job and its result."""
+    """A job, its scene, and the plan of its one scenario."""
 
     job: PlanConfig
-    robot: Robot  # with the job's tool
+    robot: Robot  # with the job's tool and its extension
     workpiece: Workpiece
-    scenario: Scenario  # adds nothing to the tool
-    plans: Plans  # of this one scenario: the first axis of every array has length 1
-    obstacles: Obstacles = ()  # in addition to the workpiece
-    device: str | None = None  # see `device.devices`
+    scenario: Scenario  # its tool extension is 0, as `robot` contains it
+    plans: Plans  # the scenario axis of every array has length 1
+    obstacles: Obstacles = ()  # those in addition to the workpiece
+    device: str | None = None  # name of the device that planned the job, see `device.devices`; None: a GPU, if any
 
     @cached_property
     def summary(self) -> summaries.Summary:
-        """Counts, times and distances of the plan."""
+        """Summary of the plan: numbers of targets, times, clearances and errors."""
         return summaries.summarise(self.plans)
 
     @cached_property
@@ -61,10 +62,10 @@ class Plan:
         return motion_summaries.summarise_motion(self.plans, int(self.scenario.on_path))
 
     def motion(self, *, retract: bool = False) -> Motion:
-        """Return the configurations of the motion, from home or the start to the last executable target.
+        """Return the motion from home or the start to the last executable target: its configurations, and their kinds.
 
         Args:
-            retract: Append the motion back.
+            retract: True appends the motion back to home or the start.
         """
         return motions.motion(self.plans, 0, int(self.scenario.on_path), retract=retract)
 
@@ -75,14 +76,14 @@ class Plan:
 
     @property
     def outcome(self) -> plan_arrays.Outcome:
-        """The scenario's outcome."""
+        """The plan's outcome: how many targets it reaches and why it ends, see `motion.plans.Outcome`."""
         return self.plans.outcome(0)
 
     def facts(self, *, verbose: bool = False) -> dict[str, str]:
-        """Return the summary as labelled text: first how far the motion can be run, and how close it comes.
+        """Return the summary as text by label; the length and clearance of the proven motion come first.
 
         Args:
-            verbose: True appends details on the search, the motion, and what clearance is measured to.
+            verbose: True appends details: the motion, straight joint paths, the walls, and the interior rule.
         """
         s = self.summary
         recovered = f", {s.after_recovery} of them by a recovery" if s.after_recovery else ""
@@ -101,21 +102,22 @@ class Plan:
 
     @property
     def workpiece_place(self) -> str:
-        """Place of the workpiece in the world, as text, and the origin that was subtracted from its files."""
-        return scenarios.place_of(self.workpiece, np.asarray(self.scenario.T_world_workpiece))
+        """Text with the workpiece's pose, in the world or on its link, and the origin subtracted from its files."""
+        T = np.asarray(self.scenario.T_world_workpiece)
+        return scenarios.place_of(self.workpiece, T, self.robot.part_link)
 
     @cached_property
     def manipulability(self) -> Float[np.ndarray, "T"]:
-        """Smallest singular value of the task's Jacobian at each target [m/rad], see `motion.manipulability`.
+        """Smallest singular value of the task's Jacobian at each target [m/rad]; NaN at targets that are not tracked.
 
-        NaN at targets that are not tracked.
+        See `motion.manipulability`.
         """
         with devices.on(devices.choose(self.device)[0]):
             task, goals = jobs.build.task_of_job(self.job, self.robot), np.asarray(self.scenario.goals)
             return manipulabilities.manipulability(self.robot, task, self.plans.x[0], goals)
 
     def _singular(self) -> dict[str, str]:
-        """Return the smallest manipulability on the path with its target, as text."""
+        """Return a line with the smallest manipulability on the path, its target, and the median; {} if unknown."""
         at = self._least_manipulability
         if at is None:
             return {}
@@ -126,13 +128,13 @@ class Plan:
 
     @property
     def _least_manipulability(self) -> int | None:
-        """Target of the path with the smallest manipulability; None if none is known."""
+        """Index of the target on the path with the smallest manipulability; None if none of them is tracked."""
         first = int(self.scenario.on_path)
         known = self.manipulability[first:]
         return None if np.isnan(known).all() else first + int(np.nanargmin(known))
 
     def _length(self) -> dict[str, str]:
-        """Return the length of the motion in the joints and of the executable part of the tool's path, as text."""
+        """Return a line with the lengths of the motion in joint space and of the TCP's path; {} without a motion."""
         x, plans = self.motion().x, self.plans
         here = plans.executable[0] & (np.arange(plans.x.shape[1]) >= self.scenario.on_path)
         if not len(x):
@@ -141,7 +143,7 @@ class Plan:
         return {"motion length": f"{joints:.3g} rad in the joints; {1e3 * path:.4g} mm of the tool's path"}
 
     def _joint_step(self) -> dict[str, str]:
-        """Return the largest travel of a joint between two targets of the path, as text."""
+        """Return a line with the largest travel of a joint between consecutive targets; {} if the motion has none."""
         found = self.motion_summary
         if found.joint_step_joint is None:
             return {}
@@ -151,10 +153,10 @@ class Plan:
         return {"largest joint step": f"{size} of {name}, on the segment to target {found.joint_step_target}"}
 
     def _checked(self) -> dict[str, str]:
-        """Return the bodies, self-collision pairs and fixtures that are checked, as text; first those on links."""
+        """Return lines for the checked bodies, self-collision pairs and fixtures; fixtures on links come first."""
         own = [each.described(self.robot) for each in self.obstacles if isinstance(each, self_collision.SelfCollision)]
         names = [self.robot.capsule_names[k] for k in self.robot.attached]
-        names += [name for each in self.obstacles for name in each.names]
+        names += [name for each in self.obstacles for name in each.names if name]
         facts = {"self-collision": own[0]} if own else {}
         if self.robot.pieces is not None:
             facts = {"bodies": f"{len(self.robot.capsule_names)} capsules, and meshes where these are in doubt"} | facts
@@ -165,10 +167,23 @@ class Plan:
         return {
             **self.motion_summary.details(),
             "straight joint paths": f"{end.blocked_paths} of {end.tracked} between consecutive targets collide",
+            **self._nearest_bodies(),
             "clearance is to": self.workpiece.walls,
             "interior rule": f"{scenarios.interior_rule(self.workpiece, self.scenario)} "
             "(deep inside the part, bodies must stay within its convex hull)",
         }
+
+    def _nearest_bodies(self) -> dict[str, str]:
+        """Return a line with the pair of bodies at the minimum clearance. The first call compiles for seconds."""
+        clearance = np.where(self.plans.tracked[0], self.plans.clearance[0], np.inf)
+        at = int(clearance.argmin())
+        if not np.isfinite(clearance[at]):
+            return {}
+        known = self.robot, self.workpiece, self.scenario, np.asarray(self.plans.x[0, at])
+        with devices.on(devices.choose(self.device)[0]):
+            task = jobs.build.task_of_job(self.job, self.robot)
+            body, other = start_causes.nearest_bodies(*known, self.job.settings, task, self.obstacles)
+        return {"minimum clearance": f"at target {at}: {body} next to {other}"}
 
     def _distances(self) -> dict[str, str]:
         s, required = self.summary, f"{1e3 * self.job.margin_m:g} mm required"
@@ -184,12 +199,16 @@ class Plan:
             facts["orientation error"] = f"{mean:.3g} deg mean, {largest:.3g} deg maximum"
         as_given = not self.motion_summary.transfer_legs
         if as_given and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
-            facts["first segment"] = f"{turn:.2f} rad in the joints, from the given start to the first configuration"
+            begin = "home" if self.scenario.auto_start else "the given start"
+            facts["first segment"] = f"{turn:.2f} rad in the joints, from {begin} to the first configuration"
         return facts
 
     @cached_property
     def obstruction(self) -> Obstruction | None:
-        """The colliding body and obstacle at the failed target; None if there is none, see `blocked_target`."""
+        """The body with the smallest clearance at the failed target, and its obstacle.
+
+        None if all targets are tracked, or if no body of the arm collides at the failed one, see `blocked_target`.
+        """
         if (failed := obstructions.blocked_target(self.plans, 0)) is None:
             return None
         x_last, scenario = self.plans.before(0, failed), self.scenario
@@ -202,7 +221,7 @@ class Plan:
 
     @cached_property
     def start_cause(self) -> start_causes.StartCause | None:
-        """The reason why the plan could not begin; None if it could, see `start_cause.CAUSES`."""
+        """The reason why the plan could not begin; None if it began. The reasons are listed in `start_cause.CAUSES`."""
         with devices.on(devices.choose(self.device)[0]):
             known = self.job.settings, jobs.build.task_of_job(self.job, self.robot), self.obstacles
             status = self.plans.status[:, 0]
@@ -211,9 +230,17 @@ class Plan:
             )
         return found.get(0)
 
+    @property
+    def _nearest_attempt(self) -> Obstruction | None:
+        """The colliding body in the configuration that came nearest to a valid beginning; None if there is none."""
+        if self.start_cause is None or (found := self.start_cause.attempt) is None:
+            return None
+        label = robots.capsule_label(self.robot, found.body)
+        return Obstruction(found.body, found.point, found.depth_m, 0.0, True, found.x, found.other, body_label=label)
+
     @cached_property
     def _lost_place(self) -> inserted_goals.LostPlace | None:
-        """The place between two targets at which the plan failed; None if it did not, or at a target."""
+        """The inserted goal between two targets at which the plan failed; None if it failed elsewhere."""
         if (failed := self.outcome.failed) is None or self.outcome.status in NOT_TRIED:
             return None
         task = jobs.build.task_of_job(self.job, self.robot)
@@ -221,27 +248,31 @@ class Plan:
 
     @property
     def dead_ends(self) -> dict[int, Tried]:
-        """Attempts after dead ends of the search, by the lost target."""
+        """The beam search's attempts to continue after its dead ends, by the target of the dead end."""
         return self.plans.dead_ends.on(0)
 
     def failure(self) -> dict[str, str]:
-        """Return the failed target, the reason and the colliding body as labelled text; empty if nothing failed."""
+        """Return text by label: the failed target, the reason and the colliding body; empty if the plan is complete."""
         end = self.outcome
         facts = {} if end.status is None else {f"failed at target {end.failed}": end.status.message}
         if (lost := self._lost_place) is not None and end.failed is not None:
             place = f"{100 * lost.share:.0f} % of the way from target {end.failed - 1}"
             facts[f"failed at target {end.failed}"] += f"; at {place}"
-        for target, tried in self.dead_ends.items():  # those before were passed
+        for target, tried in self.dead_ends.items():  # the search got past earlier dead ends
             if end.failed is not None and target >= end.failed:
                 facts[f"after the dead end at target {target}"] = tried.description
         bound = self.job.settings.max_joint_step_rad
         if bound is not None and end.failed is not None and end.failed > self.scenario.on_path:
             facts["joint steps"] = (
                 f"settings.max_joint_step_rad allows {bound} from target to target; "
-                "a larger bound, or targets closer together, may lead further"
+                "try a larger bound, or targets that are closer together"
             )
         if self.start_cause is not None:
             facts["cause"] = self.start_cause.description
+            if end.status == Status.NO_START:
+                facts["next"] = (
+                    "run htcp reachability JOB --each to test every target, or htcp place to find a mounting"
+                )
         elif self.obstruction is not None:
             facts[self.obstruction.heading] = self.obstruction.description
         if end.executable < end.tracked:
@@ -249,10 +280,13 @@ class Plan:
         return facts
 
     def frame(self) -> "pandas.DataFrame":
-        """Return a table with one row per target; the columns are those of a sweep's `targets` table."""
+        """Return a table with one row per target, with the columns of the table of targets of a sweep."""
         return runs.tables.table_frame(
             runs.tables.target_table(
-                self.job.method, np.zeros(1, int), self.plans, runs.tables.joint_columns(self.robot),
+                self.job.method,
+                np.zeros(1, int),
+                self.plans,
+                runs.tables.joint_columns(self.robot),
                 self.manipulability[None],
             )
         )
@@ -267,7 +301,7 @@ class Plan:
             self.scenario,
             self.plans,
             title=f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets",
-            obstruction=self.obstruction,
+            obstruction=self.obstruction or self._nearest_attempt,
             fixtures=jobs.build.drawn_of(self.job.cell, self.robot),
             normals=glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece)),
         )
@@ -275,8 +309,8 @@ class Plan:
     def record(self) -> dict[str, Any]:
         """Return the contents of summary.json.
 
-        The summary, a description of the failed target, versions, the complete configuration, and the SHA-256 of the
-        files that it names, whose paths are absolute.
+        It contains the summary, a description of the failed target, versions, the complete job with absolute file
+        paths, and the SHA-256 of these files.
         """
         known = {"method": self.job.method, "validated": None, **plan_folder.summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
@@ -297,8 +331,8 @@ class Plan:
         """Write motion.csv, trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder.
 
         Args:
-            folder: The folder.
-            retract: Append the motion back to home or the start to motion.csv.
+            folder: The folder; it must exist.
+            retract: True appends the motion back to home or the start in motion.csv.
         """
         plan_folder.write_motion_csv(folder / "motion.csv", self.robot, self.motion(retract=retract))
         plan_folder.write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans, self.manipulability)
@@ -307,10 +341,16 @@ class Plan:
         self.figure().savefig(folder / "plan.png")
 
     def save(self, folder: str | Path, *, retract: bool = False) -> None:
-        """Write the five files into `folder`, see `write`, all of them or none.
+        """Write the five files of `write` into `folder`: all or none.
+
+        Results of `htcp validate` for an earlier plan in this folder are removed.
+
+        Args:
+            folder: The folder; it is created if it does not exist.
+            retract: See `write`.
 
         Raises:
-            InputError: If that fails.
+            InputError: If the files cannot be written.
         """
         with plan_folder.written_whole(Path(folder)) as scratch:
             self.write(scratch, retract=retract)
@@ -327,7 +367,7 @@ class Plan:
 
 
 def forget_validation(folder: Path) -> None:
-    """Remove the `htcp validate` results of the plan that was in the folder before."""
+    """Remove the results of `htcp validate` for an earlier plan from a folder."""
     (folder / plan_folder.VALIDATION).unlink(missing_ok=True)
 
 
@@ -341,20 +381,21 @@ def plan(
     obstacles: Sequence[obstacle_kind.ObstacleKind | Mapping[str, Any]] = (),
     task: Sequence[task_row_kind.TaskRowKind | Mapping[str, Any]] | None = None,
 ) -> Plan:
-    """Plan one job.
+    """Plan one job, and return the job with its plan.
 
     Args:
-        config: A YAML file, or a mapping of its keys, {"workpiece": {"rotation_y_rad": 0.5}}; None: the default job.
-        overrides: Changes to it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
+        config: The job: a YAML file, the name of an example, or a mapping of a file's keys, such as
+            {"workpiece": {"rotation_y_rad": 0.5}}. None: the default job.
+        overrides: Changes to the job, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
             "workpiece.rotation_y_rad": 0.5}.
-        method: A name, see `methods`, or a `Method`.
-        progress: Called as targets are tracked.
-        device: See `device.devices`.
-        obstacles: `ObstacleKind` values, or mappings as in a job file, in addition to those of cell.obstacles.
-        task: `TaskRowKind` values, or mappings as in a job file, in place of the job's rows.
+        method: The planning method: a name in `methods()`, or a `Method`. None: the job's.
+        progress: Function that is called while planning, with the number of scenarios and targets planned so far.
+        device: The device, see `device.devices`. None: a GPU if there is one.
+        obstacles: Obstacles in addition to the job's, as `ObstacleKind` values or as mappings as in a job file.
+        task: Task rows that replace the job's, as `TaskRowKind` values or as mappings as in a job file.
 
     Raises:
-        InputError: For bad input and for a start in collision.
+        InputError: If the input is invalid, or if the start collides.
     """
     if method is not None:
         name = method if isinstance(method, str) else method.name
@@ -371,16 +412,16 @@ def plan_job(
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
 ) -> Plan:
-    """Plan a job that is loaded already.
+    """Plan a job that `jobs.load_config` has loaded, and return the job with its plan.
 
     Args:
         job: The job.
-        method: In place of the method that the job names.
+        method: The planning method; None: the job's.
         progress: See `plan`.
         device: See `plan`.
 
     Raises:
-        InputError: As `plan`.
+        InputError: See `plan`.
     """
     with devices.on(devices.choose(device)[0]):
         chosen = method or registry.find(job.method)
@@ -403,9 +444,9 @@ def plan_job(
 
 
 def methods() -> "pandas.DataFrame":
-    """Return the planners with their titles and descriptions.
+    """Return a table of the planning methods: name (index), title and description.
 
-    A method of another package that cannot be imported causes a UserWarning with the reason.
+    If a method of another package cannot be imported, it is excluded, with a UserWarning that contains the reason.
     """
     import pyarrow as pa
 

@@ -1,9 +1,9 @@
-"""`Backend`: the kind of device that a function is compiled for; the mathematics choose their variants by it.
+"""`Backend`: the kind of device that a function is compiled for. Some functions have a variant for each kind.
 
-`device.executor` binds it around every trace. It is a user context of JAX, which is part of the keys of all caches of
-traced and compiled functions, nested ones included: a variant for one device is never used on another. It is read at
-trace time only and costs nothing when a compiled function runs. A function called directly, outside of a plan, is
-compiled for JAX's default device.
+`device.executor` sets the backend before it traces a function. The backend is stored in a user context of JAX. This
+context is part of the keys of all caches of traced and compiled functions, including nested ones. A variant for one
+device is therefore never used on another. The backend is read at trace time only, so it costs nothing when a compiled
+function runs. A function that is called directly, outside of a plan, is compiled for JAX's default device.
 """
 
 from contextlib import AbstractContextManager
@@ -16,10 +16,10 @@ import jax
 
 @cache
 def triton() -> ModuleType | None:
-    """Return Pallas' Triton backend, imported when a GPU needs it; None if this JAX has none."""
+    """Return the module of Pallas' Triton backend; None if this JAX version does not contain it."""
     try:
         from jax.experimental.pallas import triton
-    except ImportError:  # JAX plans to remove it
+    except ImportError:  # JAX plans to remove the module
         return None
     return triton
 
@@ -27,18 +27,18 @@ def triton() -> ModuleType | None:
 class Backend(NamedTuple):
     """Kind of device that a function is compiled for."""
 
-    platform: str  # of JAX: "cpu", "gpu", ...
-    has_kernels: bool = False  # True if it runs the kernels of `pallas`
-    interprets: bool = False  # True: these run in Pallas' interpreter, on any machine
+    platform: str  # JAX's name: "cpu", "gpu", ...
+    has_kernels: bool = False  # True if the device can run the kernels of `htcp_jax.pallas`
+    interprets: bool = False  # True if the kernels run in Pallas' interpreter, which works on any machine
 
     @classmethod
     def of(cls, platform: str) -> "Backend":
-        """Return the backend for a platform of JAX."""
+        """Return the backend for a platform of JAX, such as "cpu" or "gpu"."""
         return cls(platform, platform == "gpu" and triton() is not None)
 
     @property
     def is_cpu(self) -> bool:
-        """True for a CPU, where loops cost little and lanes side by side gain nothing."""
+        """True for a CPU, where loops are cheap and vectorising over lanes gains nothing."""
         return self.platform == "cpu"
 
 
@@ -47,7 +47,7 @@ _BOUND = jax.make_user_context(None)
 
 def compiled_for(backend: Backend) -> AbstractContextManager[None]:
     """Return a context in which this thread traces functions for a backend."""
-    # so that traces for the default device are shared
+    # None for the default device: direct calls and plans then share their traces
     return _BOUND(None if backend == _default_backend() else backend)
 
 
@@ -61,6 +61,6 @@ def _default_backend() -> Backend:
 
 
 def default_device() -> jax.Device:
-    """Return JAX's default device in this thread, another part of the keys of its caches."""
+    """Return JAX's default device in this thread, which is also part of the keys of JAX's caches."""
     device = jax.config.jax_default_device
     return device if isinstance(device, jax.Device) else jax.local_devices(backend=device)[0]

@@ -1,4 +1,4 @@
-"""Caches of what is computed from one object, for as long as it lives, or from an array, by its values."""
+"""Decorators that cache results: by the identity of an object, or by the values of an array."""
 
 import hashlib
 import weakref
@@ -12,9 +12,12 @@ _MISSING = object()
 
 
 def cached_for_last(most: int) -> Callable[[Callable], Callable]:
-    """Return a decorator that caches a function of one object by the object's identity.
+    """Return a decorator for a function of one object. It caches the results by the object's identity.
 
-    Each result belongs to its object and is freed with it; at most the `most` last used ones are kept.
+    A result is freed when its object is freed.
+
+    Args:
+        most: Maximum number of cached results; the least recently used ones are dropped.
     """
 
     def decorated(function: Callable) -> Callable:
@@ -31,10 +34,12 @@ def cached_for_last(most: int) -> Callable[[Callable], Callable]:
 
 
 def cached_by_values(most: int) -> Callable[[Callable], Callable]:
-    """Return a decorator that caches a function of one array and further hashable arguments by their values.
+    """Return a decorator for a function of an array and of hashable arguments. It caches the results by their values.
 
-    A part that is loaded again is not prepared again. The `most` last used results are kept; callers share them and
-    must not change them.
+    For example, a workpiece that is loaded twice is prepared once. Callers share the results and must not change them.
+
+    Args:
+        most: Maximum number of cached results; the least recently used ones are dropped.
     """
 
     def decorated(function: Callable) -> Callable:
@@ -52,7 +57,7 @@ def cached_by_values(most: int) -> Callable[[Callable], Callable]:
 
 
 def _last_used(results: dict, key: Any, compute: Callable[[], Any], most: int) -> Any:
-    """Return the result of a key, computed if there is none; keep the `most` last used ones."""
+    """Return the cached or else computed result for a key, and drop all but the `most` last used results."""
     found = results.pop(key, _MISSING)
     results[key] = found = compute() if found is _MISSING else found
     for oldest in list(results)[:-most]:

@@ -1,10 +1,11 @@
-"""Escape text from outside, names above all, so that Markdown shows it literally."""
+"""Escape text from files and users, such as names, so that Markdown shows it literally."""
 
 import re
 
-# Markdown's own characters; an image's bracket, too, which viser parses itself, backslash or not.
+# Characters with a meaning in Markdown. They include the bracket after `!`, as viser parses an image even if its `!` is
+# escaped.
 MARKS = re.compile(r"[\\`*<>|~$&]|\](?=[\[(:])|(?<=!)\[|(?<![0-9A-Za-z])_|_(?![0-9A-Za-z])")
-UNPRINTABLE = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # no characters of XML
+UNPRINTABLE = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # characters that are invalid in XML
 
 
 def printable(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Notebook display: objects as a title and a short table of facts, figures as pictures."""
+"""Display in notebooks: objects as a title with a short table, matplotlib figures as pictures."""
 
 import sys
 from collections.abc import Mapping
@@ -6,14 +6,19 @@ from html import escape
 
 
 def html_facts(title: str, facts: Mapping[str, str]) -> str:
-    """Return the facts as an HTML table, one row per fact."""
+    """Return an HTML title and a table with one row per fact.
+
+    Args:
+        title: The title, as plain text.
+        facts: Text by label. Labels and text are escaped.
+    """
     cell = '<td style="text-align: left; vertical-align: top">{}</td>'
     rows = "".join(f"<tr>{cell.format(escape(name))}{cell.format(escape(text))}</tr>" for name, text in facts.items())
     return f"<div><b>{escape(title)}</b><table><tbody>{rows}</tbody></table></div>"
 
 
 def show_figures() -> None:
-    """Let a notebook cell that returns a figure display it, as IPython does once pyplot is imported."""
+    """Register PNG display of matplotlib figures with IPython, as pyplot does; do nothing outside of IPython."""
     if "IPython" not in sys.modules:
         return
     from IPython import get_ipython

@@ -1,4 +1,4 @@
-"""Primitives that stay defined and differentiable where the textbook form does not."""
+"""Numerical primitives whose value and gradient are defined everywhere, and small linear algebra for vmap."""
 
 from collections.abc import Callable
 from functools import partial
@@ -13,36 +13,36 @@ from jax.typing import ArrayLike
 
 from htcp_jax.backend import backend
 from htcp_jax.errors import InputError
-from htcp_jax.types import Array, Float, Joints, Scalar
+from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
 
 def checked_shape(value: object, shape: tuple[int, ...], name: str) -> Float[Array, "..."]:
-    """Return `value` as an array of floats, after a check of its shape.
+    """Return `value` as an array of floats; raise an error if it has another shape than required.
 
-    The check runs while a function is traced, so it costs nothing when the function runs.
+    The check runs at trace time and costs nothing in a compiled function.
 
     Args:
         value: An array, or lists of numbers.
-        shape: The only valid shape.
-        name: Name of the value in the message.
+        shape: The required shape.
+        name: Name of the value in the error message.
 
     Raises:
-        InputError: For another shape.
+        InputError: If the shape differs.
     """
     array = jnp.asarray(value, float)
     if array.shape != shape:
-        raise InputError(f"{name} has the shape {array.shape}, {shape} is needed; for many at once use jax.vmap")
+        raise InputError(f"{name} has the shape {array.shape}, but it must be {shape}; for a batch, use jax.vmap")
     return array
 
 
 def safe_divide(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return a / b, and 0 where b is 0. The inner `where` keeps the NaN out of the gradient too."""
+    """Return a / b, and 0 where b is 0. The gradient contains no NaN, because of the inner `where`."""
     zero = b == 0
     return jnp.where(zero, 0.0, a / jnp.where(zero, 1.0, b))
 
 
 def safe_norm(v: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
-    """Euclidean norm over the last axis with gradient 0 at the origin. Not norm(v + eps): that biases a distance."""
+    """Return the Euclidean norm over the last axis, exact unlike norm(v + eps), with gradient 0 at the origin."""
     square = jnp.sum(v * v, axis=-1)
     zero = square == 0
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
@@ -51,7 +51,7 @@ def safe_norm(v: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
 def segment_parameter(
     p: Float[Array, "*batch 3"], q: Float[Array, "*batch 3"], point: Float[Array, "*batch 3"]
 ) -> Float[Array, "*batch"]:
-    """Parameter s in [0, 1] of the point of the segment p + s (q - p) closest to `point`; 0 where p == q."""
+    """Return s in [0, 1] for which p + s (q - p) is the point of the segment p q closest to `point`; 0 if p == q."""
     d = q - p
     s = safe_divide(jnp.sum((point - p) * d, axis=-1), jnp.sum(d * d, axis=-1))
     return jnp.clip(s, 0.0, 1.0)
@@ -63,11 +63,10 @@ def capsule_point_distance(
     radius: Float[ArrayLike, "*batch"],
     point: Float[Array, "*batch 3"],
 ) -> Float[Array, "*batch"]:
-    """Distance [m] from a point to a capsule; negative inside.
+    """Return the signed distance from a point to the surface of a capsule [m]; negative inside.
 
-    To the closest point of the segment: Ericson, Real-Time Collision Detection, section 5.1.2.
-    A sphere has p == q. The gradient is defined everywhere: 0 for a point on the capsule's own axis, and where
-    p == q that of the sphere about p.
+    The closest point of the axis is computed as in Ericson, Real-Time Collision Detection, section 5.1.2. A capsule
+    with p == q is a sphere. The gradient is defined everywhere: it is 0 for a point on the capsule's axis.
 
     Args:
         p: First end of the capsule's axis [m].
@@ -76,7 +75,7 @@ def capsule_point_distance(
         point: The point [m].
 
     Raises:
-        InputError: For a last axis other than 3, and for values that are not numbers.
+        InputError: If the last axis of p, q or point does not have length 3, or if a value is not a number.
 
     ```python
     >>> import jax
@@ -110,21 +109,21 @@ def _as_points(value: object, name: str) -> Float[Array, "*batch 3"]:
     try:
         array = jnp.asarray(value, float)
     except (TypeError, ValueError):
-        raise InputError(f"{name} is {value!r}; numbers are needed") from None
+        raise InputError(f"{name} is {value!r}; it must be numbers") from None
     if array.shape[-1:] != (3,):
-        raise InputError(f"{name} has the shape {array.shape}, (..., 3) is needed")
+        raise InputError(f"{name} has the shape {array.shape}, but it must be (..., 3)")
     return array
 
 
 def with_gradient(value: Callable, closed_form: Callable) -> Callable:
-    """Return `value` as a function of (x, *data) whose derivative in x is given in closed form.
+    """Return `value` as a function whose derivative with respect to x is given in closed form.
 
-    `jax.grad`, `jax.jvp` and `jax.jacfwd` in x evaluate the closed form and trace nothing else. Derivatives in the data
-    are those of autodiff through `value`.
+    `jax.grad`, `jax.jvp` and `jax.jacfwd` with respect to x evaluate the closed form only. Derivatives with respect to
+    the data are computed by autodiff through `value`.
 
     Args:
-        value: Function value(x, *data), (R,) or ().
-        closed_form: Function closed_form(x, *data) -> (value, gradient) with a gradient (R, N) or (N,).
+        value: Function (x, *data) -> array of shape (R,) or ().
+        closed_form: Function (x, *data) -> (value, gradient), with a gradient of shape (R, N) or (N,).
     """
     differentiable = jax.custom_jvp(value)
 
@@ -156,8 +155,8 @@ def value_and_jacobian(function: Callable, x: Float[Array, "N"]) -> tuple[Float[
 def product(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return a @ b for small matrices and vectors, as a plain sum of products.
 
-    Batched over leading axes like `jnp.matmul`, which may call a library, on a GPU with a launch of its own; this is
-    fused into the surrounding code. Traced once for every shape.
+    Leading axes are batch axes, as in `jnp.matmul`. On a GPU, `jnp.matmul` may call a library, which costs a separate
+    launch; this function is fused into the surrounding code. It is traced once per shape.
     """
     left, right = a.ndim == 1, b.ndim == 1
     a, b = a[None, :] if left else a, b[:, None] if right else b
@@ -168,21 +167,26 @@ def product(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "...
 
 @partial(jax.jit, static_argnames="floor")
 def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-300) -> Float[Array, "n"]:
-    """Solve a x = b for a small symmetric positive definite a, by an unrolled Cholesky factorisation.
+    """Return x with a x = b for a small symmetric positive definite a, by an unrolled Cholesky factorisation.
 
-    Batched LAPACK calls cost microseconds per 3 x 3 system under vmap; the unrolled form fuses.
+    Under vmap, LAPACK costs microseconds per 3 x 3 system; the unrolled form is fused into the surrounding code.
 
     Args:
         a: The matrix.
         b: The right-hand side.
-        floor: Smallest pivot. Smaller ones are replaced by it, so that a singular matrix gives a large, finite solution
-            and not NaN.
+        floor: Lower bound on the pivots, so that a singular matrix gives a large, finite solution and not NaN.
     """
     return jnp.stack(solve_spd_scalars(a, b, floor))
 
 
 def solve_spd_scalars(a, b, floor: float) -> list[Scalar]:
-    """Solve as `solve_spd` does, for any a[i, j] (only j <= i is read) and b[i] that are scalars."""
+    """Return the solution of `solve_spd` as a list of scalars.
+
+    Args:
+        a (list): Any object whose elements a[i, j] are scalars; only j <= i is read.
+        b (list): Any sequence of scalars.
+        floor: See `solve_spd`.
+    """
     n = len(b)
     factor: list[list[Any]] = [[None] * n for _ in range(n)]
     for j in range(n):
@@ -201,33 +205,38 @@ def solve_spd_scalars(a, b, floor: float) -> list[Scalar]:
     return x
 
 
-def fold_keys(key: jax.Array, *data) -> jax.Array:
-    """Return the random key of one (scenario, target, ...).
+def ragged_rows(counts: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+    """Return the row of each element, and its index within the row, if row k has counts[k] of the m elements."""
+    row = np.repeat(np.arange(len(counts)), counts)
+    return row, np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
 
-    The numbers are folded in one by one, so the key depends on nothing else.
+
+def fold_keys(key: jax.Array, *data) -> jax.Array:
+    """Return a random key derived from `key` and the integers `data`, such as (scenario, target).
+
+    The integers are folded into `key` one by one. A scenario's key therefore does not depend on its batch.
     """
     values = jnp.stack([jnp.asarray(value).astype(jnp.uint32) for value in data])
-    # One loop in place of a program for each, but on a GPU, where every turn is a launch.
+    # On a CPU the loop compiles to less code. On a GPU it is unrolled, because every iteration costs a launch.
     unroll = 1 if backend().is_cpu else len(data)
     return jax.lax.scan(lambda key, value: (jax.random.fold_in(key, value), None), key, values, unroll=unroll)[0]
 
 
 def one_by_one(function: Callable) -> Callable:
-    """Return `function(shared, *arguments)`, a search of uneven effort, with a batching rule of its own.
+    """Return `function` with a custom batching rule, for searches that take different numbers of steps.
 
-    Under vmap over the arguments, lanes run one after the other on a CPU and in parallel on other devices. Under a
-    plain vmap every lane waits for the slowest one, and a branch not taken is computed all the same; a CPU, which gains
-    nothing from vectorising over lanes here, would be slower.
+    Under vmap over the arguments, lanes run one after another on a CPU and in parallel on other devices. A plain vmap
+    is slower on a CPU: every lane waits for the slowest one, and branches that are not taken are computed, too.
 
     Args:
-        function: Function of `shared`, which must not be batched, and of pytrees of arrays.
+        function: Function (shared, *arguments) of pytrees of arrays; `shared` must not be batched.
     """
     alone = custom_vmap(function)
 
     @alone.def_vmap
     def batch(axis_size, in_batched, shared, *arguments):
         if any(jax.tree.leaves(in_batched[0])):
-            raise ValueError("what is searched must be the same for all lanes")
+            raise ValueError("the searched arrays must be the same for all lanes")
         every = jax.tree.map(
             lambda a, batched: a if batched else jnp.broadcast_to(a, (axis_size, *a.shape)),
             list(arguments),
@@ -244,18 +253,23 @@ def one_by_one(function: Callable) -> Callable:
 
 @jax.jit
 def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
-    """Orthonormal basis of the null space (10) of a task Jacobian of full rank M; D = N - M columns, none where D = 0.
+    """Return an orthonormal basis of a task Jacobian's null space, equation (10); D = N - M columns.
 
-    (The paper prints its shape as M x (N - M); N x (N - M) is meant.) Gram-Schmidt on the rows, then on the unit
-    vectors, each time the one furthest from the span (the first of equals), positive along it: unlike a singular
-    value decomposition, sign and rotation are the same on every machine.
+    Gram-Schmidt on the rows, then on the unit vectors. Each step takes the unit vector furthest from the span of the
+    vectors found so far (the first of several), with positive sign. The basis is therefore the same on every machine,
+    unlike that of a singular value decomposition. The paper prints its shape as M x (N - M), but means N x (N - M).
+
+    Args:
+        task_jacobian: The Jacobian; its rank must be M.
 
     Raises:
-        InputError: For an array that is not a matrix.
+        InputError: If the array is not a matrix.
     """
     task_jacobian = jnp.asarray(task_jacobian)
     if task_jacobian.ndim != 2:
-        raise InputError(f"the Jacobian has the shape {task_jacobian.shape}, (M, N) is needed; for many use jax.vmap")
+        raise InputError(
+            f"the Jacobian has the shape {task_jacobian.shape}, but it must be (M, N); for a batch, use jax.vmap"
+        )
     m, n = task_jacobian.shape
     found: list[Joints] = []
     for row in range(m):
@@ -270,7 +284,7 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
 
 
 def _without(found: list[Joints], v: Joints) -> Joints:
-    """Return v less its components along the given unit vectors; twice, because once leaves rounding errors."""
+    """Return v minus its components along the unit vectors `found`. Two passes reduce rounding errors."""
     for _ in range(2):
         for u in found:
             v = v - product(v, u) * u

@@ -1,6 +1,6 @@
-"""GPU kernels in Pallas, in place of XLA loops, whose every iteration costs several launches.
+"""GPU kernels in Pallas. They replace XLA loops, whose every iteration costs several launches.
 
-They are written in Pallas for its Triton backend; where `Backend.interprets` is set they run on any machine.
+The kernels use Pallas' Triton backend. If `Backend.interprets` is True, they run in an interpreter, on any machine.
 """
 
 from collections.abc import Callable
@@ -11,11 +11,11 @@ from htcp_jax.backend import backend, triton
 
 
 def kernel(program: Callable, out, programs: int, warps: int = 1) -> Callable:
-    """Return a function that computes arrays by a Pallas kernel.
+    """Return a function of arrays that runs a Pallas kernel.
 
     Args:
         program: Body of the kernel, called with references to the inputs and outputs.
-        out (list): Shapes and types of the outputs, in any pytree.
+        out (list): Pytree with the shapes and types of the outputs.
         programs: Number of instances of `program`, the size of the grid.
         warps: Warps per instance.
     """

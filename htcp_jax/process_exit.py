@@ -1,11 +1,11 @@
-"""The end of a command's process: its exit code at once, one line after a signal, and no unfinished file.
+"""End of a command's process: a prompt exit, one line after a signal, and removal of unfinished files.
 
-Python runs signal handlers in the main thread alone, and not while that is inside compiled code: XLA compiles for many
-seconds. So the first SIGINT or SIGTERM raises KeyboardInterrupt in the main thread, and a separate thread, which the
-signal itself wakes, ends the process if it still runs `GRACE_S` later, or at a second signal.
+Python runs signal handlers in the main thread only, and not while that thread runs compiled code; XLA compiles for many
+seconds. Therefore the first SIGINT or SIGTERM does two things. It raises KeyboardInterrupt in the main thread, and it
+wakes a second thread, which ends the process after `GRACE_S` seconds or at a second signal.
 
-For the command line only: in a notebook or a test, only functions without side effects are called. Imports only the
-standard library, as handlers must be installed before JAX is imported.
+Only the command line installs these handlers; notebooks and tests do not. This module imports only the standard
+library, because the handlers are installed before JAX is imported.
 """
 
 import atexit
@@ -24,16 +24,16 @@ from typing import NoReturn
 
 try:
     import resource
-except ImportError:  # no POSIX system
+except ImportError:  # not a POSIX system
     resource = None
 
-GRACE_S = 3.0  # for the main thread after a signal, and for exit functions
-ECHO_S = 0.5  # so soon after the first signal the next is the same one: `timeout` sends it to a process and its group
+GRACE_S = 3.0  # time for the main thread to end after a signal; also time for the exit functions
+ECHO_S = 0.5  # signals this soon after the first are ignored: `timeout` signals a process and then its group
 PART = ".part-"  # prefix of files that are being written
-LEAST_BYTES = 3 * 2**29  # of address space: no plan needs less, and with less, libraries abort the process
+LEAST_BYTES = 3 * 2**29  # minimum address space: with less, libraries abort the process
 FAILED, SIGNALLED = 1, 128
 HANDLED = signal.SIGINT, signal.SIGTERM
-INTERRUPTED = "interrupted; what was unfinished is removed"
+INTERRUPTED = "interrupted; unfinished results are removed"
 NO_MEMORY = "out of memory"
 
 _messages: list[Callable[[], str]] = []
@@ -41,16 +41,18 @@ _watched_signals: list["_Process"] = []
 
 
 def is_watched() -> bool:
-    """Return True in a process of the command line, which a second signal ends without its main thread."""
+    """Return True if the command line's signal handling is active in this process."""
     return bool(_watched_signals)
 
 
 @contextlib.contextmanager
 def stop_message(message: Callable[[], str]) -> Iterator[None]:
-    """Call `message` if the process is ended within the block; of nested blocks, the outermost one's.
+    """Return a context that sets the message for a signal which the main thread does not handle in time.
+
+    If blocks are nested, the outermost block's message is printed.
 
     Args:
-        message: Removes unfinished files and returns the line to print.
+        message: Function that removes unfinished files and returns the line to print.
     """
     _messages.append(message)
     try:
@@ -61,10 +63,10 @@ def stop_message(message: Callable[[], str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def signals_blocked() -> Iterator[None]:
-    """Make processes started within the block ignore SIGINT and SIGTERM from the first moment.
+    """Return a context in which this thread, and processes that it starts, block SIGINT and SIGTERM.
 
-    A terminal and `timeout` send them to all, and the parent handles them. Signals to this process go to another
-    thread.
+    A terminal and `timeout` send these signals to all processes of a group. Only another thread of the parent process
+    then handles them.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -77,10 +79,9 @@ def signals_blocked() -> Iterator[None]:
 
 
 def run(command: Callable[[], int]) -> NoReturn:
-    """Run a command, which returns its exit code, and end the process with it.
+    """Run a command and end the process with the exit code that it returns.
 
-    After a signal the code is 130 or 143, stderr has one line, and files and folders that were being written are
-    removed.
+    After a signal the code is 130 or 143, one line is printed to stderr, and unfinished files and folders are removed.
     """
     process = _Process()
     try:
@@ -95,14 +96,17 @@ def run(command: Callable[[], int]) -> NoReturn:
 
 def _code_of(command: Callable[[], int], process: "_Process") -> int:
     if (limit := _address_space()) < LEAST_BYTES:
-        _write_line(f"{NO_MEMORY}: the address space is limited to {limit / 1e9:.1f} GB (ulimit -v)")
+        _write_line(
+            f"{NO_MEMORY}: the address space is limited to {limit / 1e9:.1f} GB; "
+            f"set ulimit -v to {LEAST_BYTES // 1024} or more"
+        )
         return FAILED
     try:
         return command()
-    except SystemExit as ended:  # of shell completion
+    except SystemExit as ended:  # raised by shell completion
         return ended.code if isinstance(ended.code, int) else FAILED if ended.code else 0
     except Exception as error:
-        if process.number:  # some libraries make another exception of KeyboardInterrupt
+        if process.number:  # some libraries convert KeyboardInterrupt to another exception
             _write_line(INTERRUPTED)
         elif why := _of_memory(error):
             _write_line(" ".join(f"{NO_MEMORY}: {why}".split()))
@@ -112,17 +116,17 @@ def _code_of(command: Callable[[], int], process: "_Process") -> int:
 
 
 class _Process:
-    """This process, its signals, and the files and folders that it has made."""
+    """Signal handling of this process, and the files and folders to remove at its end."""
 
     def __init__(self):
-        self.number = 0  # of the first signal
+        self.number = 0  # number of the first signal; 0: none yet
         self.raised = self.leaving = False
         self._ends = threading.Lock()
-        self.made: list[str] = []  # temporary folders and unfinished files
-        self.folders: list[str] = []
+        self.made: list[str] = []  # temporary folders and unfinished files; always removed at the end
+        self.folders: list[str] = []  # other folders it created; removed after a signal, if empty
 
     def watch(self) -> None:
-        """Handle signals from now on, except ignored ones, such as those of a script's background job."""
+        """Install the signal handlers, except for signals that the process ignores, as in a script's background job."""
         _watched_signals.append(self)
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
@@ -134,7 +138,7 @@ class _Process:
         sys.addaudithook(self._note)
         sys.unraisablehook = self._unless_signalled(sys.unraisablehook)
         threading.excepthook = self._unless_signalled(threading.excepthook)
-        # Silences multiprocessing's resource tracker, which cleans up after this process with a warning.
+        # Suppresses the warning with which multiprocessing's resource tracker cleans up after this process.
         os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
 
     def _raise(self, number: int, frame: FrameType | None) -> None:
@@ -142,12 +146,12 @@ class _Process:
         if self.raised or self.leaving:
             return
         self.raised = True
-        if _imports(frame):  # libraries print or replace what is raised there
+        if _imports(frame):  # libraries print or replace an exception during import
             self._end()
         raise KeyboardInterrupt
 
     def _unless_signalled(self, hook: Callable) -> Callable:
-        """Return the hook, silenced after a signal: errors in destructors, callbacks and threads are then expected."""
+        """Return the hook for uncaught errors, made silent after a signal, when threads and destructors may fail."""
         return lambda error: None if self.number else hook(error)
 
     def _note(self, event: str, args: tuple) -> None:
@@ -172,8 +176,8 @@ class _Process:
         self._end()
 
     def _end(self) -> NoReturn:
-        """End the process, whatever its main thread is doing."""
-        self._ends.acquire()  # for good: the first thread here ends all
+        """Print the message set by `stop_message` and end the process without waiting for the main thread."""
+        self._ends.acquire()  # never released: only the first thread gets past this line
         line = INTERRUPTED
         with contextlib.suppress(Exception):
             line = _messages[0]() if _messages else INTERRUPTED
@@ -182,9 +186,9 @@ class _Process:
         self._exit(SIGNALLED)
 
     def leave(self, code: int) -> NoReturn:
-        """End the process as the interpreter would, but without its last steps.
+        """Run exit functions, flush the output and end the process, without finalising the interpreter.
 
-        In these, threads in compiled code that need the interpreter abort it.
+        During finalisation, threads in compiled code that need the interpreter abort the process.
         """
         self.leaving = True
         last = threading.Timer(GRACE_S, self._exit, [code])
@@ -199,7 +203,7 @@ class _Process:
         self._exit(code)
 
     def _exit(self, code: int) -> NoReturn:
-        """End at once; buffered output is lost, as the main thread may hold the buffer."""
+        """End the process at once, without flushing buffers, which the main thread may have locked."""
         if self.number and code:
             code = SIGNALLED + self.number
         _kill_children()
@@ -214,9 +218,9 @@ class _Process:
 
 
 def _write_line(line: str) -> None:
-    """Write one line to stderr, past its buffer.
+    """Write one line to stderr without a buffer.
 
-    On a terminal it replaces a progress bar, which hides the cursor.
+    On a terminal, the line replaces a progress bar, and the cursor becomes visible again.
     """
     begin = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""
     with contextlib.suppress(OSError):
@@ -224,14 +228,14 @@ def _write_line(line: str) -> None:
 
 
 def _imports(frame: FrameType | None) -> bool:
-    """Return True if the frame is within an import."""
+    """Return True if this frame is executed during an import."""
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back
     return frame is not None
 
 
 def _kill_children() -> None:
-    """End all child processes except resource trackers, which end with this one and remove its shared resources."""
+    """Kill all child processes except resource trackers, which end by themselves and free shared resources."""
     for file in Path("/proc/self/task").glob("*/children"):
         with contextlib.suppress(OSError):
             for child in file.read_text().split():
@@ -245,7 +249,7 @@ def _address_space() -> float:
 
 
 def _of_memory(error: BaseException) -> str | None:
-    """Return the text of an out-of-memory error; None for any other error."""
+    """Return the text of an error if it is an out-of-memory error; otherwise None."""
     words = str(error)
     signs = "RESOURCE_EXHAUSTED", "bad_alloc", "llocate memory", "t start new thread", "failed to map segment"
     is_one = isinstance(error, MemoryError) or any(sign in words for sign in signs)

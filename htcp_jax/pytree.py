@@ -1,7 +1,7 @@
-"""Frozen dataclasses as pytrees, rebuilt without a call of `__init__`.
+"""Frozen dataclasses as pytrees that JAX rebuilds without calling `__init__`.
 
-JAX rebuilds pytrees with leaves that are not arrays: shapes, booleans, batch axes. The checks of `__init__` and of the
-type annotations apply when a robot or a scenario is constructed, not in these passes.
+JAX also rebuilds pytrees with leaves that are not arrays: shapes, booleans, batch axes. These would fail the checks in
+`__init__` and those of type annotations, so the checks run only when user code constructs an object.
 """
 
 import dataclasses
@@ -14,9 +14,9 @@ Value = TypeVar("Value")
 
 
 def register_pytree(cls: type) -> type:
-    """Register a dataclass as a pytree: a class decorator above `@dataclass(frozen=True)`.
+    """Register a dataclass as a pytree and return it. Use it as a decorator above `@dataclass(frozen=True)`.
 
-    Fields with metadata {"static": True} are not leaves; those with LABEL serve messages and files only.
+    Fields with metadata {"static": True} are not leaves. Fields with metadata LABEL serve messages and files only.
     """
     fields = dataclasses.fields(cls)
     leaves = [f.name for f in fields if not f.metadata.get("static")]
@@ -37,9 +37,9 @@ def register_pytree(cls: type) -> type:
 
 
 def without_labels(value: Value) -> Value:
-    """Return a dataclass whose labels are empty: as many names as before, but empty ones, and nothing else.
+    """Return a copy of a dataclass whose LABEL fields are empty; a tuple of names keeps its length.
 
-    Compiled functions do not read labels; without them, arms and obstacles that differ in labels only share
+    Compiled functions do not read labels. Without them, arms and obstacles that differ only in their labels share
     executables.
     """
     if not dataclasses.is_dataclass(value):

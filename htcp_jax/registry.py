@@ -1,12 +1,12 @@
-"""Registries of what other packages may add: planning methods, kinds of obstacles, kinds of task rows.
+"""Registries of extensions: planning methods, kinds of obstacles, kinds of task rows.
 
-A package provides one by an entry point, whose name is the one that jobs and commands use:
+A package provides an extension by an entry point. The entry point's name is used in jobs and commands:
 
     [project.entry-points."htcp_jax.obstacles"]
     ball = "my_package:Ball"
 
-It is then available to every command, to job files and to Ray's workers. `htcp_jax.register` adds one to this process
-only. Nothing is imported before a name is looked up or listed.
+The extension is then available to every command, to job files and to Ray's workers. `htcp_jax.register` adds an
+extension to this process only. An extension is imported when its name is looked up, or when all are listed.
 """
 
 import re
@@ -18,17 +18,19 @@ from typing import Any
 
 from htcp_jax.errors import InputError
 
-NAME = re.compile(r"[a-z0-9-]+")  # used in names of files and folders
+NAME = re.compile(r"[a-z0-9-]+")  # valid names; they are used in names of files and folders
 
 
 class Registry:
-    """Objects by name: built-in ones, those of installed packages, and those of this process.
+    """Extensions of one type (such as planning methods), by name.
+
+    They are built in, from installed packages, or registered in this process.
 
     Args:
-        group: The entry points' group.
-        noun: The word for one of them in messages.
-        fault: Returns the reason why an object is none of them; "" if it is one.
-        built_in: Returns those that ship, by name.
+        group: Name of the entry point group.
+        noun: Singular noun for an extension of this type, for messages.
+        fault: Function that returns the reason why an object is invalid; "" if it is valid.
+        built_in: Function that returns the built-in objects by name.
     """
 
     def __init__(
@@ -38,38 +40,42 @@ class Registry:
         fault: Callable[[Any], str],
         built_in: Callable[[], Mapping[str, Any]] = dict,
     ):
-        self.group, self._noun, self._fault, self._load_built_in = group, noun, fault, built_in
-        self._own: dict[str, Any] = {}  # of this process
-        self._loaded: dict[str, Any] = {}  # of entry points
+        self.group, self.noun, self._fault, self._load_built_in = group, noun, fault, built_in
+        self._own: dict[str, Any] = {}  # registered in this process
+        self._loaded: dict[str, Any] = {}  # loaded from entry points
 
     def register(self, value: Any) -> Any:
-        """Register an object in this process: for everything but Ray's workers.
+        """Register an extension in this process, and return it. Ray's workers do not find it.
 
-        Returns it. Raises InputError for one that is incomplete, for a name that is not valid in file names, and for a
-        name that is taken.
+        Raises:
+            InputError: If the extension is incomplete, or if its name is in use or has an invalid character.
         """
         if fault := self._why_not(value):
             raise InputError(f"cannot register {value!r}: {fault}")
         if self._own.get(value.name) is not value and value.name in self.names() and not self._replaces(value):
-            raise InputError(f"cannot register {value.name!r}: there is {self._a_noun} of that name")
+            raise InputError(f"cannot register {value.name!r}: {self._a_noun} with this name exists")
         self._own[value.name] = value
         return value
 
     def unregister(self, name: str) -> None:
-        """Remove what was registered in this process. Raises InputError for any other name."""
+        """Remove an extension that was registered in this process.
+
+        Raises:
+            InputError: For a name that is not registered in this process.
+        """
         if name not in self._own:
             raise InputError(f"{name!r} is not registered in this process")
         del self._own[name]
 
     def names(self) -> tuple[str, ...]:
-        """Return all names: built-in ones in their order, then those of packages, then those of this process."""
+        """Return the names of all extensions: built-in ones, then those of packages, then those of this process."""
         return tuple(dict.fromkeys((*self._built_in, *self._entry_points, *self._own)))
 
     def find(self, name: str) -> Any:
-        """Return the object with that name.
+        """Return the extension with this name; import it if necessary.
 
-        Raises InputError for an unknown name, and for an object that cannot be imported, naming its entry point and
-        package.
+        Raises:
+            InputError: If the name is unknown, or if the extension cannot be imported or is invalid.
         """
         if name in self._built_in:
             return self._built_in[name]
@@ -81,15 +87,15 @@ class Registry:
         return self._loaded[name]
 
     def refuse_unknown(self, name: str) -> None:
-        """Raise InputError for an unknown name. Nothing is imported."""
+        """Raise InputError if no extension has this name. Nothing is imported."""
         if name not in self.names():
             raise InputError(f"{name!r} is not {self._a_noun}; valid: {', '.join(self.names()) or 'none is installed'}")
 
     def all(self, without: Collection[str] = ()) -> dict[str, Any]:
-        """Return everything by its name. What cannot be imported is excluded, with a UserWarning.
+        """Return all extensions by name. Those that cannot be imported are excluded, with a UserWarning.
 
         Args:
-            without: Names that are not looked up.
+            without: Names to exclude.
         """
         found = {}
         for name in (name for name in self.names() if name not in without):
@@ -100,21 +106,25 @@ class Registry:
         return found
 
     def is_own(self, name: str) -> bool:
-        """True if it is registered in this process only, so that other processes cannot find it."""
+        """True if the name is registered in this process only; Ray's workers and other processes cannot find it."""
         return name in self._own
 
     def is_shared(self, value: Any) -> bool:
-        """True if other processes find this very object by its name."""
+        """True if other processes find the same extension by its name."""
         return value.name in self.names() and not self.is_own(value.name) and self.find(value.name) is value
 
     def refuse_own(self, chosen: Iterable[str]) -> None:
-        """Raise InputError for a name that other processes cannot find."""
+        """Raise InputError if one of the chosen names is registered in this process only."""
         for name in chosen:
             if self.is_own(name):
                 raise InputError(
-                    f"{self._noun} {name!r} is registered in this process alone; workers elsewhere know those of "
-                    f"installed packages, by the entry point group {self.group}"
+                    f"{self.noun} {name!r} is registered only in this process; for remote workers, install a package "
+                    f"with an entry point in the group {self.group}"
                 )
+
+    def is_added(self, name: str) -> bool:
+        """True if the extension is not built in: it is from an installed package or registered in this process."""
+        return name not in self._built_in and (name in self._own or name in self._entry_points)
 
     @cached_property
     def _built_in(self) -> Mapping[str, Any]:
@@ -124,13 +134,13 @@ class Registry:
     def _entry_points(self) -> dict[str, EntryPoint]:
         """Entry points of installed packages, by name.
 
-        Built-in ones take precedence, and the first of two with one name.
+        Built-in names take precedence. If two packages use one name, the first package in alphabetical order wins.
         """
         found: dict[str, EntryPoint] = {}
         for point in sorted(entry_points(group=self.group), key=lambda point: (point.name, _package(point))):
             first = found.get(point.name)
             if point.name in self._built_in:
-                self._left_out(point, "one that ships")
+                self._left_out(point, "a built-in one")
             elif first is None or first.value == point.value:  # new, or the same package found twice
                 found[point.name] = first or point
             else:
@@ -138,23 +148,23 @@ class Registry:
         return found
 
     def _left_out(self, point: EntryPoint, there: str) -> None:
-        line = f"{self._called(point)} is excluded: there is {there} of that name"
+        line = f"{self._called(point)} is ignored, because {there} has the same name"
         warnings.warn(line, UserWarning, stacklevel=5)
 
     def _load(self, point: EntryPoint) -> Any:
         try:
             value = point.load()
-        except Exception as error:  # whatever the import of a package may raise
+        except Exception as error:  # importing a package may raise anything
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"{self._called(point)} cannot be imported: {reason}") from error
         if fault := self._why_not(value):
             raise InputError(f"{self._called(point)} is not {self._a_noun}: {fault}")
         if value.name != point.name:
-            raise InputError(f"{self._called(point)} has the name {value.name!r}")
+            raise InputError(f"{self._called(point)} has the name {value.name!r}; both names must be equal")
         return value
 
     def _replaces(self, value: Any) -> bool:
-        """True for a class that replaces its former definition, as a notebook's cell does that runs again."""
+        """True if a class redefines a registered one of equal module and name, as when a notebook cell runs again."""
         own = self._own.get(value.name)
         if not (isinstance(own, type) and isinstance(value, type)):
             return False
@@ -164,15 +174,15 @@ class Registry:
         if fault := self._fault(value):
             return fault
         if not NAME.fullmatch(value.name):
-            return f"the name {value.name!r} may have only small letters, digits and hyphens"
+            return f"the name {value.name!r} must consist of lower-case letters, digits and hyphens"
         return ""
 
     def _called(self, point: EntryPoint) -> str:
-        return f"the {self._noun} {point.name!r} (entry point {point.value} of package {_package(point)})"
+        return f"the {self.noun} {point.name!r} (entry point {point.value} of package {_package(point)})"
 
     @property
     def _a_noun(self) -> str:
-        return f"{'an' if self._noun[0] in 'aeiou' else 'a'} {self._noun}"
+        return f"{'an' if self.noun[0] in 'aeiou' else 'a'} {self.noun}"
 
 
 def _package(point: EntryPoint) -> str:

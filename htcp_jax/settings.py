@@ -1,6 +1,6 @@
-"""Parameters of the planning methods. The scene (robot, workpiece, start, margin) is not here.
+"""Parameters of the planning methods. Robot, workpiece, start and margin are not part of them, but of the job.
 
-The defaults are what works best; `configs/paper.yaml` holds the paper's choices.
+The defaults worked best in our tests; `configs/paper.yaml` contains the paper's values.
 """
 
 import difflib
@@ -19,7 +19,7 @@ def _could_be_a_solver(name: str) -> str:
     return name
 
 
-# Values beyond these are typing or unit errors: a target "reached" within a kilometre, a step of many turns.
+# Valid ranges. A value outside its range is a typing error or has the wrong unit.
 SMALLEST = 1e-15  # smallest divisor and smallest step
 Weight = Annotated[float, Field(ge=SMALLEST, le=1e6)]
 Distance = Annotated[float, Field(ge=0, le=1)]  # [m]
@@ -34,9 +34,9 @@ Solver = Annotated[str, AfterValidator(_could_be_a_solver)]
 
 @dataclass(frozen=True)
 class Settings:
-    """Constants of the planner; hashable, so it can be a static argument of a jitted function.
+    """Parameters of the planner. Instances are hashable: they can be static arguments of jitted functions.
 
-    Equation numbers are the paper's; where there is none, the value is a choice that the paper leaves open.
+    Equation numbers refer to the paper. The paper does not specify parameters without an equation number.
 
     Raises:
         InputError: For a value outside its range.
@@ -44,74 +44,76 @@ class Settings:
 
     # Step QP, equation (9)
     q_weights: tuple[Weight, ...] = (5.0, 5.0, 2.0, 1.0, 5.0, 10.0)  # diagonal of Q, one weight per joint
-    cost_about: Literal["reference", "previous"] = "reference"  # J1 about x_ref (9) or about x_{t-1} (4)
+    cost_about: Literal["reference", "previous"] = "reference"  # centre of J1: x_ref (9) or x_{t-1} (4)
     clearance_rows: Literal["per-body", "smallest"] = "per-body"  # one row per body (8), or only the smallest D's (9)
     aim_above_m: Distance = 5e-4  # distance above the required margin at which the step QP's clearance rows aim
-    max_step_qps: Steps = 20  # step QPs at one target before it counts as stuck
-    tolerance_m: Tolerance = 1e-3  # a target is reached at this TCP error or less; also xi of the re-anchoring
-    tolerance_rad: Annotated[float, Field(ge=SMALLEST, le=0.2)] = 2e-3  # and for the angles that the task constrains
+    max_step_qps: Steps = 20  # maximum number of step QPs at one target; the arm then counts as stuck
+    tolerance_m: Tolerance = 1e-3  # maximum TCP error at a reached target; also xi, the tolerance of re-anchoring
+    tolerance_rad: Annotated[float, Field(ge=SMALLEST, le=0.2)] = 2e-3  # maximum error of the constrained angles
     qp: Solver = "clarabel"  # solver: clarabel, device, or qpsolvers:<name>
     qp_tolerance: Annotated[float, Field(ge=SMALLEST, le=0.01)] = (
-        1e-8  # of Clarabel's residuals and gap, no unit; at margin 0 it decides what gets stuck
+        1e-8  # Clarabel's tolerance for residuals and gap [1]; at margin 0 it decides which targets get stuck
     )
 
     # Null space, equations (10) and (11)
     alpha_rad: Angle = 0.1  # length of a null-space step, alpha in (11c)
-    j1_weight: Annotated[float, Field(ge=0, le=1e6)] = 0.0  # of J1 in J2 = -D + J1, (5a) and (11a); the paper's is 1
-    max_null_space_steps: Steps = 20  # null-space steps of one recovery
+    j1_weight: Annotated[float, Field(ge=0, le=1e6)] = 0.0  # of J1 in J2 = -D + J1, (5a), (11a); 1 in the paper
+    max_null_space_steps: Steps = 20  # maximum number of null-space steps in one recovery
     include_proximal_bodies: bool = True  # True: J2 includes the capsules far from the workpiece
-    # Where the optimisers start on the sphere; random_for_cmaes: CMA-ES alone at random, as in configs/paper.yaml
+    # Initial direction of the optimisers; best_of_64: of 64 spread directions; random_for_cmaes: random for CMA-ES only
     first_direction: Literal["best_of_64", "random", "random_for_cmaes"] = "best_of_64"
-    after_recovery: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
+    # accept: use the recovery's configuration, as Algorithm 1; track: continue with step QPs, as the paper's text
+    after_recovery: Literal["accept", "track"] = "accept"
 
     # Between consecutive configurations
-    path_check: Literal["none", "recoveries", "all"] = "all"  # segments that must be clear
-    path_test: Literal["bisection", "samples"] = "bisection"  # a proof, or samples at the ends of `path_steps` steps
-    path_steps: Steps = 20
+    path_check: Literal["none", "recoveries", "all"] = "all"  # segments that are checked for collisions
+    path_test: Literal["bisection", "samples"] = "bisection"  # bisection: a proof; samples: checks at samples
+    path_steps: Steps = 20  # number of equal steps between the samples of a segment
     path_tolerance_m: Tolerance | None = None  # allowed TCP distance from the line between targets; None: the tolerance
-    # Longest travel of a joint between two targets of the path, over all via points; one for all, or one per joint
-    max_joint_step_rad: JointStep | tuple[JointStep, ...] | None = None  # [rad, of slides m]; None: no bound
+    # Maximum travel of a joint between two targets of the path, summed over via points: one value, or one per joint
+    max_joint_step_rad: JointStep | tuple[JointStep, ...] | None = None  # [rad; prismatic joints m]; None: no bound
 
     # Recovery by sampling
     samples: Count = 50  # configurations or directions tried at one stuck target
     sample_steps: Count = 100  # steps along one null-space direction
-    sample_step_rad: Angle = 0.02  # length of each of them
+    sample_step_rad: Angle = 0.02  # length of one such step
     max_sample_distance_rad: Annotated[float, Field(ge=SMALLEST, le=1e3)] = 3.0  # longest joint jump of a sample
 
     # N-space CMA-ES
-    population: Count = 100
+    population: Count = 100  # number of directions in one generation
     generations: Count = 5
 
-    # Keep-clear: max-min null-space steps after each target while D is below a set clearance
-    keep_clear_m: Distance = 0.02
-    keep_clear_steps: Count = 5
+    # Keep-clear: null-space steps at a target that increase the minimum clearance D
+    keep_clear_m: Distance = 0.02  # the steps are taken if D is below this
+    keep_clear_steps: Count = 5  # maximum number of steps per target
 
     # Beam search
-    beam_width: Count = 64  # beam width: most configurations kept at one target
-    min_beam_width: Count = 16  # with fewer, the beam is widened by self-motions
-    beam_separation_rad: Angle = 0.12  # closer configurations count as one
+    beam_width: Count = 64  # maximum number of configurations kept at one target
+    min_beam_width: Count = 16  # a beam with fewer configurations is widened by self-motions
+    beam_separation_rad: Angle = 0.12  # configurations closer than this count as one
     beam_aim_m: Distance = 5e-3  # distance above the margin to which a configuration is moved, if possible
-    self_motions: Count = 32  # self-motions in one round
-    self_motion_steps: Steps = 12  # most steps of one self-motion
-    self_motion_step_rad: Angle = 0.1  # length of each of them
-    self_motion_rounds: Count = 12  # at a target without a successor
-    # Configurations sampled or extended after a dead end, as a multiple of the search before; 0: none
+    self_motions: Count = 32  # number of self-motions in one round
+    self_motion_steps: Steps = 12  # maximum number of steps in one self-motion
+    self_motion_step_rad: Angle = 0.1  # length of one step of a self-motion
+    self_motion_rounds: Count = 12  # maximum number of rounds if no configuration reaches the next target
+    # Maximum number of configurations sampled or extended after a dead end, as a multiple of the number before it; 0:
+    # the plan ends at the first dead end
     effort: Annotated[float, Field(ge=0, le=1e6)] = 2.0  # no unit
     transfers: bool = False  # True: the arm may change its configuration before the path, if that leads further
 
     # Complete path, equation (3)
-    smooth: bool | None = None  # True: motions are smoothed; None: if the method requires it, as `beam` does
+    smooth: bool | None = None  # True: motions are smoothed; None: only if the method requires it, as `beam` does
     path_weights: tuple[Weight, ...] | None = None  # joint weights in equation (3); None: 1 each, as in the paper
 
     # Connecting two configurations in free space: transfers, approaches
     search_rounds: Count = 1000  # sampling rounds before a pair of configurations counts as not connected
-    search_step_rad: Angle = 0.3  # longest step that is proven at a time
-    search_shortcuts: Rounds = 8  # rounds of shortcuts
+    search_step_rad: Angle = 0.3  # maximum length of one proven step
+    search_shortcuts: Rounds = 8  # number of rounds of shortcuts on a found path
 
-    # Hybrid
-    restart_rounds: Rounds = 9  # sampling rounds for a configuration at a failed target that leads back to the first
+    # Hybrid: sampling rounds for a configuration at the failed target that can be planned back to the first target
+    restart_rounds: Rounds = 9
 
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # every scenario's random key is folded from it
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # every scenario's random key is derived from it
 
     @property
     def tube_m(self) -> float:
@@ -126,12 +128,13 @@ _RANGES = TypeAdapter(create_model("_Ranges", **{one.name: (one.type, ...) for o
 
 
 def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
-    """Return the settings as they are; for a mapping, {"alpha_rad": 0.05}, the defaults with these values.
+    """Return the `Settings` with the given values, such as {"alpha_rad": 0.05}, and defaults for all others.
 
-    None means the defaults.
+    Args:
+        values: Values by name; None: only defaults. `Settings` are returned unchanged.
 
     Raises:
-        InputError: For an unknown name and for a value of the wrong type or outside its range.
+        InputError: For an unknown name, or a value that has the wrong type or is outside its range.
     """
     if isinstance(values, Settings):
         return values

@@ -1,4 +1,4 @@
-"""Results for targets, segments and motions. A failure is data: it has a number, a name and a message."""
+"""Status codes for targets, segments and motions, each with a name and a message."""
 
 import enum
 
@@ -6,7 +6,7 @@ import enum
 class Status(enum.IntEnum):
     """Result for one target; stored as int8.
 
-    The first target of a scenario that is not tracked ends it, and all later ones are NOT_ATTEMPTED.
+    A scenario ends at its first target that is not tracked; all later targets are NOT_ATTEMPTED.
     """
 
     TRACKED = 0
@@ -24,7 +24,7 @@ class Status(enum.IntEnum):
     HOME_IN_COLLISION = 12
     HOME_NOT_JOINED = 13
     NO_START = 14
-    NO_SOLUTION = 15  # these two for methods of other packages
+    NO_SOLUTION = 15  # only methods of other packages set NO_SOLUTION and BUDGET_EXHAUSTED
     BUDGET_EXHAUSTED = 16
 
     @property
@@ -34,21 +34,21 @@ class Status(enum.IntEnum):
 
     @property
     def words(self) -> str:
-        """The name as text: "QP infeasible"."""
+        """The name as text, such as "QP infeasible"."""
         return self.name.replace("_", " ").lower().replace("qp", "QP")
 
     @property
     def ended(self) -> str:
-        """Short reason why the search ended at a target at which no body collides."""
+        """Short reason why planning ended, for a target where no colliding body is named."""
         return _ENDED.get(self, self.words)
 
     @property
     def message(self) -> str:
-        """Description in one sentence."""
+        """Sentence that describes this result."""
         return _MESSAGES[self]
 
 
-# Results of scenarios that were not planned.
+# Statuses of scenarios that were not planned: no target was attempted.
 AT_HOME = Status.HOME_IN_COLLISION, Status.HOME_NOT_JOINED, Status.NO_START
 NOT_TRIED = Status.START_IN_COLLISION, Status.OUT_OF_REACH, *AT_HOME
 
@@ -84,22 +84,22 @@ _MESSAGES = {
 
 
 class Exclusion(enum.IntEnum):
-    """Reason why no configuration is clear at a target, if that is proven: the bodies that the proof needs."""
+    """Proven reason why a target cannot be reached: too far away, or the bodies of which at least one collides."""
 
     NONE = 0  # not proven
-    OUT_OF_REACH = 1  # no body
+    OUT_OF_REACH = 1
     TOOL = 2
-    WRIST = 3  # in addition the link before the tool
+    WRIST = 3  # the tool and the link before it
     ARM = 4
 
     @property
     def words(self) -> str:
-        """The name as text: "out of reach"."""
+        """The name as text, such as "out of reach"."""
         return self.name.replace("_", " ").lower()
 
     @property
     def message(self) -> str:
-        """Description in a few words."""
+        """Short description of the reason."""
         return _EXCLUSION_MESSAGES[self]
 
 
@@ -113,7 +113,7 @@ _EXCLUSION_MESSAGES = {
 
 
 class SegmentStatus(enum.IntEnum):
-    """Verification result for the motion segment from one row of a plan to the next; stored as int8."""
+    """Verification result for the motion segment between two consecutive rows of a plan; stored as int8."""
 
     NOT_CHECKED = -1
     VALID = 0
@@ -126,17 +126,17 @@ class SegmentStatus(enum.IntEnum):
 
     @property
     def is_motion(self) -> bool:
-        """True if the segment was verified: proven, or as far as it can be."""
+        """True if the segment is a verified motion: proven, or proven except for sampled task rows."""
         return self in MOTION
 
     @property
     def words(self) -> str:
-        """Name of the result in tables."""
+        """Name of the result in tables, such as "in collision"."""
         return _SEGMENT_WORDS[self]
 
     @property
     def message(self) -> str:
-        """Description in one sentence."""
+        """Sentence that describes this result."""
         return _SEGMENT_MESSAGES[self]
 
 
@@ -160,20 +160,20 @@ _SEGMENT_MESSAGES = {
     SegmentStatus.REVERSES: "the TCP moves backwards along the path on this segment",
     SegmentStatus.UNDECIDED: "neither proven nor refuted at the finest subdivision",
     SegmentStatus.WRONG_START: "the plan does not begin at the given start",
-    SegmentStatus.SAMPLED: ("the arm is proven clear all along; a task row without a bound holds at all samples"),
+    SegmentStatus.SAMPLED: ("the arm is proven clear; a task row without a bound is satisfied at all samples"),
 }
 
 
 class Kind(enum.IntEnum):
-    """Kind of motion that leads to one configuration of a motion."""
+    """Kind of the motion that leads to a configuration; stored as int8."""
 
     TRANSFER = 0  # from home, or from the start, to the configuration in which the plan begins
     APPROACH = 1  # to the path's first point
     PROCESS = 2  # along the path
-    DWELL = 3  # the tool stays at a target while the arm changes its configuration
-    RETRACT = 4  # back along the same motion
+    DWELL = 3  # the TCP stays at a target while the arm changes its configuration
+    RETRACT = 4  # back to home or the start, along the same motion in reverse
 
     @property
     def words(self) -> str:
-        """The name as text: "process"."""
+        """The name as text, such as "process"."""
         return self.name.lower()

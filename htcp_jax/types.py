@@ -1,6 +1,6 @@
-"""Array types of the package, with named axes.
+"""Array types for annotations, with named axes.
 
-Axes: N joints, K bodies (capsules), P points, T targets, S scenarios, L lanes, M rows of a QP.
+Axes: N joints, K bodies (capsules), P points, T targets, S scenarios, L lanes (rows of a batch), M rows of a QP.
 """
 
 import sys
@@ -18,14 +18,14 @@ else:
             return "jax" in sys.modules and isinstance(value, sys.modules["jax"].Array)
 
     class Array(metaclass=_OfJax):
-        """`jax.Array`, by its instances: a job is read and refused without importing JAX, which takes a second."""
+        """Stand-in for `jax.Array` in instance checks, so that jobs can be read without importing JAX."""
 
 
-Anywhere = Array | np.ndarray  # on the device or on the host
+Anywhere = Array | np.ndarray  # an array on the device or on the host
 Scalar = Float[Array, ""]
 Vector3 = Float[Array, "3"]
 Pose = Float[Array, "4 4"]
 Joints = Float[Array, "N"]
-Triple = tuple[float, float, float]  # Python's own numbers, as in files and static fields
+Triple = tuple[float, float, float]  # Python floats, as in files and static fields
 
 __all__ = ["Anywhere", "Array", "Bool", "Float", "Int", "Joints", "Pose", "Scalar", "Triple", "Vector3"]

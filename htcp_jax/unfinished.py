@@ -1,7 +1,7 @@
-"""Unfinished files and folders: locked by their owner, and removed once its process is gone.
+"""Unfinished files and folders: locking, and removal of those that killed processes left.
 
-Their names begin with PART, or with SCRATCH in the folder for temporary files. Their owner locks each of them, so that
-`clear` removes only those of killed processes.
+Their names begin with PART, or with SCRATCH in the system's temporary folder. A process locks what it
+writes. `clear` removes only files and folders that are not locked, because their process has ended.
 """
 
 import contextlib
@@ -15,23 +15,26 @@ from htcp_jax.process_exit import PART
 
 try:
     import fcntl
-except ImportError:  # no POSIX system: there, nothing is locked
+except ImportError:  # not a POSIX system: nothing is locked
     fcntl = None
 
 SCRATCH = "htcp-tmp-"
-# No device becomes the terminal, no pipe waits, and no link is followed at the end of a name
+# Flags for `os.open`. READ: do not wait for a pipe, and do not attach a terminal. NO_LINK: do not follow a link
 READ = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 
 @contextlib.contextmanager
 def temporary_folder(folder: Path | None = None) -> Iterator[Path]:
-    """Yield a new folder, in `folder` or in the one for temporary files, and remove it at the end of the block.
+    """Yield a new temporary folder, and remove it at the end of the block.
 
-    Leftovers of killed processes are removed first.
+    Temporary folders of killed processes are removed first.
+
+    Args:
+        folder: The parent folder; None: the system's temporary folder.
 
     Raises:
-        OSError: If it cannot be made.
+        OSError: If the folder cannot be created.
     """
     place, prefix = (tempfile.gettempdir(), SCRATCH) if folder is None else (folder, PART)
     clear(Path(place), prefix)
@@ -57,14 +60,14 @@ def _locked_folder(folder: Path) -> Iterator[None]:
 
 
 def lock_file(handle: int) -> None:
-    """Lock a file that is being written, if the file system supports locks."""
+    """Lock an open file, given its descriptor, without waiting. Do nothing if the file system has no locks."""
     if fcntl is not None:
         with contextlib.suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def clear(folder: Path, prefix: str = PART) -> None:
-    """Remove the files and folders of this user's killed processes from a folder.
+    """Remove from `folder` the unfinished files and folders that this user's killed processes left.
 
     Their names begin with `prefix`, and no process has locked them.
     """
@@ -75,7 +78,7 @@ def clear(folder: Path, prefix: str = PART) -> None:
 
 
 def clear_all(folder: Path) -> None:
-    """Clear a folder and the folders inside it, except links."""
+    """Call `clear` on a folder and on its direct subfolders; links are skipped."""
     for each in [folder, *(each for each in folder.iterdir() if each.is_dir() and not each.is_symlink())]:
         clear(each)
 
@@ -87,7 +90,7 @@ def _remove(left: Path) -> None:
     handle = os.open(left, READ | NO_LINK)
     try:
         if fcntl is not None:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError if its owner lives
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError if its process still runs
             if os.fstat(handle).st_uid != os.geteuid():
                 return
         shutil.rmtree(left) if left.is_dir() else left.unlink()

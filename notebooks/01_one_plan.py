@@ -13,9 +13,8 @@
 # %% [markdown]
 # # The scene and one plan
 #
-# A six-joint arm carries a grinder into a duct, and the tip of the tool must follow the weld inside. The position of
-# the tip takes three of the arm's six degrees of freedom. The other three are free, and they are what keeps the rest
-# of the arm off the wall.
+# An arm with six joints carries a grinder into a duct, and the tip of the tool must follow the weld inside. The tip's
+# position takes three of the six degrees of freedom; the other three are used to keep the arm off the wall.
 
 # %%
 from matplotlib.figure import Figure
@@ -25,8 +24,8 @@ import htcp_jax
 # %% [markdown]
 # ## The arm
 #
-# A Yaskawa GP50, as eight capsules: a capsule is all points nearer to a line segment than its radius. The last three
-# are the tool. The last one stops short of the tip, so that the tip may touch the weld.
+# The arm is a Yaskawa GP50, modelled by eight capsules. A capsule is the set of all points within a radius of a line
+# segment. The last three capsules are the tool; the last one ends before the tip, so that the tip may touch the weld.
 
 # %%
 htcp_jax.gp50()
@@ -34,8 +33,9 @@ htcp_jax.gp50()
 # %% [markdown]
 # ## The workpiece
 #
-# A duct of about one metre, round at the inlet and flat at the outlet, as a cloud of points. The weld runs along one
-# side. This duct is generated; a scan of your own goes the same way: `htcp_jax.load_workpiece("scan.ply", "weld.csv")`.
+# The workpiece is a duct of about one metre, round at the inlet and flat at the outlet, as a point cloud. The weld runs
+# along one side. This duct is generated; call `htcp_jax.load_workpiece("scan.ply", "weld.csv")` to load your own scan
+# and path.
 
 # %%
 htcp_jax.load_workpiece()
@@ -43,10 +43,9 @@ htcp_jax.load_workpiece()
 # %% [markdown]
 # ## A plan
 #
-# One call. It approaches the inlet in five steps, the weld in five more, and then tracks the weld: 105 targets with
-# the start. For each of them it keeps a set of configurations that are clear of every point, and to which a proven
-# motion leads from the start; it ends at the first target to which none leads on. The best motion through these sets is
-# then made as short as it can be.
+# One call plans a motion through 105 targets: the start, five steps to the inlet, five more to the weld, and the points
+# of the weld. The default method is a beam search: for each target it keeps several collision-free configurations, each
+# connected to the start by a proven motion. The best motion is then smoothed.
 
 # %%
 plan = htcp_jax.plan()
@@ -56,7 +55,7 @@ plan
 plan.figure()
 
 # %% [markdown]
-# The same as a table, a row a target.
+# The plan as a table with one row per target; every 13th row is shown.
 
 # %%
 frame = plan.frame()
@@ -65,19 +64,19 @@ frame[["status", "clearance_m", "residual_m", "iterations", "joint_step_rad", "p
 # %% [markdown]
 # ## Another pose, another tool
 #
-# Everything that a configuration file may say can be changed in the call, under the same name. Tilted further, the
-# outlet becomes too narrow for this tool; one that is 50 mm longer gets further in.
+# `overrides` changes keys of the job, named as in a job file. If the duct is tilted further, the default tool does not
+# reach the end of the weld; a tool that is 50 mm longer reaches more targets.
 
 # %%
 tilted = htcp_jax.plan(overrides={"workpiece.rotation_y_rad": 0.6})
 longer = htcp_jax.plan(overrides={"workpiece.rotation_y_rad": 0.6, "robot.tool_extension_m": 0.05})
-{"as it is": tilted.facts()["targets tracked"], "50 mm longer": longer.facts()["targets tracked"]}
+{"as it is": tilted.facts()["can be run"], "50 mm longer": longer.facts()["can be run"]}
 
 # %%
 tilted
 
 # %% [markdown]
-# The clearance of both along the path. Where a line ends, no clear configuration was found.
+# The clearance of both plans along the path. A line ends where no collision-free configuration was found.
 
 
 # %%

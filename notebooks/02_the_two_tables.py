@@ -13,12 +13,12 @@
 # %% [markdown]
 # # The two tables of the paper
 #
-# *Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment* (Sun, Zhao, Liu) judges its planners
-# by two sweeps: 125 start configurations in front of one workpiece, and 49 poses of the workpiece in front of one
-# start. A target that stays out of reach ends its scenario, and all later targets count as missed.
+# *Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment* (Sun, Zhao, Liu) compares planners in
+# two sweeps: 125 start configurations with one pose of the workpiece, and 49 poses of the workpiece with one start.
+# The first target that is not tracked ends a scenario, and all later targets count as missed.
 #
-# The measured duct of the paper is not part of this package. What follows is planned on the generated one, which is a
-# little roomier; `docs/reproduction.md` has the figures of the measured one.
+# The paper's measured duct is not part of this package. These plans use the generated duct, which is slightly wider;
+# `docs/reproduction.md` lists the results for the measured duct.
 
 # %%
 import pandas
@@ -27,11 +27,11 @@ import htcp_jax
 from htcp_jax.report import paper
 
 # %% [markdown]
-# ## Plan, or read what is planned
+# ## Plan
 #
-# `configs/paper.yaml` holds the paper's choices. The same call continues a run that was stopped, and reads one that is
-# complete. Two methods keep this notebook short; for all six of the paper, `METHODS = list(paper.ROBOT.rows)`, it
-# takes some minutes more.
+# `configs/paper.yaml` contains the paper's choices. Repeat the call to resume a stopped run or to read a complete one.
+# Two methods keep this notebook short; set `METHODS = list(paper.ROBOT.rows)` to plan with the paper's six methods, in
+# some minutes.
 
 # %%
 METHODS = ["baseline", "nspace-sqp"]
@@ -52,9 +52,10 @@ workpiece
 # %% [markdown]
 # ## The tables, next to the paper's
 #
-# `make_report` recognises the paper's grids. Its table `paper` has the paper's four columns next to ours: success, time
-# per step, TCP distance (mean over the tracked targets) and safe distance (here the mean of $D$ over the tracked
-# targets; the paper does not define it). Times are not comparable: the paper's are from MATLAB on a Core i9.
+# `make_report` recognises the paper's grids. Its table `paper` has the paper's values next to ours, in four columns:
+# success, time per step, and TCP distance and safe distance as means over the tracked targets. The paper does not
+# define the safe distance; here it is the clearance $D$. Times are not comparable, because the paper's are from MATLAB
+# on a Core i9.
 
 # %%
 COLUMNS = {
@@ -87,7 +88,7 @@ table(robot)
 table(workpiece)
 
 # %% [markdown]
-# All that the paper states, for reference.
+# All values that the paper prints:
 
 # %%
 stated = {
@@ -97,20 +98,20 @@ stated = {
 pandas.concat(stated)
 
 # %% [markdown]
-# ## Where the difference is made
+# ## Where the methods differ
 #
-# The middle of the table hides what the map shows: which poses are lost, and how late.
+# The map shows for each pose after how many targets the plan ends.
 
 # %%
 report = htcp_jax.make_report(workpiece)
 report.figures["map"]
 
 # %%
-report.figures["survival"]
+report.figures["survival"]  # scenarios that have not failed before each target
 
 # %% [markdown]
-# And why they end. With the paper's choices, a baseline is not stopped by an infeasible QP but by its iteration limit:
-# with margin 0 the iterates converge onto $D = 0$ from the wrong side.
+# The table lists the reasons for failure. With the paper's choices the baseline ends at its iteration limit, not with
+# an infeasible QP: with margin 0 the iterates converge to $D = 0$ from $D < 0$, that is, while still in collision.
 
 # %%
 report.figures["stops"]

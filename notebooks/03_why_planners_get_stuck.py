@@ -13,9 +13,9 @@
 # %% [markdown]
 # # Why planners get stuck
 #
-# The step QPs know the clearance to first order, near the last configuration. Where the next target asks for another
-# configuration, they have no answer, and the null space of the task has to be searched. This notebook takes one such
-# target apart: the clearance over the null space, and what each optimiser does there.
+# The step QPs linearise the clearance about the last configuration. If the next target needs a configuration far away,
+# the step QPs fail, and the null space of the task has to be searched. This notebook shows one such target: the
+# clearance over the null space, and the direction that each optimiser finds.
 
 # %%
 from functools import partial
@@ -38,8 +38,8 @@ from htcp_jax.planning.tracking.null_space import StuckScenario, anchor, sphere_
 # %% [markdown]
 # ## A target where the baseline ends
 #
-# The arm starts in its configuration for measuring, the last joint at 0, and comes to the inlet with its tool turned
-# the wrong way round.
+# The arm starts in its measuring configuration, with the last joint at 0, and arrives at the inlet with its tool
+# turned away from the weld.
 
 # %%
 MEASURING = {"start_rad": [0.0, -2.3, 0.5, 0.0, 0.5, 0.0], "workpiece.rotation_y_rad": 0.5}
@@ -50,11 +50,11 @@ plan
 plan.figure()
 
 # %% [markdown]
-# ## The null space there
+# ## The null space
 #
-# From the last configuration that was clear, inverse kinematics (5b) puts the tip onto the lost target: $x_{ref}$. Now
-# $D < 0$, something collides. All directions $N w$ with $|w| = 1$ keep the tip in place to first order, equation (10).
-# They are a sphere, the null space having $6 - 3 = 3$ dimensions.
+# From the last clear configuration, inverse kinematics (5b) moves the tip onto the failed target: $x_{ref}$. There $D
+# < 0$: a body collides. All directions $N w$ with $|w| = 1$ keep the tip in place to first order, equation (10). The
+# null space has $6 - 3 = 3$ dimensions, so the vectors $w$ form a sphere.
 
 # %%
 settings, robot = plan.job.settings, plan.robot
@@ -88,9 +88,9 @@ bodies = np.asarray(all_clearances(scene, scenario, here.x[None]))[0]
 print(f"D = {1e3 * here.clearance:.2f} mm, at {robot.capsule_names[bodies.argmin()]}")
 
 # %% [markdown]
-# The whole sphere, flattened as a map of the earth is: the clearance one step of `alpha_rad` away from $x_{ref}$, in
-# every direction. White lines are where another capsule becomes the nearest one. The function is the smallest of
-# several, so it has a kink along each of them, and the best direction often lies on such a line: a ridge.
+# The picture is a map of the sphere (Mollweide projection): the clearance after one step of `alpha_rad` from $x_{ref}$
+# in every direction. At white lines the nearest capsule changes. The clearance is the minimum over capsules, so it has
+# a kink at these lines, and the best direction often lies on such a ridge.
 
 # %%
 LONGITUDE, LATITUDE = np.linspace(-np.pi, np.pi, 97), np.linspace(-np.pi / 2, np.pi / 2, 49)
@@ -108,9 +108,10 @@ all_bodies = np.asarray(all_clearances(scene, scenario, here.x + sphere.reshape(
 all_bodies = all_bodies.reshape(*sphere.shape[:2], -1)
 
 # %% [markdown]
-# What each optimiser returns, as a mark on that map. All have the same objective, and by default all start from the
-# best of 64 directions by the contacts known so far (`first_direction: best_of_64`). SQP, interior point and Adam climb
-# to the maximum next to it. CMA-ES samples half a sphere about it and keeps the best direction that it measured.
+# Marks show the direction that each optimiser returns. All maximise the same objective. By default they start from the
+# best of 64 directions, as predicted by the nearest points at $x_{ref}$ (`first_direction: best_of_64`). SQP, interior
+# point and Adam find the local maximum next to this direction. CMA-ES samples the half sphere about this direction and
+# returns the best direction that it evaluated.
 
 # %%
 OPTIMISERS = {
@@ -155,11 +156,12 @@ sphere_map()
 {method: f"{1e3 * found.value:.3f} mm" for method, found in best.items()}
 
 # %% [markdown]
-# ## Step by step out of it
+# ## A recovery, step by step
 #
-# A recovery repeats that: the best direction, a step, back onto the target, until $D > 0$. Here the better direction is
-# the worse one. Who took the lower summit walks out in a few steps; who took the higher one ends on a ridge between two
-# capsules, crosses it to and fro, and gains nothing.
+# A recovery repeats three operations until $D > 0$: find the best direction, take a step, and move back onto the target
+# by inverse kinematics. Here the better direction leads to the worse result. The three methods that chose the lower
+# maximum are clear after a few steps. CMA-ES chose the higher maximum, which leads onto a ridge between two capsules,
+# where its steps alternate between both sides and the clearance does not increase.
 
 # %%
 STEPS = 20
@@ -193,8 +195,8 @@ def steps_chart(self_motions):
         style = {"color": colour, "marker": marker, "markersize": 3 + 1.5 * width, "linewidth": width}
         axes.plot(self_motions[method], label=f"{method}, {len(self_motions[method]) - 1} steps", **style)
     low, high = min(map(min, self_motions.values())), max(map(max, self_motions.values()))
-    room = 0.12 * (high - low)
-    axes.set(xlim=(0, STEPS), ylim=(low - room, max(high, 0) + room))
+    space = 0.12 * (high - low)
+    axes.set(xlim=(0, STEPS), ylim=(low - space, max(high, 0) + space))
     axes.set(xlabel="null-space step", ylabel="clearance D [mm]")
     axes.xaxis.get_major_locator().set_params(integer=True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -205,11 +207,11 @@ def steps_chart(self_motions):
 steps_chart({method: recovery(method, scenario, stuck, here) for method in OPTIMISERS})
 
 # %% [markdown]
-# ## The price of greed
+# ## Where steepest ascent fails
 #
-# The same duct, tilted by 0.1 rad less. The baseline ends at the same target, and now the best direction of every step
-# leads onto the ridge, 20 mm inside the wall. Only the interior point method, whose barrier keeps it a little off the
-# best, slips down on the other side and comes out.
+# Now the same duct is tilted by 0.1 rad less. The baseline ends at the same target, and the best direction of every
+# step leads onto a ridge at which the arm is 20 mm inside the wall. Only the interior point method becomes clear: its
+# barrier keeps it away from the exact maximum, so it leaves the ridge on the other side.
 
 # %%
 MEASURING["workpiece.rotation_y_rad"] = 0.4
@@ -219,8 +221,8 @@ here = enter(scene, scenario, stuck)
 steps_chart({method: recovery(method, scenario, stuck, here) for method in OPTIMISERS})
 
 # %% [markdown]
-# Is there a clear configuration at all? Walk straight on through the null space in 48 random directions, whatever the
-# clearance does on the way: 100 steps of 0.02 rad each, the tip held on the target. That is what `nspace-sample` does.
+# Is there a clear configuration at all? To find out, move through the null space along 48 random directions and ignore
+# collisions on the way: 100 steps of 0.02 rad each, with the tip on the target. This is what `nspace-sample` does.
 
 # %%
 SELF_MOTIONS, SELF_MOTION_STEPS, LENGTH_RAD = 48, 100, 0.02
@@ -269,25 +271,34 @@ def self_motions_chart():
 self_motions_chart()
 
 # %% [markdown]
-# Many of them do, most after more than half a radian: clear configurations are not rare, only far away, and who asks
-# for the steepest ascent at every step does not get there. But the arm has to get there, too. On the way the
-# self-motions are inside the wall, and so is the straight joint path from the last clear configuration. `nspace-sample`
-# takes the step all the same, and its plan is only as good as that joint path. `hybrid` refuses it and looks for
-# another start instead.
+# More than half of the directions lead to a clear configuration, most after more than half a radian. So clear
+# configurations exist, but too far away for steepest ascent. The arm must also be able to move there, but the
+# self-motions pass through the wall, and so does the straight joint path from the last clear configuration. By default
+# `nspace-sample` rejects such a step, and its plan ends at this target:
 
 # %%
 sampled = htcp_jax.plan(overrides=MEASURING, method="nspace-sample")
-frame = sampled.frame()
-frame[(frame.recovery > 0) | (frame.path_clear == False)][["target", "status", "joint_step_rad", "path_clear"]]  # noqa: E712
+sampled.failure()
 
 # %% [markdown]
-# ## Tracked is not yet driven
+# Without this check (`path_check: none`), `nspace-sample` takes the step and tracks further targets. The motion's
+# verification then finds that the arm collides on the segment to this target, so no further target is executable.
+
+# %%
+unchecked = htcp_jax.plan(overrides={**MEASURING, "settings.path_check": "none"}, method="nspace-sample")
+frame = unchecked.frame()
+columns = ["target", "status", "joint_step_rad", "path_clear", "segment_status"]
+print({"checked": sampled.facts()["can be run"], "unchecked": unchecked.facts()["can be run"]})
+frame.loc[frame.recovery > 0, columns]
+
+# %% [markdown]
+# ## Tracked is not executable
 #
-# Another pose, and the arm starts as in the default job. `nspace-sqp` tracks the targets, each of them reached and
-# clear. But an arm has to pass everything in between. Where a local optimiser escapes, it leaves its valley for
-# another one: the configuration jumps, and on the straight joint path to the next target the tool leaves the weld. The
-# motion ends there. `beam` carries a beam of configurations along, in several valleys at once. Each is connected to the
-# start by a proven motion, and the one that leads furthest is chosen in the end.
+# Take another pose of the part, with the default start. `nspace-sqp` tracks all targets: it finds a clear configuration
+# for each. But the arm must also move between them. After a recovery the configuration is far from the previous one,
+# and on the straight joint path between the two the tool leaves the weld, so the motion ends there. `beam` keeps
+# configurations in several basins of attraction at once, each connected to the start by a proven motion, and chooses
+# among them at the end of the path.
 
 # %%
 POSE = {"workpiece.rotation_y_rad": 0.3, "workpiece.rotation_z_rad": -0.2}
@@ -295,9 +306,9 @@ both = {method: htcp_jax.plan(overrides=POSE, method=method) for method in ("nsp
 {method: {"tracked": str(plan.summary.tracked), **plan.motion_summary.facts()} for method, plan in both.items()}
 
 # %% [markdown]
-# Both plans along the path: the clearance at the targets, and how far the tool is from the line between two targets on
-# its way, looked at in 50 places of every joint path. Pale is what cannot be driven. Green lines, if there are any, are
-# dwells, where the arm changes its configuration while the tool stays.
+# The plots compare both plans along the path: the clearance at the targets, and the tool's largest distance from the
+# line between two targets, at 50 samples of every joint path. The dashed line is the allowed distance. Pale points are
+# targets that are not executable.
 
 # %%
 PLACES = 50
@@ -326,11 +337,9 @@ def motions_chart(plans_by_method):
             (clearance, targets, 1e3 * plan.plans.clearance[0, targets]),
             (away, on_path, np.array(distance)),
         ):
-            driven = x < reported.end.executable
+            executable = x < reported.end.executable
             axes.plot(x, y, ".-", color=colour, alpha=0.25, markersize=3, linewidth=0.8)
-            axes.plot(x[driven], y[driven], ".-", color=colour, markersize=4, label=method)
-            for target in reported.dwells:
-                axes.axvline(target, color="#0b8f6a", linewidth=1.2, zorder=0)
+            axes.plot(x[executable], y[executable], ".-", color=colour, markersize=4, label=method)
     away.axhline(1e3 * settings.tube_m, color="#22303c", linewidth=1, linestyle="--")
     clearance.set(yscale="log", ylabel="clearance D [mm]")
     away.set(yscale="log", ylabel="TCP off its line [mm]", xlabel="target")
@@ -343,19 +352,20 @@ def motions_chart(plans_by_method):
 motions_chart(both)
 
 # %% [markdown]
-# ## What the beam width is good for
+# ## The beam width
 #
-# The same method with beams of other sizes: at most so many configurations are kept at a target, and self-motions in
-# the null space spread them where there are fewer. With one configuration it is a local search, too, which has to walk
-# out of each dead end that it leads into, and dwells to do so. With more the choice among them can wait until it is
-# known which of them lead on: the plan is the path with the fewest dwells, and then the least cost of equation (3).
+# The beam width is the maximum number of configurations kept per target; self-motions add configurations where there
+# are few. With a width of one, the method is a local search: it leaves each dead end by a dwell, in which the arm
+# changes its configuration while the tool stays. With a larger width, the method has several motions to choose from at
+# the end of the path. It returns the one with the fewest dwells, and among equal ones the one with the lowest cost by
+# equation (3).
 
 # %%
 BEAM_WIDTHS = 1, 4, 16, 64
 
 
 def with_beam_width(count):
-    """The motion with beams of at most so many configurations, in figures."""
+    """Figures of the motion by a beam search of this width."""
     own = {"settings.beam_width": count, "settings.min_beam_width": min(count, settings.min_beam_width)}
     reported = htcp_jax.plan(overrides=POSE | own, method="beam").motion_summary
     return {

@@ -13,14 +13,13 @@
 # %% [markdown]
 # # A study of your own: how long should the tool be?
 #
-# A longer tool keeps the thick parts of the arm out of the duct; a shorter one is stiffer. How much of the weld can be
-# tracked with which length, and how does that depend on how the duct is tilted? This notebook answers it from start to
-# end in less than two minutes on two cores.
+# A longer tool keeps the thick parts of the arm out of the duct; a shorter one is stiffer. How much of the weld can
+# the arm follow with each length, and how does the result depend on the tilt of the duct?
 #
 # ## The grid
 #
-# A sweep is a grid of parameters around one configuration. Axes multiply: nine lengths by four tilts are 36 scenarios
-# of 105 targets each.
+# A sweep plans a grid of values for keys of one job. Every combination is a scenario: nine lengths and four tilts are
+# 36 scenarios of 105 targets each.
 
 # %%
 import htcp_jax
@@ -29,59 +28,74 @@ LENGTHS_M = [-0.10, -0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075, 0.10]
 TILTS_RAD = [0.4, 0.5, 0.6, 0.7]
 
 grid = {"grid": [{"workpiece.rotation_y_rad": TILTS_RAD}, {"robot.tool_extension_m": LENGTHS_M}]}
-run = htcp_jax.sweep(grid, methods="baseline,nspace-sqp,keep-clear")
+run = htcp_jax.sweep(grid, "baseline,nspace-sqp,keep-clear", "../out/tool-lengths")
 run
 
 # %% [markdown]
-# Without a folder to write into, the results live as long as `run` does. With `out="out/tools"` they stay, and the
-# same call reads them instead of planning again.
+# The results are written to the folder. Repeat the call to read them instead of planning again. If you pass no folder,
+# the results are in a temporary folder, which is deleted together with the object `run`.
 #
-# ## What came out
+# ## The results
 #
-# One row a method and scenario. The parameters are columns, so pandas does the rest.
+# The table has one row per method and scenario; the varied keys are columns. Two columns count targets:
+#
+# - `tracked`: targets with a clear configuration whose tip is on the target;
+# - `executable`: targets to which a proven motion leads from the start. Only these can be run.
 
 # %%
 scenarios = run.frame()
-scenarios[["method", "rotation_y_rad", "tool_extension_m", "tracked", "failed_target", "failure"]].head(9)
-
-# %%
-scenarios.pivot_table("tracked", index=["method", "rotation_y_rad"], columns="tool_extension_m", aggfunc="sum")
+scenarios["failure"] = scenarios.failure.fillna("none")
+columns = ["method", "rotation_y_rad", "tool_extension_m", "tracked", "executable", "failed_target", "failure"]
+scenarios[columns].head(9)
 
 # %% [markdown]
-# As a map: tilt down, length across, the number of tracked targets in the cells. A bold number is a complete plan.
+# The number of executable targets, of 105:
 
 # %%
+scenarios.pivot_table("executable", index=["method", "rotation_y_rad"], columns="tool_extension_m", aggfunc="sum")
+
+# %% [markdown]
+# The map shows the same numbers. If more targets are tracked, their number is in brackets. Bold numbers mark motions to
+# the end of the weld.
+
+
+# %%
+def by_method(column):
+    return {
+        method: rows.pivot(index="rotation_y_rad", columns="tool_extension_m", values=column).to_numpy(float)
+        for method, rows in scenarios.groupby("method", sort=False)
+    }
+
+
 charts = htcp_jax.charts
-tracked = {
-    method: rows.pivot(index="rotation_y_rad", columns="tool_extension_m", values="tracked").to_numpy(float)
-    for method, rows in scenarios.groupby("method", sort=False)
-}
 charts.success_map(
-    tracked,
+    by_method("tracked"),
     charts.Axis("tilt [rad]", TILTS_RAD),
     charts.Axis("tool extension [mm]", [1e3 * length for length in LENGTHS_M]),
     targets=105,
-    title="Tracked targets by tool length and tilt",
+    executable=by_method("executable"),
+    title="Success by tool length and tilt",
 )
 
 # %% [markdown]
-# ## What limits it
+# ## Why plans end
 #
-# Every failure has a reason and a place. With the longer tools the scenarios end later, or not at all.
+# Every incomplete plan has a failed target and a reason.
 
 # %%
 status = {method: run.plans(method).status for method in run.methods}
 charts.stops(status)
 
 # %%
-scenarios.groupby(["method", "failure"], dropna=False).size().unstack(fill_value=0)
+scenarios.groupby(["method", "failure"]).size().unstack(fill_value=0)
 
 # %% [markdown]
 # ## The answer
 #
-# The shortest tool, of those tried, with which the whole weld is tracked. A tilt that is not in the table asks for more
-# than 100 mm.
+# The table lists, for each method and tilt, the shortest of these tool extensions with which the arm follows the
+# complete weld [m], or a dash if there is none.
 
 # %%
-complete = scenarios[scenarios.complete]
-complete.groupby(["method", "rotation_y_rad"], sort=False).tool_extension_m.min().unstack()
+whole = scenarios[scenarios.executable == scenarios.targets]
+shortest = whole.pivot_table("tool_extension_m", index="method", columns="rotation_y_rad", aggfunc="min")
+shortest.reindex(index=run.methods, columns=TILTS_RAD).astype(object).fillna("-")

@@ -11,12 +11,12 @@
 # ---
 
 # %% [markdown]
-# # Where to mount it
+# # Where to mount a part
 #
-# A part has several seams. How must it be mounted, and how long must the tool be, so that the arm can follow all of
-# them in one mounting, with the largest safety margin? `htcp_jax.place` searches for it; see `docs/place.md`.
+# A part has several seams. Where must it be mounted, and how long must the tool be, so that the arm can follow all of
+# them in one mounting with the largest clearance? `htcp_jax.place` searches for such a mounting; see `docs/place.md`.
 #
-# `configs/place/seams.yaml` asks it for six seams of the generated duct.
+# `configs/place/seams.yaml` is such a search for six seams of the generated duct:
 
 # %%
 from pathlib import Path
@@ -32,30 +32,29 @@ FILE = Path("../configs/place/seams.yaml")
 print(FILE.read_text())
 
 # %% [markdown]
-# ## All six, a first look
+# ## All six seams
 #
-# A scenario is one mounting with one seam. The file asks for 20,004 of them; 300 show which seams are hard.
+# A scenario is one mounting with one seam. The file sets a budget of 20,004 scenarios; here 300 are enough to show
+# which seams few mountings complete.
 
 # %%
 first = htcp_jax.place(FILE, "../out/six-seams", changes={"within": {"scenarios": 300}, "best": 1})
 pandas.DataFrame(first.seams(), index=["complete in mountings", "share in the best mounting"]).T
 
 # %% [markdown]
-# ## Two of them
+# ## Two of the seams
 #
-# The seams that many mountings do, in one mounting. Only the best is confirmed as motions here, for time; the file's
-# default is 20. The same call again reads what is in the folder.
+# Now search for one mounting that completes two of the easier seams. To save time, proven motions are planned only for
+# the best mounting instead of the default 20. Repeat the call to read the results from the folder.
 
 # %%
 changes = {"seams": ["right", "invert"], "within": {"scenarios": 240}, "best": 1}
 found = htcp_jax.place(FILE, "../out/two-seams", changes=changes)
-print(
-    f"{found.complete} of the mountings that were evaluated do both, {len(found.mountings)} were confirmed as motions"
-)
+print(f"{found.complete} mountings track both seams; {len(found.mountings)} was confirmed by proven motions")
 
 # %% [markdown]
-# The ranked ones: the clearance that is proven all along both motions, the least of it while every parameter is off by
-# up to 3 mm and 0.5 degrees, and by how much all may be off before something is lost.
+# The ranking lists the guaranteed clearance along both motions; its minimum if every parameter is perturbed by up to
+# 3 mm and 0.5 degrees; and the largest tested perturbation of all parameters at once that loses no target.
 
 # %%
 searched = read_search("../out/two-seams")
@@ -71,16 +70,16 @@ table.round(2)
 # %% [markdown]
 # ## The map
 #
-# Each panel shows all mountings in two of the parameters: where everything works, where it nearly does, and what blocks
-# elsewhere.
+# Each panel shows all mountings over two of the parameters: complete ones, nearly complete ones, and for all others the
+# reason why they fail.
 
 # %%
 place_map(searched)
 
 # %% [markdown]
-# ## The best of them
+# ## The best mounting
 #
-# At the seam with the least guaranteed clearance.
+# The picture shows the arm in the best mounting, at the seam with the smaller guaranteed clearance.
 
 # %%
 best_pictures(Path("../out/two-seams"), searched)[1]

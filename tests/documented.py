@@ -10,6 +10,11 @@ A block may have a comment before it, `<!-- runs: HOW -->`:
     in CI                    by .ci/run, which is made of such commands
     suite                    it is itself part of the tests
     in an installed package  by `test_added_kinds`, which makes a package of the page's blocks
+    not: REASON              not run
+
+Blocks of other kinds are tested without being run. YAML without a file name is part of a job, whose keys are checked;
+after the mark `<!-- generated: file FILE -->` a block equals that file. `text` is output, unless it has commands after
+`$`.
 
 Commands within sentences are checked against the existing commands and options, targets of make and extras. Those that
 name files also run, in a slow test.
@@ -27,8 +32,11 @@ QUICK, SLOW, TWO, COPY = "quick", "slow", "slow, two scenarios", "slow, in a fre
 CI, SUITE, INSTALLED = "in CI", "suite", "in an installed package"
 FAILING = {f"slow, exit {code}": code for code in (1, 2, 3)}
 WAYS = QUICK, SLOW, *FAILING, TWO, COPY, CI, SUITE, INSTALLED
+NOT = re.compile(r"not: .+")  # the reason is part of it
 FENCE = re.compile(
-    r"(?:^<!-- runs: (?P<how>[^\n]*?) -->\n)?^```(?P<kind>[^\n`]*)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
+    r"(?:^<!-- runs: (?P<how>[^\n]*?) -->\n|^<!-- generated: file (?P<file>\S+) -->\n\n)?"
+    r"^```(?P<kind>[^\n`]*)\n(?P<text>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
 )
 FILE = re.compile(r'(?:yaml|xml) title="(?P<name>[^"]+)"')
 
@@ -37,9 +45,10 @@ class Block(NamedTuple):
     """A fenced block of a page."""
 
     page: str
-    kind: str  # sh, python, or yaml or xml with the name of its file
+    kind: str  # sh, python, yaml or xml with or without the name of its file, text, ...
     text: str
     how: str
+    file: str  # the file that it equals; "" for none
 
     @property
     def commands(self) -> list[str]:
@@ -54,10 +63,15 @@ def pages() -> list[str]:
     return [str(path.relative_to(ROOT)) for path in found]
 
 
+def fences(page: str) -> list[Block]:
+    """All fenced blocks of a page, in order."""
+    found = FENCE.finditer((ROOT / page).read_text(encoding="utf-8"))
+    return [Block(page, m["kind"].strip(), m["text"], m["how"] or QUICK, m["file"] or "") for m in found]
+
+
 def blocks(page: str) -> list[Block]:
     """Blocks of a page that are run or written to a file, in order, without files that include snippets."""
-    text = (ROOT / page).read_text(encoding="utf-8")
-    found = [Block(page, m["kind"].strip(), m["text"], m["how"] or QUICK) for m in FENCE.finditer(text)]
+    found = fences(page)
     return [b for b in found if b.kind in ("sh", "python") or (FILE.match(b.kind) and "--8<--" not in b.text)]
 
 

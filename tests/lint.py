@@ -53,6 +53,7 @@ SIZES = {  # packages with fewer than 5 or more than 15 public names, and why
     "model": "terms that every other package shares",
     "motion": "plans, their checks and the functions of one lane, which two families of methods are made of",
     "runs": "each file of a run's folder has a module",
+    "io.robots": "each step from a vendor's file, or the files of a cell, to an arm has a module",
     "cli": "the command alone",
 }
 ABOVE = {"api": "viewer", "__main__": "cli"}  # modules at the root that import from this package and those before it
@@ -72,6 +73,7 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
     "trajectory": {"TimedMotion": "saved results"},
     "io": {
         "read_bytes read_json read_yaml read_spec load_geometry FileSection validate_model": "readers of files",
+        "read_model ModelSource label_of default_tcp": "reader of an arm's file, or of a cell's, which MuJoCo composes",
         "LinkMeshes": "meshes to which an arm's file refers, placed by MuJoCo and measured by FCL",
     },
     "jobs": {

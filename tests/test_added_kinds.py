@@ -208,7 +208,7 @@ def test_a_row_without_a_rate_is_sampled_and_nowhere_called_proven():
         and (plan.plans.segment_status[0, on_path + 1 :][there[on_path + 1 :]] == SegmentStatus.SAMPLED).all()
     )
     assert "proven" not in set(plan.frame()["segment_status"])
-    with pytest.raises(htcp_jax.InputError, match="stays-above-sampled states no rate"):
+    with pytest.raises(htcp_jax.InputError, match="stays-above-sampled does not set `rate`"):
         motion = plan.motion()
         left = MotionSlack(*np.zeros((2, len(motion.x) - 1)))
         with_rows(left, plan.job, plan.robot, motion, np.asarray(plan.scenario.goals))
@@ -253,10 +253,10 @@ def test_values_and_keys_of_a_job_plan_alike(kinds):
     ("job", "line"),
     [
         ({"cell.obstacles": [{"kind": "bal"}]}, "cell.obstacles.1: 'bal' is not a kind of obstacle; valid: .*ball"),
-        ({"cell.obstacles": [{"centre_m": [0, 0, 0]}]}, "is not an obstacle; it is {kind: NAME"),
+        ({"cell.obstacles": [{"centre_m": [0, 0, 0]}]}, "is not an obstacle; it must be {kind: NAME"),
         ({"cell.obstacles": [BALL | {"radius": 1}]}, "unknown key radius; did you mean radius_m"),
         ({"cell.obstacles": [BALL | {"radius_m": "x"}]}, "kind ball: radius_m is 'x'"),
-        ({"cell.obstacles": [BALL | {"radius_m": float("inf")}]}, "radius_m is inf; finite numbers are needed"),
+        ({"cell.obstacles": [BALL | {"radius_m": float("inf")}]}, "radius_m is inf; it must be finite"),
         ({"cell.obstacles": [{"kind": "ball"}]}, "kind ball: centre_m"),
         ({"task": [TRACK, {"kind": "stays-abov"}]}, "'stays-abov' is not a kind of task row; valid: .*stays-above"),
         ({"task": [TRACK, ABOVE | {"link": "elbow"}]}, "no point 'elbow' on gp50; valid: link1"),
@@ -272,8 +272,8 @@ def test_what_a_kind_does_not_take_is_refused_in_one_line(job, line):
     ("axis", "line"),
     [
         ({"cell.obstacles.2.radius_m": [0.1]}, "the cell has 1 obstacles"),
-        ({"cell.obstacles.1.size_m": [0.1]}, "has no key size_m that may vary; valid: centre_m, radius_m"),
-        ({"task.1.on": ["path"]}, "has no key on that may vary"),
+        ({"cell.obstacles.1.size_m": [0.1]}, "has no key size_m that can vary; valid: centre_m, radius_m"),
+        ({"task.1.on": ["path"]}, "has no key on that can vary"),
         ({"cell.obstacles.1.radius_m": ["x"]}, "radius_m is 'x'"),
     ],
 )
@@ -283,7 +283,7 @@ def test_an_axis_that_a_kind_lacks_is_refused(axis, line):
 
 
 def test_a_kind_of_this_process_alone_does_not_go_to_ray():
-    with pytest.raises(htcp_jax.InputError, match="kind of obstacle 'ball' is registered in this process alone"):
+    with pytest.raises(htcp_jax.InputError, match="kind of obstacle 'ball' is registered only in this process"):
         htcp_jax.sweep({"grid": [{"margin_m": [0.0]}]}, "baseline", config={"cell.obstacles": [BALL]}, on="ray")
 
 
@@ -315,7 +315,7 @@ def test_scenarios_of_a_job_take_no_further_kinds(kinds):
     job = load_config({"cell.obstacles": [BALL]})
     _, _, scenario = scene(job)
     stacked = jax.tree.map(lambda leaf: np.asarray(leaf)[None], scenario)
-    with pytest.raises(htcp_jax.InputError, match="add these there"):
+    with pytest.raises(htcp_jax.InputError, match=r"add further ones to cell\.obstacles"):
         with_given(job.cell.obstacles, stacked)
     assert numbers_of(job.cell.obstacles).tolist() == [0.9, 0.2, 0.9, 0.1]
 

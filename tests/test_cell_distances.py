@@ -1,5 +1,6 @@
 """Distances between capsules and the solids of a cell: equal to MuJoCo's, with correct contacts and gradients."""
 
+import threading
 from functools import cache, partial
 
 import jax
@@ -24,6 +25,7 @@ from htcp_jax.io.robots.mjcf import arm_xml
 from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import GP50
+from htcp_jax.pytree import without_labels
 
 POSE = 'pos="0.1 -0.2 0.3" euler="20 30 40"'
 WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"
@@ -234,7 +236,7 @@ def everything(folder) -> Fixtures:
 
 def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path):
     robot, where, own = made_once.robot(), made_once.nominal(), everything(tmp_path)
-    assert len(own.names) == 8 and own.pieces is not None
+    assert len(own.names) == 9 and own.names.count("") == 1 and own.pieces is not None  # "" is a row of padding
     each = jax.jit(lambda x: own.distances(robot, *capsule_segments(robot, x)))
     touching = 0
     for x in made_once.configurations(robot, 25):
@@ -249,6 +251,40 @@ def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path)
         bodies = bodies_at(robot, where, jnp.asarray(x))
         assert own.nearest_name(robot, where, row, bodies) == f"the fixture {nearest!r}"
     assert 3 < touching < 22
+
+
+def boxes(folder, robot, *x) -> Fixtures:
+    """A floor, and boxes at several places."""
+    file = folder / "boxes.xml"
+    geoms = "".join(f'<geom name="box {k}" type="box" size="0.1 0.2 0.3" pos="{at} 2 0"/>' for k, at in enumerate(x))
+    floor = '<geom name="floor" type="plane" size="1 1 1" pos="0 0 -2"/>'
+    file.write_text(f"<mujoco><worldbody>{floor}{geoms}</worldbody></mujoco>")
+    (found,) = make_fixtures(robot, load_cell(file))
+    return found
+
+
+def test_another_cell_of_the_same_kinds_has_the_shapes_of_the_first_so_that_it_compiles_nothing(tmp_path):
+    def shapes(*x):
+        leaves, structure = jax.tree.flatten(without_labels(boxes(tmp_path, made_once.robot(), *x)))
+        return structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
+
+    assert shapes(1.0, 2.0, 3.0) == shapes(-1.0, 0.0, 1.0, 2.0) != shapes(1.0, 2.0)
+
+
+def test_the_fixtures_of_another_arm_compile_nothing(tmp_path):
+    boxes(tmp_path, made_once.robot(), 1.0)
+    compiled, thread = [], threading.get_ident()
+
+    def note(event: str, duration_s: float, **about) -> None:
+        if "backend_compile" in event and threading.get_ident() == thread:
+            compiled.append(about)
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    try:
+        found = boxes(tmp_path, made_once.seven_joints(tmp_path), 1.0, 2.0, 3.0)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(note)
+    assert found.names[:2] == ("floor", "box 0") and not compiled
 
 
 def test_gradients_and_what_is_held_are_those_of_the_distance(tmp_path):

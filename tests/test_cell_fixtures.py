@@ -196,7 +196,10 @@ def test_a_box_is_as_far_from_triangles_and_points_as_fcl_finds():
             {"name": "post", "exclude": ["wrist"]},
             "cell.fixtures.0: no link 'wrist' on toy; valid: elbow, hand, plinth, ",
         ),
-        ({"name": "post", "parent": "elbow"}, "fixture 'post' is a cylinder; a box or a mesh can move with a link"),
+        (
+            {"name": "post", "parent": "elbow"},
+            "fixture 'post' is a cylinder; only a box or a mesh can move with a link",
+        ),
     ],
 )
 def test_a_wrong_name_in_a_fixture_is_named_with_the_valid_ones(rule, message, arm, cell):

@@ -126,9 +126,9 @@ def test_the_first_link_stands_on_its_pedestal_and_other_bodies_heed_it(cell):
     [
         (
             '<geom name="egg" type="ellipsoid" size="1 1 1"/>',
-            "egg is a geom of type ellipsoid; a cell is made of plane",
+            "egg is a geom of type ellipsoid; valid in a cell: plane",
         ),
-        ('<geom type="box" size="1 1 1" contype="0" conaffinity="0"/>', "no geoms for contact"),
+        ('<geom type="box" size="1 1 1" contype="0" conaffinity="0"/>', "no collision geoms"),
         ('<geom type="mesh" mesh="gone"/>', "mesh gone.stl: no such file"),
         ('<geom type="mesh" mesh="torn"/>', "torn.stl: 0 points, at least 4 are needed"),
         ('<geom type="mesh" mesh="flat"/>', "mesh 'flat' has no triangles"),
@@ -150,8 +150,8 @@ def test_a_cell_that_cannot_be_taken_in_is_named_in_one_line(geoms, message, tmp
     [
         (["cell.model=none.xml"], "none.xml: cannot read the model: No such file"),
         (["cell.modle=cell.xml"], "unknown key cell.modle; did you mean cell.model?"),
-        (["cell.moved=bench"], "cell.moved is given, but no cell.model"),
-        (["cell.shift_m=[1, 0, 0]"], "cell.shift_m is given, but no cell.model"),
+        (["cell.moved=bench"], "cell.moved is set, but cell.model is missing"),
+        (["cell.shift_m=[1, 0, 0]"], "cell.shift_m is set, but cell.model is missing"),
         (["cell.shift_m=[.nan, 0, 0]"], "cell.shift_m.0 is nan"),
         (["cell.clouds=[{cloud: none.xyz}]"], "none.xyz: no such file"),
         (["cell.clouds=[{file: a.xyz}]"], "unknown key cell.clouds.0.file; valid: cloud, base_m, base_rpy_rad"),
@@ -277,7 +277,7 @@ def test_a_sweep_plans_with_and_without_a_cell(job):
     model = job.pop("cell")["model"]
     batch = load_sweep({"grid": [{"cell.model": [None, model]}]}, job).batch()
     assert [len(cell.obstacles) for cell in batch.cells] == [1, 2]  # the arm's self-collision is one of them
-    with pytest.raises(InputError, match=r"unknown parameter cell\.clouds"):
+    with pytest.raises(InputError, match=r"cell\.clouds is a list, which cannot vary"):
         load_sweep({"grid": [{"cell.clouds": [[], []]}]}, job)
 
 
@@ -312,9 +312,9 @@ def test_the_meshes_of_a_cell_and_what_models_include_are_part_of_a_runs_identit
         (tmp_path / "there" / part).write_bytes((tmp_path / "there" / part).read_bytes() + b"\n")
         changed = same(tmp_path / "there")[0]
         (line,) = identity_differences(here, changed)
-        assert line.startswith(f"parts.{Path(part).name} is SHA-256 ") and config_hash(here) != config_hash(changed)
+        assert line.startswith(f"parts.{Path(part).name} was SHA-256 ") and config_hash(here) != config_hash(changed)
         here = changed
     refuse_changed(files, tmp_path)
     (tmp_path / "here/parts/vice.stl").write_bytes(b"")
-    with pytest.raises(InputError, match=r"vice\.stl is not what it was when"):
+    with pytest.raises(InputError, match=r"vice\.stl has changed since"):
         refuse_changed(files, tmp_path)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from htcp_jax.report import charts
 from htcp_jax.report.charts.along_path import REASONS
-from htcp_jax.report.charts.style import LINES, line_of, spread_labels
+from htcp_jax.report.charts.style import INK, LINES, PAPER, ink_on, line_of, spread_labels
 from htcp_jax.report.document import png
 from htcp_jax.status import Status
 
@@ -59,6 +59,24 @@ def test_every_chart_draws_a_figure_that_names_every_method_even_where_nothing_i
         assert isinstance(figure, Figure), name
         silent = {"keep-clear"} if name == "success_line" else set()  # it has no planned scenarios there
         assert all(method in written for method in PLANS.keys() - silent), name
+
+
+def test_long_values_of_an_axis_are_numbered_and_no_two_labels_of_a_map_overlap():
+    long = charts.Axis("path", [f"branch_seam_of_pipe_{k}.csv" for k in range(5)])
+    assert long.numbered["no. 2"] == "branch_seam_of_pipe_1.csv" and not TOOL.numbered
+    for columns in (long, charts.Axis("path", [f"seam_{k}.csv" for k in range(5)])):
+        figure = charts.success_map(dict.fromkeys(STATUS, np.ones((2, 5))), TOOL, columns, 4)
+        figure.canvas.draw()
+        boxes = [text.get_window_extent() for text in figure.axes[0].get_xticklabels()]
+        assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+
+
+def test_survival_counts_executable_targets_with_all_tracked_ones_faint():
+    known = {method: np.arange(4)[None] < np.ones((2, 1)) for method in STATUS}  # only target 0
+    axes = charts.survival(STATUS, executable=known).axes[0]
+    counted = [line.get_ydata().tolist() for line in axes.lines if line.get_linestyle() == LINES["hybrid"][1]]
+    assert [2, 0, 0, 0] in counted and "execute" in axes.get_ylabel()
+    assert "hybrid  0" in texts(axes.figure) and "faint: tracked" in texts(axes.figure)
 
 
 def test_the_same_results_give_the_same_picture_byte_for_byte():
@@ -143,3 +161,8 @@ def test_labels_are_spread_in_their_order_and_stay_inside_where_there_is_room():
     heights = sorted(placed.values())
     assert min(np.diff(heights)) >= 0.1 - 1e-12 and heights[0] >= 0 and heights[-1] <= 1
     assert sorted(placed, key=placed.get) == ["e", "a", "b", "c", "d"]
+
+
+def test_numbers_are_light_on_dark_cells_and_dark_on_light_ones():
+    assert ink_on(to_rgb("#3f82b5")) == ink_on((0.0, 0.0, 0.0)) == PAPER
+    assert ink_on(to_rgb("#8fb8cf")) == ink_on((1.0, 1.0, 1.0)) == INK

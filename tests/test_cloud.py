@@ -159,7 +159,7 @@ class Bomb:
 def test_pickles_are_refused_and_never_run(tmp_path):
     stream = io.BytesIO()
     np.save(stream, np.full((5, 3), Bomb(), dtype=object), allow_pickle=True)
-    fails(write(tmp_path, "object.npy", stream.getvalue()), "numbers are needed")
+    fails(write(tmp_path, "object.npy", stream.getvalue()), "it must be an array of numbers")
     for ending in HERE:
         fails(write(tmp_path, f"pickle{ending}", pickle.dumps(Bomb())))
 
@@ -211,10 +211,10 @@ def test_meshes_that_cannot_be_sampled(tmp_path):
         fails(write(tmp_path, "c.obj", f"{line}v 0 1 0\n{face}\n"), "number the vertices from 1")
     fails(write(tmp_path, "d.obj", "v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n"), "NaN")
     box = write(tmp_path, "box.stl", BOX.export(file_type="stl"))
-    fails(box, "more than 3,000,000 points at a spacing of 1e-06 m; see workpiece.mesh_spacing_m", spacing=1e-6)
+    fails(box, "more than 3,000,000 points at a spacing of 1e-06 m; increase workpiece.mesh_spacing_m", spacing=1e-6)
     for wrong in (0.0, -1.0, float("nan"), float("inf")):
         fails(box, "must be more than 0", spacing=wrong)
 
 
 def test_coordinates_beyond_any_sense_are_refused(tmp_path):
-    fails(write(tmp_path, "far.npy", npy(1e12 * POINTS)), "coordinates are metres")
+    fails(write(tmp_path, "far.npy", npy(1e12 * POINTS)), "which is too large; give metres")

@@ -15,7 +15,7 @@ from small_motions import SMALL, D_everywhere, off_line, planned, poses
 from sphere_references import place
 
 from htcp_jax.clearance import in_workpiece
-from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
+from htcp_jax.clearance.obstacles.tip_guard import TipGuard, WallTriangles, make_tip_guard
 from htcp_jax.clearance.proof.motion_proof import Tube
 from htcp_jax.device import Executor
 from htcp_jax.device.devices import choose
@@ -128,6 +128,25 @@ def test_proven_edges_are_clear_at_all_places_and_refuted_ones_collide_where_the
     expected = np.where(passes & (bare.verdict == SegmentStatus.VALID), int(SegmentStatus.IN_COLLISION), bare.verdict)
     assert guarded.verdict.tolist() == expected.tolist() != bare.verdict.tolist()
     assert len(np.unique(bare.verdict)) == 2
+
+
+def test_the_bare_tip_of_a_long_path_passes_through_no_triangle_between_the_first_places():
+    """Check a swing in free air across a triangle of 2 mm, halfway between two of the first 100 places."""
+    scenario, x = one()
+    pose, no_interior = np.array(scenario.T_world_workpiece), np.array([0, 0, 0, 1e3])
+    pose[2, 3] += 10
+    far = replace(scenario, T_world_workpiece=pose, interior_plane=no_interior)
+    inputs = lane_inputs(stack([far]), np.zeros(1, int), np.zeros(1, int))
+    a, b = x[None], x[None] + [0.8, 0, 0, 0, 0, 0]
+    where = place(86)[0]._replace(T_world_workpiece=jnp.asarray(pose))
+    tip = np.asarray(in_workpiece(where, tip_segment(made_once.robot(), jnp.asarray(x + 0.505 * (b - a)[0]))))
+    along = (tip[1] - tip[0]) / np.linalg.norm(tip[1] - tip[0])
+    u = np.cross(along, [0, 0, 1]) / np.linalg.norm(np.cross(along, [0, 0, 1]))
+    triangle = tip.mean(axis=0) + 1e-3 * np.array([u, np.cross(along, u), -u - np.cross(along, u)])
+    for offset, free in ((0, False), (0.1 * along, True)):
+        wall = TipGuard(WallTriangles((triangle + offset)[None]), 0.0)
+        guarded = CollisionChecker(checker().executor, Settings(), wall)
+        assert guarded.path_clear(inputs, a, b).tolist() == [free]
 
 
 def test_the_tcp_of_a_proven_edge_stays_in_its_tube():

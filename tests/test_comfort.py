@@ -104,7 +104,7 @@ def test_the_doctor_tells_what_is_there(capsys, opengl, tmp_path):
     assert found["rendering"] == {"platform": "osmesa", "lacks": None}
     assert found["cache"] == {"folder": str(tmp_path), "files": 1, "bytes": 5}
     shown = capsys.readouterr().out
-    assert str(tmp_path) in shown and "from the known answer" in shown and shown.endswith("sound\n")
+    assert str(tmp_path) in shown and "from the known result" in shown and shown.endswith("sound\n")
 
 
 def test_a_machine_that_cannot_draw_is_sound_and_told_what_it_lacks(capsys, opengl):

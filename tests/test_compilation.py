@@ -13,6 +13,7 @@ import pytest
 from htcp_jax.clearance.proof.motion_proof import proven_clear
 from htcp_jax.device import Executor, Loop
 from htcp_jax.device.batching import chunked, refilled
+from htcp_jax.device.devices import cores
 from htcp_jax.device.executor import COMPILER, ExecutableCache, Stopwatch
 from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.model.scenario import stack
@@ -40,7 +41,7 @@ def test_what_is_prepared_is_what_is_called():
     checker, (inputs, a, b) = CollisionChecker(executor, Settings()), requested(20)
     with executor.preparing([prove_call(checker.task, inputs, a, b)]):
         clear = checker.path_clear(inputs, a, b)
-        assert len(executables) == 1 and executor.compile_s > 0 and executables.of(PROVE)
+        assert len(executables) == 1 and executor.compile_s > 0 and executables.executables_of(PROVE)
     before = executor.compile_s
     assert checker.path_clear(inputs, a, b).tolist() == clear.tolist()
     assert len(executables) == 1 and executor.compile_s == before
@@ -55,10 +56,20 @@ def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_reported():
     inputs, a, b = requested(2)
     with executor.preparing([prove_call(executor.task, inputs, a, b)]):
         pass
-    assert executables.of(PROVE)
+    assert executables.executables_of(PROVE)
     faulty = LaneFunction("faulty", lambda settings, scene, lane: settings.samples, STEP)
     with pytest.raises(AttributeError, match="samples"), executor.preparing([(faulty, inputs)]):
         pass
+
+
+def test_a_cancelled_compilation_never_begins():
+    """Cancel what waits behind one compilation per core: a faulty lane function there is not compiled."""
+    executor = Executor(made_once.scene(), Settings(), executables=ExecutableCache())
+    inputs, a, b = requested(2)
+    faulty = LaneFunction("faulty", lambda settings, scene, lane: settings.samples, STEP)
+    calls = [prove_call(executor.task, inputs, a, b)] * cores() + [(faulty, inputs)]
+    with executor.preparing(calls) as compilations:
+        assert compilations[-1].cancel()
 
 
 def test_a_clock_goes_while_anybody_waits():

@@ -36,7 +36,7 @@ def test_a_folder_chosen_through_jax_stays(tmp_path):
 def test_a_folder_that_cannot_be_made_is_a_warning(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("HTCP_CACHE", str(tmp_path / "file" / "cache"))
-    with pytest.warns(UserWarning, match="compiled programs are not kept"):
+    with pytest.warns(UserWarning, match="compiled programs are not cached"):
         assert compile_cache.enable() is None
 
 
@@ -45,7 +45,7 @@ def test_a_folder_of_another_user_is_a_warning(monkeypatch, tmp_path):
     monkeypatch.setenv("HTCP_CACHE", str(tmp_path))
     tmp_path.chmod(0o755)
     monkeypatch.setattr(os, "geteuid", lambda: os.stat(tmp_path).st_uid + 1)
-    with pytest.warns(UserWarning, match="belongs to another user.*compiled programs are not kept"):
+    with pytest.warns(UserWarning, match="belongs to another user.*compiled programs are not cached"):
         assert compile_cache.enable() is None and compile_cache.folder() is None
 
 
@@ -53,5 +53,5 @@ def test_a_folder_of_another_user_is_a_warning(monkeypatch, tmp_path):
 def test_a_folder_that_cannot_be_written_is_a_warning(monkeypatch, tmp_path):
     monkeypatch.setenv("HTCP_CACHE", str(tmp_path))
     tmp_path.chmod(0o500)
-    with pytest.warns(UserWarning, match="permission denied.*compiled programs are not kept"):
+    with pytest.warns(UserWarning, match="permission denied.*compiled programs are not cached"):
         assert compile_cache.enable() is None and compile_cache.folder() is None

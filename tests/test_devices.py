@@ -20,14 +20,14 @@ def test_the_default_is_what_jax_prefers():
 def test_without_an_accelerator_there_is_the_cpu_and_nothing_else():
     assert choose("cpu") == jax.local_devices()[:1]
     for name in ("gpu", "gpu:2", "tpu", "cpu:1", "gpu:0"):
-        with pytest.raises(InputError, match=f"device is '{name}'; valid here: cpu$"):
+        with pytest.raises(InputError, match=f"device is '{name}'; valid on this machine: cpu$"):
             choose(name)
 
 
 @pytest.mark.parametrize("command", [["plan"], ["sweep", "robot.yaml"]])
 def test_the_command_line_names_the_devices_that_there_are(command, capsys):
     assert main([*command, "--device", "gpu:9"]) == 2
-    assert "device is 'gpu:9'; valid here: " in capsys.readouterr().err
+    assert "device is 'gpu:9'; valid on this machine: " in capsys.readouterr().err
 
 
 def test_choosing_the_cpu_leaves_jaxs_configuration_as_it_was():
@@ -43,5 +43,5 @@ def test_with_gpus_the_cpu_some_and_all_of_them_can_be_chosen(monkeypatch):
     monkeypatch.setattr(jax, "local_devices", lambda backend=None: cpu if backend == "cpu" else gpus)
     assert choose() == choose("gpu") == choose("gpu:2") == gpus and choose("gpu:1") == gpus[:1]
     assert choose("cpu") == cpu[:1]
-    with pytest.raises(InputError, match=r"device is 'gpu:3'; valid here: cpu, gpu, gpu:1, gpu:2$"):
+    with pytest.raises(InputError, match=r"device is 'gpu:3'; valid on this machine: cpu, gpu, gpu:1, gpu:2$"):
         choose("gpu:3")

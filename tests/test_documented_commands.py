@@ -16,6 +16,8 @@ from documented import (
     COPY,
     FAILING,
     FILE,
+    INSTALLED,
+    NOT,
     QUICK,
     ROOT,
     SLOW,
@@ -23,6 +25,7 @@ from documented import (
     TWO,
     WAYS,
     blocks,
+    fences,
     in_sentences,
     indented_commands,
     pages,
@@ -30,6 +33,7 @@ from documented import (
 )
 
 from htcp_jax.cli import main
+from htcp_jax.jobs import load_config
 from htcp_jax.planning import registry
 
 DEMO_S = 180  # from a clone to a picture
@@ -113,6 +117,25 @@ def test_every_command_has_a_way_to_be_run():
             if block.how == SUITE:
                 assert block.commands == ["make check", "make test-slow"]
     assert {block.how for page in pages() for block in blocks(page)} == set(WAYS)
+
+
+@pytest.mark.parametrize("page", pages())
+def test_every_block_is_run_or_compared_or_has_a_reason(page, tmp_path):
+    """YAML without a file name is part of a job: its keys exist, and its values have the right types."""
+    run = blocks(page)
+    for block in fences(page):
+        if block in run or block.how == INSTALLED or NOT.fullmatch(block.how):
+            continue
+        if block.file:
+            assert block.text == (ROOT / block.file).read_text(encoding="utf-8"), f"{page}: differs from {block.file}"
+        elif block.kind == "yaml":
+            job = tmp_path / "job.yaml"
+            job.write_text(block.text, encoding="utf-8")
+            load_config(job, {"robot.model": "gp50"})  # the arm of the block does not ship
+        else:
+            assert block.kind == "text" and not re.search(r"^\$ ", block.text, re.MULTILINE), (
+                f"{page}: no test runs this {block.kind} block; mark it <!-- runs: not: REASON -->\n{block.text}"
+            )
 
 
 @pytest.mark.parametrize("page", pages())

@@ -1,5 +1,6 @@
 """Protects the generated tables of the documentation: every key of a job is listed, with its meaning."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def test_a_comment_that_goes_on_below_belongs_to_the_key_above(tables):
 
 
 def test_the_tables_of_statuses_list_every_member_with_its_message(tables):
-    page = tables.on_page_markdown("<!-- table: statuses Status -->\n<!-- table: statuses SegmentStatus -->\n")
+    page = tables.filled("<!-- generated: statuses Status -->\n<!-- generated: statuses SegmentStatus -->\n")
     for each in (*status.Status, *status.SegmentStatus):
         assert f"| `{each.name}` | {each.message}" in page
 
@@ -49,3 +50,21 @@ def test_objects_are_shown_by_the_names_that_users_import(monkeypatch):
     assert "heading: htcp_jax.plan\n      toc_label: plan\n" in shown and "heading" not in own
     for name in hook.public_names(hook.STUB.read_text()).values():
         assert hasattr(htcp_jax, name.rpartition(".")[2])
+
+
+def test_every_page_with_generated_parts_says_so_and_the_site_does_not(tables):
+    """Regression: such a page looks empty on a code host."""
+    generated = re.compile(r"^(::: |--8<-- )", re.MULTILINE)
+    for page in sorted(HOOKS.parent.rglob("*.md")):
+        text = page.read_text()
+        outside_of_blocks = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+        assert (tables.NOTE in text) == bool(generated.search(outside_of_blocks)), page.name
+        assert tables.NOTE not in tables.on_page_markdown(text)
+
+
+def test_the_generated_parts_of_the_pages_are_up_to_date(tables):
+    """`python docs/hooks/tables.py` writes them; a code host shows the pages as they are."""
+    pages = {page: page.read_text() for page in sorted(HOOKS.parent.rglob("*.md"))}
+    assert sum("<!-- generated: " in text for text in pages.values()) >= 7
+    assert [page.name for page, text in pages.items() if tables.filled(text) != text] == []
+    assert tables.filled("<!-- generated: statuses Status -->\nold\n" + tables.END).count("old") == 0

@@ -99,14 +99,14 @@ def test_the_weld_is_a_seam_like_the_others():
 
 
 def test_an_unknown_seam_gives_a_line_with_those_that_there_are():
-    line = rf"^ceiling: no seam of the generated duct, nor a table.*seams are {', '.join(SEAMS)}, tables end in .xyz"
+    line = rf"^workpiece.path is ceiling; valid: a seam of the duct \({', '.join(SEAMS)}\), or a table of x,y,z \(.xyz"
     with pytest.raises(InputError, match=line):
         load_workpiece(GeneratedDuct(seam="ceiling"))
 
 
 def test_a_seam_of_the_duct_is_none_of_another_cloud(tmp_path):
     np.savetxt(tmp_path / "part.xyz", duct.duct_cloud(1000))
-    with pytest.raises(InputError, match=r"part.xyz: a cloud needs a tool path of its own"):
+    with pytest.raises(InputError, match=r"part.xyz: workpiece.path is missing"):
         workpiece_of(WorkpieceConfig(cloud=str(tmp_path / "part.xyz"), path="crown"), gp50())
 
 

@@ -137,7 +137,7 @@ def test_one_command_judges_a_job_and_writes_a_table_and_a_picture(job, tmp_path
     assert json.loads((out / "reachability.json").read_text())["each"][0][-10:] == [row["reach"] for row in rows]
     assert (out / "reach.png").read_bytes().startswith(b"\x89PNG")
     assert main([*words, "--config", str(job)]) == 2
-    assert "only a sweep takes another configuration" in capsys.readouterr().err
+    assert "is a job; omit config (--config), which replaces the job of a sweep" in capsys.readouterr().err
 
 
 def test_the_study_from_python_has_the_counts_and_a_row_for_each_target(job):

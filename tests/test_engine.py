@@ -256,7 +256,7 @@ def test_a_lane_function_sees_no_setting_that_it_does_not_name():
         LaneFunction("mine", reads, STEP, ("alpha_rad",)),
         jax.tree.map(jnp.asarray, toy.scenarios()[0]),
     )
-    with pytest.raises(AttributeError, match="lane function 'mine' reads the setting samples, which it does not name"):
+    with pytest.raises(AttributeError, match="lane function 'mine' reads the setting samples, but does not declare it"):
         lane_function.of(PAPER)(toy.scene(), lane)
 
 

@@ -65,8 +65,8 @@ def test_a_file_comes_before_the_example_of_its_name(here):
     ("words", "line"),
     [
         (["pip", "new"], "unknown example 'pip'; valid: cone, duct, paper, pipe, place/duct, "),
-        (["pipe"], "a folder to write to is missing: htcp example pipe DIR"),
-        (["pipe", "."], ". is not empty; an example is written to a new or an empty folder"),
+        (["pipe"], "the output folder is missing: pass htcp example pipe DIR"),
+        (["pipe", "."], ". is not empty; name a new or an empty folder"),
         (["pipe", "file"], "cannot write to file"),
     ],
 )

@@ -17,11 +17,12 @@ from test_place import make
 
 from htcp_jax.cli import main, output
 from htcp_jax.cli.main import COMMANDS
+from htcp_jax.cli.sweep import _sweep_bars
 from htcp_jax.errors import Note
 from htcp_jax.model.robot import GP50
 from htcp_jax.runs import open_run
 from htcp_jax.runs.reachability_file import read_reachability
-from htcp_jax.runs.sweep import sweep
+from htcp_jax.runs.sweep import SweepProgress, sweep
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="phases are seen in /proc")
 LIMIT_S = 30.0  # 5 on a quiet machine
@@ -179,7 +180,7 @@ def test_a_sweep_that_compiles_keeps_what_is_finished_and_says_how_to_go_on(here
     compiles(here)(process)
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=LIMIT_S)
-    go_on = "htcp: stopped; 1 of 2 shards are finished in run; the same command resumes"
+    go_on = "htcp: stopped; 1 of 2 shards are finished in run; run the same command to resume"
     assert (process.returncode, sweep_process.without_progress(errors)) == (143, [go_on])
     assert main(["report", str(here / "run"), "--out", str(here / "report")]) == 0
 
@@ -197,7 +198,7 @@ def test_a_stopped_reachability_keeps_what_it_found_marked_as_incomplete(here, m
     with monkeypatch.context() as patch:
         patch.setattr(Progress, "update", interrupt)  # of rich: only its bars say when three are finished
         assert main(words) == 130
-    assert capsys.readouterr().err == "htcp: stopped; run/reachability.json has what was found, and is incomplete\n"
+    assert capsys.readouterr().err == "htcp: stopped; run/reachability.json contains the targets searched so far\n"
     record = json.loads(Path("run/reachability.json").read_text())
     assert record["complete"] is False and 3 in record["prefix"]
     with pytest.warns(Note, match="is incomplete and not used"):
@@ -220,7 +221,8 @@ def test_without_memory_a_command_ends_with_one_line(here):
     command = f"ulimit -v 1000000; exec {sys.executable} -m htcp_jax {WORDS['plan']}"
     done = subprocess.run(["sh", "-c", command], cwd=here, env=environment(), capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "") and not (here / "out").exists()
-    assert done.stderr == "htcp: out of memory: the address space is limited to 1.0 GB (ulimit -v)\n"
+    limited = "the address space is limited to 1.0 GB; set ulimit -v to 1572864 or more"
+    assert done.stderr == f"htcp: out of memory: {limited}\n"
 
 
 def test_the_call_from_python_leaves_signal_handlers_as_they_are(capsys):
@@ -236,6 +238,27 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(capsys):
         time.sleep(0.5)
     lines = capsys.readouterr().err.splitlines()
     assert lines and all(line.startswith("htcp: plans 3/1200 0:00:0") for line in lines)
+
+
+def test_progress_says_what_comes_before_the_first_step(capsys):
+    with output.progress_bar("targets", first="compiling; targets", line_s=0.05) as progress:
+        time.sleep(0.3)
+        progress(0, 21)
+        time.sleep(0.3)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("htcp: compiling; targets 0/?") and lines[-1].startswith("htcp: targets 0/21")
+
+
+def test_the_progress_of_a_sweep_says_that_it_compiles_then_the_scenarios_done_and_the_time_left(capsys, monkeypatch):
+    monkeypatch.setattr(output, "LINE_S", 0.05)
+    with _sweep_bars() as show:
+        for done, tracked in ((0, 0), (3, 120), (6, 240)):
+            show(SweepProgress("beam", done, 6, tracked, 240))
+            time.sleep(0.3)
+    lines = [line for line in capsys.readouterr().err.splitlines() if "scenarios" in line]
+    assert lines[0].startswith("htcp: beam") and "loading and compiling; 0/6 scenarios" in lines[0]
+    middle = next(line for line in lines if "3/6" in line)
+    assert "compiling" not in middle and middle.endswith(" left") and lines[-1].endswith(" in all")
 
 
 def served(process: subprocess.Popen) -> None:

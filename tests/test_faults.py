@@ -54,14 +54,14 @@ def test_a_second_sweep_is_refused_and_a_signal_ends_the_first_which_then_goes_o
     with start(here, "run", **COLD) as first:
         wait_for_work(first, here / "run")
         first.send_signal(signal.SIGSTOP)
-        with pytest.raises(InputError, match=f"run is in use by another sweep: process {first.pid} on "):
+        with pytest.raises(InputError, match=f"run is in use by another command: process {first.pid} on "):
             sweep("grid.yaml", "baseline", "run")
         first.send_signal(signal.SIGTERM)
         first.send_signal(signal.SIGCONT)
         output, errors = first.communicate()
     assert (first.returncode, output) == (143, "")
     assert without_progress(errors) == [
-        f"htcp: stopped; {HALF} of {SHARDS} shards are finished in run; the same command resumes"
+        f"htcp: stopped; {HALF} of {SHARDS} shards are finished in run; run the same command to resume"
     ]
     goes_on_to(here, "run", undisturbed)
 

@@ -85,10 +85,49 @@ def test_a_value_of_its_own_precedes_that_of_the_joint_it_follows(toy, capsys):
     assert imported(toy, "gripper.urdf", *words, capsys=capsys)[0]["fixed"] == ["left=0.03", "right=0.01"]
 
 
+# A rod beside a moving joint, which it mimics through a crank, as in a parallel linkage.
+CRANK = """<link name="crank"/><joint name="turn" type="continuous"><parent link="l1"/><child link="crank"/>
+  <axis xyz="0 1 0"/><mimic joint="j2" multiplier="-1"/></joint>"""
+ROD = """<link name="rod"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
+  <joint name="push" type="continuous"><parent link="crank"/><child link="rod"/><axis xyz="0 1 0"/>
+  <mimic joint="turn"/></joint>"""
+COUPLED = """<body name="rod"><joint name="push" axis="0 1 0" ref="0.5"/><geom size="0.01"/></body>
+  </worldbody><equality><joint joint1="push" joint2="reach" polycoef="0 -1 0 0 0"/></equality>"""
+LINKAGES = {
+    "linkage.urdf": (
+        URDF.replace("</robot>", CRANK + ROD + "</robot>"),
+        ["turn mimics j2 and is frozen at 0", "push mimics turn and is frozen at 0"],
+        ["--tcp", "l3"],
+    ),
+    "linkage.xml": (
+        MJCF.replace("</worldbody>", COUPLED),
+        ["push mimics reach and is frozen at 0.5"],
+        ["--tcp", "tcp"],
+    ),
+}
+
+
+@pytest.mark.parametrize("command", ["robot", "cell"])
+@pytest.mark.parametrize("file", LINKAGES)
+def test_a_link_that_does_not_follow_a_moving_joint_is_named_until_it_is_omitted(tmp_path, capsys, file, command):
+    text, follow, tcp = LINKAGES[file]
+    (tmp_path / file).write_text(text)
+    end = ["--tool", tcp[1], "--part", "world"] if command == "cell" else tcp
+    words = [command, str(tmp_path / file), *end, "--out", str(tmp_path / "arm.xml"), "--replace"]
+    assert main(words) == 0
+    remedy = "its link does not follow; exclude it with --omit rod"
+    shown = [line for line in capsys.readouterr().err.splitlines() if "mimics" in line]
+    assert shown == [f"htcp: warning: {tmp_path / file}: {each}: {remedy}" for each in follow]
+    assert 'name="rod' in (tmp_path / "arm.xml").read_text().replace('<body name="rod', "")
+    assert main([*words, "--omit", "rod"]) == 0
+    assert "mimics" not in capsys.readouterr().err
+    assert 'name="rod' not in (tmp_path / "arm.xml").read_text().replace('<body name="rod', "")
+
+
 ONE_LINE = {
-    "elbow=1": "no hinge or slide 'elbow' to fix; there are pan, tilt, reach, bend, roll",
-    "tilt=-1.01": "tilt=-1.01 is beyond the limits of the joint, -1 to 2 rad",
-    "reach=0.3": "reach=0.3 is beyond the limits of the joint, 0 to 0.2 m",
+    "elbow=1": "no hinge or slide joint 'elbow'; valid: pan, tilt, reach, bend, roll",
+    "tilt=-1.01": "tilt=-1.01 is outside the joint's limits, -1 to 2 rad",
+    "reach=0.3": "reach=0.3 is outside the joint's limits, 0 to 0.2 m",
     "tilt": "--fix tilt: it must be JOINT=VALUE with a number, in rad or m",
     "tilt=": "it must be JOINT=VALUE",
     "=1": "it must be JOINT=VALUE",

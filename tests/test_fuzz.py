@@ -48,14 +48,14 @@ def refused(words: str, read, *arguments) -> None:
     ("text", "words"),
     [
         ("margin_m: !!python/object/apply:os.system ['touch hacked']", "tag tag:yaml.org,2002:python/object/apply"),
-        ("margin_m: !!python/name:os.system", "plain values only"),
-        ("a: &a [x,x]\nb: &b [*a,*a]\nc: [*b,*b]", "line 2: alias *a: write it out"),
+        ("margin_m: !!python/name:os.system", "is not allowed; use a plain value"),
+        ("a: &a [x,x]\nb: &b [*a,*a]\nc: [*b,*b]", "line 2: alias *a is not allowed; write its value out"),
         ("a: &a {x: 1}\nb: {<<: *a}", "alias *a"),
         ("start_rad: " + "[" * 10_000, "nested too deeply"),
         ("{" * 10_000, "nested too deeply"),
         ("margin_m: 1" + ":59" * 100_000, "margin_m is "),
         ("margin_m: " + "9" * 100_000, "margin_m is inf"),
-        ("# " + "x" * 3_000_000, "bytes; at most 2,097,152 are read"),
+        ("# " + "x" * 3_000_000, "bytes; at most 2,097,152 are allowed"),
     ],
 )
 def test_a_yaml_file_executes_nothing_and_does_not_grow(tmp_path, monkeypatch, text, words):
@@ -179,12 +179,16 @@ def test_a_model_has_no_document_type_and_so_no_entities(tmp_path, outside, name
     ("old", "new", "words"),
     [
         ("<worldbody>", '<worldbody><replicate count="100000000"><geom size="1"/></replicate>', "<replicate> is not"),
-        ("<worldbody>", '<worldbody><composite type="grid" count="9999 9999 1"/>', "<composite> is not read"),
-        ("<worldbody>", '<worldbody><attach model="m" body="b"/>', "<attach> is not read"),
-        ("<worldbody>", '<custom><numeric name="n" size="2000000000"/></custom><worldbody>', "has a size over 1,000"),
+        ("<worldbody>", '<worldbody><composite type="grid" count="9999 9999 1"/>', "<composite> is not supported"),
+        ("<worldbody>", '<worldbody><attach model="m" body="b"/>', "<attach> is not supported"),
+        (
+            "<worldbody>",
+            '<custom><numeric name="n" size="2000000000"/></custom><worldbody>',
+            "must have a size of at most 1,000",
+        ),
         ("<worldbody>", "<worldbody>" + "<body/>" * 50_000, "more than 50,000 elements"),
         ("<worldbody>", "<worldbody>" + "<body>" * 2_000 + "</body>" * 2_000, "nested more than 200 deep"),
-        ("<worldbody>", f"<!--{'x' * 11_000_000}--><worldbody>", "bytes; at most 10,485,760 are read"),
+        ("<worldbody>", f"<!--{'x' * 11_000_000}--><worldbody>", "bytes; at most 10,485,760 are allowed"),
         ("<worldbody>", '<extension><plugin plugin="../evil.so"/></extension><worldbdy>', "mismatched tag"),
     ],
 )
@@ -220,7 +224,7 @@ def plan_folder(tmp_path: Path, **arrays) -> Path:
 
 def test_a_pickle_among_a_plans_arrays_is_never_run(tmp_path):
     folder = plan_folder(tmp_path, clearance=np.full(3, Bomb(), object))
-    refused("numbers are needed", read_results, folder)
+    refused("it must be an array of numbers", read_results, folder)
 
 
 def test_a_mesh_that_names_a_file_outside_does_not_open_it(tmp_path, outside):

@@ -110,11 +110,11 @@ def test_a_scenario_that_ends_earlier_fails_and_is_named_with_target_and_reason(
     assert gate(run, baseline) == REGRESSION
     reported = capsys.readouterr().out
     label = f"rotation y 0.4 rad, tool {LONGER} m"
-    line = f"baseline, scenario 2 ({label}): first at target 12, {TARGETS} tracked before, 12 now"
+    line = f"baseline, scenario 2 ({label}): first at target 12, {TARGETS} tracked in the baseline, 12 now"
     assert f"{line}; {Status.QP_INFEASIBLE.message}" in reported.splitlines() and reported.endswith("FAILED\n")
-    assert "failed  baseline: 7 targets fewer tracked, 69 of 76; 0 may be lost" in reported
-    assert "failed  baseline: 1 scenario ended earlier; 0 may" in reported
-    assert "failed  baseline: 90.79 % of the reachable targets are tracked, 100.00 % before" in reported
+    assert "failed  baseline: 7 targets fewer tracked, 69 of 76; allowed decrease: 0" in reported
+    assert "failed  baseline: 1 scenario ended earlier; allowed: 0" in reported
+    assert "failed  baseline: 90.79 % of the reachable targets are tracked, 100.00 % in the baseline" in reported
 
 
 def test_as_much_as_the_baseline_allows_may_be_lost(run, baseline, capsys):
@@ -170,7 +170,7 @@ def test_more_targets_fail_where_the_baseline_bounds_them(run, tmp_path, capsys)
     for most, verdict in ((9, PASSED), (8, REGRESSION)):
         edit(was, lambda raw, most=most: raw["allow"]["here"].update(more_targets=most))
         assert gate(run, was) == verdict
-    assert "failed  baseline: 9 targets more tracked, 76 of 76; 8 may be gained" in capsys.readouterr().out
+    assert "failed  baseline: 9 targets more tracked, 76 of 76; allowed increase: 8" in capsys.readouterr().out
 
 
 def test_another_reason_at_the_same_target_is_reported_and_passes(run, tmp_path, capsys):
@@ -202,7 +202,7 @@ def test_a_method_that_the_baseline_lacks_is_reported_and_passes(run, baseline, 
 def test_missing_scenarios_fail(run, baseline, capsys):
     edit_manifest(run, lambda manifest: manifest["shards"].pop(1))
     verdict = outcome(run, baseline, capsys)
-    assert "baseline: 2 of 4 scenarios missing, 2 the first" in verdict["failures"]
+    assert "baseline: 2 of 4 scenarios missing, the first is 2" in verdict["failures"]
 
 
 def test_a_sweep_that_died_before_its_first_shard_fails(run, baseline, capsys):
@@ -228,7 +228,7 @@ def test_a_missing_figure_of_a_tracked_target_fails(run, baseline, capsys):
 def test_a_missing_reachability_and_one_of_another_search_fail(run, baseline, capsys):
     file = run / REACHABILITY
     write_reachability(run, [TARGETS] * 4, resolution_rad=0.2)
-    line = "searched with a resolution of 0.2 rad and seed 0, the baseline's with a resolution of 0.1 rad and seed 0"
+    line = "searched with a resolution of 0.2 rad and seed 0, the baseline with a resolution of 0.1 rad and seed 0"
     assert any(line in failure for failure in outcome(run, baseline, capsys)["failures"])
     file.unlink()
     assert any("reachability: missing" in failure for failure in outcome(run, baseline, capsys)["failures"])
@@ -237,7 +237,7 @@ def test_a_missing_reachability_and_one_of_another_search_fail(run, baseline, ca
 def test_a_lower_reachability_fails(run, baseline, capsys):
     write_reachability(run, [TARGETS, TARGETS, TARGETS, 4])
     verdict = outcome(run, baseline, capsys)
-    assert verdict["failures"] == ["reachability: 15 targets fewer reachable; 0 may be lost"]
+    assert verdict["failures"] == ["reachability: 15 targets fewer reachable; allowed decrease: 0"]
 
 
 def test_what_mujoco_refutes_fails_though_every_count_is_as_it_was(run, baseline, capsys):
@@ -284,17 +284,17 @@ def test_a_run_of_another_configuration_is_bad_input(updated, run, baseline, cap
 
     edit_manifest(run, other)
     assert gate(run, baseline) == BAD_INPUT
-    assert "margin_m is 0.0005 there, 0.001 here" in capsys.readouterr().err
+    assert "margin_m was 0.0005, now 0.001" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (lambda raw: raw["methods"]["baseline"]["scenarios"].pop(3), "tracked is 76, which is not the sum"),
-        (lambda raw: raw["methods"]["baseline"].update(tracked=0), "tracked is 0, which is not the sum"),
-        (lambda raw: raw["methods"]["baseline"]["scenarios"].update({3: "19 FINE"}), "is not an end of a scenario"),
+        (lambda raw: raw["methods"]["baseline"]["scenarios"].pop(3), "tracked is 76, which does not match the sum"),
+        (lambda raw: raw["methods"]["baseline"].update(tracked=0), "tracked is 0, which does not match the sum"),
+        (lambda raw: raw["methods"]["baseline"]["scenarios"].update({3: "19 FINE"}), "is not the result of a scenario"),
         (lambda raw: raw["methods"]["baseline"].pop("tcp_error_max_mm"), "tcp_error_max_mm"),
-        (lambda raw: raw["planned"].update(margin_m=0.1), "config_hash is not that of"),
+        (lambda raw: raw["planned"].update(margin_m=0.1), "config_hash does not match"),
         (lambda raw: raw.update(methods={}), "methods"),
         (lambda raw: raw.update(time_s=3), "unknown key time_s"),
     ],
@@ -322,11 +322,11 @@ def limited(manifest):
     [
         (limited, "it is limited to 2 of 4 scenarios"),
         (lambda manifest: manifest["shards"].pop(), "it is not complete, cspace-sample lacks 2 scenarios"),
-        (lambda manifest: manifest["planned_by"].append({"device": "cpu: other"}), "planned in parts"),
-        (lambda manifest: manifest.update(name="another"), "the baseline there is of the sweep grid"),
+        (lambda manifest: manifest["planned_by"].append({"device": "cpu: other"}), "planned by several commits"),
+        (lambda manifest: manifest.update(name="another"), "the existing baseline is for the sweep grid"),
         (
             lambda manifest: manifest.update(methods=["baseline"], shards=manifest["shards"][:2]),
-            "the baseline there also has cspace-sample",
+            "the existing baseline also has cspace-sample",
         ),
     ],
 )

@@ -78,8 +78,8 @@ def test_the_junit_file_has_one_test_case_per_method_and_check(place, tmp_path):
     assert list(found) == [("grid.run", "files"), *((method, check) for method in methods for check in CHECKS)]
     assert (read.tests, read.failures, read.errors) == (19, 4, 0)
     failed = {case: result[0].message for case, result in found.items() if result and isinstance(result[0], Failure)}
-    assert failed["grid.cspace-sample", "tracked targets"] == "1 target fewer tracked, 75 of 76; 0 may be lost"
-    assert failed["grid.baseline", "scenarios ending earlier"] == "1 scenario ended earlier; 0 may"
+    assert failed["grid.cspace-sample", "tracked targets"] == "1 target fewer tracked, 75 of 76; allowed decrease: 0"
+    assert failed["grid.baseline", "scenarios ending earlier"] == "1 scenario ended earlier; allowed: 0"
     assert isinstance(found["grid.baseline", "times"][0], Skipped)
 
 
@@ -179,9 +179,9 @@ def test_a_method_that_fails_is_an_annotation_on_github_actions_alone(place, cap
     reported = [line for line in capsys.readouterr().out.splitlines() if line.startswith("::")]
     assert reported == [
         "::error title=htcp gate grid%3A baseline"
-        "::7 targets fewer tracked, 69 of 76; 0 may be lost%0A1 scenario ended earlier; 0 may",
+        "::7 targets fewer tracked, 69 of 76; allowed decrease: 0%0A1 scenario ended earlier; allowed: 0",
         "::error title=htcp gate grid%3A cspace-sample"
-        "::1 target fewer tracked, 75 of 76; 0 may be lost%0A1 scenario ended earlier; 0 may",
+        "::1 target fewer tracked, 75 of 76; allowed decrease: 0%0A1 scenario ended earlier; allowed: 0",
     ]
 
 
@@ -214,7 +214,7 @@ def test_an_annotation_is_one_line_that_holds_any_text(verdict, text):
         (["--markdown", "gate.md", "--junit", f"new/{'x' * 300}"], "File name too long"),
         (["--junit", "gate.xml", "--markdown", "./gate.xml"], "gate.xml is named twice"),
         (["--markdown", "baseline.yaml"], "baseline.yaml is named twice"),
-        (["--junit", "gate.xml", "--update"], "--update compares nothing, so gate.xml would be empty"),
+        (["--junit", "gate.xml", "--update"], "--update writes no comparison to gate.xml; omit"),
     ],
 )
 def test_a_report_file_that_cannot_be_written_is_one_line_and_exit_2(

@@ -200,8 +200,8 @@ def test_the_tool_points_down_in_the_world_whatever_the_table_does(job, tmp_path
     assert found.validated, found.refuted[:3]
 
 
-STILL = "no joint changes this angle; it is 50 degrees at point 1 of the path, 12 are allowed"
-PLACE = "task.2: frame is world, and the part moves; valid for a place: workpiece"
+STILL = "no joint changes this angle; it is 50 degrees at point 1 of the path, and at most 12 are allowed"
+PLACE = "task.2: frame is world, but the part moves; valid for a position: workpiece"
 
 
 @pytest.mark.parametrize(
@@ -209,12 +209,20 @@ PLACE = "task.2: frame is world, and the part moves; valid for a place: workpiec
     [
         (FLAT, None, f"task.2 (axis path.normal): {STILL}"),
         (FLAT, "0 0 1", f"task.2 (axis path.normal): {STILL}"),
-        (FLAT | {"cone_deg": None}, "0 1 0", "it has 2 equations, and joints turn it in 1 directions"),
-        (FLAT | {"cone_deg": None}, None, "it has 2 equations, and joints turn it in 0 directions"),
+        (FLAT | {"cone_deg": None}, "0 1 0", "it has 2 equations, but the joints rotate it in only 1 directions"),
+        (FLAT | {"cone_deg": None}, None, "it has 2 equations, but the joints rotate it in only 0 directions"),
         (FLAT | {"frame": "table"}, "0 1 0", "frame is 'table'; valid: world, workpiece, path"),
-        (FLAT | {"frame": "workpiece"}, "0 1 0", "axis is path.normal, the part's own; it needs towards: [x, y, z] in"),
-        (FLAT | {"towards": "path.tangent"}, "0 1 0", "axis is path.normal, the part's own; it needs towards: [x, y"),
-        (FLAT | {"axis": "path.side"}, "0 1 0", "axis is 'path.side'; it is a name and x, y or z"),
+        (
+            FLAT | {"frame": "workpiece"},
+            "0 1 0",
+            "axis is path.normal, a direction of the part; set towards: [x, y, z] and",
+        ),
+        (
+            FLAT | {"towards": "path.tangent"},
+            "0 1 0",
+            "axis is path.normal, a direction of the part; set towards: [x, y",
+        ),
+        (FLAT | {"axis": "path.side"}, "0 1 0", "axis is 'path.side'; it must be like tcp.z"),
         ({"point": "tcp", "on": [0, 0, 1], "within_m": 1}, "0 1 0", PLACE),
         ({"axis": "tcp.z", "looks_at_m": [0, 0, 1]}, "0 1 0", PLACE),
     ],

@@ -8,6 +8,7 @@ import pytest
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.jobs.load_config import load_config
 
 SWEEPS = Path(__file__).parents[1] / "sweeps"
 HUGE = "grid:\n" + "".join(f"  - start_rad.{k}: {[0.1] * 11}\n" for k in range(1, 7))
@@ -73,6 +74,14 @@ def test_offsets_are_from_the_configuration_which_the_command_line_may_change(tm
     assert load_sweep(file, SWEEPS.parent / "configs" / "paper.yaml").points()[0].config.margin_m == 0.5
 
 
+def test_a_base_file_may_be_an_example(tmp_path):
+    (tmp_path / "pipe").mkdir()  # as `htcp example pipe pipe` leaves it: a folder is no base file
+    (tmp_path / "mine.yaml").write_text("config: pipe\nmargin_m: 0.25\n")
+    sweeps = [written(tmp_path, f"config: {name}\ngrid: [{{margin_m: [0.125]}}]") for name in ("pipe", "mine.yaml")]
+    by_example, by_file = (load_sweep(sweep).points()[0].config for sweep in sweeps)
+    assert by_example == by_file == load_config("pipe", ["margin_m=0.125"])
+
+
 def test_scenarios_of_one_batch_may_differ_in_path_tool_and_pose(tmp_path):
     (tmp_path / "path.csv").write_text("0.2,-0.17,0.17\n")
     text = """
@@ -117,7 +126,7 @@ def test_a_limit_takes_the_first_scenarios():
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("{}", "a sweep has either a grid or groups"),
+        ("{}", "a sweep must have either `grid`"),
         ("grid: []", "grid is empty"),
         ("groups: {}", "groups is empty"),
         ("groups: {a: []}", "groups.a is empty"),
@@ -127,6 +136,10 @@ def test_a_limit_takes_the_first_scenarios():
         ("grid: [margin_m: {offset: [1]}]", "margin_m needs a list of values"),
         ("grid: [margin: [1]]", "grid, axis 1: unknown parameter margin; did you mean margin_m?"),
         ("grid: [start_rad.7: [1]]", "unknown parameter start_rad.7; did you mean start_rad"),
+        (
+            "grid: [cell.obstacles: [[], []]]",
+            "cell.obstacles is a list, which cannot vary; write one job file per list",
+        ),
         ("grid: [settings.zzz: [1]]", "valid: any key of the configuration but method, program and ray"),
         ("grid: [{margin_m: [0, 1], start_rad.1: [0]}]", "margin_m has 2 values, start_rad.joint1 has 1 values"),
         ("grid: [{start_rad.3: [0]}, {start_rad.joint3: [0]}]", "start_rad.joint3 is repeated"),

@@ -137,7 +137,7 @@ def test_a_refusal_of_a_part_without_a_pose_says_first_where_it_stands(pipe):
     own |= {"cloud": "none", "path": str(pipe / "far.csv"), "inlet_m": None}
     (pipe / "far.csv").write_text("5,0,0\n5,0,0.01\n")
     job = load_config(pipe / "job.yaml", {f"workpiece.{key}": value for key, value in own.items()})
-    with pytest.raises(InputError, match=r"^the workpiece is at the world's origin, not turned, where a job without"):
+    with pytest.raises(InputError, match=r"^the workpiece is at the world's origin, not rotated, as in a job"):
         scene(job)
     turned = job.model_copy(update={"workpiece": job.workpiece.model_copy(update={"rotation_z_rad": 0.1})})
     with pytest.raises(InputError, match=r"^target "):
@@ -174,11 +174,11 @@ def test_paper_yaml_builds_on_duct_yaml():
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("config: job.yaml", "job.yaml: configurations in a circle: "),
-        ("config: other.yaml", "other.yaml: configurations in a circle: "),
+        ("config: job.yaml", "job.yaml: the files named by config form a circle: "),
+        ("config: other.yaml", "other.yaml: the files named by config form a circle: "),
         ("config: none.yaml", "none.yaml: No such file"),
-        ("config: 3", "job.yaml: config is 3; it names the file that this one builds on"),
-        ("config:", "job.yaml: config is None; it names the file"),
+        ("config: 3", "job.yaml: config is 3; it must name a base file or an example"),
+        ("config:", "job.yaml: config is None; it must name a base file"),
         ("config: typo.yaml", "typo.yaml: unknown key margin; did you mean margin_m?"),
         ("config: .", "not a regular file"),
     ],
@@ -195,7 +195,7 @@ def test_a_base_that_cannot_be_is_one_line(tmp_path, text, line):
     ("robot", "line"),
     [
         ("tcp: tool0", "no site or body 'tool0' for the TCP; sites of the model: tcp; bodies: "),
-        ("base_m: [0, 0]", "robot.base_m is [0, 0]: 3 values"),
+        ("base_m: [0, 0]", "robot.base_m is [0, 0]: at least 3 values"),
         ("base_rpy_rad: [0, 0, .nan]", "robot.base_rpy_rad.2 is nan"),
         ("tool: 3", "robot.tool is 3: "),
         ("tool: {tip: [0, 0, 0]}", "unknown key robot.tool.tip; did you mean robot.tool.tip_m?"),
@@ -207,11 +207,11 @@ def test_a_base_that_cannot_be_is_one_line(tmp_path, text, line):
         (f"tool: {{bodies: [{'{name: a, p: [0, 0, 0], q_m: [0, 0, 1], radius_m: 1}'}]}}", "bodies.0.p; did you mean"),
         (
             f"tool: {{bodies: [{', '.join(['{name: a, p_m: [0, 0, 0], q_m: [0, 0, 1], radius_m: 1}'] * 2)}]}}",
-            "robot.tool: two bodies are called 'a'",
+            "robot.tool: two bodies are named 'a'",
         ),
         (
             f"tool: {{bodies: [{'{name: wrist, p_m: [0, 0, 0], q_m: [0, 0, 1], radius_m: 1}'}]}}",
-            "arm.xml is called 'wrist' already",
+            "arm.xml already has a capsule 'wrist'",
         ),
     ],
 )
@@ -260,10 +260,10 @@ def test_a_plan_whose_file_has_changed_is_refused(pipe, monkeypatch, name, capsy
     plan_of(pipe / "job.yaml").save(pipe / "out")
     assert open_replays(pipe / "out").methods == ("baseline",)
     (pipe / name).write_text((pipe / name).read_text() + "\n")
-    with pytest.raises(InputError, match=rf"{name} is not what it was when .*out was planned"):
+    with pytest.raises(InputError, match=rf"{name} has changed since .*out was planned"):
         open_replays(pipe / "out")
     assert main(["validate", str(pipe / "out")]) == 2
-    assert f"{name} is not what it was when " in capsys.readouterr().err
+    assert f"{name} has changed since " in capsys.readouterr().err
     (pipe / name).unlink()
     with pytest.raises(InputError, match=rf"cannot read .*{name}"):
         open_replays(pipe / "out")

@@ -83,11 +83,26 @@ def test_bounds_of_reachability_fit(plans, printed, tmp_path):
     fits("reachability", printed("reachability", tmp_path / "job.yaml", *words))
 
 
+@pytest.mark.slow
+def test_a_search_for_mountings_fits(printed, tmp_path):
+    (tmp_path / "place.yaml").write_text("place: {workpiece.rotation_y_rad: [0.3, 0.4]}\nbest: 1\nscreen: baseline\n")
+    found = printed("place", tmp_path / "place.yaml", "--scenarios", 2, "--out", tmp_path / "out")
+    assert found["ranked"][0]["tolerance"]
+    fits("place", found)
+    fits("place", json.loads((tmp_path / "out" / "ranked.json").read_text()))
+
+
+def test_an_imported_arm_and_a_cell_fit(printed, tmp_path):
+    arm = SCHEMAS.parents[1] / "configs" / "pipe" / "arm.xml"
+    fits("robot", printed("robot", arm, "--fix", "a3=0.2", "--out", tmp_path / "arm.xml"))
+    fits("robot", printed("cell", arm, "--tool", "tcp", "--part", "link1", "--out", tmp_path / "cell.xml"))
+
+
 def test_each_schema_describes_every_value_and_is_listed(monkeypatch):
     monkeypatch.syspath_prepend(SCHEMAS.parent / "hooks")
     tables = pytest.importorskip("tables")
     page = (SCHEMAS.parent / "reference" / "json.md").read_text()
     for file in SCHEMAS.glob("*.json"):
         name = file.stem.removesuffix("-1")
-        assert f"(../schemas/{file.name})" in page and f"<!-- table: json {name} -->" in page
+        assert f"(../schemas/{file.name})" in page and f"<!-- generated: json {name} -->" in page
         assert all(row.split("|")[3].strip() for row in tables.json_table(name).splitlines()[2:]), name

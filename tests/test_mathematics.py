@@ -153,7 +153,7 @@ def test_without_settings_it_is_minus_the_clearance_for_an_arm_of_any_number_of_
     x = x_ref + 0.1 * htcp_jax.null_basis(htcp_jax.jacobian(arm, x_ref)) @ w
     J2 = htcp_jax.null_space_objective(arm, obstacle, where, x_ref, w)
     np.testing.assert_allclose(J2, -htcp_jax.clearance.clearance(arm, obstacle, where, x), atol=1e-14)
-    with pytest.raises(InputError, match="q_weights has 6 values, the robot seven has 7 joints"):
+    with pytest.raises(InputError, match="q_weights has 6 values, but the robot seven has 7 joints"):
         htcp_jax.null_space_objective(arm, obstacle, where, x_ref, w, Settings())
 
 
@@ -182,7 +182,7 @@ for name, call in calls.items():
         try:
             call(wrong)
         except htcp_jax.InputError as error:
-            assert "(6,) is needed; for many at once use jax.vmap" in str(error) and "\\n" not in str(error), name
+            assert "(6,); for a batch, use jax.vmap" in str(error) and "\\n" not in str(error), name
         else:
             raise AssertionError(name)
 for call in (

@@ -100,7 +100,7 @@ def test_a_part_of_200_mm_gets_tens_of_thousands_of_points_for_any_body_and_tria
 @pytest.mark.parametrize("options, words", [
     ({"spacing": 0.0}, "must be more than 0"),
     ({"spacing": float("nan")}, "must be more than 0"),
-    ({"spacing": 1e-5}, "more than 3,000,000 points at a spacing of 1e-05 m; see workpiece.mesh_spacing_m"),
+    ({"spacing": 1e-5}, "more than 3,000,000 points at a spacing of 1e-05 m; increase workpiece.mesh_spacing_m"),
 ])  # fmt: skip
 def test_what_cannot_be_sampled_is_one_line(options, words):
     with pytest.raises(InputError, match=words) as error:
@@ -110,7 +110,9 @@ def test_what_cannot_be_sampled_is_one_line(options, words):
 
 def test_a_refusal_names_the_body_that_requires_the_spacing():
     slivers = np.array([[[0, 0, y], [30, 0, y], [30, 1e-3, y]] for y in np.linspace(0, 1, 3000)])
-    words = r"points at a spacing of 0.0173 m, so fine because of capsule tip with a radius of 1 mm; see workpiece.m"
+    words = (
+        r"points at a spacing of 0.0173 m, as fine as capsule tip with a radius of 1 mm requires; increase workpiece.m"
+    )
     with pytest.raises(InputError, match=words):
         cover_mesh(slivers, "part.stl", body=NearbyBody("capsule tip", 0.001))
 

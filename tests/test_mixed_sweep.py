@@ -138,9 +138,9 @@ def test_a_changed_file_of_an_axis_is_refused(place, run):
     text = (place / "far.xyz").read_text()
     try:
         (place / "far.xyz").write_text(text + "1.2 0 0.4\n")
-        with pytest.raises(InputError, match=r"far\.xyz is not what it was when .*run was planned"):
+        with pytest.raises(InputError, match=r"far\.xyz has changed since .*run was planned"):
             open_replays(place / "run")
-        with pytest.raises(InputError, match=r"run holds another sweep: its grid differs"):
+        with pytest.raises(InputError, match=r"run contains another sweep: its grid differs"):
             sweep(place / "grid.yaml", "baseline", place / "run")
     finally:
         (place / "far.xyz").write_text(text)
@@ -149,7 +149,7 @@ def test_a_changed_file_of_an_axis_is_refused(place, run):
 @pytest.mark.parametrize(
     ("grid", "line"),
     [
-        ("[method: [baseline]]", "axis 1: method cannot vary within a sweep; valid is any other key"),
+        ("[method: [baseline]]", "axis 1: method cannot vary within a sweep; valid: any other key"),
         ("[ray.num_cpus: [1, 2]]", "axis 1: ray.num_cpus cannot vary within a sweep"),
         ("[ray: [{}]]", "axis 1: ray cannot vary within a sweep"),
         ("[robot: [{}]]", "unknown parameter robot; "),

@@ -7,6 +7,7 @@ import pytest
 from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
+from made_plan import STATUSES, made_plans, with_a_dwell
 
 from htcp_jax.motion import Plans, ViaPoints
 from htcp_jax.motion.motion import (
@@ -20,6 +21,7 @@ from htcp_jax.motion.motion import (
     motions,
     narrowest_segment,
 )
+from htcp_jax.runs.motion_summary import summarise_motion
 from htcp_jax.status import Kind, SegmentStatus, Status
 
 TARGETS, ON_PATH, JOINTS = 8, 3, 2
@@ -160,3 +162,21 @@ def test_many_scenarios_are_as_each_alone():
     for s in range(50):
         alone = motion_figures(plans.rows([s]), int(on_path[s]))
         np.testing.assert_allclose([column[s] for column in together], [column[0] for column in alone], rtol=1e-12)
+
+
+def test_the_table_of_a_plan_has_a_row_of_dwells_only_if_there_are_any():
+    still = summarise_motion(with_a_dwell(made_plans(np.zeros((10, 3)), STATUSES[:1])), 0)
+    assert still.facts()["dwells"] == "1, at target 4; the tool stands still there"
+    assert "dwells" not in still.details()
+    moving = still._replace(dwells=())
+    assert "dwells" not in moving.facts() and moving.details()["dwells"].startswith("none ")
+
+
+def test_the_guaranteed_clearance_of_a_transfer_is_given_apart_from_that_of_the_seam():
+    plans = plans_with([[Status.TRACKED_AFTER_RECOVERY] + [Status.TRACKED] * 3])
+    valid = np.full_like(plans.segment_status, SegmentStatus.VALID)
+    plans = plans._replace(segment_status=valid, path_clear=np.ones_like(plans.path_clear))
+    for first_m, told in ((1e-6, "at least 2 mm; minimum on the segment to target 2; in the transfer more than 0 mm"),
+                          (5e-3, "at least 2 mm; minimum on the segment to target 2")):  # fmt: skip
+        own = plans._replace(segment_clearance=np.array([[first_m, 4e-3, 2e-3, 3e-3]]))
+        assert summarise_motion(own, 0).facts()["guaranteed clearance"] == told

@@ -134,7 +134,7 @@ def test_parameters_are_reported_as_a_person_reads_them():
 
 def test_what_is_no_search_is_refused_in_a_line(tmp_path):
     folder = write_search(tmp_path / "made", 2)
-    with pytest.raises(InputError, match="holds no search of htcp place"):
+    with pytest.raises(InputError, match="contains no search of htcp place"):
         read_search(tmp_path)
     (folder / "mountings.parquet").write_bytes(b"no table")
     with pytest.raises(InputError, match="damaged search"):
@@ -142,7 +142,7 @@ def test_what_is_no_search_is_refused_in_a_line(tmp_path):
     (folder / "ranked.json").unlink()
     with pytest.raises(InputError, match="is not finished"):
         read_search(folder)
-    with pytest.raises(InputError, match="has not ranked any mounting"):
+    with pytest.raises(InputError, match="without a ranked mounting"):
         open_plans(folder)
     assert main(["render", str(folder), "--out", str(tmp_path / "out")]) == 2
 

@@ -216,7 +216,9 @@ def test_programs_have_all_joints_by_name_and_key_frames_are_in_the_order_of_the
     data.qpos[:] = [float(number) for number in keys[3].get("qpos").split()]
     assert [data.joint(name).qpos[0] for name in names] == timed.x[3].tolist()
     for name in ("jbi", "urscript"):
-        with pytest.raises(InputError, match=f"{name} has no external axes, and the part moves; valid: csv, ros"):
+        with pytest.raises(
+            InputError, match=f"{name} has no external axes, which a moving part needs; valid: csv, ros"
+        ):
             made.text(name, "weld")
 
     def with_groups(groups):
@@ -224,9 +226,9 @@ def test_programs_have_all_joints_by_name_and_key_frames_are_in_the_order_of_the
         return program_of(open_plans(tmp_path / "plan"), 0.02, overrides=[pulses, groups])
 
     for groups, said in (
-        ("null", "jbi-pulses: the part moves; program.groups gives the joints of robot, base and station"),
-        ("{robot: [j1, j2, j3], station: [turn]}", "program.groups has 'j4' 0 times; each joint is in one group"),
-        ("{robot: [j1, j2, j3, j4], station: [tilt]}", "program.groups: 'tilt' is no joint; valid: turn, j1, j2"),
+        ("null", "jbi-pulses: the part moves; set program.groups to the joints of robot, base and station"),
+        ("{robot: [j1, j2, j3], station: [turn]}", "program.groups has 'j4' 0 times; each joint must be in one group"),
+        ("{robot: [j1, j2, j3, j4], station: [tilt]}", "program.groups: 'tilt' is not a joint; valid: turn, j1, j2"),
     ):
         with pytest.raises(InputError, match=re.escape(said)):
             with_groups(f"program.groups={groups}").text("jbi-pulses", "weld")
@@ -237,12 +239,15 @@ def test_programs_have_all_joints_by_name_and_key_frames_are_in_the_order_of_the
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"robot.base_m": [0, 0, 1]}, "base_m and base_rpy_rad must be 0: the part moves"),
-        ({"cell.self_collision": False}, "self_collision is false, but 'pillar' moves relative to the part"),
+        ({"robot.base_m": [0, 0, 1]}, "the part moves, so robot.base_m and base_rpy_rad must be 0"),
+        ({"cell.self_collision": False}, "self_collision must be true, because 'pillar' moves relative to the part"),
         ({"workpiece.inlet_direction": "world-x"}, "inlet_direction is world-x, but the part moves"),
-        ({"task": [{"axis": "tcp.z", "looks_at_m": [0, 0, 1]}]}, "task.1: frame is world, and the part moves"),
-        ({"cell.clouds": [{"cloud": "disc.xyz"}]}, "'disc' is a cloud of points; a box or a mesh can move with a link"),
-        ({"cell.model": "floor.xml"}, "is a plane; a box or a mesh can move with a link"),
+        ({"task": [{"axis": "tcp.z", "looks_at_m": [0, 0, 1]}]}, "task.1: frame is world, but the part moves"),
+        (
+            {"cell.clouds": [{"cloud": "disc.xyz"}]},
+            "'disc' is a cloud of points; only a box or a mesh can move with a link",
+        ),
+        ({"cell.model": "floor.xml"}, "is a plane; only a box or a mesh can move with a link"),
     ],
 )
 def test_what_cannot_move_with_the_world_is_refused_in_one_line(change, message, job, tmp_path, monkeypatch):
@@ -332,7 +337,7 @@ def test_meshes_of_a_cell_are_placed_from_the_part(tmp_path):
         ("link3", "link2", ["--fix", "a3=0"], "no joint between the part's link 'link2' and the TCP 'link3'"),
         ("tcp", "link2", [], "1 joints from the part's link 'link2' to the TCP; at least 3 are needed"),
         ("tcp", "table", ["--omit", "bench"], "--omit: no link 'bench'"),
-        ("far", "table", [], "10 joints from the part's link 'table' to the TCP; at most 9 can be used"),
+        ("far", "table", [], "10 joints from the part's link 'table' to the TCP; at most 9 are supported"),
     ],
 )
 def test_a_part_or_tool_that_makes_no_chain_is_refused_in_one_line(tool, part, more, message, tmp_path, capsys):
@@ -376,11 +381,11 @@ def test_validation_holds_locked_joints_at_their_values(tmp_path):
 @pytest.mark.parametrize(
     ("locked", "words"),
     [
-        ("{b9: 0}", "robot.locked: no hinge or slide 'b9' to fix; there are "),
-        ("{b1: 2}", "b1=2 is beyond the limits of the joint, -1 to 1.2 rad"),
+        ("{b9: 0}", "robot.locked: no hinge or slide joint 'b9'; valid: "),
+        ("{b1: 2}", "b1=2 is outside the joint's limits, -1 to 1.2 rad"),
         ("{b1: far}", "robot.locked"),
-        ("[b1]", "are no locked joints; valid: {JOINT: VALUE, ...}"),
-        ("{b1: 0, b2: 0, b3: 0, rail: 0, a1: 0, a2: 0, a3: 0}", "no joints from the part's link 'table' to the TCP"),
+        ("[b1]", "must be a mapping of joints to positions; valid: {JOINT: VALUE, ...}"),
+        ("{b1: 0, b2: 0, b3: 0, rail: 0, a1: 0, a2: 0, a3: 0}", "no joint between the part's link 'table' and the TCP"),
     ],
 )
 def test_bad_locked_joints_are_named_in_one_line(tmp_path, capsys, locked, words):

@@ -256,7 +256,7 @@ def test_a_message_says_that_a_piece_was_measured_where_it_decided():
     decided = np.asarray(by_pieces(arm, rows, found))
     np.testing.assert_array_equal(decided, np.asarray(found.distance) != capsules)
     assert decided.any() and not decided.all() and not np.asarray(by_pieces(bare, rows, touch(bare))).any()
-    note = "; measured by the convex piece of the mesh in this capsule"
+    note = "; measured to the convex piece of the mesh in this capsule"
     name = arm.capsule_names[0]
     assert [mesh_note(arm, name, np.zeros(6), np.zeros(3), by_piece) for by_piece in (True, False)] == [note, ""]
 

@@ -86,7 +86,7 @@ def test_a_pose_out_of_reach_is_off_by_a_length_and_an_angle():
     found = obstruction(arm, part, far, np.array(START), 60, SETTINGS, task=task_of_job(job, arm))
     off = np.linalg.norm(np.asarray(tcp_position(arm, jnp.asarray(found.x))) - targets[60])
     assert not found.reached and found.residual_m == pytest.approx(off, abs=1e-9) and found.angle_rad > 1e-3
-    assert " mm and " in found.description and " deg of it" in found.description
+    assert " mm and " in found.description and " deg of the target" in found.description
 
 
 def test_hundreds_at_once_are_each_as_alone(scenario, workpiece):
@@ -109,15 +109,17 @@ def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece
     assert clear.heading == "closest approach"
     assert clear.description.startswith("no body collides; capsule spindle comes within 3.2 mm of the workpiece at")
     off = known._replace(reached=False, residual_m=0.054)
-    assert off.description == "the arm comes only to within 54 mm of it"
+    assert off.description == "the arm comes only to within 54 mm of the target"
     turned = off._replace(angle_rad=0.1, within_bands=False).description
-    assert turned == "the arm comes only to within 54 mm and 5.73 deg of it, outside of the task's cones and bands"
+    assert (
+        turned == "the arm comes only to within 54 mm and 5.73 deg of the target, outside of the task's cones and bands"
+    )
 
 
 def test_a_body_that_is_clear_of_everything_is_no_cause(scenario, workpiece):
     """Cause of a failure where no body collides: never a body that is clear by 41 mm (regression)."""
     found = obstruction(robot(), workpiece, scenario, np.array(START), 80, SETTINGS)
-    known, ended = found._replace(body="spindle", reached=True), Status.QP_INFEASIBLE.ended
+    known, ended = found._replace(body="spindle", body_label="", reached=True), Status.QP_INFEASIBLE.ended
     assert known._replace(depth_m=0.003).cause(ended) == "spindle"
     assert known._replace(depth_m=-0.041).cause(ended) == "step QP infeasible"
     assert known._replace(depth_m=-0.041).description.startswith("no body collides")

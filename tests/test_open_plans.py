@@ -15,7 +15,7 @@ from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY
 from htcp_jax.validation.records import read_results
 from htcp_jax.viewer.replay import open_replays
 
-OTHER = "was written by another version of the format and must be planned again"
+OTHER = "has the format of another version; plan it again"
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_the_plan_s_own_start_wins_for_the_way_and_the_job_s_for_the_targets(mad
 def test_who_looks_and_who_checks_say_the_same_of_a_folder_of_neither(tmp_path):
     reported = []
     for opener in (open_plans, open_replays, read_results):
-        with pytest.raises(InputError, match="holds neither a run of htcp sweep") as error:
+        with pytest.raises(InputError, match="contains neither a run of htcp sweep") as error:
             opener(tmp_path)
         reported.append(str(error.value))
     assert len(set(reported)) == 1
@@ -111,7 +111,7 @@ def test_an_array_of_another_shape_is_damage(made, tmp_path, name):
         cut = file[name][:-1]
     spoiled = rewritten(made[1], tmp_path / "spoiled", **{name: cut})
     for opener in (open_plans, open_replays, read_results):
-        with pytest.raises(InputError, match=r"has the shape .*; damaged"):
+        with pytest.raises(InputError, match=r"is damaged: .* has the shape "):
             opener(spoiled)
 
 
@@ -121,5 +121,5 @@ def test_a_changed_file_of_the_scene_is_refused_by_all(made, tmp_path):
     summary["files"] = dict.fromkeys(summary["files"], "0" * 64)
     (copy / SUMMARY).write_text(json.dumps(summary))
     for opener in (open_plans, open_replays, read_results):
-        with pytest.raises(InputError, match="is not what it was when"):
+        with pytest.raises(InputError, match="has changed since"):
             opener(copy)

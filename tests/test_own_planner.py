@@ -1,5 +1,6 @@
 """Planners in a separate package: known to commands, to Ray's workers and in files like a built-in one."""
 
+import importlib
 import json
 import os
 import shutil
@@ -121,9 +122,7 @@ def test_what_cannot_be_imported_is_one_line_and_breaks_nothing_else(tmp_path):
     assert code == 0 and "hybrid" in out
     line = "the method 'broken' (entry point broken_planner:PLANNER of package broken-package) cannot be imported"
     assert line in " ".join(err.split())
-    assert "'baseline' (entry point broken_planner:OTHER of package broken-package) is excluded" in " ".join(
-        err.split()
-    )
+    assert "'baseline' (entry point broken_planner:OTHER of package broken-package) is ignored" in " ".join(err.split())
     code, _, err = place.run("plan", "job.yaml", "--method", "broken")
     assert code == 2 and line in err and "No module named 'no_such_module'" in err and "Traceback" not in err
     assert place.run("plan", "job.yaml", "--method", "baseline", "--out", "out")[0] == 0
@@ -185,18 +184,52 @@ def test_a_method_of_this_process_plans_and_is_listed(standstill, tmp_path):
     assert plan.summary.tracked == 0 and np.isnan(plan.plans.x).all()
     assert "standstill" in htcp_jax.methods().index
     htcp_jax.register(standstill)  # again, as a notebook does
-    with pytest.raises(InputError, match="method 'standstill' is registered in this process alone"):
+    with pytest.raises(InputError, match="method 'standstill' is registered only in this process"):
         htcp_jax.sweep({"grid": [{"margin_m": [0.0]}]}, "standstill", config=job, on="ray")
+
+
+CHANGING = """
+import htcp_jax
+from htcp_jax.status import Status
+
+class Changing(htcp_jax.Method):
+    name, title, description = "changing", "Changing", "tracks the start alone"
+
+    def plan(self, problem):
+        plans = problem.empty_plans()
+        plans.status[:, 0], plans.x[:, 0], plans.tcp[:, 0] = Status.TRACKED, problem.scenarios.x_start, 0.0
+        plans.clearance[:, 0], plans.residual[:, 0] = 0.0, 0.0
+        return plans
+"""
+
+
+def test_a_run_is_not_continued_by_a_method_whose_code_has_changed(tmp_path, monkeypatch):
+    """Resuming a sweep after an edit of the planner: refused, as its finished scenarios are of the old code."""
+    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n")
+    (tmp_path / "changing_method.py").write_text(CHANGING)
+    monkeypatch.syspath_prepend(tmp_path)
+    job, grid = {"workpiece": {"path": str(tmp_path / "path.csv")}}, {"grid": [{"margin_m": [0.0]}]}
+    method = htcp_jax.register(importlib.import_module("changing_method").Changing())
+    try:
+        first = htcp_jax.sweep(grid, "changing", config=job, out=tmp_path / "run")
+        again = htcp_jax.sweep(grid, "changing", config=job, out=tmp_path / "run")
+        assert first.manifest == again.manifest and list(first.manifest.code) == ["method changing"]
+        (tmp_path / "changing_method.py").write_text(CHANGING + "# edited\n")
+        with pytest.raises(InputError, match="the code of method changing has changed since"):
+            htcp_jax.sweep(grid, "changing", config=job, out=tmp_path / "run")
+        htcp_jax.sweep(grid, "baseline", config=job, out=tmp_path / "run")  # one that ships may be added
+    finally:
+        registry.METHODS.unregister(method.name)
 
 
 @pytest.mark.parametrize(
     ("method", "line"),
     [
-        (StepQPs("baseline", "Mine", "the same name"), "cannot register 'baseline': there is a method of that name"),
-        (StepQPs("My_planner", "Mine", "a name that no file has"), "small letters, digits and hyphens"),
-        (StepQPs("mine", "", "no title"), "it has no title"),
-        (Standstill, "it is a class"),
-        (object(), "it has no name"),
+        (StepQPs("baseline", "Mine", "the same name"), "cannot register 'baseline': a method with this name exists"),
+        (StepQPs("My_planner", "Mine", "a name that no file has"), "lower-case letters, digits and hyphens"),
+        (StepQPs("mine", "", "no title"), "its attribute title is missing"),
+        (Standstill, "it must be an instance, not a class"),
+        (object(), "its attribute name is missing"),
     ],
 )
 def test_what_is_no_method_is_not_registered(method, line):
@@ -207,9 +240,9 @@ def test_what_is_no_method_is_not_registered(method, line):
 @pytest.mark.parametrize(
     ("method", "line"),
     [
-        (Forgetful(), "method 'forgetful' left clearance of a tracked target empty"),
-        (Silent(), "method 'silent' left the status of target 0 empty"),
-        (Empty(), "method 'empty' returned no Plans of 1 scenarios with 12 targets"),
+        (Forgetful(), "method 'forgetful' returned NaN in clearance of a tracked target"),
+        (Silent(), "method 'silent' did not set the status of target 0"),
+        (Empty(), "method 'empty' must return Plans of 1 scenarios with 12 targets"),
     ],
 )
 def test_plans_with_an_empty_required_column_or_of_other_scenarios_are_refused(method, line, tmp_path):

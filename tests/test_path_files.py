@@ -137,7 +137,7 @@ def test_chosen_columns_need_no_header(tmp_path):
     ({"x": 5}, "workpiece.path_columns.x is 5: no such column; it has 4 columns: No, X, Y, X"),
     ({"x": "Q"}, "workpiece.path_columns.x is 'Q': no such column; it has 4 columns: No, X, Y, X"),
     ({"x": "X"}, "workpiece.path_columns.x is 'X': 2 columns have this name; it has 4 columns: No, X, Y, X"),
-    ({"x": 2, "y": 2}, "workpiece.path_columns.y is 2: column 2 is x already"),
+    ({"x": 2, "y": 2}, "workpiece.path_columns.y is 2: column 2 is already used as x"),
 ])  # fmt: skip
 def test_a_chosen_column_that_is_missing_or_ambiguous_is_refused_with_what_there_is(tmp_path, chosen, words):
     file = write(tmp_path, "No,X,Y,X\n", NUMBERS, POINTS)
@@ -168,14 +168,14 @@ def test_a_header_that_is_ambiguous_is_refused_with_its_names(tmp_path, header, 
 def test_an_unknown_unit_of_a_header_is_refused_unless_the_job_states_one(tmp_path, header, unit):
     file = write(tmp_path, f"{header}\n", POINTS)
     valid = "m, mm, cm, in, or workpiece.path_unit for a path"
-    assert refusal(file) == f"the header states the unit {unit!r}; valid: {valid}"
+    assert refusal(file) == f"the unit in the header is {unit!r}; valid: {valid}"
     assert np.allclose(read(file, unit="in")[0].xyz, 0.0254 * POINTS)
 
 
 def test_the_job_s_unit_takes_precedence_over_the_header_s_with_a_warning(tmp_path):
     found, said = read(write(tmp_path, "x_m,y_m,z_m\n", 1e3 * POINTS), unit="mm")
     assert np.allclose(found.xyz, POINTS, rtol=1e-15, atol=0)
-    assert said == [(UserWarning, "the header says m, the job mm, which is used")]
+    assert said == [(UserWarning, "the unit is m in the header and mm in the job; the job's is used")]
     assert read(write(tmp_path, "x,y,z\n", 1e3 * POINTS), unit="mm")[1] == []
 
 
@@ -183,8 +183,8 @@ def test_the_job_s_unit_takes_precedence_over_the_header_s_with_a_warning(tmp_pa
     ("path_unit", "furlong", "workpiece.path_unit is 'furlong': input should be 'm', 'mm', 'cm' or 'in'"),
     ("path_columns", "{x: 1, y: 2}", "workpiece.path_columns.z"),
     ("path_columns", "{x: 0, y: 2, z: 3}", "0 is not a column; valid: a number from 1, or a name"),
-    ("path_columns", "{x: 1, y: 2, z: 3, nx: 4}", "path_columns has nx; all of nx, ny, nz are needed"),
-    ("path_unit", "mm", "workpiece.path_unit is 'mm'; it describes a path's file, and the path is a seam"),
+    ("path_columns", "{x: 1, y: 2, z: 3, nx: 4}", "path_columns has only nx; all of nx, ny, nz are needed"),
+    ("path_unit", "mm", "workpiece.path_unit is 'mm', but the path is a seam"),
     ("origin_m", "[1, 2]", "workpiece.origin_m"),
 ])  # fmt: skip
 def test_bad_keys_are_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys, key, value, words):
@@ -225,11 +225,16 @@ def test_the_origin_may_be_given():
     assert np.array_equal(part.cloud, CUBE - (0.1, 0.2, 0.3)) and not part.inlet.any()
     stays = load_workpiece(PointCloud(CUBE + MAP), POINTS + MAP, origin=(0.0, 0.0, 0.0), **HERE)
     assert np.array_equal(stays.path, POINTS + MAP)
-    with pytest.raises(InputError, match="origin_m is for files"):
+    with pytest.raises(InputError, match="origin_m applies to files only"):
         load_workpiece(GeneratedDuct(100), origin=(1.0, 0.0, 0.0))
 
 
 @pytest.mark.filterwarnings("ignore::htcp_jax.errors.Note")
-def test_coordinates_of_a_map_in_32_bits_are_reported():
-    with pytest.warns(UserWarning, match="numbers of 32 bits, rounded to 500 mm"):
-        load_workpiece(PointCloud((CUBE + MAP).astype(np.float32).astype(float)), POINTS + MAP, **HERE)
+def test_coordinates_of_a_map_in_32_bits_are_reported_and_refused_where_they_are_too_coarse():
+    def rounded(origin):
+        return PointCloud((CUBE + origin).astype(np.float32).astype(float)), POINTS + origin
+
+    with pytest.raises(InputError, match=r"32-bit numbers, rounded to 500 mm .* relative to a point near the part"):
+        load_workpiece(*rounded(MAP), **HERE)
+    with pytest.warns(UserWarning, match="32-bit numbers, rounded to 0.977 mm"):
+        load_workpiece(*rounded(np.array([12_000.0, 0, 0])), **HERE)

@@ -7,15 +7,19 @@ import toy
 from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from test_validate_pieces import arm_file
 
 from htcp_jax.io.parts.workpiece_source import load_workpiece
-from htcp_jax.io.robots.loading import gp50
+from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import ArmShape, capsule_segments, capsules_and_tcp, tip_segment
 from htcp_jax.model.scenario import make_scenario
+from htcp_jax.reachability import Obstruction
 from htcp_jax.status import Status
 from htcp_jax.viewer import draw_plan
-from htcp_jax.viewer.picture import shown_targets, stadium
+from htcp_jax.viewer.arm_pose import pieces_at
+from htcp_jax.viewer.picture import draw_scale, shown_targets, stadium
 
 COORDINATE = st.floats(-3, 3)
 POINT = st.tuples(COORDINATE, COORDINATE).map(np.array)
@@ -77,3 +81,65 @@ def test_a_path_of_one_point_without_a_part_is_drawn_in_a_view_of_some_width():
     plans = plans._replace(target=np.asarray(scenario.targets)[None])
     figure = draw_plan(toy.robot(), part, scenario, plans, title="a point")
     assert all(np.ptp(axes.get_xlim()) > 0.005 for axes in figure.axes)
+
+
+def test_without_a_start_the_nearest_attempt_is_drawn_with_its_colliding_body(tmp_path):
+    point, origin = np.array([[0.5, 0.0, 0.4]]), (0.0,) * 3
+    part = Workpiece("point", np.empty((0, 3)), point, interior="none", pivot=origin, neutral_translation=origin)
+    scenario = make_scenario(toy.robot(), part, toy.START, approach=(0, 1))
+    plans = plans_with([[Status.NO_START] * int(scenario.count)], joints=4)
+    plans = plans._replace(target=np.asarray(scenario.targets)[None])
+    attempt = Obstruction("tool", point[0], 0.02, 0.0, True, np.array([0.3, 0.5, 0.8, 0.2]))
+    figures = [draw_plan(toy.robot(), part, scenario, plans, obstruction=each) for each in (attempt, None)]
+    figures[0].savefig(tmp_path / "plan.png")
+    drawn = [figure.axes[0].collections[0].get_paths()[-1].vertices for figure in figures]
+    assert not np.allclose(*drawn)
+    assert figures[0].axes[0].get_title("left").startswith("The arm as near as it came to the failed target")
+    assert any("tool is 20 mm inside the workpiece" in text.get_text() for text in figures[0].axes[-1].texts)
+
+
+@pytest.mark.parametrize("above", (False, True))
+def test_the_scale_bar_has_a_strip_of_its_own_and_is_1_2_or_5_long(above):
+    axes = Figure().subplots()
+    axes.set(xlim=(0, 1.2), ylim=(0, 1))
+    draw_scale(axes, above)
+    (x, y), limits = axes.lines[-1].get_data(), axes.get_ylim()
+    assert x[1] - x[0] == 0.5 and (1 < y[0] < limits[1] if above else limits[0] < y[0] < 0)
+
+
+def toy_figure(clearance_m: float = 0.01) -> Figure:
+    plans = plans_with([[Status.TRACKED] * int(toy.scenario().count)], joints=4)
+    plans = plans._replace(target=np.asarray(toy.scenario().targets)[None])
+    plans = plans._replace(clearance=np.linspace(6e-4, clearance_m, plans.status.size)[None])
+    return draw_plan(toy.robot(), toy.workpiece(), toy.scenario(), plans)
+
+
+@pytest.mark.parametrize(("most_m", "labels"), [(0.05, {"1", "2", "5", "10", "20", "50"}), (9e-4, {"0.6", "0.8"})])
+def test_the_clearance_axis_has_plain_numbers_only(most_m, labels):
+    axis = toy_figure(most_m).axes[-1].yaxis
+    axis.figure.canvas.draw()
+    shown = {text.get_text() for text in axis.get_ticklabels()}
+    assert labels <= shown and all(float(text) for text in shown)
+    assert not any(text.get_text() for text in axis.get_ticklabels(minor=True))
+
+
+def test_each_view_has_the_axes_x_y_and_z_and_the_azimuth_of_the_eye():
+    for axes in toy_figure().axes[:-1]:
+        ends = {text.get_text(): text.get_position() for text in axes.texts}
+        assert ends["z"][1] > 0 == pytest.approx(ends["z"][0])
+        azimuth = np.radians(float(axes.get_title("left").partition("seen from azimuth ")[2].rstrip("°")))
+        to_the_right = np.array([-np.sin(azimuth), np.cos(azimuth)])
+        drawn = np.array([ends["x"][0], ends["y"][0]])
+        np.testing.assert_allclose(drawn / np.linalg.norm(drawn), to_the_right, atol=0.02)
+
+
+def test_a_convex_piece_is_drawn_in_place_of_its_capsule(tmp_path):
+    robot = load_robot(arm_file(tmp_path))
+    k, x = robot.capsule_names.index("fore"), np.array([[0.1, -1.2, 1.4, 0.3, 0.5, 0.2]])
+    scenario = make_scenario(robot, toy.workpiece(), x[0])
+    plans = plans_with([[Status.TRACKED]], joints=6)._replace(x=x[None], target=np.asarray(scenario.targets)[None, :1])
+    vertices, radius = pieces_at(robot, x)[0][k]
+    for axes in draw_plan(robot, toy.workpiece(), scenario, plans).axes[:-1]:
+        bodies = next(each for each in axes.collections if len(each.get_paths()) == len(robot.capsule_names))
+        sizes = [np.ptp(path.vertices, axis=0)[1] for path in bodies.get_paths()]  # z is up
+        assert min(abs(np.array(sizes) - np.ptp(vertices[:, 2]) - 2 * radius)) < 1e-6

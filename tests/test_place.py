@@ -268,7 +268,9 @@ def test_ctrl_c_ends_it_with_130_and_one_line_how_to_go_on(found, here):
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate()
     assert (process.returncode, output) == (130, "")
-    assert errors.strip().splitlines()[-1] == ("htcp: stopped; finished plans are in out; the same command resumes")
+    assert errors.strip().splitlines()[-1] == (
+        "htcp: stopped; finished plans are in out; run the same command to resume"
+    )
     place("place.yaml", "out")
     assert results(here / "out") == results(found.folder)
 

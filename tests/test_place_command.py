@@ -35,15 +35,15 @@ def place(text: str, *words: str) -> int:
         ("place: {workpiece.rotation_y: [0, 1]}", (), "unknown parameter workpiece.rotation_y; did you mean"),
         ("place: {method: [0, 1]}", (), "method cannot vary in a search"),
         ("place: {task.1.cone_deg: [10, 40]}", (), "task.1.cone_deg: the task has 0 rows"),
-        ("place: {cell.shift_m.z: [0, 1]}", (), "cell.shift_m is given, but no cell.model"),
+        ("place: {cell.shift_m.z: [0, 1]}", (), "cell.shift_m is set, but cell.model is missing"),
         (PLACE, ("--scenarios", "4", "--seconds", "5"), "--scenarios and --seconds exclude each other"),
         (PLACE, ("--scenarios", "0"), "within.scenarios is 0"),
         (PLACE, ("--on", "moon"), "on is 'moon'; valid: here, ray"),
         (PLACE + "feed: '20'", (), "feed '20' is not a speed above 0 with a unit"),
-        (PLACE + "seams: [path.csv, nowhere.csv]", (), "seams: there is no file nowhere.csv"),
-        (PLACE + "seams: [path.csv, ./path.csv]", (), "seams: one is repeated"),
+        (PLACE + "seams: [path.csv, nowhere.csv]", (), "seams: no such file or seam of the duct: nowhere.csv"),
+        (PLACE + "seams: [path.csv, ./path.csv]", (), "seams: a seam is repeated"),
         (PLACE + "seams: [path.csv, empty.csv]", (), "empty.csv: the tool path is empty"),
-        (PLACE + "seams: [helix]", (), "a cloud needs a tool path of its own"),
+        (PLACE + "seams: [helix]", (), "workpiece.path is missing"),
         (PLACE + "objective: speed", (), "unknown objective 'speed'; valid: clearance, cycle time, joint motion"),
     ],
 )
@@ -58,7 +58,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(here, capsys, text, words, say
 def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, capsys):
     assert place("place: {workpiece.shift_m: [[-2.2, -2.16], 0.07, 0.37]}") == 2  # the plate is in the upper arm
     output = capsys.readouterr()
-    assert "no motion can begin in any of 4 mountings: " in output.err and " mm inside the workpiece" in output.err
+    assert "no motion can start in any of 4 mountings: " in output.err and " mm inside the workpiece" in output.err
     assert output.err.count("\n") == 1 and not (here / "out").exists()
 
 
@@ -93,5 +93,5 @@ def test_another_search_is_kept_out_of_a_folder(here, capsys):
     before = {file: file.read_bytes() for file in (here / "out").rglob("*") if file.is_file() and file.name != ".lock"}
     assert place("place: {workpiece.shift_m.x: [5, 7]}\nbest: 1") == 2
     output = capsys.readouterr()
-    assert "out holds another search: place is " in output.err and output.err.count("\n") == 1
+    assert "out contains another search: place is " in output.err and output.err.count("\n") == 1
     assert all(file.read_bytes() == data for file, data in before.items())

@@ -67,16 +67,16 @@ def test_the_grid_of_mountings_holds_the_same_jobs_as_the_values_say():
         ({"workpiece.rotation_y_rad": [1, 1]}, r"workpiece.rotation_y_rad: the range \[1, 1\] is empty"),
         ({"workpiece.shift_m": [[1, 0], 0, 0]}, r"workpiece.shift_m.x: the range \[1, 0\] is reversed"),
         ({"workpiece.shift_m.x": [-1e308, 1e308]}, r"the range is \[-1e\+308, 1e\+308\]; valid"),
-        ({"workpiece.shift_m.x": [0, math.nan]}, r"a range is \[smallest, largest\]"),
-        ({"workpiece.shift_m.x": 3}, r"workpiece.shift_m.x is 3; a range is \[smallest, largest\]"),
-        ({"workpiece.shift_m": [0, 1]}, "workpiece.shift_m has 3 elements; each is a range or a number"),
-        ({"workpiece.shift_m": [0, 1, 2]}, "place has no range, only numbers"),
+        ({"workpiece.shift_m.x": [0, math.nan]}, r"a range must be \[smallest, largest\]"),
+        ({"workpiece.shift_m.x": 3}, r"workpiece.shift_m.x is 3; a range must be \[smallest, largest\]"),
+        ({"workpiece.shift_m": [0, 1]}, "workpiece.shift_m has 3 elements; each must be a range or a number"),
+        ({"workpiece.shift_m": [0, 1, 2]}, r"only numbers; at least one range \[smallest, largest\] is needed"),
         ({"workpiece.shift_m": [[0, 1], 0, 0], "workpiece.shift_m.x": [0, 1]}, "is repeated"),
         ({"start_rad.3": [0, 1], "start_rad.joint3": [0, 1]}, "is repeated"),
-        ({"method": ["a", "b"]}, "method cannot vary in a search; the workpiece's pose"),
+        ({"method": ["a", "b"]}, "method cannot vary in a search; valid: keys of the workpiece's pose"),
         ({"settings.alpha_rad": [0, 1]}, "settings.alpha_rad cannot vary in a search"),
         ({"margin_m": [0, 1]}, "margin_m cannot vary in a search"),
-        ({"workpiece.cloud": [0, 1]}, "workpiece.cloud cannot vary in a search: it is not a number"),
+        ({"workpiece.cloud": [0, 1]}, "workpiece.cloud cannot vary in a search, because it is not a number"),
         ({"start_rad": [[0, 1]] * 6}, "start_rad cannot vary in a search"),
         ({"workpiece.rotation_y": [0, 1]}, "unknown parameter workpiece.rotation_y; did you mean workpiece.rotation_y"),
     ],
@@ -88,7 +88,7 @@ def test_what_is_no_range_is_refused_in_one_line(raw, says):
 
 
 def test_an_element_that_the_job_does_not_have_is_refused():
-    with pytest.raises(InputError, match=r"start_rad\.3: start_rad of the job has no such element"):
+    with pytest.raises(InputError, match=r"start_rad\.3: the job's start_rad has no such element"):
         ranges({"start_rad.3": [0, 1]}, start_rad="auto")
 
 
@@ -100,13 +100,13 @@ RANGE = {"place": {"workpiece.rotation_y_rad": [0, 1]}}
     [
         ({"within": {"scenarios": 0}}, "within.scenarios is 0"),
         ({"within": {"seconds": 0}}, "within.seconds is 0"),
-        ({"within": {"scenarios": 1, "seconds": 1}}, "scenarios: N. or .seconds: S., one of them"),
-        ({"seams": ["left", "right"], "within": {"scenarios": 1}}, "1 scenarios are fewer than the 2 seams"),
-        ({"seams": ["left", "nowhere.csv"]}, "seams: there is no file nowhere.csv"),
-        ({"seams": ["left", "left"]}, "seams: one is repeated"),
+        ({"within": {"scenarios": 1, "seconds": 1}}, "scenarios: N. or .seconds: S."),
+        ({"seams": ["left", "right"], "within": {"scenarios": 1}}, "scenarios must be at least 2, the number of seams"),
+        ({"seams": ["left", "nowhere.csv"]}, "seams: no such file or seam of the duct: nowhere.csv"),
+        ({"seams": ["left", "left"]}, "seams: a seam is repeated"),
         ({"objective": "speed"}, "unknown objective 'speed'; valid: clearance, cycle time, joint motion"),
-        ({"objective": ["clearance", "clearance"]}, "it is one objective, or a list of two"),
-        ({"objective": []}, "it is one objective, or a list of two"),
+        ({"objective": ["clearance", "clearance"]}, "it must be one objective or a list of two"),
+        ({"objective": []}, "it must be one objective or a list of two"),
         ({"screen": "fast"}, "unknown method 'fast'; valid: baseline"),
         ({"confirm": "fast"}, "unknown method 'fast'; valid: baseline"),
         ({"perturbation": {"mm": 0}}, "perturbation.mm is 0"),

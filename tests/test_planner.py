@@ -150,7 +150,7 @@ def test_on_a_cpu_a_kernel_is_one_native_function():
     fail, and everything would take twice the time.
     """
     planned("nspace-sqp")
-    programs = EXECUTABLES.of(PREPARE, ADVANCE, ADVANCE_SMALLEST, PATH_CLEAR, ENTER)
+    programs = EXECUTABLES.executables_of(PREPARE, ADVANCE, ADVANCE_SMALLEST, PATH_CLEAR, ENTER)
     assert {lane_function.name for lane_function, _ in programs} >= {"prepare", "advance", "check_path", "enter"}
     for lane_function, program in programs:
         assert " while(" not in program.as_text().partition("\nENTRY ")[2], lane_function.name
@@ -273,7 +273,7 @@ def test_settings_are_a_mapping_too():
             {"include_proximal_bodies": [1] * 100},
             r"settings: include_proximal_bodies is \[1, 1, 1, 1, 1, 1, ...\]: input should be a valid bool",
         ),
-        ({"q_weights": [1.0]}, "q_weights has 1 values, the robot gp50 has 6 joints"),
+        ({"q_weights": [1.0]}, "q_weights has 1 values, but the robot gp50 has 6 joints"),
     ],
 )
 def test_wrong_settings_are_one_line(settings, line):

@@ -69,16 +69,16 @@ def test_a_job_without_a_cloud_keeps_clear_of_itself_and_needs_no_wall(job):
     assert made.cell.self_collision and made.workpiece.rotation_y_rad == 0.0 and made.workpiece.tip_contact_m is None
     part = htcp_jax.load_workpiece(htcp_jax.NoCloud(), job["workpiece"]["path"])
     assert len(part.cloud) == 0 and part.walls == "none" and not htcp_jax.make_obstacle(part)
-    with pytest.raises(InputError, match="the path's file must contain normals"):
+    with pytest.raises(InputError, match="the path's file must have normals"):
         part.normals  # noqa: B018
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"cell.self_collision": False}, "there is nothing to keep clear of: no cloud, no cell, and no self-collision"),
-        ({"workpiece.path": "weld"}, "a cloud needs a tool path of its own"),
-        ({"task": [{"axis": "tcp.z", "towards": "path.normal"}]}, "the path's file must contain normals"),
+        ({"cell.self_collision": False}, "no obstacles: set workpiece.cloud"),
+        ({"workpiece.path": "weld"}, "workpiece.path is missing"),
+        ({"task": [{"axis": "tcp.z", "towards": "path.normal"}]}, "the path's file must have normals"),
     ],
 )
 def test_what_a_job_without_a_cloud_lacks_is_said_in_one_line(job, change, message):

@@ -103,7 +103,7 @@ def test_a_worker_that_is_killed_is_reported_of():
             with contextlib.suppress(ProcessLookupError):  # when one has ended, loky ends the others
                 os.kill(worker, signal.SIGKILL)
 
-    with pytest.raises(Lost, match="a worker process is gone"):
+    with pytest.raises(Lost, match="a worker process was killed"):
         again(progress=kill, times=400)
     assert again().tracked.any()
 

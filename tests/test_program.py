@@ -394,7 +394,9 @@ def test_a_feed_that_is_not_above_0_is_refused(feed):
 
 
 def test_an_arm_without_velocity_limits_is_refused_by_the_joint(tmp_path):
-    with pytest.raises(InputError, match=r"no velocity limit of joint rail; program\.velocity gives one a joint"):
+    with pytest.raises(
+        InputError, match=r"no velocity limit for joint rail; set program\.velocity, with one value per joint"
+    ):
         joint_limits(load_robot(rail(tmp_path), limits="model"))
 
 
@@ -403,7 +405,7 @@ def test_a_jobs_own_limits_come_first_and_are_a_number_a_joint():
     limits = joint_limits(robot, ProgramConfig(velocity=own, jerk=own))
     assert limits.velocity.tolist() == limits.jerk.tolist() == list(own)
     np.testing.assert_allclose(limits.acceleration, np.array(own) / 0.2)
-    with pytest.raises(InputError, match=r"program\.acceleration has 2 values, the robot gp50 has 6 joints"):
+    with pytest.raises(InputError, match=r"program\.acceleration has 2 values, but the robot gp50 has 6 joints"):
         joint_limits(robot, ProgramConfig(acceleration=(1.0, 2.0)))
 
 
@@ -416,7 +418,7 @@ def test_a_motion_without_configurations_is_refused():
 
 
 def test_a_motion_in_which_nothing_moves_is_refused():
-    with pytest.raises(InputError, match="stands still"):
+    with pytest.raises(InputError, match="the arm does not move"):
         one_leg(made_once.robot(), np.zeros((2, 6)))
 
 

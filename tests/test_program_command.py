@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -78,10 +79,13 @@ def test_limits_of_a_file_replace_the_model_s_joint_by_joint_and_set_precedes_th
     ("text", "line"),
     [
         ("joints: {}", "the mapping joint_limits is missing"),
-        ("joint_limits: {a1: {max_velocity: 1}}", "no joint of gp50 is listed; its joints: joint1, joint2"),
-        ("joint_limits: {joint6: 1}", "joint joint6 is no mapping"),
-        ("joint_limits: {joint6: {max_velocity: 0}}", "max_velocity of joint joint6 is 0; a positive number is needed"),
-        ("joint_limits: {joint6: {max_jerk: 1}}", "max_jerk of joint joint1 is missing, and the model states none"),
+        ("joint_limits: {a1: {max_velocity: 1}}", "no joint of gp50 is listed; valid: joint1, joint2"),
+        ("joint_limits: {joint6: 1}", "joint joint6 must be a mapping, such as {max_velocity: 2.0}"),
+        (
+            "joint_limits: {joint6: {max_velocity: 0}}",
+            "max_velocity of joint joint6 is 0; it must be a positive number",
+        ),
+        ("joint_limits: {joint6: {max_jerk: 1}}", "max_jerk of joint joint1 is missing here and in the model"),
         ("joint_limits: {joint6: {}}", "limits no joint of gp50"),
     ],
 )
@@ -279,6 +283,21 @@ def test_a_job_of_pulses_passes_the_configurations_of_the_motion_on_record(plans
     assert len(x) >= 13 and nearest.max() <= 0.5 / 3e4
 
 
+def test_a_rapid_program_writes_the_jobs_coupled_axis_as_a_sum_and_the_tcp_of_its_arm(plans, here):
+    coupled = "program.coupled={joint3: joint2}"
+    for name, words in (("model", ()), ("sums", ("--set", coupled, "--set", "program.tool_name=torch"))):
+        assert run(plans, "--format", "rapid", *words, "--out", f"{name}.mod") == 0
+    said = (here / "sums.mod").read_text()
+    model, sums = (
+        np.array([row.split(",") for row in re.findall(r"MoveAbsJ \[\[(.*?)\]", text)], float)
+        for text in ((here / "model.mod").read_text(), said)
+    )
+    assert (np.delete(sums, 2, axis=1) == np.delete(model, 2, axis=1)).all()
+    assert np.abs(sums[:, 2] - model[:, 2] - model[:, 1]).max() <= 1.5e-6 + 1e-12
+    assert "joint3 is written as its sum with joint2." in said
+    assert "in the frame of joint6; torch must have it" in said
+
+
 def test_rectan_positions_are_the_tcp_by_mujoco_in_the_workpiece(plans, here):
     words = ["--format", "jbi", "--set", "program.user_frame={number: 3}", "--one-way", "--out", "weld.jbi"]
     assert run(plans, *words) == 0
@@ -291,23 +310,33 @@ def test_rectan_positions_are_the_tcp_by_mujoco_in_the_workpiece(plans, here):
 WRONG = [
     (["--set", "margin_m=0"], "--set margin_m: the plan is saved; only keys of program.* can be changed"),
     (["--set", "program.velocty=1"], "unknown key program.velocty; did you mean program.velocity?"),
-    (["--set", "program.velocity=[1, 2]"], "program.velocity has 2 values, the robot gp50 has 6 joints"),
+    (["--set", "program.velocity=[1, 2]"], "program.velocity has 2 values, but the robot gp50 has 6 joints"),
     (["--set", "program.velocity=[1, 1, 1, 1, 1, 0]"], "program.velocity.5 is 0"),
     (["--set", "program.jerk=fast"], "program.jerk is 'fast'"),
     (["--set", "program.full_speed_s=0"], "program.full_speed_s is 0"),
-    (["--format", "jbi"], "jbi: RECTAN positions are in a user frame; program.user_frame names it"),
+    (["--format", "jbi"], "jbi: the user frame of RECTAN positions is missing; set program.user_frame"),
     (["--format", "jbi", "--set", "program.user_frame={number: 64}"], "program.user_frame.number is 64"),
-    (["--format", "jbi-pulses"], "jbi-pulses: no table; program.pulses gives one"),
+    (["--format", "jbi-pulses"], "jbi-pulses: the encoder scale is missing; set program.pulses"),
     (["--format", "jbi-pulses", "--set", "program.pulses={per_rad: [1, 2]}"], "program.pulses.source"),
     (
         ["--format", "jbi-pulses", "--set", "program.pulses={per_rad: [1, 2], source: x}"],
-        "program.pulses.per_rad has 2 values, the robot gp50 has 6 joints",
+        "program.pulses.per_rad has 2 values, but the robot gp50 has 6 joints",
     ),
-    (["--format", "jbi-pulses", "--step-ms", "2"], "jbi-pulses holds the configurations that the motion is made of"),
+    (
+        ["--format", "rapid", "--set", "program.coupled={joint3: joint7}"],
+        "program.coupled: 'joint7' is not a joint; valid: joint1, joint2",
+    ),
+    (["--format", "rapid", "--set", "program.coupled={joint3: joint3}"], "'joint3' is coupled with itself"),
+    (["--format", "urscript", "--set", "program.coupled={joint3: joint2}"], "does not support program.coupled; remove"),
+    (
+        ["--format", "rapid", "--set", "program.coupled=joint3"],
+        "'joint3' must be a mapping of axes to joints: {AXIS: JOINT",
+    ),
+    (["--format", "jbi-pulses", "--step-ms", "2"], "jbi-pulses contains only the configurations of the motion; omit"),
     (["--format", "urscript", "--step-ms", "3"], "times must be multiples of the controller's 0.002 s"),
-    (["--step-ms", "0"], "--step-ms is 0.0; from 0.1 to 1000 are possible"),
-    (["--scenario", "1"], "has no scenario 1; there are 0 to 0"),
-    (["--method", "hybrid"], "has no plans by 'hybrid'; there are beam"),
+    (["--step-ms", "0"], "--step-ms is 0.0; valid: 0.1 to 1000"),
+    (["--scenario", "1"], "has no scenario 1; valid: 0 to 0"),
+    (["--method", "hybrid"], "has no plans by 'hybrid'; valid: beam"),
 ]
 
 
@@ -321,7 +350,7 @@ def test_what_is_wrong_is_one_line_that_names_it_exit_2_and_no_file(plans, here,
 
 def test_a_plan_that_is_not_executable_says_how_far_it_is(plans, here, capsys):
     assert main(["program", str(plans / "bad"), "--feed", "20mm/s", "--out", "weld.csv"]) == 2
-    assert "a motion leads to 0 of 10 targets" in capsys.readouterr().err and not list(here.iterdir())
+    assert "the motion leads to only 0 of 10 targets" in capsys.readouterr().err and not list(here.iterdir())
 
 
 @pytest.mark.parametrize("self_collision", [False, True])

@@ -18,7 +18,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model.robot import GP50
 from htcp_jax.status import Kind
 from htcp_jax.trajectory import FORMATS, TimedMotion
-from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, Pulses, UserFrame
+from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, Pulses, UserFrame
 from htcp_jax.trajectory.formats.writers import program_text
 
 STEP_S = 0.002
@@ -199,7 +199,7 @@ def read_rapid(text: str) -> tuple[np.ndarray, np.ndarray, list[float]]:
     lines = [line for line in lines if not line.startswith("!")]
     assert lines[1] == f"PROC {name}()" and lines[-2:] == ["ENDPROC", "ENDMODULE"]
     axes = r"\[" + ",".join([number] * 6) + r"\]"
-    call = re.compile(rf"MoveAbsJ \[{axes},{axes}\]\\NoEOffs,v\d+(?:\\T:=(\d+\.\d+))?,(z0|fine),tool(\d+);")
+    call = re.compile(rf"MoveAbsJ \[{axes},{axes}\]\\NoEOffs,v\d+(?:\\T:=(\d+\.\d+))?,(z0|fine),(\w+);")
     found = [call.fullmatch(line).groups() for line in lines[2:-2]]
     assert [each[13] for each in found] == ["fine", *["z0"] * (len(found) - 2), "fine"][: len(found)]
     values = np.array([each[:12] for each in found], float)
@@ -217,6 +217,31 @@ def test_rapid_reads_back_to_half_a_microdegree_and_half_a_nanometre_with_its_ti
     assert np.abs(external[:, 0] - 1e3 * timed.x[:, 8]).max() <= 0.5e-6 + 1e-12
     assert np.abs(external[:, 1:] - np.degrees(timed.x[:, [1, 0]])).max() <= 0.5e-6 + 1e-12
     assert np.abs(np.array(seconds) - np.diff(timed.time_s)).max(initial=0.0) <= 0.5e-6 + 1e-12
+
+
+def test_a_coupled_axis_of_rapid_is_the_sum_of_both_joints():
+    timed = a_motion()
+    x, _, _ = read_rapid(program_text("rapid", timed, controller(timed, coupled=((2, 1),))))
+    summed = timed.x.copy()
+    summed[:, 2] += summed[:, 1]
+    assert np.abs(x - np.degrees(summed)).max() <= 0.5e-6 + 1e-12
+
+
+def test_rapid_gives_the_planned_tcp_as_a_pose_and_asks_for_a_tool_that_can_be_set():
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    T[:3, 3] = 0.0, 0.01, 0.5
+    timed = a_motion()
+    predefined, named = (
+        program_text("rapid", timed, controller(timed, tcp=PlannedTcp("the flange", T), tool_name=name))
+        for name in (None, "torch")
+    )
+    for text in (predefined, named):
+        numbers = re.search(r"planned TCP is \[(\[.*?\]),(\[.*?\])\] in the frame of the flange", text).groups()
+        position_mm, quaternion = map(json.loads, numbers)
+        assert position_mm == [0, 10, 500] and np.allclose(quaternion, [0.5**0.5, 0.5**0.5, 0, 0], atol=1e-6)
+    assert "tool0 is at the flange and cannot be set" in predefined
+    assert "torch must have it" in named and ",fine,torch;" in named and "tool0" not in named
 
 
 @FEW
@@ -317,6 +342,12 @@ def test_every_file_says_what_it_does_not_hold(format):
         assert what in said, what
 
 
+@pytest.mark.parametrize("format", ["jbi-pulses", "rapid", "urscript"])
+def test_joint_values_for_a_controller_come_with_the_advice_to_check_its_axes(format):
+    text = program_text(format, a_motion(), whole(a_motion()))
+    assert "check signs, zeros and coupled axes (parallel linkages)" in re.sub(r"\s+", " ", text.replace("\r\n'", " "))
+
+
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_file_depends_on_its_motion_alone(format):
     assert program_text(format, a_motion(), whole(a_motion())) == program_text(format, a_motion(), whole(a_motion()))
@@ -333,32 +364,33 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
 @pytest.mark.parametrize(
     ("format", "timed", "given", "said"),
     [
-        ("krl", a_motion(), {}, "'krl' is not a format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses"),
-        ("csv", NO_CONFIGURATION, {}, "has none"),
-        ("csv", STILL, {}, "configuration 2 comes no later"),
-        ("jbi", a_motion(), {"user_frame": None}, "program.user_frame names it"),
-        ("jbi", a_motion(), {"user_frame": FRAME_0}, "user frame 0; there are 1 to 63"),
-        ("jbi", a_motion(7), {}, "an arm of 7 joints; RECTAN holds 6"),
-        ("jbi", a_motion(), {"name": "Größe"}, "'Größe' is not a name of a job"),
-        ("jbi", a_motion(), {"speed": None}, "program.velocity gives them"),
+        ("krl", a_motion(), {}, "'krl' is not a program format; valid: csv, ros, ros-json, jbi, jbi-pulses"),
+        ("csv", NO_CONFIGURATION, {}, "the motion has no configurations"),
+        ("csv", STILL, {}, "the time of configuration 2 is not later"),
+        ("jbi", a_motion(), {"user_frame": None}, "set program.user_frame"),
+        ("jbi", a_motion(), {"user_frame": FRAME_0}, "user frame 0; valid: 1 to 63"),
+        ("jbi", a_motion(7), {}, "an arm of 7 joints; RECTAN positions need 6"),
+        ("jbi", a_motion(), {"name": "Größe"}, "'Größe' is not a valid job name"),
+        ("jbi", a_motion(), {"speed": None}, "set program.velocity"),
         (
             "jbi-pulses",
             a_motion(),
             {"speed": np.array([1, 1, 1, 1, 1, np.inf])},
-            "program.velocity gives them",
+            "set program.velocity",
         ),
         ("jbi-pulses", a_motion(), {"speed": np.full(6, 0.1)}, "j0 at 200.0 % of its full speed"),
-        ("jbi-pulses", a_motion(), {"pulses": None}, "no table; program.pulses gives one"),
-        ("jbi-pulses", a_motion(), {"pulses": table_of(5)}, "5 pulses per radian for 6 joints"),
+        ("jbi-pulses", a_motion(), {"pulses": None}, "the encoder scale is missing; set program.pulses"),
+        ("jbi-pulses", a_motion(), {"pulses": table_of(5)}, "5 values for 6 joints"),
         ("jbi-pulses", a_motion(9), {}, "an arm of 9 joints"),
-        ("rapid", a_motion(7), {}, "a robot of 7 joints; robjoint holds 6"),
-        ("rapid", a_motion(), {"slides": (True, *[False] * 5)}, "j0 slides; robjoint holds revolute joints"),
+        ("rapid", a_motion(7), {}, "a robot of 7 joints; robjoint needs 6"),
+        ("rapid", a_motion(), {"slides": (True, *[False] * 5)}, "j0 is a slide joint; put it into program.groups.base"),
         ("rapid", a_motion(13), {"groups": JointGroups(GROUPS.robot, (0, 1, 8), (9, 10, 11, 12))}, "7 external axes"),
-        ("rapid", a_motion(), {"name": "2 welds"}, "'2 welds' is not a name of a procedure"),
-        ("jbi-pulses", MANY, {}, "a job holds 9,999; the path has too many points"),
+        ("rapid", a_motion(), {"tool_name": "2 tools"}, "program.tool_name '2 tools' is not a valid name"),
+        ("rapid", a_motion(), {"name": "2 welds"}, "'2 welds' is not a valid procedure name"),
+        ("jbi-pulses", MANY, {}, "but a job has at most 9,999; use a path with fewer points"),
         ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),
         ("urscript", a_motion(), {"slides": (True, *[False] * 5)}, "1 of which slide"),
-        ("urscript", a_motion(), {"name": "2 welds"}, "'2 welds' is not a name of a function"),
+        ("urscript", a_motion(), {"name": "2 welds"}, "'2 welds' is not a valid function name"),
         ("urscript", OFF_STEP, {}, "a configuration at 0.2013 s; times must be multiples of the controller's 0.002 s"),
     ],
 )

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.proof.arm_exclusion import arm_cell, has_wrist, tool_cell, wrist
+from htcp_jax.clearance.proof.branch_exclusion import BRANCHES, branch, branch_collides, has_branches
 from htcp_jax.clearance.proof.exclusion import tool_collides
 from htcp_jax.cli import main
 from htcp_jax.device import Executor
@@ -86,6 +87,89 @@ def test_a_configuration_is_in_the_cells_about_it_with_its_wrist_and_excluded_by
         for cell in both:
             assert not cell.collides
             assert np.linalg.norm(cell.wrist - at) <= cell.moves
+
+
+def branches(robot, at, R, rho, tolerance_m):
+    """All branches of a cell, stacked."""
+    return jax.vmap(lambda number: branch(robot, at, R, rho, number, tolerance_m))(np.arange(BRANCHES))
+
+
+def moved(robot, joint, shift=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
+    """The robot with a joint's frame moved [m] and turned [rad]."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+    return replace(robot, T_parent_joint=robot.T_parent_joint.at[joint].set(robot.T_parent_joint[joint] @ T))
+
+
+@pytest.mark.parametrize(
+    ("joint", "shift", "turn"),
+    [(0, (0, 0, 0), (0, 0, 0)), (1, (0, 0.02, 0.05), (0, 0, 0)), *((k, (0, 0, 0), (3e-6, 0, 0)) for k in (1, 2, 4, 5))],
+    ids=["gp50", "lateral offset", "skew 2", "skew 3", "skew 5", "skew 6"],
+)
+def test_a_configuration_is_in_a_branch_of_any_cell_of_its_tool_s_orientation(joint, shift, turn):
+    """Singular wrists and stretched elbows included; a branch also bounds the rotation of the link before the wrist."""
+    robot, draw, tolerance_m = moved(gp50(), joint, shift, turn), np.random.default_rng(joint), 1e-3
+    assert has_branches(robot)
+    cells = jax.jit(lambda at, R, rho: branches(robot, at, R, rho, jnp.asarray(tolerance_m)))
+    pose = jax.jit(lambda x: (tcp_position(robot, x), link_poses(robot, x)[:, :3, :3]))
+    for number in range(400):
+        x, size = draw.uniform(-3.1, 3.1, 6), draw.choice([1e-6, 1e-3, 0.03, 0.5])
+        x[4] = [x[4], 0.0, 1e-7, 1e-4][number % 4]
+        x[2] = [x[2], x[2], x[2], -0.202][number // 4 % 4]
+        at, R = pose(x)
+        turned, aside = draw.normal(size=(2, 3))
+        turned *= draw.uniform(0, size) / np.linalg.norm(turned)
+        aside *= draw.uniform(0, tolerance_m) / np.linalg.norm(aside)
+        middle = Rotation.from_rotvec(turned).as_matrix() @ np.asarray(R[-1])
+        found = jax.tree.map(np.asarray, cells(at + aside, middle, size))
+        away = (x - found.x + np.pi) % (2 * np.pi) - np.pi
+        inside = (np.abs(away) <= found.turns).all(axis=1) & ~found.empty
+        assert inside.any()
+        for k in np.flatnonzero(inside):
+            forearm = np.asarray(pose(found.x[k])[1][2]).T @ np.asarray(R[2])
+            assert Rotation.from_matrix(forearm).magnitude() <= found.forearm_turns[k] + 1e-9
+
+
+def test_the_branches_of_a_small_cell_are_narrow():
+    robot, x = gp50(), jnp.array([0.3, -0.5, 0.4, 0.6, 0.9, -0.2])
+    at, R = tcp_position(robot, x), link_poses(robot, x)[-1, :3, :3]
+    found = [branch(robot, at, R, jnp.asarray(1e-6), jnp.asarray(k), jnp.asarray(0.0)) for k in range(BRANCHES)]
+    assert max(float(own.turns.max()) for own in found if not own.empty) < 1e-4
+    assert min(float(np.abs(own.x - x).max()) for own in found) < 1e-5
+
+
+def test_an_arm_without_an_elbow_or_with_more_joints_has_no_branches(found):
+    robot, *_ = found
+    assert has_branches(robot)
+    assert not has_branches(moved(robot, 2, turn=(0.1, 0, 0)))
+    assert not has_branches(moved(robot, 5, shift=(1e-6, 0, 0)))
+
+
+def test_no_branch_of_a_clear_configuration_is_excluded(found):
+    robot, workpiece, scenarios, result = found
+    scene, draw = Scene(robot, make_obstacle(workpiece)), np.random.default_rng(3)
+
+    @jax.jit
+    def both(s, at, q, R, rho):
+        def collides(number):
+            return branch_collides(scene, s, jnp.asarray(s.margin_m), at, q, rho, number)
+
+        return jax.vmap(collides)(np.arange(BRANCHES)), branches(robot, at, R, rho, scene.task.tolerance_m)
+
+    excluded = 0
+    for _ in range(300):
+        s = draw.integers(2)
+        row, size = draw.integers(result.prefix[s]), draw.choice([0.003, 0.03, 0.3])
+        x, axis = result.x[s, row], draw.normal(size=3)
+        turned = Rotation.from_matrix(np.asarray(link_poses(robot, jnp.asarray(x))[-1, :3, :3]))
+        middle = Rotation.from_rotvec(draw.uniform(0, size) * axis / np.linalg.norm(axis)) * turned
+        at = jnp.asarray(scenarios[s].targets[row])
+        collides, own = both(scenarios[s], at, middle.as_quat()[[3, 0, 1, 2]], middle.as_matrix(), size)
+        away = (x - np.asarray(own.x) + np.pi) % (2 * np.pi) - np.pi
+        inside = (np.abs(away) <= own.turns).all(axis=1)
+        assert inside.any() and not np.asarray(collides)[inside].any()
+        excluded += int(np.sum(collides))
+    assert excluded > 300  # other branches are
 
 
 def test_an_arm_whose_last_axes_pass_each_other_has_no_wrist(found):

@@ -254,8 +254,8 @@ def test_the_command_says_what_is_in_collision_and_which_scenario_it_is(made, pl
         (["--scenario", "3"], "has no scenario 3 by baseline; it has 0"),
         (["--method", "hybrid"], "has no results of 'hybrid'; it has baseline"),
         (["--target", "10"], "scenario 0 has no target 10; it has 0 to 9"),
-        (["--movie", "avi"], "a movie is one of gif, mp4, not 'avi'"),
-        (["--width", "5"], "--width is 5; from 160 to 3840 pixels are possible"),
+        (["--movie", "avi"], "'avi' is not a kind of movie; valid: gif, mp4"),
+        (["--width", "5"], "--width is 5; valid: 160 to 3840 pixels"),
     ],
 )
 def test_bad_input_is_one_line_exit_2_and_no_file(made, screenless, tmp_path, monkeypatch, capsys, arguments, line):
@@ -268,7 +268,7 @@ def test_bad_input_is_one_line_exit_2_and_no_file(made, screenless, tmp_path, mo
 
 def test_no_such_run_is_one_line(screenless, tmp_path, capsys):
     assert main(["render", str(tmp_path / "nowhere")]) == 2
-    assert "nowhere holds neither a run of htcp sweep" in capsys.readouterr().err
+    assert "nowhere contains neither a run of htcp sweep" in capsys.readouterr().err
 
 
 def test_without_opengl_the_packages_are_named(made, opengl, tmp_path, monkeypatch, capsys):

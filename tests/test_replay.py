@@ -10,9 +10,11 @@ from made_once import seven_joints
 
 from htcp_jax import api
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.build import task_of_job
 from htcp_jax.model import Workpiece
 from htcp_jax.model.duct import duct_cloud
 from htcp_jax.model.scenario import make_scenario
+from htcp_jax.reachability.obstruction import obstruction
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status
 from htcp_jax.viewer.replay import Replays, open_replays, replays_of
@@ -125,15 +127,36 @@ def test_a_plan_next_to_another_configuration_is_refused(folder, tmp_path):
     summary = json.loads((tmp_path / "summary.json").read_text())
     summary["config"]["workpiece"]["approach_to_path"] += 1
     (tmp_path / "summary.json").write_text(json.dumps(summary))
-    with pytest.raises(InputError, match=r"trajectory\.npz is not a plan of the configuration next to it"):
+    with pytest.raises(
+        InputError, match=r"trajectory\.npz contains \d+ targets and \d+ joints, but summary\.json describes"
+    ):
         open_replays(tmp_path)
 
 
 def test_a_folder_of_neither_and_a_changed_file_are_named(folder, tmp_path):
-    with pytest.raises(InputError, match="holds neither a run of htcp sweep"):
+    with pytest.raises(InputError, match="contains neither a run of htcp sweep"):
         open_replays(tmp_path)
     text = (folder / "path.csv").read_text()
     (folder / "path.csv").write_text(text + "0.2,-0.17,0.17\n")
-    with pytest.raises(InputError, match=r"path\.csv is not what it was when .*run was planned"):
+    with pytest.raises(InputError, match=r"path\.csv has changed since .*run was planned"):
         open_replays(folder / "run")
     (folder / "path.csv").write_text(text)
+
+
+def test_with_a_task_each_scenario_s_colliding_body_is_that_at_its_own_goal(folder):
+    task = "task:\n  - {point: tcp, on: path}\n  - {axis: tcp.z, towards: [1, 0, 0], cone_deg: 85}\n"
+    (folder / "cone.yaml").write_text(f"config: job.yaml\n{task}")
+    (folder / "cones.yaml").write_text("config: cone.yaml\ngrid:\n  - task.2.cone_deg: [85, 60]\n")
+    sweep(folder / "cones.yaml", "baseline", folder / "cones")
+    api.plan(folder / "cone.yaml").save(folder / "cone")
+    found = open_replays(folder / "cones").obstructions("baseline")
+    assert sorted(found) == [0, 1]
+    for number, cone_deg in enumerate((85, 60)):
+        plan = api.plan(folder / "cone.yaml", {"task.2.cone_deg": cone_deg})
+        lost, known = plan.outcome.failed, (plan.robot, plan.workpiece, plan.scenario)
+        task = task_of_job(plan.job, plan.robot)
+        alone = obstruction(*known, plan.plans.before(0, lost), lost, plan.job.settings, task=task)
+        assert found[number].body == alone.body
+        np.testing.assert_allclose(found[number].x, alone.x, atol=1e-9)
+    (one,) = open_replays(folder / "cone").obstructions("baseline").values()
+    np.testing.assert_allclose(one.x, found[0].x, atol=1e-9)

@@ -35,7 +35,7 @@ from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.sweep import keep_plans
 from htcp_jax.status import SegmentStatus, Status
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*a gap of")  # a cloud of eight points
+pytestmark = pytest.mark.filterwarnings("ignore:.*have gaps of")  # a cloud of eight points
 ALONG = "along-task-2-cone_deg"
 POSES = """
   - workpiece.rotation_y_rad: [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
@@ -124,6 +124,15 @@ def test_no_script_in_the_name_of_a_run_runs_in_its_report(folder, tmp_path, bro
     page.close()
 
 
+def test_a_long_text_is_no_column_of_single_words_on_a_narrow_screen(tmp_path, browser):
+    names = Column("a", "a" * 60), Column("b", "b" * 60), Column("text", "at targets")
+    (tmp_path / "report.html").write_text(html([Table("t", names, (("a", "b", "one, two, three, " * 9),))], {}))
+    page = browser.new_page(viewport={"width": 400, "height": 900})
+    page.goto((tmp_path / "report.html").as_uri())
+    assert page.locator("td:last-child").evaluate("cell => cell.clientWidth") > 200
+    page.close()
+
+
 def part_of(folder, name: str):
     run = open_run(folder / name)
     (part,) = read_parts(run, name, OpenedScene)
@@ -151,6 +160,16 @@ def test_the_results_hold_the_counts_behind_each_percentage(folder):
     assert rows["hybrid"]["success_percent"] == 100
     attempted = 5145 - lost + 36  # the failed targets, one a scenario
     assert base["step_ms"] == pytest.approx(1e3 / attempted)
+
+
+def test_a_method_is_compared_with_the_best_one_scenario_by_scenario(folder):
+    part = part_of(folder, "poses")
+    base, best = (part.plans[method].executable.sum(axis=1) for method in ("baseline", "hybrid"))
+    more, fewer, equal = (int(which.sum()) for which in (base > best, base < best, base == best))
+    assert more == 0 < fewer and equal == 49 - fewer
+    (row,) = tables.pairs(part).records()
+    assert row == {"method": "baseline", "other": "hybrid", "more": 0, "fewer": fewer, "equal": equal, "p": row["p"]}
+    assert row["p"] == pytest.approx(2 * 0.5**fewer)  # all of them to one side, or all to the other
 
 
 def test_the_papers_four_columns_stand_next_to_ours_for_its_methods_on_its_grids_alone(folder):
@@ -365,6 +384,8 @@ def test_groups_are_parts_with_tables_of_their_own(folder):
         "groups: second",
         "one",
     ]
+    (first, *_) = overview({"one": report.part_tables[2]["results"]}).rows
+    assert first[1] == report.part_tables[2]["results"].records()[0]["executable_percent"]
     scenarios = {table.name: table for table in report.tables}["scenarios"].records()
     assert [row["run"] for row in scenarios].count("groups: second") == 6
 
@@ -408,7 +429,7 @@ def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tm
         rows = rows_of(tables.reachability_table(part))
         assert (rows["baseline"]["reachable"], rows["baseline"]["of_reachable_percent"]) == (25, 100)
         assert (rows["baseline"]["short"], rows["baseline"]["beyond"]) == (1, 1)
-        assert "Got further than the search: baseline in 1 (0); hybrid in 1 (0)." in markdown(
+        assert "Scenarios with more tracked than reachable targets: baseline in 1 (0); hybrid in 1 (0)." in markdown(
             make_report([folder / "one"]).blocks
         )
         other = '"most": [13, 13], "resolution_rad": 0.1, "seed": 0}'
@@ -436,8 +457,8 @@ def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(fold
         (base, hybrid) = csv.DictReader(stream)
     assert float(base["success_percent"]) == 100 * 5073 / 5145 and float(hybrid["success_percent"]) == 100
     assert sorted(file.name for file in (tmp_path / "report").glob("*.csv")) == [
-        "best.csv", "joint-steps.csv", "motion-ends.csv", "motions.csv", "paper.csv", "results.csv", "scenarios.csv",
-        "stops.csv", "times.csv",
+        "best.csv", "joint-steps.csv", "motion-ends.csv", "motions.csv", "pairs.csv", "paper.csv", "results.csv",
+        "scenarios.csv", "stops.csv", "times.csv",
     ]  # fmt: skip
 
 
@@ -488,7 +509,7 @@ def test_costs_are_compared_where_every_method_s_motion_leads_to_the_end(folder)
     assert (a["cost_median_rad2"], b["cost_median_rad2"]) == (3.0, 2.5)
     assert (a["cost_common_rad2"], b["cost_common_rad2"]) == (pytest.approx(4.0), pytest.approx(2.0))
     assert (a["path_step_max_rad"], a["curvature_median_rad_m2"], a["curvature_max_rad_m2"]) == (0.5, 15, 20)
-    assert "the 3 in which every method's motion does" in meaning(made)
+    assert "the 3 scenarios in which every method's motion does" in meaning(made)
 
 
 def test_success_is_drawn_along_a_parameter_of_the_task_with_what_is_reachable_next_to_it(folder):
@@ -523,8 +544,8 @@ def test_bad_input_is_one_line_and_exit_2(folder, tmp_path, capsys):
     try:
         shard.write_bytes(whole[:100])
         for name, line in {
-            tmp_path / "empty": "holds no run",
-            tmp_path / "none": "holds no run",
+            tmp_path / "empty": "contains no run",
+            tmp_path / "none": "contains no run",
             folder / "measuring": shard.name,
         }.items():
             assert main(["report", str(name), "--out", str(tmp_path / "out")]) == 2

@@ -264,7 +264,7 @@ def test_speeds_of_a_urdf_are_its_joints_wherever_they_stand_in_the_file(tmp_pat
 
 def test_a_urdf_range_that_is_turned_round_is_refused(tmp_path):
     """Descending range in a URDF: refused, as MuJoCo takes it for no limit at all."""
-    with pytest.raises(InputError, match=r"joint 'turn' has range 1.5 to -2; it must ascend"):
+    with pytest.raises(InputError, match=r"joint 'turn' has range 1.5 to -2; the lower limit must come first"):
         load_robot(written(tmp_path, URDF.replace('lower="-2" upper="1.5"', 'lower="1.5" upper="-2"'), "lifter.urdf"))
 
 
@@ -363,11 +363,11 @@ BAD_MODELS = {
         {"tcp_site": "tip"},
         "no site or body 'tip' for the TCP; sites of the model: tcp",
     ),
-    "unknown limits": (arm(), {"limits": "none"}, "no joint limits 'none'; the model has model, simulation"),
+    "unknown limits": (arm(), {"limits": "none"}, "no joint limits 'none' for robot.limits; valid: model, simulation"),
     "no data sheet": (
         arm(),
         {"limits": "datasheet"},
-        "no joint limits 'datasheet'; the model has model, simu",
+        "no joint limits 'datasheet' for robot.limits; valid: model, simu",
     ),
     "short numeric": (arm(top=NUMERIC.format("speed", "1 2")), {}, "'speed' has 2 values for 3 joints"),
     "negative speed": (arm(top=NUMERIC.format("speed", "1 2 -3")), {}, "numeric 'speed' must be positive"),
@@ -381,12 +381,12 @@ BAD_MODELS = {
         {"limits": "datasheet"},
         "joint limits 'datasheet' must be lower < upper",
     ),
-    "nan position": (arm(geom='<geom size="0.1" pos="0 0 nan"/>'), {}, "a number of the model is not finite"),
-    "nan axis": (arm(joints=("", 'pos="0 nan 0"', "")), {}, "a number of the model is not finite"),
+    "nan position": (arm(geom='<geom size="0.1" pos="0 0 nan"/>'), {}, "is not finite; correct the model"),
+    "nan axis": (arm(joints=("", 'pos="0 nan 0"', "")), {}, "is not finite; correct the model"),
     "turned range": (
         arm(joints=('range="20 -20"', "", "")),
         {},
-        "joint 'j1' has range 20 to -20; it must ascend",
+        "joint 'j1' has range 20 to -20; the lower limit must come first",
     ),
 }
 
@@ -411,7 +411,7 @@ def test_a_numbered_capsule_goes_by_its_link_and_by_its_own_name_only_among_othe
 
 
 def test_gp50_refuses_an_unknown_profile():
-    with pytest.raises(InputError, match="'paper'; the model has model, simulation, datasheet"):
+    with pytest.raises(InputError, match="no joint limits 'paper'"):
         gp50("paper")
 
 

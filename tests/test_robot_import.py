@@ -13,8 +13,10 @@ from enclosed import are_enclosed
 import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots import mjcf
 from htcp_jax.io.robots.vendor_import import BodyCover, import_robot
 from htcp_jax.model.kinematics import tcp_pose
+from htcp_jax.viewer import draw_arm
 
 # A slide, three hinges, a gripper of two fingers; shapes of every kind that URDF has.
 URDF = """
@@ -152,6 +154,12 @@ def test_capsules_hold_meshes_boxes_and_cylinders_of_a_urdf(folder):
     assert all((capsule.depth(points) > 0).all() for points in whole for capsule in found["mast"].fitted.values())
 
 
+def test_both_views_of_an_imported_arm_have_numbers_on_the_vertical_axis(folder):
+    arm = import_robot(folder / "crane.urdf", "grasp", most=1)
+    views = draw_arm(arm, mjcf.arm_xml(arm, "crane.urdf"), "crane").axes[:2]
+    assert [axes.yaxis.get_tick_params()["labelleft"] for axes in views] == [True, True]
+
+
 def mujoco_turn(rpy: str) -> np.ndarray:
     body = f'<body pos="0 0 0" euler="{rpy}"/>'
     text = f'<mujoco><compiler angle="radian" eulerseq="XYZ"/><worldbody>{body}</worldbody></mujoco>'
@@ -263,10 +271,10 @@ def test_an_arm_of_our_own_comes_out_as_it_is(tmp_path):
 
 
 ONE_LINE = {
-    "unknown TCP": (["--tcp", "nose"], "no site or body 'nose' for the TCP; there are base, mast, boom, jib, hand"),
-    "TCP not clear": ([], "it is not clear where the TCP is: hand, left, right, grasp; name it by --tcp NAME"),
+    "unknown TCP": (["--tcp", "nose"], "no site or body 'nose' for the TCP; valid: base, mast, boom, jib, hand"),
+    "TCP not clear": ([], "the TCP is ambiguous: hand, left, right, grasp; choose it with --tcp NAME"),
     "two joints": (["--tcp", "boom"], "2 joints from the world to the TCP; at least 3 are needed"),
-    "not an XML file": (["--tcp", "grasp", "--out", "arm.urdf"], "an arm is an MJCF file and ends in .xml"),
+    "not an XML file": (["--tcp", "grasp", "--out", "arm.urdf"], "whose name must end in .xml"),
 }
 
 
@@ -284,18 +292,22 @@ BROKEN = {
     "no mesh": (
         "package://crane_description/meshes/boom.stl",
         "package://other/jib.stl",
-        "no package 'other' with jib.stl",
+        "or above it; put it into one of these folders",
     ),
     "no file": ('meshes/boom.stl" scale="0.1', 'meshes/jib.stl" scale="0.1', "mesh meshes/jib.stl: no such file"),
     "damaged": ("package://crane_description/meshes/boom.stl", "bad.stl", "bad.stl: 0 points"),
     "unknown": (
         "package://crane_description/meshes/boom.stl",
         "bad.wrl",
-        "bad.wrl: no mesh that is read; save it as .stl or .obj or .ply and name that in",
+        "bad.wrl: unsupported mesh format; save it as .stl or .obj or .ply and name that in",
     ),
     "free": ('name="bend" type="revolute"', 'name="bend" type="floating"', "not a model that MuJoCo can read"),
-    "range": ('lower="-1" upper="2"', 'lower="2" upper="-1"', "joint 'bend' has range 2 to -1; it must ascend"),
-    "no shapes": ("collision>", "visual>", "no shapes that capsules could hold; geoms of the model: none"),
+    "range": (
+        'lower="-1" upper="2"',
+        'lower="2" upper="-1"',
+        "joint 'bend' has range 2 to -1; the lower limit must come first",
+    ),
+    "no shapes": ("collision>", "visual>", "no shapes to enclose by capsules; geoms of the model: none"),
 }
 
 
@@ -319,7 +331,7 @@ def test_an_arm_that_is_there_is_not_written_over(crane, folder, capsys):
     words = ["robot", str(folder / "crane.urdf"), "--tcp", "grasp", "--out", str(crane), "--most", "1"]
     before = crane.read_bytes()
     crane.write_bytes(before + b"<!-- corrected -->")
-    assert main(words) == 2 and "--replace overwrites it" in capsys.readouterr().err
+    assert main(words) == 2 and "pass --replace to overwrite it" in capsys.readouterr().err
     assert crane.read_bytes().endswith(b"<!-- corrected -->")
     assert main([*words, "--replace"]) == 0 and crane.read_bytes() == before
 

@@ -98,7 +98,7 @@ def test_repeated_names_are_reported(tmp_path, capsys, case):
     text, names = REPEATED[case]
     (tmp_path / "arm.urdf").write_text(text)
     line = refusal(tmp_path / "arm.urdf", capsys)
-    assert f"arm.urdf: repeated names: {names}; each link and joint needs a name of its own" in line
+    assert f"arm.urdf: repeated names: {names}; the names of links and joints must be unique" in line
 
 
 @pytest.mark.parametrize("kind", ["mesh", "body"])
@@ -126,7 +126,12 @@ MACRO = '<xacro:macro name="arm" params="prefix"><link name="${prefix}base"/></x
 XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 
 
-EXPAND = {"my arm.urdf.xacro": "xacro 'my arm.urdf.xacro' > arm.urdf", "arm.urdf": "xacro arm.urdf > expanded.urdf"}
+EXPAND = {
+    "my arm.urdf.xacro": "xacro 'my arm.urdf.xacro' > arm.urdf "
+    "(without ROS: pip install xacrodoc; xacrodoc 'my arm.urdf.xacro' --pkg-dir FOLDER -o arm.urdf)",
+    "arm.urdf": "xacro arm.urdf > expanded.urdf "
+    "(without ROS: pip install xacrodoc; xacrodoc arm.urdf --pkg-dir FOLDER -o expanded.urdf)",
+}
 
 
 @pytest.mark.parametrize("file", EXPAND)
@@ -136,7 +141,7 @@ def test_a_xacro_file_is_refused_with_the_command_that_expands_it(tmp_path, caps
     macro = "" if "xacro" in file else MACRO
     (tmp_path / file).write_text(urdf("base", "a", "b", "c", before=macro).replace("<robot", f"<robot {XACRO}"))
     assert main(["robot", file, "--out", "arm.xml"]) == 2
-    assert capsys.readouterr().err == f"htcp: {file}: a xacro file; first expand it: {EXPAND[file]}\n"
+    assert capsys.readouterr().err == f"htcp: {file}: a xacro file; expand it first: {EXPAND[file]}\n"
     assert [each.name for each in tmp_path.iterdir()] == [file]
 
 
@@ -145,7 +150,7 @@ def test_an_srdf_file_may_be_a_xacro_file_too(tmp_path, capsys):
     (tmp_path / "arm.srdf.xacro").write_text(f'<robot name="r" {XACRO}/>')
     words = ["--srdf", str(tmp_path / "arm.srdf.xacro"), "--out", str(tmp_path / "arm.xml")]
     assert main(["robot", str(tmp_path / "arm.urdf"), *words]) == 2
-    assert f"expand it: xacro {tmp_path / 'arm.srdf.xacro'} > arm.srdf" in capsys.readouterr().err
+    assert f"expand it first: xacro {tmp_path / 'arm.srdf.xacro'} > arm.srdf" in capsys.readouterr().err
 
 
 def test_an_expanded_file_may_still_declare_xacro(tmp_path):

@@ -137,7 +137,7 @@ DAMAGES = [truncate, empty, flip_a_bit, replace_by_another, Path.unlink]
 def test_a_damaged_file_is_named_its_shard_planned_again_and_the_rest_kept(tmp_path, damage, table):
     before = contents(completed(tmp_path).folder)
     damage(tmp_path / table / "baseline-000000-000001.parquet")
-    with pytest.raises(InputError, match=rf"{table}.baseline-000000-000001\.parquet .*; the same sweep plans"):
+    with pytest.raises(InputError, match=rf"{table}.baseline-000000-000001\.parquet .*; run the same sweep again"):
         getattr(open_run(tmp_path), table)()
     with pytest.warns(UserWarning, match="baseline-000000-000001.* scenarios 0 to 1 are planned again by baseline"):
         run = writer.begin(tmp_path, manifest())
@@ -160,21 +160,24 @@ def test_lost_files_are_one_line_a_method_and_only_those_asked_for_are_planned_a
     first, second = (str(warning.message) for warning in warned)
     assert "baseline-000000-000001.parquet cannot be read" in first
     assert first.endswith("(and 1 more shards); scenarios 0 to 1, 2 to 3 are planned again by baseline")
-    assert second.endswith("scenarios 0 to 1, 2 to 3 of hybrid are unfinished now")
+    assert second.endswith("scenarios 0 to 1, 2 to 3 of hybrid are now unfinished")
     assert run.unfinished() == {"baseline": 4, "hybrid": 4}
 
 
 def test_the_folder_of_a_plan_is_reported_from_one_that_holds_nothing(tmp_path):
     """Error for a plan's folder opened as a run: it names the commands for plans (regression: no manifest.json)."""
     (tmp_path / "summary.json").write_text("{}")
-    with pytest.raises(InputError, match="holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate"):
+    with pytest.raises(
+        InputError,
+        match="contains a plan of htcp plan, not a run; open it with htcp view, htcp render or htcp validate",
+    ):
         open_run(tmp_path)
 
 
 def test_a_stranger_among_the_results_is_named_and_left_alone(tmp_path):
     completed(tmp_path)
     (tmp_path / "targets" / "mine.parquet").write_bytes(b"mine")
-    with pytest.warns(UserWarning, match=r"mine\.parquet is not of this run; it stays unchanged"):
+    with pytest.warns(UserWarning, match=r"mine\.parquet does not belong to this run and is left unchanged"):
         assert writer.begin(tmp_path, manifest()).complete
     (tmp_path / "manifest.json").unlink()
     with pytest.raises(InputError, match=r"results without a manifest\.json"):
@@ -185,7 +188,7 @@ def test_a_stranger_among_the_results_is_named_and_left_alone(tmp_path):
 def test_a_damaged_manifest_is_one_line(tmp_path, data):
     completed(tmp_path)
     (tmp_path / "manifest.json").write_bytes(data)
-    with pytest.raises(InputError, match=r"manifest\.json is damaged or no manifest of a run") as error:
+    with pytest.raises(InputError, match=r"manifest\.json is damaged or not a manifest of a run") as error:
         open_run(tmp_path)
     assert "\n" not in str(error.value)
     assert str(error.value).count("manifest.json") == str(error.value).count(" is damaged") == 1
@@ -203,12 +206,12 @@ def test_a_manifest_cannot_lead_out_of_its_folder_or_contradict_itself(tmp_path,
     text = (completed(tmp_path).folder / "manifest.json").read_text()
     assert old in text
     (tmp_path / "manifest.json").write_text(text.replace(old, new))
-    with pytest.raises(InputError, match=r"is damaged or no manifest of a run: (shards|Value error)"):
+    with pytest.raises(InputError, match=r"is damaged or not a manifest of a run: (shards|Value error)"):
         open_run(tmp_path)
 
 
 def test_a_folder_without_a_run_and_a_method_that_a_run_lacks_are_named(tmp_path):
-    with pytest.raises(InputError, match=r"holds no run: cannot read manifest\.json"):
+    with pytest.raises(InputError, match=r"contains no run: cannot read manifest\.json"):
         open_run(tmp_path)
     with pytest.raises(InputError, match="has no results of 'hybrid'; it has baseline"):
         completed(tmp_path).targets("hybrid")
@@ -230,13 +233,13 @@ def test_a_full_or_read_only_disk_is_one_line_and_leaves_the_run_as_it_was(tmp_p
 
 def test_other_software_is_warned_of(tmp_path):
     completed(tmp_path, BY | {"commit": "another"})
-    with pytest.warns(UserWarning, match="was planned by other software: commit is another there, .* here"):
+    with pytest.warns(UserWarning, match="and its plans are kept: commit was another, now "):
         writer.begin(tmp_path, manifest())
 
 
 def test_two_sweeps_on_one_folder_are_refused(tmp_path):
     with locked(tmp_path):
-        with pytest.raises(InputError, match=f"in use by another sweep: process {os.getpid()} on "):
+        with pytest.raises(InputError, match=f"in use by another command: process {os.getpid()} on "):
             with locked(tmp_path):
                 pass
     with locked(tmp_path):

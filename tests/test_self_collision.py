@@ -227,6 +227,15 @@ def test_pairs_are_checked_unless_the_model_excludes_them_or_they_nearly_always_
     assert own.described(robot).startswith(f"{len(own.pairs)} pairs of bodies")
 
 
+def test_the_warning_of_a_pair_with_the_tool_that_is_not_checked_gives_reason_and_remedy(tmp_path):
+    (tmp_path / "chain.xml").write_text(CHAIN.format(size=0.25, more=""))
+    robot = load_robot(tmp_path / "chain.xml")
+    tool = dataclasses.replace(robot, mounted=(robot.capsule_names.index("C"),))
+    words = "D and C; the capsules overlap, .* at least 95 % of the sampled .* begin the tool's .*farther"
+    with pytest.warns(UserWarning, match=words):
+        self_collision(tool)
+
+
 def test_a_pair_that_is_always_1_mm_apart_is_not_checked():
     """The shipped arm's wrist, a sphere on the last joint's axis, and its holder: 1 mm, give or take rounding."""
     robot = load_robot(PIPE / "arm.xml")

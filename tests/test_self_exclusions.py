@@ -125,7 +125,7 @@ def test_a_start_in_which_meshes_touch_is_refused_though_the_list_excludes_the_p
     arm = imported(0.0)
     with_pair(arm, "c")
     with pytest.raises(
-        InputError, match=r"start is in collision: the meshes in the capsules c and a touch by [\d.]+ mm"
+        InputError, match=r"start is in collision: the meshes in the capsules c and a overlap by [\d.]+ mm"
     ):
         htcp_jax.plan(job(arm, tmp_path, FOLDED))
 
@@ -223,8 +223,8 @@ def test_the_distance_from_a_mesh_is_that_of_the_box(imported):
 @pytest.mark.parametrize(
     ("pair", "message"),
     [
-        ("c", "'excluded 99, rule c' names 'nobody'; the capsules are a, b, c, d"),
-        ("x", "tuple 'excluded 99, rule x' must be called 'excluded NUMBER, rule a', or rule b or c"),
+        ("c", "'excluded 99, rule c': no capsule 'nobody'; valid: a, b, c, d"),
+        ("x", "tuple 'excluded 99, rule x' must be named 'excluded NUMBER, rule a', or rule b or c"),
     ],
 )
 def test_a_pair_that_is_none_is_refused(pair, message, imported):
@@ -237,7 +237,7 @@ def test_a_pair_that_is_none_is_refused(pair, message, imported):
 def test_a_capsule_that_is_paired_with_itself_is_refused(imported):
     arm = imported(0.0)
     with_pair(arm, "c", one="a")
-    with pytest.raises(InputError, match="'excluded 99, rule c' pairs 'a' with itself; a pair has two capsules"):
+    with pytest.raises(InputError, match="'excluded 99, rule c' pairs 'a' with itself; name two different capsules"):
         load_robot(arm)
 
 
@@ -264,12 +264,12 @@ def test_an_srdf_excludes_bodies(imported, tmp_path):
     [
         (
             SRDF.format("panda", "a", "d"),
-            "the model is 'shelf'; if they are one robot, write <robot name='shelf'>",
+            "the model is 'shelf'; if both are the same robot, write <robot name='shelf'> in the SRDF",
         ),
         ("<robot", "other.srdf: not an SRDF file: "),
-        (SRDF.format("shelf", "a", "hand"), "a and hand: the model has no link hand; it has a, b, c, d"),
-        ('<robot name="shelf"/>', "it has no <disable_collisions>"),
-        ("<mujoco/>", "the root is <mujoco>; an SRDF has <robot>"),
+        (SRDF.format("shelf", "a", "hand"), "a and hand: the model has no link hand; valid: a, b, c, d"),
+        ('<robot name="shelf"/>', "<disable_collisions> is missing"),
+        ("<mujoco/>", "the root is <mujoco>; in an SRDF file it must be <robot>"),
     ],
 )
 def test_the_srdf_of_another_robot_is_refused_before_capsules_are_fitted(htcp, text, message, tmp_path):
@@ -299,7 +299,7 @@ def test_a_list_that_leaves_nothing_to_check_is_refused(htcp, tmp_path):
         code=2,
     )
     assert (
-        "all 6 pairs of capsules are excluded; nothing is left to check" in reported
+        "all 6 pairs of capsules are excluded; remove exclusions to check some" in reported
         and not (tmp_path / "arm.xml").exists()
     )
 

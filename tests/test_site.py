@@ -44,3 +44,22 @@ def test_no_page_scrolls_sideways(site, browser):
             beyond = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
             assert beyond <= 0, (name, width)
         page.close()
+
+
+def test_the_copy_button_covers_no_code_until_the_pointer_is_over_it(site, browser):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto((site / "commands.html").as_uri())
+    button = page.locator(".md-code__nav").first
+    opacity = "each => getComputedStyle(each).opacity"
+    assert button.evaluate(opacity) == "0"
+    page.locator("pre").first.hover()
+    assert button.evaluate(opacity) == "1"
+    page.close()
+
+
+def test_the_text_of_a_table_of_keys_is_not_a_column_of_single_words_at_400_px(site, browser):
+    page = browser.new_page(viewport={"width": 400, "height": 900})
+    page.goto((site / "reference/json.html").as_uri())
+    widths = page.locator("td:last-child").evaluate_all("cells => cells.map(each => each.clientWidth)")
+    assert min(widths) > 100
+    page.close()

@@ -180,7 +180,7 @@ def test_a_heavy_joint_moves_less():
 
 
 def test_weights_of_another_arm_are_refused():
-    with pytest.raises(InputError, match=r"path_weights has 2 values, the robot gp50 has 6 joints"):
+    with pytest.raises(InputError, match=r"path_weights has 2 values, but the robot gp50 has 6 joints"):
         plan_by_beam(poses()[0], replace(SMOOTH, path_weights=(1.0, 1.0)))
 
 

@@ -11,7 +11,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model import Task, Workpiece
 from htcp_jax.model.scenario import make_scenario, stack, without_pose
 from htcp_jax.motion import Plans
-from htcp_jax.motion.start_cause import start_causes
+from htcp_jax.motion.start_cause import nearest_bodies, start_causes
 from htcp_jax.runs.tables import CAUSE, STEPS, scenario_table, with_new_columns
 from htcp_jax.status import Status
 
@@ -47,18 +47,33 @@ def test_a_point_that_no_configuration_reaches_is_out_of_reach():
     found = cause_of(around(POINT, 3.0), Status.NO_START, path=np.array([0.0, 0.0, -0.65]))
     assert found.body is None
     assert found.description.startswith("out of reach: in 2048 attempts the arm came only to within ")
-    assert 50 < float(found.description.split()[-4]) < 500
+    assert 50 < float(found.description.split()[-5]) < 500
 
 
 def test_a_point_that_is_reached_in_collision_alone_names_the_pairs():
     found = cause_of(around(POINT, 0.06), Status.NO_START)
     assert (found.body, found.other) == ("tool", "the workpiece") and found.depth_m > 0
-    assert "of 2048 attempts reached it, all in collision, the least by" in found.description
+    assert "of 2048 attempts reached the point, all in collision, the least by" in found.description
     assert "capsule tool with the workpiece (" in found.description
 
 
+def test_the_pair_with_the_minimum_clearance_is_named():
+    choices = {"interior": "none", "pivot": HOME, "neutral_translation": HOME}
+    part = Workpiece("part", np.array([[0.0, 0.15, 0.9]]).repeat(4, 0), np.array([POINT, POINT + 1e-3]), **choices)
+    scenario = make_scenario(toy.robot(), part, (0.0,) * 4, rotation=(0.0, 0.0), approach=(0, 0))
+    found = nearest_bodies(toy.robot(), part, scenario, np.zeros(4), toy.SETTINGS, Task(tolerance_m=1e-3), ())
+    assert found == ("capsule forearm", "the workpiece")
+
+
+def test_the_attempt_with_the_least_overlap_is_kept():
+    found = cause_of(around(POINT, 0.06), Status.NO_START)
+    assert found.attempt is not None
+    assert found.attempt.depth_m == found.depth_m and found.attempt.other == "the workpiece"
+    assert np.linalg.norm(found.attempt.point - POINT) == pytest.approx(0.06)
+
+
 def test_a_point_that_is_reached_is_never_called_out_of_reach():
-    assert cause_of(around(POINT, 3.0), Status.NO_START).description == "nothing was found in 2048 attempts"
+    assert cause_of(around(POINT, 3.0), Status.NO_START).description == "no start was found in 2048 attempts"
 
 
 def test_bodies_that_overlap_in_every_random_configuration_are_named():
@@ -79,15 +94,15 @@ def job(tmp_path):
     return {"robot": {"model": str(tmp_path / "arm.xml")}, "workpiece": part, "settings": toy.SETTINGS}
 
 
-@pytest.mark.filterwarnings("ignore:.*a gap of")
+@pytest.mark.filterwarnings("ignore:.*have gaps of")
 @pytest.mark.parametrize("start", [pytest.param("auto", marks=pytest.mark.slow), toy.START])
 def test_a_standing_body_in_the_part_is_named_before_planning(job, start):
     with pytest.raises(InputError) as error:
         htcp_jax.plan({**job, "start_rad": start})
     messages = {
-        "auto": "there is no start: the workpiece and capsule foot overlap by 30 mm in every configuration",
+        "auto": "no start exists: the workpiece and capsule foot overlap by 30 mm in every configuration",
         toy.START: "start is in collision: capsule foot is 30.000 mm inside the workpiece, in every configuration, "
-        "as neither moves",
+        "because neither moves",
     }
     assert str(error.value) == PLACE + messages[start]
 

@@ -99,18 +99,18 @@ def test_a_limit_may_grow_but_not_shrink(plate, shards):
     assert planned == [("baseline", 0, 0), ("baseline", 0, 2)]
     assert [file.name for file in Path("run/targets").iterdir()] == ["baseline-000000-000002.parquet"]
     assert run.manifest.count == 3 and run.complete
-    with pytest.raises(InputError, match="run holds this sweep with 3 scenarios, more than 2; choose another --out"):
+    with pytest.raises(InputError, match="run contains this sweep with 3 scenarios, more than 2; choose another --out"):
         sweep("grid.yaml", "baseline", "run", limit=2)
 
 
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        ({"overrides": ["settings.alpha_rad=0.05"]}, "settings.alpha_rad is 0.1 there, 0.05 here; choose another"),
-        ({"overrides": ["margin_m=0"]}, "margin_m is 0.0005 there, 0.0 here"),
-        ({"seed": 1}, "settings.seed is 0 there, 1 here"),
+        ({"overrides": ["settings.alpha_rad=0.05"]}, "settings.alpha_rad was 0.1, now 0.05; choose another"),
+        ({"overrides": ["margin_m=0"]}, "margin_m was 0.0005, now 0.0"),
+        ({"seed": 1}, "settings.seed was 0, now 1"),
         ({"spec": "other.yaml"}, "its grid differs"),
-        ({"overrides": ["workpiece.cloud=moved.xyz"]}, "workpiece.cloud is plate.xyz, SHA-256 "),
+        ({"overrides": ["workpiece.cloud=moved.xyz"]}, "workpiece.cloud was plate.xyz, SHA-256 "),
     ],
 )
 def test_another_sweep_never_mixes_with_the_old_rows(here, plate, change, line):
@@ -120,7 +120,7 @@ def test_another_sweep_never_mixes_with_the_old_rows(here, plate, change, line):
     before = contents(here / "run"), (here / "run" / "manifest.json").read_bytes()
     with pytest.raises(InputError) as error:
         sweep(**{"spec": "grid.yaml", "methods": "baseline", "out": "run", **change})
-    assert line in str(error.value) and "run holds another sweep: " in str(error.value)
+    assert line in str(error.value) and "run contains another sweep: " in str(error.value)
     assert (contents(here / "run"), (here / "run" / "manifest.json").read_bytes()) == before
 
 
@@ -141,7 +141,7 @@ def test_a_signal_ends_a_sweep_that_the_same_call_completes(here, plate, number)
         if now.scenarios_done == 2:
             os.kill(os.getpid(), number)
 
-    with pytest.raises(Interrupted, match=r"stopped; 2 of 3 shards are finished in run; the same command") as stop:
+    with pytest.raises(Interrupted, match=r"stopped; 2 of 3 shards are finished in run; run the same command") as stop:
         sweep("grid.yaml", "baseline", "run", shard_scenarios=1, progress=interrupt)
     assert stop.value.code == 128 + number
     assert signal.getsignal(number) is handler
@@ -200,7 +200,7 @@ def test_the_command_says_how_to_go_on_after_a_signal(plate, capsys):
         assert main(["sweep", "grid.yaml", "--methods", "stopped", "--shard", "1", "--out", "run"]) == 143
     finally:
         registry.METHODS.unregister("stopped")
-    reported = "htcp: stopped; 1 of 3 shards are finished in run; the same command resumes\n"
+    reported = "htcp: stopped; 1 of 3 shards are finished in run; run the same command to resume\n"
     assert capsys.readouterr().err == reported
 
 
@@ -268,14 +268,14 @@ def test_a_run_can_be_read_while_it_is_planned(plate):
         (["grid.yaml", "--methods", "baseline,baseline"], "method baseline is given twice"),
         (["grid.yaml", "--methods", "baseline,rrt"], "unknown method 'rrt'; valid: all, baseline"),
         (["grid.yaml", "--methods", ""], "no methods; valid: all, baseline"),
-        (["grid.yaml", "--limit", "0"], "limit is 0; it must be 1 or more"),
+        (["grid.yaml", "--limit", "0"], "limit is 0; valid: 1 to 1,000,000"),
         (["grid.yaml", "--seed", "-1"], "settings.seed is -1: at least 0 is needed"),
         (["grid.yaml", "--set", "margin=1"], "unknown key margin; did you mean margin_m?"),
         (["grid.yaml", "--config", "none.yaml"], "cannot read none.yaml"),
         (["bad.yaml"], "bad.yaml: grid, axis 1: unknown parameter margin; did you mean margin_m?"),
         (["empty.yaml"], "empty.yaml: grid is empty"),
         (["grid.yaml", "--out", "path.csv"], "cannot write to path.csv"),
-        (["grid.yaml", "--set", "settings.q_weights=[1]"], "q_weights has 1 values, the robot gp50 has 6 joints"),
+        (["grid.yaml", "--set", "settings.q_weights=[1]"], "q_weights has 1 values, but the robot gp50 has 6 joints"),
     ],
 )
 def test_bad_input_is_one_line_exit_2_and_no_file(here, capsys, arguments, line):

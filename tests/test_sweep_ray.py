@@ -148,9 +148,9 @@ def test_a_device_next_to_ray_and_gpus_that_this_machine_has_not_are_one_line(he
     for words, line in (
         (
             ("--device", "gpu"),
-            "device is 'gpu'; with Ray it can only be cpu; ray.num_gpus sets the GPUs of its workers",
+            "device is 'gpu'; with Ray it must be cpu; to use GPUs of the workers, set ray.num_gpus",
         ),
-        (("--set", "ray.num_gpus=0.5"), "ray.num_gpus is 0.5; this machine has 0 GPUs"),
+        (("--set", "ray.num_gpus=0.5"), "ray.num_gpus is 0.5, but this machine has 0 GPUs; set a smaller number"),
     ):
         assert main(["sweep", "grid.yaml", "--on", "ray", "--out", "run", *words]) == 2
         assert capsys.readouterr().err == f"htcp: {line}\n"
@@ -253,7 +253,7 @@ def test_when_the_whole_cluster_is_lost_what_is_finished_is_kept(here, undisturb
         _, errors = driver.communicate()
     assert driver.returncode == 1, errors
     (line,) = [line for line in errors.splitlines() if line.startswith("htcp: ")]  # among Ray's own output
-    assert line.startswith("htcp: Ray lost its workers") and line.endswith("the same command resumes")
+    assert line.startswith("htcp: Ray lost its workers") and line.endswith("run the same command to resume")
     assert f"{HALF} of {SHARDS} shards are finished" in line
     assert finish(here, "run").returncode == 0 and rows(here / "run") == undisturbed
 
@@ -280,5 +280,5 @@ def test_a_sweep_of_cells_on_ray_is_the_same_bytes_and_none_is_continued_with_an
     ]
     assert runs[0].complete and rows(runs[0].folder) == rows(runs[1].folder)
     trimesh.creation.box([0.1, 0.1, 0.11]).export("vice.stl")
-    with pytest.raises(InputError, match=r"a holds another sweep: parts\.vice\.stl is SHA-256 "):
+    with pytest.raises(InputError, match=r"a contains another sweep: parts\.vice\.stl was SHA-256 "):
         sweep("grid.yaml", "baseline", "a", shard_scenarios=1)

@@ -133,7 +133,7 @@ def test_a_header_that_does_not_fit_is_refused(tmp_path, header, words):
     ("# c\n\n1 2 3\n1 2 3 4\n", "line 4 has 4 columns, line 3 has 3"),
     ("1,2,3,\n1,2,3\n", "line 2 has 3 columns, line 1 has 4"),
     ("1 2\n", "line 1 has 2 columns, 3 are needed (x y z)"),
-    ("1 2 3 4\nnan 2 3 4\n", "line 2 holds NaN"),
+    ("1 2 3 4\nnan 2 3 4\n", "line 2 contains NaN"),
 ])  # fmt: skip
 def test_rows_of_different_lengths_are_refused_by_line(tmp_path, rows, words):
     assert words in refusal(write(tmp_path, rows))
@@ -157,7 +157,7 @@ def test_decimal_commas_are_named_in_the_first_row_already(tmp_path, row, first)
 @pytest.mark.parametrize("row", ["1,234,5,678,9,012", "0,1,0,0", "-1,5,2,3,5"])
 def test_decimal_commas_among_commas_are_suspected(tmp_path, row):
     """Suspicion of decimal commas among commas: 1,5,2,5,3,5 is ambiguous (regression)."""
-    assert refusal(write(tmp_path, f"{row}\n" * 5)).startswith("line 1: decimal commas?")
+    assert refusal(write(tmp_path, f"{row}\n" * 5)).startswith("line 1: all columns contain whole numbers")
     assert "columns" in read(write(tmp_path, f"{row}\n" * 5 + row.replace(",", ".1,") + "\n"))[1][0]
 
 

@@ -107,11 +107,11 @@ def test_the_success_criterion_is_clear_by_the_margin_and_on_the_target():
 
 
 def test_a_task_that_is_none_is_refused():
-    with pytest.raises(InputError, match="axes of a task point are"):
+    with pytest.raises(InputError, match="axes of a task point is"):
         TaskPoint(axes=(2, 1))
-    with pytest.raises(InputError, match="the TCP has no offset"):
+    with pytest.raises(InputError, match="offset_m of the TCP must be 0"):
         TaskPoint(offset_m=(0.1, 0.0, 0.0))
-    with pytest.raises(InputError, match="the task has 9 rows, the robot gp50 has 6 joints"):
+    with pytest.raises(InputError, match="the task has 9 equations, more than the 6 joints of robot gp50"):
         Task((TaskPoint(), ELBOW, TaskPoint(link=4))).freedom(made_once.robot())
 
 
@@ -149,7 +149,7 @@ def test_a_task_with_as_many_rows_as_joints_is_planned_and_says_where_there_is_n
 
 def test_targets_must_have_as_many_numbers_as_the_task_has_rows():
     scenario = make_scenario(made_once.robot(), made_once.duct(), made_once.START)
-    with pytest.raises(InputError, match="the task has 1 rows, the targets have 3"):
+    with pytest.raises(InputError, match="the task has 1 equations, but the targets have 3 numbers"):
         plan(made_once.robot(), made_once.duct(), scenario, "baseline", task=TASKS["its height"])
 
 

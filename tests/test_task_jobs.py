@@ -147,7 +147,9 @@ def test_a_plan_with_a_cone_is_validated_and_with_a_narrower_one_on_record_refut
     narrower = validate_results(tmp_path / "plan", between=0)
     assert narrower.methods["baseline"].rows[1].off == axis.off > narrower.methods["baseline"].rows[1].most == 50
     refuted = narrower.refuted
-    assert refuted and all("task.2 (axis tcp.z) is" in one.reason and "50 are allowed" in one.reason for one in refuted)
+    assert refuted and all(
+        "task.2 (axis tcp.z) deviates by" in one.reason and "50 are allowed" in one.reason for one in refuted
+    )
 
 
 @pytest.mark.slow

@@ -89,9 +89,9 @@ def test_a_row_is_addressed_by_its_number_on_the_command_line():
     given = {"task": [ON_PATH, CONE]}
     assert load_config(given, ["task.2.cone_deg=45"]).task[1].cone_deg == 45
     assert given["task"][1]["cone_deg"] == 60
-    with pytest.raises(InputError, match=r"task.3.cone_deg: there is no row 3; there are 2"):
+    with pytest.raises(InputError, match=r"task.3.cone_deg: no row 3; the list has 2"):
         load_config(given, ["task.3.cone_deg=45"])
-    with pytest.raises(InputError, match="scenario 1: its task has other rows"):
+    with pytest.raises(InputError, match="scenario 1: its task has other kinds of rows"):
         load_sweep({"grid": [{"task.2.cone_deg": [5, 0]}]}, given).batch()
     with pytest.raises(InputError, match=r"task.3.cone_deg: the task has 2 rows"):
         load_sweep({"grid": [{"task.3.cone_deg": [5, 0]}]}, given).batch()
@@ -109,30 +109,30 @@ PLANE = {"point": "tcp", "on": "plane", "through_m": [0, 0, 0], "normal": [0, 0,
         ([{"orientation": [1, 0, 0, 0], "of": "hand"}], "task.1: no frame 'hand' on gp50; valid: "),
         ([{**CONE, "cone_deg": -1}], "task.1: cone_deg is -1; it must be 0 to 180"),
         ([ON_PATH, {**CONE, "cone_deg": 181}], "task.2: cone_deg is 181; it must be 0 to 180"),
-        ([{**CONE, "towards": [0, 0, 0]}], "task.1: towards is zero; it must point somewhere"),
+        ([{**CONE, "towards": [0, 0, 0]}], "task.1: towards is zero; it must have a direction"),
         ([{**CONE, "towards": "path.binormal"}], "towards is 'path.binormal'; valid: path.normal, -path.normal"),
-        ([{**CONE, "within_deg": 4}], "cone_deg and within_deg are the same"),
-        ([{"axis": "tcp", "towards": [0, 0, 1]}], "axis is 'tcp'; it is a name and x, y or z, as in tcp.z"),
+        ([{**CONE, "within_deg": 4}], "cone_deg and within_deg mean the same"),
+        ([{"axis": "tcp", "towards": [0, 0, 1]}], "axis is 'tcp'; it must be like tcp.z"),
         ([{"point": "tcp"}], "on is None; valid: path, plane, line, or x,y,z in metres"),
-        ([{"point": "tcp", "on": "plane"}], "a point on a plane needs through_m"),
+        ([{"point": "tcp", "on": "plane"}], "set through_m for a point on a plane"),
         ([{**ON_PATH, "axes": "zx"}], "axes is 'zx'; valid: some of x, y, z, in this order"),
         ([{**ON_PATH, "frame": "tool"}], "frame is 'tool'; valid: world, workpiece, path"),
-        ([{**ON_PATH, "cone_deg": 3}], "cone_deg is not a key of a row of point; valid: offset_m, on"),
+        ([{**ON_PATH, "cone_deg": 3}], "cone_deg is not a key of a point row; valid: offset_m, on"),
         ([{**ON_PATH, "within_m": 0}], "within_m is 0; it must be more than 0"),
         ([{**ON_PATH, "to": 0}], "unknown key task.1.to"),
-        ([{**ON_PATH, "axis": "tcp.z"}], "a row is one of point, axis, orientation; this one is point and axis"),
+        ([{**ON_PATH, "axis": "tcp.z"}], "orientation; this row has point and axis"),
         ([{"orientation": [0, 0, 0, 0]}], "orientation is a quaternion of length 0"),
-        ([{"orientation": "path"}], "the path has no orientations; its file needs columns qw,qx,qy,qz"),
-        ([ON_PATH, {"point": "tcp", "on": [1, 0, 1]}], r"task.2 \(point tcp\) repeats or contradicts the rows before"),
+        ([{"orientation": "path"}], "the path has no orientations; add columns qw,qx,qy,qz to its file"),
+        ([ON_PATH, {"point": "tcp", "on": [1, 0, 1]}], r"task.2 \(point tcp\) repeats or contradicts an earlier row"),
         ([ON_PATH, {"point": "link6", "on": [1, 0, 1]}], r"task.2 \(point link6\) repeats or contradicts"),
         ([{**CONE, "cone_deg": 0}, {"axis": "tcp.x", "towards": "path.tangent"}], r"task.2 \(axis tcp.x\) repeats"),
         ([CONE, {**CONE, "axis": "-tcp.z"}], r"task.1 \(axis tcp.z\) and task.2 \(axis -tcp.z\) contradict each other"),
-        ([TILTED, {"axis": "tcp.z", "towards": [0, 0, -1], "cone_deg": 60}], "0 degrees .* axes, 90 between"),
-        ([TILTED, {"orientation": [1, 0, 0, 0], "within_deg": 60}], "0 degrees .* frames, 90 between"),
+        ([TILTED, {"axis": "tcp.z", "towards": [0, 0, -1], "cone_deg": 60}], "axes are 0 degrees apart"),
+        ([TILTED, {"orientation": [1, 0, 0, 0], "within_deg": 60}], "frames are 0 degrees apart, .* 90"),
         ([ON_PATH, {**PLANE, "through_m": [0, 0, 9], "within_m": 0.1}], "contradict each other at point 1 of"),
         ([{**PLANE, "within_m": 0.1}, {**PLANE, "normal": [0, 0, -1], "through_m": [0, 0, 0.3], "within_m": 0.1}],
-         r"contradict each other at point 1 of the path: 0.3 m between the places, 0.202 m allowed"),
-        ([ON_PATH, {"orientation": [1, 0, 0, 0]}, {"point": "link4", "on": [1, 0, 1]}], "the task has 9 rows"),
+         r"contradict each other at point 1 of the path: required positions are 0.3 m apart, 0.202 m are allowed"),
+        ([ON_PATH, {"orientation": [1, 0, 0, 0]}, {"point": "link4", "on": [1, 0, 1]}], "the task has 9 equations"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_named_before_planning(rows, message):
@@ -192,10 +192,10 @@ def test_a_path_file_brings_its_normals_tangents_and_quaternions(tmp_path):
 @pytest.mark.parametrize(
     ("names", "columns", "message"),
     [
-        ("nx,ny,nz", [0, 0, 0.9], "the normal of point 1 has the length 0.9; 1 is needed"),
-        ("nx,ny,nz", [0, 0, 0.0], "the normal of point 1 has the length 0; 1 is needed"),
-        ("tx,ty,tz", [2.0, 0, 0], "the tangent of point 1 has the length 2; 1 is needed"),
-        ("qw,qx,qy,qz", [0, 0, 0.0, 0], "the quaternion of point 1 has the length 0"),
+        ("nx,ny,nz", [0, 0, 0.9], "the normal at point 1 has the length 0.9; it must be 1"),
+        ("nx,ny,nz", [0, 0, 0.0], "the normal at point 1 has the length 0; it must be 1"),
+        ("tx,ty,tz", [2.0, 0, 0], "the tangent at point 1 has the length 2; it must be 1"),
+        ("qw,qx,qy,qz", [0, 0, 0.0, 0], "the quaternion at point 1 has the length 0"),
         ("qw,qx,qy,qz", [np.nan, 0, 0.0, 0], "qw,qx,qy,qz of point 1 is 'nan,0,0,0'"),
     ],
 )
@@ -206,5 +206,5 @@ def test_directions_that_are_none_are_refused(names, columns, message, tmp_path)
 
 def test_as_many_directions_as_points_are_needed():
     duct = made_once.duct()
-    with pytest.raises(InputError, match="normals of the path: 3 for its 94 points"):
+    with pytest.raises(InputError, match="normals of the path has 3 rows, but the path has 94 points"):
         load_workpiece(path=duct.path, frames=PathFrames(normals=np.tile([0.0, 0.0, 1.0], (3, 1))))

@@ -175,5 +175,5 @@ def test_an_axis_that_points_the_other_way_is_half_a_turn_off_and_one_that_is_th
 def test_more_equalities_than_joints_are_refused():
     task = Task((TaskPoint(), FrameOrientation(None), TaskPoint(3, axes=(2,))))
     assert (task.rows, task.bands, task.numbers, task.values) == (7, 0, 13, 13)
-    with pytest.raises(InputError, match="the task has 7 rows, the robot gp50 has 6 joints"):
+    with pytest.raises(InputError, match="the task has 7 equations, more than the 6 joints of robot gp50"):
         task.freedom(made_once.robot())

@@ -186,7 +186,7 @@ def test_play_by_targets_leaves_no_configuration_out_and_stands_where_nothing_is
         np.testing.assert_allclose(pose.arm.tcp, replay.tcp[target], atol=1e-12)
 
 
-NO_FEED = "needs --feed: it belongs to a timed motion"
+NO_FEED = "applies to a timed motion only: pass --feed, too"
 FEEDS = "20mm/s"
 WRONG = [
     (["--speed", "2"], f"--speed {NO_FEED}"),
@@ -194,10 +194,10 @@ WRONG = [
     (["--set", "program.full_speed_s=0.4"], f"--set {NO_FEED}"),
     (["--feed", "20"], "feed '20' is not a speed above 0 with a unit, such as 20mm/s"),
     (["--feed", "0mm/s"], "feed '0mm/s' is not a speed above 0"),
-    (["--feed", FEEDS, "--speed", "0"], "--speed is 0; from 0.1 to 100 are possible"),
-    (["--feed", FEEDS, "--movie", "none"], "--feed gives a movie its time; --movie none makes none"),
+    (["--feed", FEEDS, "--speed", "0"], "--speed is 0; valid: 0.1 to 100"),
+    (["--feed", FEEDS, "--movie", "none"], "--feed applies to the movie, but --movie none writes no movie"),
     (["--feed", FEEDS, "--set", "margin_m=0"], "only keys of program.* can be changed"),
-    (["--movie", "gif", "--out", "weld.mp4"], "--out weld.mp4 is the name of one mp4, --movie gif names another"),
+    (["--movie", "gif", "--out", "weld.mp4"], "--out weld.mp4 is a mp4 file, but --movie is gif; omit"),
 ]
 
 
@@ -214,7 +214,7 @@ def test_a_plan_that_is_not_executable_says_how_far_it_is(folder, screenless, tm
     monkeypatch.chdir(tmp_path)
     assert main([command, str(folder.parent / "bad"), "--feed", FEEDS]) == 2
     output = capsys.readouterr()
-    assert "a motion leads to 0 of 10 targets" in output.err and output.err.count("\n") == 1
+    assert "the motion leads to only 0 of 10 targets" in output.err and output.err.count("\n") == 1
     assert output.out == "" and not list(tmp_path.iterdir())
 
 

@@ -153,7 +153,7 @@ def test_times_of_results_that_are_not_the_runs_any_more_do_not_count(timed_copy
 def test_a_damaged_file_is_named_and_made_again(timed, timed_copy):
     file = timing_file(timed_copy, METHOD)
     file.write_bytes(content(timed)[:-40])
-    with pytest.raises(InputError, match=r"baseline\.parquet is damaged: .*htcp program --all creates it again"):
+    with pytest.raises(InputError, match=r"baseline\.parquet is damaged: .*delete it and run htcp program --all again"):
         open_run(timed_copy).scenarios()
     time_run(open_run(timed_copy), "20mm/s")
     assert content(timed_copy) == content(timed)
@@ -204,7 +204,7 @@ def test_a_run_passes_the_baseline_of_its_own_times_and_the_gate_shows_them(time
 
 def test_a_run_without_times_or_with_others_fails_where_the_baseline_has_some(untimed, timed_copy, baseline, capsys):
     (failure,) = verdict(untimed, baseline, capsys)["failures"]
-    assert "its times are missing; htcp program --all writes them" in failure
+    assert "its times are missing; run htcp program --all" in failure
     time_run(open_run(timed_copy), "10mm/s")
     (failure,) = verdict(timed_copy, baseline, capsys)["failures"]
     assert "timed with another feed or other limits" in failure
@@ -224,9 +224,9 @@ def test_a_run_that_takes_longer_holds_its_feed_less_or_has_fewer_times_fails(ti
         times["cycle_time_s"][LOST] = 1.0
 
     for change, says in (
-        (faster, "1 scenario over 1 % longer, 1 the most"),
+        (faster, "1 scenario over 1 % longer, most of all scenario 1"),
         (more_held, "1 scenario fewer with the feed held, 0 of 3"),
-        (one_more, "1 scenario without a time, 3 the first"),
+        (one_more, "1 scenario without a time, the first is 3"),
     ):
         (failure,) = verdict(timed, edited(baseline, tmp_path, change), capsys)["failures"]
         assert says in failure
@@ -235,17 +235,17 @@ def test_a_run_that_takes_longer_holds_its_feed_less_or_has_fewer_times_fails(ti
 
 WRONG = [
     (["--all", "--feed", "20"], "feed '20' is not a speed above 0 with a unit, such as 20mm/s"),
-    (["--all"], "no feed: --feed 20mm/s gives one, or program.feed of the job"),
-    (["--all", "--feed", "20mm/s", "--out", "x.csv"], "--out is for one program; --all times every scenario"),
-    (["--all", "--feed", "20mm/s", "--one-way"], "--one-way is for one program"),
-    (["--all", "--feed", "20mm/s", "--method", "hybrid"], "has no plans by 'hybrid'; there are baseline"),
+    (["--all"], "the feed rate is missing: pass --feed 20mm/s, or set program.feed in the job"),
+    (["--all", "--feed", "20mm/s", "--out", "x.csv"], "--out applies to one program, and --all times every scenario"),
+    (["--all", "--feed", "20mm/s", "--one-way"], "--one-way applies to one program"),
+    (["--all", "--feed", "20mm/s", "--method", "hybrid"], "has no plans by 'hybrid'; valid: baseline"),
     (["--all", "--feed", "20mm/s", "--set", "margin_m=0"], "only keys of program.* can be changed"),
     (["--all", "--set", "program.feed=5"], "program.feed: feed '5' is not a speed above 0 with a unit"),
     (
         ["--all", "--feed", "20mm/s", "--set", "program.velocity=[1, 2]"],
-        "program.velocity has 2 values, the robot gp50",
+        "program.velocity has 2 values, but the robot gp50",
     ),
-    (["--feed", "20mm/s"], "--out is missing: the file to write; or use --all"),
+    (["--feed", "20mm/s"], "--out is missing: pass --out FILE, or --all"),
 ]
 
 
@@ -271,7 +271,9 @@ def test_a_sweep_with_a_feed_of_an_arm_without_velocity_limits_is_refused_before
     (tmp_path / "grid.yaml").write_text(yaml.safe_dump({"config": "job.yaml", "grid": [{"margin_m": [0.001]}]}))
     out = tmp_path / "run"
     assert main(["sweep", str(tmp_path / "grid.yaml"), "--feed", "20mm/s", "--out", str(out)]) == 2
-    assert "has no velocity limit of joint j1; program.velocity gives one a joint" in capsys.readouterr().err
+    assert (
+        "has no velocity limit for joint j1; set program.velocity, with one value per joint" in capsys.readouterr().err
+    )
     assert not out.exists()
 
 

@@ -56,7 +56,7 @@ def test_a_part_far_larger_than_the_arm_is_refused_with_its_unit(unit, factor, a
     """
     said = refusal(box(UNITS[unit], UNITS[unit], at))
     assert f"box extends over {0.4 * UNITS[unit]:.3g} m, gp50 reaches 3.07 m; it and its path seem" in said
-    assert said.endswith(f"in {unit}, metres are needed (factor {factor})")
+    assert said.endswith(f"in {unit}; convert to metres (factor {factor})")
 
 
 @pytest.mark.parametrize("unit", ["millimetres", "inches"])
@@ -72,22 +72,22 @@ def test_a_path_that_stays_far_from_its_part_is_refused_with_its_unit(unit, fact
     said = refusal(box(1.0, UNITS[unit], at))
     assert said.startswith("half of the path is ")
     key = {"millimetres": "mm", "inches": "in", "centimetres": "cm"}[unit]
-    hint = f"metres are needed (factor {factor}), or workpiece.path_unit: {key}"
-    assert said.endswith(f"; the path seems to be in {unit}, {hint}")
+    hint = f"convert it to metres (factor {factor}), or set workpiece.path_unit: {key}"
+    assert said.endswith(f"; the path seems to be in {unit}; {hint}")
 
 
 def test_a_path_in_another_frame_is_refused_without_a_guess():
     """Path in another frame: refused without a guess."""
     part = box()
     said = refusal(Workpiece("box", part.cloud, part.path + np.array([7.0, 7.0, 7.0])))
-    assert said.endswith("from box; both have to be in metres and in the same frame")
+    assert said.endswith("from box; both must be in metres and in the same frame")
 
 
 def test_a_part_far_smaller_than_the_thinnest_body_is_refused():
     """Part far smaller than the thinnest body: refused."""
     said = refusal(box(1e-3, 1e-3))
     assert "box extends over 0.0004 m, the thinnest body of gp50 over 0.06 m" in said
-    assert "in kilometres, metres are needed (factor 1000)" in said
+    assert "in kilometres; convert to metres (factor 1000)" in said
 
 
 @pytest.mark.parametrize("scale, words", [(0.1, "the thinnest body"), (20.0, "gp50 reaches")])
@@ -116,7 +116,7 @@ def test_the_command_refuses_a_part_in_millimetres(tmp_path, capsys, monkeypatch
     assert main(["plan", *files, "--out", "out"]) == 2
     assert capsys.readouterr().err == (
         "htcp: box extends over 400 m, gp50 reaches 3.07 m; "
-        "it seems to be in millimetres, metres are needed (factor 0.001)\n"
+        "it seems to be in millimetres; convert to metres (factor 0.001)\n"
     )
     assert not (tmp_path / "out").exists()
 
@@ -140,7 +140,7 @@ def test_a_sweep_refuses_a_part_in_inches(tmp_path):
     np.savetxt(tmp_path / "seam.csv", UNITS["inches"] * SEAM, delimiter=",")
     (tmp_path / "job.yaml").write_text("workpiece: {cloud: box.xyz, path: seam.csv}\n")
     (tmp_path / "grid.yaml").write_text("config: job.yaml\ngrid:\n  - workpiece.rotation_y_rad: [0.0, 0.1]\n")
-    with pytest.raises(InputError, match=r"it and its path seem to be in inches, metres are needed \(factor 0.0254\)"):
+    with pytest.raises(InputError, match=r"it and its path seem to be in inches; convert to metres \(factor 0.0254\)"):
         load_sweep(tmp_path / "grid.yaml").batch()
 
 
@@ -172,10 +172,10 @@ def test_a_rail_adds_its_travel_to_the_reach_of_the_targets():
 @pytest.mark.parametrize(
     "change, reported",
     [
-        ({"robot.tool_extension_m": 60}, "m, and the TCP lies 60.6 m beyond"),
-        ({"robot.tool": {"tip_m": [0, 30, 270], "bodies": []}}, "and the TCP lies 2"),
+        ({"robot.tool_extension_m": 60}, "m, but the TCP is 60.6 m from"),
+        ({"robot.tool": {"tip_m": [0, 30, 270], "bodies": []}}, "but the TCP is 2"),
         ({"robot.base_rpy_rad": [0, 0, 90]}, "robot.base_rpy_rad.2 is 90"),
-        ({"robot.base_m": [0.1, 0.2]}, "robot.base_m is [0.1, 0.2]: 3 values or more are needed"),
+        ({"robot.base_m": [0.1, 0.2]}, "robot.base_m is [0.1, 0.2]: at least 3 values are needed"),
     ],
 )
 def test_a_tool_in_millimetres_and_a_base_in_degrees_are_refused(change, reported):

@@ -31,7 +31,7 @@ from htcp_jax.report.validation import notes, read_validation, validated, verdic
 from htcp_jax.runs import open_run
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.sweep import sweep
-from htcp_jax.validation import STEP_RAD, validate_results
+from htcp_jax.validation import STEP_RAD, track, validate_results
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.records import data_of
@@ -116,6 +116,14 @@ def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monke
     assert one["clearance_less_cover_min_mm"] <= recorded + 1e-6 < one["clearance_min_mm"]
 
 
+def test_the_progress_within_one_plan_is_reported_and_does_not_change_its_result(run, monkeypatch):
+    whole, shares = validate_results(run), []
+    monkeypatch.setattr(track, "SAMPLES", 200)
+    parts = validate_results(run, progress=lambda done, count: shares.append(done))
+    assert any(0 < share < 1 for share in shares) and shares == sorted(shares)
+    assert parts._replace(seconds=0.0) == whole._replace(seconds=0.0)
+
+
 def test_the_cover_of_a_mesh_is_not_subtracted_from_distances_to_the_cell(tmp_path):
     job, run, table = small_box_job(tmp_path, 0.005), tmp_path / "run", tmp_path / "table.xml"
     top = 0.1807 - 0.02 - 0.078 - 1e-3  # 1 mm below the shoulder, whatever the arm does
@@ -145,7 +153,7 @@ def test_a_weaker_validation_never_replaces_a_stronger_one_of_the_same_results(r
     shown = capsys.readouterr()
     assert json.loads(shown.out)["between"] == 0 and (run / VALIDATION).read_bytes() == before
     assert (
-        "validation.json is kept: it validates the same results with more samples" in shown.err
+        "validation.json is not overwritten: it validates the same results with more samples" in shown.err
         and shown.err.count("\n") == 1
     )
     assert main(["validate", str(run), "--between", "2", "--feed", "3m/min"]) == 0
@@ -370,7 +378,7 @@ def test_a_plan_validates_and_its_summary_says_so(planned, tmp_path, monkeypatch
 @pytest.mark.parametrize(
     "words, reason",
     [
-        (["nowhere"], "holds neither a run"),
+        (["nowhere"], "contains neither a run"),
         (["run", "--between", "-1"], "between is -1"),
         (["run", "--feed-mm-s", "0"], "must be positive"),
     ],
@@ -392,12 +400,12 @@ def test_a_path_that_has_changed_since_is_bad_input(planned, run, monkeypatch, c
         assert main(["validate", str(run)]) == 2
     finally:
         path.write_text(before)
-    assert "is not what it was when" in capsys.readouterr().err
+    assert "has changed since" in capsys.readouterr().err
 
 
 def test_without_a_column_of_joint_speeds_the_notes_say_why():
     """Notes on missing joint speeds: the reason is named (regression)."""
     method = {"paths": 3, "speed_ratio_max": None}
     reported = {"between": 0, "feed_mm_s": 10.0, "methods": {"baseline": method}}
-    assert notes(reported) == ["There are no joint speeds, because the model states no limits."]
+    assert notes(reported) == ["There are no joint speeds, because the model file has no velocity limits."]
     assert "feed rate of 10 mm/s" in notes(reported | {"methods": {"baseline": method | {"speed_ratio_max": 0.5}}})[0]

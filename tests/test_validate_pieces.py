@@ -84,6 +84,17 @@ def test_a_wall_is_as_far_away_as_the_piece(tmp_path, is_mesh):
     assert scene.between(X[None], np.array([0]), known, 0.05)[1] == pytest.approx(apart)
 
 
+def test_a_piece_s_distance_from_a_mesh_less_the_cover_is_what_a_plan_saves(tmp_path):
+    """Regression: pieces were measured up to the saved clearance only, and the cover subtracted from that once more."""
+    arm = MujocoArm(arm_file(tmp_path))
+    corners = beside(arm, X, 0.04) + 0.01 * np.vstack([np.zeros(3), np.eye(3)[:2]])
+    scene = CheckedScene(arm, Wall(corners, "none", None, corners[None]), np.eye(3), np.zeros(3), 0.0)
+    exact = scene.at(X[None], 1.0).to_wall[0]
+    assert scene.at(X[None]).to_wall[0] < exact
+    cover, saved = 0.6 * exact, 0.4 * exact
+    assert scene.at(X[None], saved, cover).less_cover(cover) == pytest.approx(saved)
+
+
 @pytest.mark.parametrize("corners", [1, 3])
 def test_a_hull_is_as_far_away_as_its_nearest_point(corners):
     for _ in range(20):
@@ -94,6 +105,14 @@ def test_a_hull_is_as_far_away_as_its_nearest_point(corners):
     assert Hull(np.array(list(product((-1.0, 1.0), repeat=3)))).clearance(
         np.array([[[0.0, 0.0, 0.7]]])
     ) == pytest.approx(-0.3)
+
+
+def test_a_hull_measures_no_part_of_a_wall_that_its_planes_separate_by_more_than_is_asked_for(monkeypatch):
+    cube = Hull(np.array(list(product((-1.0, 1.0), repeat=3))), 0.1)
+    wall = np.array([[[1.5, 0.0, 0.0]], [[3.0, 0.0, 0.0]]])
+    assert cube.clearance(wall, 0.4) == pytest.approx(cube.clearance(wall)) == pytest.approx(0.4)
+    monkeypatch.setattr(Hull, "_distance", lambda *_: pytest.fail("measured"))
+    assert cube.clearance(wall, 0.3) > 0.3
 
 
 def _apart(a: np.ndarray, b: np.ndarray) -> float:

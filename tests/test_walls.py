@@ -166,7 +166,7 @@ def test_an_axis_and_a_triangle_are_measured_exactly():
 def test_a_coarse_spacing_is_a_warning_that_names_the_body(tmp_path):
     """Covering radius that is larger than a body: a clearance is still a lower bound."""
     job = load_config(stranger_jobs.box_job(tmp_path), ["workpiece.mesh_spacing_m=0.05"])
-    words = r"part.obj: every clearance is reduced by 22.* mm, .*; capsule spindle has a radius of only 8 mm, and a sm"
+    words = r"part.obj: every clearance is reduced by 22.* mm, .*; capsule spindle has a radius of only 8 mm; set a sm"
     with pytest.warns(UserWarning, match=words):
         scene(job)
 
@@ -198,7 +198,7 @@ def test_a_tiny_body_near_the_base_requires_no_points(tmp_path):
 
 def test_an_arm_with_a_tiny_body_at_its_tool_plans_in_a_small_part_and_a_warning_names_the_body(tmp_path):
     job = with_tiny_body(tmp_path, "probe")
-    with pytest.warns(UserWarning, match=r"capsule probe has a radius of only 1 mm, and a smaller workpiece.mesh_spac"):
+    with pytest.warns(UserWarning, match=r"capsule probe has a radius of only 1 mm; set a smaller workpiece.mesh_spac"):
         plan = htcp_jax.plan(job)
     assert 10_000 < len(plan.workpiece.cloud) < 100_000
     assert is_tracked(plan.plans.status).all()
@@ -213,7 +213,7 @@ def test_a_cloud_says_its_gap_and_warns_where_a_body_fits_through(tmp_path):
         np.save(tmp_path / name, apart)
     part = job.workpiece.model_copy(update={"cloud": str(tmp_path / "close.npy")})
     assert workpiece_of(part, robot).largest_gap_m < 0.01 and "gaps up to" in workpiece_of(part, robot).walls
-    with pytest.warns(UserWarning, match=r"gap.npy: a gap of 25 mm between its points; capsule spindle, 16 mm thick"):
+    with pytest.warns(UserWarning, match=r"gap.npy: the points have gaps of up to 25 mm; capsule spindle, 16 mm thick"):
         workpiece_of(part.model_copy(update={"cloud": str(tmp_path / "gap.npy")}), robot)
 
 

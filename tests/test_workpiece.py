@@ -155,7 +155,7 @@ def test_at_any_tolerance_the_hull_is_closed_and_holds_the_cloud(tolerance):
 
 def test_a_flat_cloud_needs_interior_none(generated):
     flat = CUBE * [1.0, 1.0, 0.0]
-    with pytest.raises(InputError, match=r"cloud of sheet: flat.*interior 'none'"):
+    with pytest.raises(InputError, match=r"cloud of sheet: the points lie in one plane.*set interior to 'none'"):
         Workpiece("sheet", flat, PATH)
     sheet = Workpiece("sheet", flat, PATH, interior="none")
     assert sheet.hull_normal.shape == (0, 3) and sheet.hull_offset.shape == (0,)
@@ -185,16 +185,16 @@ def test_arrays_are_read_only_copies():
 
 @pytest.mark.parametrize("change, words", [
     ({"cloud": CUBE[:3]}, "cloud of w: 3 points, at least 4"),
-    ({"cloud": CUBE[:, :2]}, r"cloud of w: shape \(8, 2\)"),
-    ({"cloud": np.where(CUBE == 1.0, np.nan, 0.0)}, "cloud of w: row 2 holds NaN"),
+    ({"cloud": CUBE[:, :2]}, r"cloud of w: the shape is \(8, 2\)"),
+    ({"cloud": np.where(CUBE == 1.0, np.nan, 0.0)}, "cloud of w: row 2 contains NaN"),
     ({"path": PATH[:0]}, "path of w: 0 points"),
-    ({"path": PATH * np.nan}, "path of w: row 1 holds NaN"),
+    ({"path": PATH * np.nan}, "path of w: row 1 contains NaN"),
     ({"inlet": (0.0, 0.0)}, "inlet is"),
     ({"pivot": (0.0, 0.0, float("nan"))}, "pivot is"),
     ({"neutral_translation": "abc"}, "neutral_translation"),
     ({"interior_depth_m": -0.1}, "interior_depth_m is -0.1"),
     ({"hull_tolerance_m": float("nan")}, "hull_tolerance_m is nan"),
-    ({"interior": "mesh"}, "interior is 'mesh'; valid are hull, none"),
+    ({"interior": "mesh"}, "interior is 'mesh'; valid: hull, none"),
 ])  # fmt: skip
 def test_bad_figures_give_one_line(monkeypatch, change, words):
     # As users run it: the type checks, which only run in tests, would fail first.
@@ -222,7 +222,7 @@ def test_another_cloud_brings_its_path_and_has_no_inlet_unless_given(tmp_path):
     assert np.array_equal(part.cloud, CUBE) and np.array_equal(part.path, PATH)
     with_inlet = load_workpiece(tmp_path / "part.xyz", tmp_path / "seam.csv", inlet=(1.0, 2.0, 3.0))
     assert with_inlet.inlet.tolist() == [1.0, 2.0, 3.0]
-    with pytest.raises(InputError, match=r"part.xyz: a cloud needs a tool path"):
+    with pytest.raises(InputError, match=r"part.xyz: workpiece.path is missing"):
         load_workpiece(tmp_path / "part.xyz")
 
 
@@ -238,7 +238,7 @@ def test_the_duct_takes_another_path_and_can_lose_its_inlet(tmp_path):
 
 @pytest.mark.parametrize("content, words", [
     ("", "the tool path is empty"), ("x,y,z\n", "the tool path is empty"),
-    ("1,2,3\nnan,0,0\n", "line 2 holds NaN"), ("1,2\n", "line 1 has 2 columns"),
+    ("1,2,3\nnan,0,0\n", "line 2 contains NaN"), ("1,2\n", "line 1 has 2 columns"),
 ])  # fmt: skip
 def test_bad_paths_give_one_line(tmp_path, content, words):
     (tmp_path / "seam.csv").write_text(content)
@@ -251,7 +251,7 @@ def test_a_path_is_a_text_table_that_may_be_one_point(tmp_path):
     assert read_path(tmp_path / "seam.csv").tolist() == [[1.0, 2.0, 3.0]]
     with pytest.raises(InputError, match="no such file"):
         read_path(tmp_path / "missing.csv")
-    with pytest.raises(InputError, match=r"unknown ending '.npy'; valid are .xyz .csv .txt"):
+    with pytest.raises(InputError, match=r"unknown ending '.npy'; valid: .xyz .csv .txt"):
         read_path(tmp_path / "seam.npy")
 
 
@@ -272,11 +272,11 @@ def test_a_workpiece_of_arrays_is_that_of_their_files(tmp_path):
 @pytest.mark.parametrize(
     ("cloud", "path", "line"),
     [
-        (np.zeros((5, 2)), np.zeros((1, 3)), r"cloud: shape \(5, 2\), \(points, 3\) is needed"),
+        (np.zeros((5, 2)), np.zeros((1, 3)), r"cloud: the shape is \(5, 2\); it must be \(points, 3\)"),
         (np.zeros((3, 3)), np.zeros((1, 3)), "cloud: 3 points, at least 4 are needed"),
-        (np.full((9, 3), np.nan), np.zeros((1, 3)), "cloud: row 1 holds NaN"),
-        (np.eye(4)[:, :3], None, "cloud: a cloud needs a tool path of its own"),
-        (np.eye(4)[:, :3], np.zeros(3), r"path: shape \(3,\), \(points, 3\) is needed"),
+        (np.full((9, 3), np.nan), np.zeros((1, 3)), "cloud: row 1 contains NaN"),
+        (np.eye(4)[:, :3], None, "cloud: workpiece.path is missing"),
+        (np.eye(4)[:, :3], np.zeros(3), r"path: the shape is \(3,\); it must be \(points, 3\)"),
         (np.eye(4)[:, :3], np.zeros((0, 3)), "path: 0 points, at least 1 are needed"),
     ],
 )

@@ -10,6 +10,8 @@ from html import unescape
 from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 
+# Brackets that browsers would stretch to a formula's height, but not those that have an exponent
+SMALL = re.compile(r'<mo(?: stretchy="true" fence="true" minsize="1.2em" maxsize="1.2em")?>(&#x02016;|[()])</mo>')
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 
 
@@ -24,4 +26,5 @@ def _mathml(found: re.Match) -> str:
     mathml = convert(formula, display="block" if opening == "[" else "inline")
     if "\\" in mathml or formula.count("{") != formula.count("}"):
         raise PluginError(f"no formula: {formula.strip()}")
+    mathml = SMALL.sub(r'<mo stretchy="false">\1</mo>', mathml)
     return f"<{tag}>{mathml}</{tag}>"

@@ -1,12 +1,13 @@
-"""Tables that are generated from the package when the site is built.
+"""Parts of pages that are generated from the package. `python docs/hooks/tables.py` writes them; a test checks them.
 
-    <!-- table: job keys -->      every key of a job: type, unit, default, meaning
-    <!-- table: columns NAME -->  every column of a Parquet table: unit, description
-    <!-- table: json NAME -->     every value in docs/schemas/NAME-1.json: type, meaning
-    <!-- table: statuses NAME --> every member of an enumeration in htcp_jax.status: name, meaning
+    <!-- generated: job keys -->      every key of a job: type, unit, default, meaning
+    <!-- generated: columns NAME -->  every column of a Parquet table: unit, description
+    <!-- generated: json NAME -->     every value in docs/schemas/NAME-1.json: type, meaning
+    <!-- generated: statuses NAME --> every member of an enumeration in htcp_jax.status: name, meaning
+    <!-- generated: file PATH -->     a file of the repository
 
-Types and ranges of job keys come from the schema of `PlanConfig`, their meanings from the comments in
-configs/duct.yaml.
+Each part ends with END. Types and ranges of job keys come from the schema of `PlanConfig`, their meanings from the
+comments in configs/duct.yaml. NOTE, which explains on a code host why a page looks empty, is removed from the site.
 """
 
 import json
@@ -22,8 +23,14 @@ from htcp_jax import status
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.runs import columns
 
-MARK = re.compile(r"^<!-- table: (job keys|columns|json|statuses)(?: (\w+))? -->$", re.MULTILINE)
-JOB = Path(__file__).parents[2] / "configs" / "duct.yaml"
+END = "<!-- end of the generated part -->"
+MARK = re.compile(
+    rf"^(<!-- generated: (job keys|columns|json|statuses|file)(?: ([\w./]+))? -->)\n(?:.*?^{END}$)?",
+    re.MULTILINE | re.DOTALL,
+)
+NOTE = "*`make docs` fills in this page, into `build/site`. In Python, `help` prints the descriptions of calls.*\n"
+ROOT = Path(__file__).parents[2]
+JOB = ROOT / "configs" / "duct.yaml"
 SCHEMAS = Path(__file__).parents[1] / "schemas"
 UNITS = {"_rad": "rad", "_m": "m", "_s": "s", "num_cpus": "cores"}
 LIMITS = {"minimum": ">= {:g}", "exclusiveMinimum": "> {:g}", "maximum": "<= {:g}", "exclusiveMaximum": "< {:g}"}
@@ -41,9 +48,25 @@ class JobKey(NamedTuple):
 
 
 def on_page_markdown(markdown: str, **_) -> str:
-    """Replace the marks by tables; called by mkdocs with every page's source."""
-    tables = {"columns": columns_table, "json": json_table, "statuses": statuses_table}
-    return MARK.sub(lambda found: tables[found[1]](found[2]) if found[2] else keys_table(), markdown)
+    """Remove NOTE; called by mkdocs with every page's source."""
+    return markdown.replace(NOTE, "")
+
+
+def filled(markdown: str) -> str:
+    """Return a page with all its generated parts made anew."""
+    parts = {"columns": columns_table, "json": json_table, "statuses": statuses_table, "file": shown_file}
+
+    def part(found: re.Match) -> str:
+        mark, kind, name = found.groups()
+        return f"{mark}\n\n{parts[kind](name) if name else keys_table()}\n\n{END}"
+
+    return MARK.sub(part, markdown)
+
+
+def shown_file(name: str) -> str:
+    """Return a file of the repository as a block of code."""
+    file = ROOT / name
+    return f"```{file.suffix[1:]}\n{file.read_text().rstrip()}\n```"
 
 
 def keys_table() -> str:
@@ -97,7 +120,7 @@ def job_keys() -> list[JobKey]:
             kind, value = _resolved(kind, schema)["properties"][part], value[part]
         unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
         shown = yaml.safe_dump(value, default_flow_style=True).split("\n")[0]
-        found.append(JobKey(name, _words(kind, schema), unit, shown, meaning))
+        found.append(JobKey(name, "mapping" if value == {} else _words(kind, schema), unit, shown, meaning))
     return found
 
 
@@ -146,3 +169,9 @@ def _words(kind: dict[str, Any], schema: dict[str, Any]) -> str:
     names = {"number": "number", "integer": "whole number", "boolean": "true, false", "string": "text", "null": "null"}
     bounds = [form.format(kind[name]) for name, form in LIMITS.items() if name in kind and abs(kind[name]) < WIDE]
     return " ".join(filter(None, (names.get(kind.get("type", ""), "mapping"), " and ".join(bounds))))
+
+
+if __name__ == "__main__":
+    for page in sorted((ROOT / "docs").rglob("*.md")):
+        if (made := filled(text := page.read_text())) != text:
+            page.write_text(made)

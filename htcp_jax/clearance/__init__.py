@@ -1,15 +1,15 @@
 """Distances between the arm and its obstacles, their gradients, and proofs that a motion is clear.
 
-`Obstacle` is the protocol of a kind of obstacle, and `Obstacles` a tuple of them. `Scene` is a robot with its obstacles
-and its task, which all scenarios of a plan share; `own_scene` gives it a scenario's own tool.
+`Obstacle` is the base class of all kinds of obstacle, and `Obstacles` is a tuple of obstacles. `Scene` is a robot with
+its obstacles and task, which all scenarios of a plan share; `own_scene` returns the scene with a scenario's own tool.
 
-`clearance` is the minimum clearance of a configuration, `clearances` has one number per capsule, `contacts` the nearest
-points and their normals, and `is_clear` compares with a margin, at less cost. `ClearanceRows` are the linearised
-clearances of a step QP. `HasWorkpiecePose`, `rows_of`, `in_workpiece` and `nearest_to` serve code that evaluates single
-pairs.
+`clearance` returns the minimum clearance of a configuration, `clearances` one distance per row of the obstacles, and
+`contacts` the nearest points and their normals. `is_clear` tests D > 0 at less cost. `ClearanceRows` are the linearised
+clearances of a step QP. `HasWorkpiecePose`, `rows_of`, `in_workpiece` and `nearest_to` are for code that evaluates
+single pairs.
 
-Three packages, from the bottom up: `distance` has the distances of a capsule from points, half-spaces and solids, with
-the indices that make them fast, for this package only; `clearance.obstacles` has the kinds of obstacle and makes them;
+There are three packages, from the bottom up. `distance`, for this package only, computes distances of a capsule from
+points, half-spaces and solids, with spatial indices. `clearance.obstacles` has the kinds of obstacle.
 `clearance.proof` bounds clearance and task errors between two configurations.
 """
 

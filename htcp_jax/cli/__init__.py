@@ -1,11 +1,10 @@
-"""The command `htcp`: one module per command, which is imported when it is called.
+"""The command `htcp`: one module per command, which is imported when the command is called.
 
-`main` runs the command line and returns its exit code; bad input gives one line and code 2. Its module lists the
-commands with their lines of help, so that `htcp --help` imports none of them.
+`main` runs the command line and returns its exit code. For invalid input it prints one line and returns 2. The module
+`main` lists the commands with one line of help each, so that `htcp --help` imports no command.
 
-A command's function is named like its module. It reads options, calls the packages below, and prints by `output`:
-tables, progress bars, or JSON with `--json`. `doctor` and `self_test` check the installation. Nothing else imports from
-this package.
+A command's function has the name of its module. It reads options and calls the other packages. It prints tables,
+progress bars or, with `--json`, JSON by functions of the module `output`. No other package imports from this one.
 """
 
 import lazy_loader

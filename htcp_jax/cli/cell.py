@@ -1,4 +1,4 @@
-"""`htcp cell`: convert the URDF or MJCF of a cell in which the part moves: on a positioner, or in the arm's hand."""
+"""`htcp cell`: convert the URDF or MJCF of a cell in which the part moves, on a positioner or held by the arm."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,22 +6,25 @@ from typing import Annotated
 import typer
 
 from htcp_jax.cli.output import Json
-from htcp_jax.cli.robot import FitTolerance, Fix, Model, Most, Replace, Srdf, Visual, convert
+from htcp_jax.cli.robot import FitTolerance, Fix, Model, Most, Omit, Replace, Srdf, Visual, convert
 
-Tool = Annotated[str, typer.Option("--tool", metavar="NAME", help="TCP: a site or link of the model.")]
-Part = Annotated[str, typer.Option("--part", metavar="LINK", help="Link that carries the part.")]
-Out = Annotated[Path, typer.Option(metavar="CELL.xml", help="Output file; a picture is written next to it.")]
-Omit = Annotated[
-    list[str] | None,
-    typer.Option(metavar="LINK", help="Link without capsules: the part itself. May be repeated."),
+Tool = Annotated[
+    str | None,
+    typer.Option(
+        "--tool",
+        metavar="NAME",
+        help="Site or link at the TCP. Omit it only if the model is a positioner or rail without an arm.",
+    ),
 ]
+Part = Annotated[str, typer.Option("--part", metavar="LINK", help="Link that carries the workpiece.")]
+Out = Annotated[Path, typer.Option(metavar="CELL.xml", help="Output file; a picture is written next to it.")]
 
 
 def cell(
     model: Model,
-    tool: Tool,
     part: Part,
     out: Out,
+    tool: Tool = None,
     omit: Omit = None,
     most: Most = None,
     fit_tolerance: FitTolerance = None,
@@ -33,11 +36,14 @@ def cell(
 ) -> int:
     """Convert the URDF or MJCF model of a cell in which the part moves.
 
-    The model is the cell as it stands: world, positioner or rail, arm, tool. The joints between the link that carries
-    the part and the TCP are kept, all others are frozen; --fix freezes further ones. Bodies are enclosed by capsules as
-    by htcp robot. Writes CELL.xml, for robot.model of a job, and CELL.png. A workpiece is posed in the frame of the
-    link that carries it; if its shape is in the model, --omit LINK leaves it to the job. With --part world the part
-    stands still, as by htcp robot.
+    The model contains the complete cell: positioner or rail, arm and tool. The joints between the link that carries the
+    workpiece and the TCP stay movable. All other joints are frozen; --fix freezes further ones. Capsules enclose the
+    bodies, as with htcp robot. Writes CELL.xml and CELL.png. In a job, set robot.model to CELL.xml, and give the
+    workpiece's file and its pose in the frame of --part. If the model contains the workpiece, too, exclude that link
+    with --omit. With --part world the workpiece is fixed, as with htcp robot.
+
+    Omit --tool if the model is only a positioner or a rail, and set a job's positioner.model or rail.model to CELL.xml.
+    Then the joints from the world to the link of --part stay movable.
 
     Exit codes: 0, 2 on bad input or if CELL.xml exists.
 
@@ -46,6 +52,8 @@ def cell(
       htcp cell cell.urdf --tool torch_tip --part table --out cell.xml
       htcp cell cell.urdf --tool grinder_tip --part part --omit part --out held.xml     a fixed tool, the part in hand
       htcp cell cell.urdf --tool torch_tip --part table --fix tilt=0.3 --out flat.xml
+      htcp cell positioner.urdf --part table --out positioner.xml
     """
     options = {"most": most, "visual": visual, "srdf": srdf, "omit": omit or ()}
-    return convert(model, out, fix or (), fit_tolerance, replace, as_json, tcp=tool, part=part, **options)
+    options |= {"tcp": part, "fewest": 1} if tool is None else {"tcp": tool, "part": part}
+    return convert(model, out, fix or (), fit_tolerance, replace, as_json, **options)

@@ -11,7 +11,7 @@ SOUND, UNSOUND = 0, 1
 def doctor(as_json: Json = False) -> int:
     """Check the installation: versions, devices, rendering, compile cache, and a short plan with a known result.
 
-    Takes about 2 s, and longer until its functions are compiled. Writes nothing.
+    Takes about 2 s, and longer the first time, because functions are compiled. Writes only to the compile cache.
 
     Exit codes: 0 if the self-test passes (rendering may be missing: no plan needs it), 1 if it fails.
 
@@ -31,7 +31,7 @@ def doctor(as_json: Json = False) -> int:
 def _print_verdict(found: dict) -> None:
     cache, cores, test = found["cache"], found["cores"], found["self_test"]
     versions = ", ".join(f"{name} {version or '(not installed)'}" for name, version in found["versions"].items())
-    kept = "none; every start compiles anew"
+    kept = "no cache; every start compiles again"
     if cache is not None:
         kept = f"{cache['folder']}, {cache['files']:,} files, {cache['bytes'] / 1e6:.1f} MB"
     facts = {

@@ -18,14 +18,14 @@ COLUMNS = Column("name", "name"), Column("command", "run by"), Column("descripti
 
 
 def complete_example(start: str) -> list[str]:
-    """Names of examples that begin with `start`."""
+    """Return the names of examples that begin with `start`, for shell completion."""
     return [name for name in examples.examples() if name.startswith(start)]
 
 
 Name = Annotated[
     str | None,
     typer.Argument(
-        metavar="NAME", help="Example to copy; without it, all are listed.", autocompletion=complete_example
+        metavar="NAME", help="Example to copy; without it, all examples are listed.", autocompletion=complete_example
     ),
 ]
 Folder = Annotated[Path | None, typer.Argument(metavar="DIR", help="New or empty output folder.")]
@@ -54,9 +54,9 @@ def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> 
     if name not in known:
         raise InputError(f"unknown example {name!r}; valid: {', '.join(known)}")
     if folder is None:
-        raise InputError(f"a folder to write to is missing: htcp example {name} DIR")
+        raise InputError(f"the output folder is missing: pass htcp example {name} DIR")
     if folder.is_dir() and any(folder.iterdir()):
-        raise InputError(f"{folder} is not empty; an example is written to a new or an empty folder")
+        raise InputError(f"{folder} is not empty; name a new or an empty folder")
     files = sorted(examples.files_with_baseline(known[name]))
     root = os.path.commonpath([file.parent for file in files])
     with plan_folder.written_whole(folder) as scratch:

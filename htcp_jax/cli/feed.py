@@ -1,4 +1,4 @@
-"""Options of the commands that time a plan."""
+"""Options of the commands that time a plan or play a timed plan: --feed, --one-way, and --set for its limits."""
 
 from typing import Annotated
 
@@ -9,8 +9,8 @@ from htcp_jax.jobs import feed as feed_rates
 
 _FEED = f"Feed rate of the TCP along the path, for example 20mm/s; units: {', '.join(feed_rates.UNITS)}."
 Feed = Annotated[str | None, typer.Option(metavar="SPEED", help=f"{_FEED} By default the job's.")]
-PlayedFeed = Annotated[str | None, typer.Option("--feed", metavar="SPEED", help=f"Show the timed motion. {_FEED}")]
-OneWay = Annotated[bool, typer.Option("--one-way", help="Stop at the last target; do not return to the start.")]
+PlayedFeed = Annotated[str | None, typer.Option("--feed", metavar="SPEED", help=f"Play the timed motion. {_FEED}")]
+OneWay = Annotated[bool, typer.Option("--one-way", help="Stop at the last target; do not return to home or the start.")]
 ProgramKeys = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job's section program; may be repeated."),
@@ -18,17 +18,17 @@ ProgramKeys = Annotated[
 
 
 def played_feed(feed: str | None, **others: object) -> float | None:
-    """Parse the feed rate [m/s]; None if a plan is played by its targets.
+    """Return the value of --feed [m/s]; None if --feed is not set and the plan is shown target by target.
 
     Args:
-        feed: The feed rate as text, such as 20mm/s; None without one.
-        **others: Values of options that need a feed rate, by their names.
+        feed: The feed rate as text, such as 20mm/s; None if the option is not set.
+        **others: Values of the options that require --feed, by their names.
 
     Raises:
-        InputError: As `feed_of`, and for one of these options without a feed rate.
+        InputError: If the feed rate is invalid, or if one of `others` is set without a feed rate.
     """
     if feed is not None:
         return feed_rates.feed_of(feed)
     for name in (name for name, given in others.items() if given):
-        raise InputError(f"--{name.replace('_', '-')} needs --feed: it belongs to a timed motion")
+        raise InputError(f"--{name.replace('_', '-')} applies to a timed motion only: pass --feed, too")
     return None

@@ -20,11 +20,11 @@ from htcp_jax.validation import gate as regression
 from htcp_jax.validation import update_baseline as write_baseline
 
 PASSED, REGRESSION = 0, 1
-LISTED, INDENT = 20, 12  # scenarios, and columns for a name, on the terminal
+LISTED, INDENT = 20, 12  # on the terminal: maximum number of listed scenarios, and width of the column of names
 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp sweep.")]
 File = Annotated[Path, typer.Option(metavar="FILE", help="Baseline file.")]
-Update = Annotated[bool, typer.Option("--update", help="Update the baseline: write RUN into FILE.")]
+Update = Annotated[bool, typer.Option("--update", help="Write RUN to FILE as the new baseline, without a comparison.")]
 Junit = Annotated[
     Path | None, typer.Option("--junit", metavar="FILE", help="Write JUnit XML, one test case per method and check.")
 ]
@@ -69,25 +69,25 @@ def gate(
     markdown_file: Markdown = None,
     as_json: Json = False,
 ) -> int:
-    """Compare a run with a baseline and fail if it got worse.
+    """Compare a run with a baseline, and fail if its results are worse.
 
-    Compared are tracked targets, scenarios that changed their outcome, the share of reachable targets, TCP error and
-    clearance as MuJoCo measures them, and cycle times if the baseline has them; planning time is not. Missing results
-    count as failures. On GitHub Actions, every method that fails becomes an annotation.
+    Compares the number of tracked targets, scenarios that end earlier, the share of reachable targets that is tracked,
+    TCP error and clearance as measured by MuJoCo, and cycle times if the baseline contains them. Planning time is not
+    compared. Missing results count as failures. On GitHub Actions, each failing method is also annotated.
 
     Exit codes: 0 if the run passes, 1 if not, 2 on bad input.
 
     \b
     Examples:
       htcp sweep sweeps/seams-part --methods baseline,nspace-sqp
-      htcp gate out/seams-part --baseline mine.yaml --update    update the baseline
+      htcp gate out/seams-part --baseline mine.yaml --update    write the baseline
       htcp gate out/seams-part --baseline mine.yaml            compare a later run
       htcp gate out/seams-part --baseline mine.yaml --junit gate.xml --markdown gate.md    for CI
     """
     files = [file for file in (junit_file, markdown_file) if file]
     if update:
         if files:
-            raise InputError(f"--update compares nothing, so {files[0]} would be empty; omit one of them")
+            raise InputError(f"--update writes no comparison to {files[0]}; omit --update or that file")
         with progress_bar("plans", time_left=True) as progress:
             write_baseline(open_run(run), baseline, progress)
         print_json({"baseline": str(baseline)}) if as_json else print(f"{run} is the baseline now: {baseline}")
@@ -95,7 +95,7 @@ def gate(
     known = read_baseline(baseline)
     taken = [*map(os.path.realpath, (baseline, *files))]
     if twice := [file for file, place in zip(files, taken[1:], strict=True) if taken.count(place) > 1]:
-        raise InputError(f"{twice[-1]} is named twice; the baseline, --junit and --markdown are different files")
+        raise InputError(f"{twice[-1]} is named twice; --baseline, --junit and --markdown must be different files")
     with ExitStack() as reserved:
         for file in files:
             reserved.enter_context(plan_folder.writable_file(file))
@@ -152,7 +152,7 @@ def _print_comparison(verdict: regression.GateVerdict) -> None:
     if (more := len(verdict.changed) - LISTED) > 0:
         console.print(f"and {labels.counted(more, 'scenario')} more that changed")
     if verdict.elsewhere:
-        console.print(Text("On another device or with other versions than the baseline: see allow.elsewhere.", "dim"))
+        console.print(Text("Device or versions differ from the baseline's: allow.elsewhere applies.", "dim"))
     for line in verdict.improvements:
         console.print(Text.assemble(("better  ", "green"), line))
     for line in verdict.failures[:LISTED]:

@@ -1,7 +1,7 @@
-"""Entry point of `htcp`: each command is a function in the module of its name, and one line in COMMANDS.
+"""Entry point of `htcp`. A command is a function in the module of the same name, with one line in COMMANDS.
 
-A command's module is imported when it runs. Commands return their exit code. Bad input, on the command line or in a
-file, gives one line and code 2.
+A command's module is imported when the command runs. Commands return their exit code. Invalid input, on the command
+line or in a file, prints one line and returns 2.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from typer.core import TyperGroup
 from htcp_jax.errors import InputError, Interrupted, Lost, Note
 from htcp_jax.process_exit import INTERRUPTED as STOPPED
 
-# Suppresses matplotlib's message at import if there is no writable home folder.
+# Suppresses the message that matplotlib prints at import if the home folder is not writable.
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 COMMANDS = {
@@ -35,31 +35,32 @@ COMMANDS = {
     "view": "Show plans in the browser.",
     "render": "Draw a picture and a movie of one plan.",
     "place": "Search for the best mounting of the workpiece or the arm.",
-    "reachability": "Bound the number of targets that any method can reach.",
+    "reachability": "Compute lower and upper bounds on reachable targets.",
     "gate": "Compare a sweep with a baseline (regression test).",
     "methods": "List the planning methods.",
     "example": "List the examples, or copy one to a folder.",
     "doctor": "Check the installation with a self-test of 2 s.",
 }
 
-LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: the pipe is closed
-FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # errors of a disk, not of this code
+# Exit codes. LOST: worker processes or machines are lost; UNREAD: the reader of stdout has closed the pipe
+LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130
+FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # errors of a full or a faulty disk
 COMPLETION = "--install-completion", "--show-completion"
-LONGEST = 60  # characters of a file's name in a message
+LONGEST = 60  # maximum length of a file name in a message
 
 
 class Commands(TyperGroup):
-    """Group of commands that are imported on demand; its help shows only their names and lines in COMMANDS."""
+    """Group of commands that are imported on demand. Its help text is built from COMMANDS without importing them."""
 
     def resolve_command(self, ctx, args):
-        """Import the command that the first argument names; return it with the remaining arguments."""
+        """Import the command named by the first argument, then call the method of the base class."""
         name, command, rest = super().resolve_command(ctx, args)
         return name, command and _imported(name), rest
 
 
 def _imported(name: str):
     function = getattr(importlib.import_module(f"htcp_jax.cli.{name}"), name)
-    if "jax" in sys.modules:  # some commands do without
+    if "jax" in sys.modules:  # some commands do not import JAX
         importlib.import_module("htcp_jax.device.compile_cache").enable()
     alone = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, add_completion=False)
     alone.command(name, short_help=COMMANDS[name])(function)
@@ -67,10 +68,10 @@ def _imported(name: str):
 
 
 def _placeholder() -> None:
-    """Do nothing; placeholder of a command that is not imported yet."""
+    """Do nothing. This function is a placeholder for a command that is not imported yet."""
 
 
-HELP = {"help_option_names": ["-h", "--help"]}  # commands inherit them
+HELP = {"help_option_names": ["-h", "--help"]}  # all commands inherit these options
 app = typer.Typer(cls=Commands, rich_markup_mode=None, pretty_exceptions_enable=False, context_settings=HELP)
 for _name, _line in COMMANDS.items():
     app.command(_name, short_help=_line)(_placeholder)
@@ -96,19 +97,19 @@ def htcp(
       htcp plan                                  plan the default job; the picture is out/plan/plan.png
       htcp plan --method baseline                the same job by another method
       htcp plan pipe --set settings.seed=1       an example with one key changed; htcp example lists them
-      htcp example pipe mine                     copy its files as a start for your own job: mine/job.yaml
+      htcp example pipe mine                     copy an example's files to start your own job: mine/job.yaml
 
     \b
     Many plans:
       htcp sweep sweeps/workpiece --methods baseline,hybrid    49 poses of the part, into out/workpiece
       htcp report out/workpiece                  tables and charts: out/report/report.html
       htcp validate out/workpiece                check every tracked target with MuJoCo
-      htcp view out/workpiece                    show them in the browser, failed ones first
-      htcp render out/workpiece --scenario 24    a picture and a movie of one of them
+      htcp view out/workpiece                    show the plans in the browser, failed plans first
+      htcp render out/workpiece --scenario 24    draw a picture and a movie of one plan
 
     \b
     Your own robot:
-      htcp robot mine/arm.xml --out mine/capsules.xml    convert its URDF or MJCF model
+      htcp robot mine/arm.xml --out mine/capsules.xml    convert a URDF or MJCF model
 
     \b
     Help:
@@ -118,8 +119,8 @@ def htcp(
       htcp --install-completion                  install shell completion
 
     A job is a YAML file with the keys that differ from the default job. Tables go to stdout, progress to stderr.
-    --json prints JSON instead of a table. NO_COLOR disables colours. Exit codes: 0 success, 2 bad input, 130 or 143
-    ended by a signal; each command lists its own.
+    Pass --json to print JSON instead of a table. Set NO_COLOR to disable colours. Exit codes: 0 success, 2 bad input,
+    130 or 143 ended by a signal; the help of each command lists further ones.
     """
 
 
@@ -127,7 +128,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command, or show the help if there is none.
 
     Args:
-        argv: Arguments of the command line without `htcp`; None: those of this process.
+        argv: Arguments of the command line without `htcp`; None: the arguments of this process.
 
     Returns:
         The exit code.
@@ -136,7 +137,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         code = _run(words)
         if sys.stdout is not None:
-            sys.stdout.flush()  # here, where a full disk can still be reported
+            sys.stdout.flush()  # here, where an error for a full disk can still be reported
         return code
     except InputError as error:
         return _print_refusal(str(error))
@@ -159,11 +160,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    """Run the command in `words`; return its exit code."""
+    """Run the command line with these arguments and return the exit code."""
     if any("\0" in word for word in words):
-        raise InputError("an argument holds a NUL byte; no name of a file does")
+        raise InputError("an argument contains a NUL byte, which no file name can contain")
     if words[0] in COMPLETION and len(words) > 1:
-        os.environ["_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"] = "1"  # the named shell, not a detected one
+        os.environ["_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"] = "1"  # use the shell that the argument names
     with warnings.catch_warnings():
         warnings.simplefilter("default", UserWarning)
         warnings.showwarning = _warn
@@ -174,7 +175,7 @@ def _run(words: list[str]) -> int:
 
 
 def _system_message(error: OSError) -> str:
-    """One-line message on an invalid name, or a full disk."""
+    """Return a one-line message for an error of the operating system, such as a missing file or a full disk."""
     if error.filename is None:
         return f"cannot write the output: {error.strerror}"
     name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else str(error.filename)
@@ -182,7 +183,7 @@ def _system_message(error: OSError) -> str:
 
 
 def _forget_stdout() -> None:
-    """Discard unwritten output, so that Python does not fail on it again at exit."""
+    """Redirect stdout to the null device if it cannot be written, so that Python does not fail again at exit."""
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -203,5 +204,5 @@ def _print_refusal(reason: str) -> int:
 
 
 def _print_line(line: str) -> None:
-    with contextlib.suppress(OSError):  # stderr may be as full as stdout
+    with contextlib.suppress(OSError):  # stderr may be on the same full disk
         print(f"htcp: {line}", file=sys.stderr)

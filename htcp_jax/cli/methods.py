@@ -8,7 +8,7 @@ COLUMNS = Column("method", "method"), Column("title", "name"), Column("descripti
 
 
 def methods(as_json: Json = False) -> int:
-    """List the planning methods, including those of installed plugins. Their names are values of --method, --methods.
+    """List the planning methods, including those of installed plugins, by their names for --method and --methods.
 
     Exit code: 0.
 
@@ -27,12 +27,12 @@ def methods(as_json: Json = False) -> int:
 
 
 def complete_method(start: str) -> list[str]:
-    """Shell completions of a method's name."""
+    """Return the method names that begin with `start`, for shell completion."""
     return [name for name in registry.names() if name.startswith(start)]
 
 
 def complete_methods(start: str) -> list[str]:
-    """Shell completions of a list with commas: the names that may follow its last comma."""
+    """Return shell completions for a comma-separated list of method names; only its last name is completed."""
     before, comma, last = start.rpartition(",")
     given = before.split(",")
     return [before + comma + name for name in complete_method(last) if name not in given]

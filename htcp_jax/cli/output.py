@@ -1,7 +1,7 @@
-"""Options and output of several commands: only a table on stdout or, with --json, only JSON.
+"""Options and output that several commands share. stdout contains only tables or, with --json, only JSON.
 
-Progress and warnings go to stderr; if that is not a terminal, progress is a line every ten seconds. NO_COLOR disables
-colours.
+Progress and warnings go to stderr. If stderr is not a terminal, progress is printed as a line every ten seconds.
+NO_COLOR disables colours.
 """
 
 import contextlib
@@ -29,10 +29,10 @@ from rich.text import Text
 
 from htcp_jax.report import Table
 
-WIDEST = 100_000  # characters; wider than any table, as tables are folded before
-LINE_S = 10.0  # between lines of progress
-GAP, LEAST_TEXT = 2, 30  # between columns; minimum width of a last column of text
-TIED = "of", "at", "scenario:"  # heads of columns that are not separated from the one before
+WIDEST = 100_000  # console width [characters], wider than any table: tables are split before they are printed
+LINE_S = 10.0  # time between two progress lines [s]
+GAP, LEAST_TEXT = 2, 30  # space between columns, and minimum width of a text column at a table's right end [characters]
+TIED = "of", "at", "scenario:"  # headings of columns that must not be separated from the column to their left
 
 Device = Annotated[
     str | None, typer.Option(metavar="cpu|gpu[:N]", help="Device to plan on; by default a GPU if there is one.")
@@ -42,22 +42,25 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of the ta
 # Options of the commands that plan.
 SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="Sweep file or example.")]
 Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
-Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job file to use instead of the sweep's own.")]
+Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job file that replaces the sweep's job.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job; may be repeated.")
 ]
-Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed.")]
+Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed; overrides settings.seed.")]
 
 
 def claim_device(device: str | None) -> None:
-    """Refuse a device that this host lacks.
+    """Check that this host has the device. For a CPU, also disable JAX's other platforms in this process.
 
-    For the CPU, keep JAX off the GPUs, of whose memory it would take most: the process is the command's own.
+    Otherwise JAX would reserve most of the memory of every GPU.
+
+    Args:
+        device: Name of the device, such as cpu or gpu:1, see `device.devices`; None: a GPU if there is one.
 
     Raises:
-        InputError: For such a device.
+        InputError: If this host does not have the device.
     """
-    import jax  # here, as it takes a second
+    import jax  # imported here, as it takes a second
 
     from htcp_jax.device import devices
 
@@ -67,19 +70,19 @@ def claim_device(device: str | None) -> None:
 
 
 def stdout() -> Console:
-    """Return a console for tables, of unlimited width and without automatic highlighting."""
+    """Return a console that writes to stdout, with unlimited width and without automatic highlighting."""
     return Console(highlight=False, soft_wrap=True)
 
 
 def print_json(record: Any) -> None:
-    """Print `record` to stdout; NaN and infinities become null."""
+    """Print `record` to stdout as JSON; NaN and infinities become null."""
     from htcp_jax.runs import plan_folder
 
     print(plan_folder.json_text(record))
 
 
 def print_facts(title: str, facts: Mapping[str, str]) -> None:
-    """Print one line per fact under a title, names and values aligned."""
+    """Print a title, and below it one line per fact with its name and its value."""
     console = stdout()
     width = max(20, *(len(name) + 2 for name in facts))
     console.print(Text(title, style="bold"))
@@ -89,12 +92,12 @@ def print_facts(title: str, facts: Mapping[str, str]) -> None:
 
 @contextmanager
 def progress_bars(*columns: ProgressColumn, line_s: float | None = None, **how: Any) -> Iterator[Progress]:
-    """Show progress bars on a terminal until the block ends; elsewhere print one of them as a line now and then.
+    """Show progress bars until the block ends. If stderr is not a terminal, print one of them as a line at intervals.
 
     Args:
         *columns: Columns of a bar; by default description, counts and elapsed time.
         line_s: Time between lines [s]; by default LINE_S.
-        **how: Further arguments of `rich.progress.Progress`.
+        **how: Arguments passed on to `rich.progress.Progress`.
     """
     columns = columns or (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     console, ended = Console(stderr=True), threading.Event()
@@ -117,31 +120,32 @@ def _print_lines(bars: Progress, ended: threading.Event, line_s: float) -> None:
 
 @contextmanager
 def progress_bar(
-    what: str, *, time_left: bool = False, line_s: float | None = None
-) -> Iterator[Callable[[int, int], None]]:
-    """Show one progress bar, and yield a function to be called with the number of finished steps and of all.
+    what: str, *, first: str = "", time_left: bool = False, line_s: float | None = None
+) -> Iterator[Callable[[float, int], None]]:
+    """Show one progress bar. Yield the function that updates it, with the arguments (finished steps, all steps).
 
     Args:
         what: Name of the steps, in the plural.
-        time_left: True to show the remaining instead of the elapsed time.
+        first: Text that is displayed until the function is first called.
+        time_left: True shows the remaining time, False the elapsed time.
         line_s: See `progress_bars`.
     """
     time = TimeRemainingColumn() if time_left else TimeElapsedColumn()
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time
     with progress_bars(*columns, line_s=line_s) as bars:
-        task = bars.add_task(what, total=None)
-        yield lambda done, count: bars.update(task, completed=done, total=count)
+        task = bars.add_task(first or what, total=None)
+        yield lambda done, count: bars.update(task, description=what, completed=done, total=count)
 
 
 def width() -> int:
-    """Width of the terminal, or COLUMNS, in characters; 80 if there is neither."""
+    """Return the width of the terminal in characters, or the value of COLUMNS; 80 if neither is known."""
     return shutil.get_terminal_size((80, 24)).columns
 
 
 def print_table(console: Console, table: Table) -> None:
-    """Print heads, units and rows in columns, numbers to the right.
+    """Print a table with headings and units; numbers are aligned right.
 
-    Columns beyond the terminal's width continue below, with the first column repeated.
+    A table that is wider than the terminal is printed in several parts, each with the first column.
     """
     for number, part in enumerate(_folded(table, width())):
         if number:
@@ -154,7 +158,7 @@ def print_table(console: Console, table: Table) -> None:
 
 
 def _laid_out(table: Table) -> rich.table.Table:
-    """Return the table in rich's layout; a last column of text is wrapped."""
+    """Return the table as a table of rich. If its last column is text, that column is wrapped."""
     laid_out = rich.table.Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0), header_style="cyan")
     *before, last = range(len(table.columns))
     room = max(LEAST_TEXT, width() - sum(_needed(table, k) + GAP for k in before))
@@ -175,9 +179,10 @@ def _laid_out(table: Table) -> rich.table.Table:
 
 
 def _folded(table: Table, most: int) -> Iterator[Table]:
-    """Split the table between columns into tables that fit, each with the first column.
+    """Split the columns of a table into tables of at most `most` characters, each with the first column.
 
-    A last column of text needs at most LEAST_TEXT, as it is wrapped. Columns in TIED stay with the one before them.
+    If the last column is text, it is wrapped and counts at most LEAST_TEXT characters. Columns in TIED stay with the
+    column to their left.
     """
     taken, used = [0], _needed(table, 0)
     for group in _groups(table):

@@ -1,4 +1,4 @@
-"""`htcp place`: search ranges of mountings, and rank those that complete the path."""
+"""`htcp place`: search for mountings of the workpiece or the arm, and rank those that complete the path."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -18,21 +18,29 @@ from htcp_jax.report import Column, Table, draw_search
 from htcp_jax.runs import sweep as sweeps
 
 NONE_FOUND = 3
-WORDS = {  # purpose of each stage
+WORDS = {  # purpose of each stage, as in: 200 to search
     "search": "search", "confirm": "confirm", "perturb": "perturb the best", "tolerance": "determine the tolerance",
 }  # fmt: skip
 File = Annotated[Path, typer.Argument(metavar="PLACE.yaml", help="Placement file: search ranges, seams, objective.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Output folder; by default out/<name of the file>.")]
-JobFile = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job file to use instead of the file's own.")]
+JobFile = Annotated[
+    Path | None, typer.Option(metavar="CONFIG.yaml", help="Job file that replaces the job of PLACE.yaml.")
+]
 Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed of the search.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job; may be repeated.")
 ]
-WithinN = Annotated[int | None, typer.Option("--scenarios", metavar="N", help="Plans in the search; overrides within.")]
-WithinS = Annotated[
-    float | None, typer.Option("--seconds", metavar="S", help="Duration of the search; overrides within.")
+WithinN = Annotated[
+    int | None,
+    typer.Option(
+        "--scenarios", metavar="N", help="Scenarios to evaluate, one per mounting and seam; overrides within."
+    ),
 ]
-On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Run in this process or on a Ray cluster.")]
+WithinS = Annotated[
+    float | None,
+    typer.Option("--seconds", metavar="S", help="Duration of the search [s]; overrides the key within of PLACE.yaml."),
+]
+On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Plan on this machine (here) or by Ray.")]
 
 
 def place(
@@ -47,23 +55,24 @@ def place(
     device: Device = None,
     as_json: Json = False,
 ) -> int:
-    """Search for mountings of the workpiece or the arm at which the path, or several, can be completed.
+    """Search for mountings of the workpiece or the arm with which the arm completes one or several paths.
 
-    Quick plans evaluate mountings over the ranges and then near the best; the best are planned as proven motions, with
-    the largest possible margin, and again with perturbed mountings. Writes ranked.json, a job file for each ranked
-    mounting, all evaluated mountings, pictures, and a run folder with the motions for view, render, validate and
-    program. A first ranking is written before mountings are perturbed. The same command resumes an interrupted search.
+    Quick plans evaluate mountings, first spread over the search ranges, then near the best ones. For the best
+    mountings, proven motions are planned with the largest possible margin. Then these mountings are perturbed, planned
+    again and ranked. Writes ranked.json, a job file for each ranked mounting, all evaluated mountings, pictures, and a
+    run folder with the motions for view, render, validate and program. A first ranking is written before mountings are
+    perturbed. Repeat the command to resume an interrupted search.
 
     Exit codes: 0 if a mounting is found, 3 if none is, 2 on bad input.
 
     \b
     Examples:
-      htcp place place/duct                                  the mountings of the weld in the generated duct
+      htcp place place/duct                                  search for mountings for the weld in the duct
       htcp place place/duct --scenarios 500 --out out/try
-      htcp plan out/duct/best-1.yaml                         the best one as a plan of its own
-      htcp view out/duct                                     the ranked ones in the browser
+      htcp plan out/duct/best-1.yaml                         plan the job of the best mounting
+      htcp view out/duct                                     show the ranked mountings in the browser
     """
-    claim_device(sweeps.device_of(on, device))  # before anything is read
+    claim_device(sweeps.device_of(on, device))  # before files are read
     changes: dict[str, Any] = {} if seed is None else {"seed": seed}
     if scenarios is not None and seconds is not None:
         raise InputError("--scenarios and --seconds exclude each other; omit one")
@@ -90,9 +99,9 @@ def place(
 
 @contextmanager
 def _bar(announced: bool) -> Iterator[Callable[[PlaceProgress], None]]:
-    """Show one bar per stage on a terminal: scenarios, complete mountings.
+    """Show one progress bar per stage on a terminal, with the numbers of scenarios and of complete mountings.
 
-    Before the first one, the largest number of plans is printed, unless `announced` is True.
+    Before the first bar, the maximum number of plans is printed, unless `announced` is True.
     """
     columns = TextColumn("{task.description:<10}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn()
     with progress_bars(*columns) as bars:
@@ -103,7 +112,7 @@ def _bar(announced: bool) -> Iterator[Callable[[PlaceProgress], None]]:
                 print(_stage_maxima(now.most), flush=True)
             if now.stage not in tasks:
                 for task in bars.tasks:
-                    bars.update(task.id, total=task.completed)  # marks it as finished
+                    bars.update(task.id, total=task.completed)  # shows the earlier stage as finished
                 tasks[now.stage] = bars.add_task(now.stage, total=now.of, text="")
             text = f"{now.scenarios:,} {'plans' if now.of is None else f'of up to {now.of:,} plans'}"
             if now.stage == "search":
@@ -114,11 +123,11 @@ def _bar(announced: bool) -> Iterator[Callable[[PlaceProgress], None]]:
 
 
 def _stage_maxima(most: dict[str, int | None]) -> str:
-    """Message with the largest number of plans, in total and by stage."""
+    """Return a line with the maximum number of plans, in total and by stage."""
     searched, *others = most.values()
-    first = "those of the search, as many as its time allows, and " if searched is None else ""
+    first = "as many plans as the search has time for, then up to " if searched is None else "up to "
     parts = ", ".join(f"{count:,} to {WORDS[stage]}" for stage, count in most.items() if count)
-    return f"up to {first}{(searched or 0) + sum(others):,} plans: {parts}"
+    return f"{first}{(searched or 0) + sum(others):,} plans: {parts}"
 
 
 def _print_mountings(found: PlacementResult) -> None:
@@ -136,10 +145,10 @@ def _print_mountings(found: PlacementResult) -> None:
         print_table(console, _mountings_table(found))
         console.print()
         text = (
-            f"Margin: the clearance that a mounting is planned with; its job file, {found.jobs[0][0]} and on, has it. "
-            f"Perturbed: the minimum if every parameter changes by up to {perturbation.mm:g} mm and "
-            f"{perturbation.deg:g}°. Tolerates: up "
-            f"to this, every motion tried could be completed with a margin of {1e3 * search.job.margin_m:g} mm."
+            f"Margin: the required clearance in the mounting's plan and job file ({found.jobs[0][0]} and following). "
+            f"Perturbed: the worst value if each parameter changes by up to {perturbation.mm:g} mm and "
+            f"{perturbation.deg:g}°. Tolerates: the largest perturbation at which all tested motions complete with a "
+            f"margin of {1e3 * search.job.margin_m:g} mm."
         )
         console.print(Text(text, style="dim"))
         console.print(Text.assemble(("plan   ", "cyan"), f"htcp plan {found.folder / found.jobs[0][0]}"))
@@ -148,7 +157,7 @@ def _print_mountings(found: PlacementResult) -> None:
 
 
 def _seams(found: PlacementResult) -> dict[str, str]:
-    """Number of mountings that complete each seam, and the seams that the best mounting fails."""
+    """Return text by label: how many mountings complete each seam, and the seams that the best mounting fails."""
     seams = found.seams()
     if len(seams) == 1:
         ((_, best),) = seams.values()

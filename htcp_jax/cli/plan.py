@@ -32,14 +32,14 @@ MATPLOTLIB = "matplotlib.figure", "matplotlib.backends.backend_agg"
 
 
 Config = Annotated[
-    Path | None, typer.Argument(metavar="CONFIG.yaml", help="A job file or an example; the default job without one.")
+    Path | None, typer.Argument(metavar="CONFIG.yaml", help="Job file or example; by default the default job.")
 ]
 Method = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Planning method; htcp methods lists them.", autocompletion=complete_method),
 ]
 Retract = Annotated[
-    bool, typer.Option("--retract", help="Append the motion back to the start, or to home, to motion.csv.")
+    bool, typer.Option("--retract", help="Append the return motion, to home or the start, to motion.csv.")
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more rows: smoothness, joint paths, clearance.")]
@@ -61,22 +61,22 @@ def plan(
     Writes motion.csv (the configurations to execute), trajectory.csv and trajectory.npz (one row per target),
     summary.json and plan.png.
 
-    Exit codes: 0 if a proven motion leads to the last target, 3 if not (what was tracked is saved), 2 on bad input.
+    Exit codes: 0 if a proven motion leads to the last target, 3 if not (the tracked targets are saved), 2 on bad input.
 
-    A key of the job has the value that --set gives it, else that of the job file (or of a file that it builds on), else
-    the default for the job's arm and part: a part of your own lies at the world's origin, not turned.
+    The value of a key comes from --set, else from the job file, else from the file named by the job's key config, else
+    from the defaults for the arm and part. By default your own part is at the world's origin, not rotated.
 
     \b
     Examples:
       htcp plan                                 the default job, the generated duct
-      htcp plan pipe                            another example; htcp example lists them
-      htcp plan cone --method hybrid            a third one, by another method
+      htcp plan pipe                            an example; htcp example lists them
+      htcp plan cone --method hybrid            an example by another method
       htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
     job = job_of(config, seeded(overrides or (), seed), method)
     claim_device(device)
     threading.Thread(target=_load_matplotlib, daemon=True).start()
-    from htcp_jax import api  # here, as it imports JAX
+    from htcp_jax import api  # imported here, as it imports JAX
     from htcp_jax.runs import plan_folder
 
     with plan_folder.written_whole(out) as folder:
@@ -93,21 +93,21 @@ def plan(
 
 
 def _load_matplotlib() -> None:
-    """Import what the picture needs while the plan computes: compiled code does not hold the interpreter's lock."""
+    """Import matplotlib. Called in a thread during planning, as compiled code releases the interpreter's lock."""
     for module in MATPLOTLIB:
         importlib.import_module(module)
 
 
 def job_of(config: Path | None, overrides: Sequence[str], method: str | None) -> PlanConfig:
-    """Load a job, without JAX unless a kind of another package needs it.
+    """Load a job. JAX is imported only if an obstacle or task row of another package requires it.
 
     Args:
         config: The job file or example; None: the default job.
-        overrides: Changes of the job, "dotted.key=value" each.
-        method: The planning method; None: the job's.
+        overrides: Changes to the job, each "dotted.key=value".
+        method: Name of the planning method; None: the job's.
 
     Raises:
-        InputError: As `load_config`, and for a method that does not exist.
+        InputError: If the job is invalid or the method is unknown.
     """
     job = load_config(config, [*overrides, *([] if method is None else [f"method={method}"])])
     registry.METHODS.refuse_unknown(job.method)
@@ -115,18 +115,18 @@ def job_of(config: Path | None, overrides: Sequence[str], method: str | None) ->
 
 
 def plan_with_progress(job: PlanConfig, device: str | None = None) -> "Plan":
-    """Plan a job, with a bar of tracked targets on a terminal.
+    """Plan a job, and show the number of tracked targets in a progress bar.
 
     Args:
         job: The job.
-        device: The device; None: a GPU if there is one.
+        device: Name of the device; None: a GPU if there is one.
 
     Raises:
-        InputError: As `api.plan`.
+        InputError: See `api.plan`.
     """
     from htcp_jax import api
     from htcp_jax.device import compile_cache
 
     compile_cache.enable()
-    with progress_bar("targets") as progress:
+    with progress_bar("targets", first="loading and compiling; targets") as progress:
         return api.plan_job(job, device=device, progress=lambda now: progress(now.targets_tracked, now.targets))

@@ -23,7 +23,7 @@ from htcp_jax.trajectory import FORMATS, PeakTorque, PlanProgram, figures, forma
 from htcp_jax.validation import check_timed
 
 REFUTED, OVERLOADED = 1, 3  # exit codes
-STOP = "stop"  # reason of a feed drop to 0
+STOP = "stop"  # reason for a feed drop to 0: the arm stops
 CHECKED = (
     "{refuted} of {configurations:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
     "maximum path deviation {off_max_mm:.3g} mm"
@@ -39,7 +39,9 @@ COLUMNS = (
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
 Format = Annotated[str | None, typer.Option(metavar="NAME", help=f"File format: {', '.join(FORMATS)}; by default csv.")]
-Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Output file; its stem is the program's name.")]
+Out = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Output file; its name without the ending is the program's name.")
+]
 All = Annotated[bool, typer.Option("--all", help="Time every scenario of a sweep; write no program.")]
 Scenario = Annotated[int | None, typer.Option(metavar="K", help="Number of the scenario in the sweep; by default 0.")]
 Method = Annotated[
@@ -47,13 +49,16 @@ Method = Annotated[
     typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
 ]
 Check = Annotated[bool, typer.Option("--check", help="Check the configuration at every millisecond with MuJoCo.")]
-AllowEffort = Annotated[bool, typer.Option("--allow-effort", help="Accept joint torques above the effort limits.")]
+AllowEffort = Annotated[
+    bool, typer.Option("--allow-effort", help="Return exit code 0 if torques exceed the effort limits.")
+]
 Limits = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Joint limits, as in MoveIt's joint_limits.yaml, instead of the job's."),
+    typer.Option(metavar="FILE", help="File with joint limits, such as MoveIt's joint_limits.yaml; overrides the job."),
 ]
 Step = Annotated[
-    float | None, typer.Option(metavar="MS", help="Time between configurations; the default depends on the format.")
+    float | None,
+    typer.Option(metavar="MS", help="Time between configurations [ms]; the default depends on the format."),
 ]
 
 
@@ -75,9 +80,9 @@ def program(
 ) -> int:
     """Time the motion of a plan and write it as a robot program for a controller.
 
-    The motion leads from home over the approach and along the path to the last target, and back. Along the path the TCP
-    moves at the required feed rate, elsewhere as fast as the joint limits allow. Where a limit requires a lower feed,
-    the table lists where, how low, and which joint limits it. Limits and controller data are in the job's section
+    The motion leads from home, or the start, along the path to the last target and back. Along the path the TCP moves
+    at the required feed rate; elsewhere the arm moves as fast as the joint limits allow. The table lists where a limit
+    reduces the feed, the feed there, and the limiting joint. Limits and controller data are in the job's section
     program; --limits takes precedence over it, and --set over both.
 
     With --all, every scenario of a sweep is timed instead: cycle time, feed and limits become columns of the run, for
@@ -101,14 +106,14 @@ def program(
         flags = {"--one-way": one_way, "--check": check, "--allow-effort": allow_effort}
         given += [name for name, is_set in flags.items() if is_set]
         if given:
-            raise InputError(f"{given[0]} is for one program; --all times every scenario, from home and back")
+            raise InputError(f"{given[0]} applies to one program, and --all times every scenario; omit one of them")
         return _time_all(run, feed, method, limits, overrides or (), as_json)
     if out is None:
-        raise InputError("--out is missing: the file to write; or use --all to time every scenario of a sweep")
+        raise InputError("--out is missing: pass --out FILE, or --all to time every scenario of a sweep")
     format, scenario = format or "csv", scenario or 0
     format_of(format)
     if feed is not None:
-        feed_rates.feed_of(feed)  # before anything is opened
+        feed_rates.feed_of(feed)  # check it before files are opened
     found, step_s = open_plans(run), _step_seconds(step_ms)
     changes = [*_limits_overrides(limits, found.config), *(overrides or ())]
     feed_m_s = plan_program.requested_feed(feed, plan_program.with_program(found.config, changes))
@@ -119,7 +124,7 @@ def program(
         plan_folder.write_text(out, text)
     checked = _check_motion(run, made, scenario) if check else {}
     if overloaded := peak_torque is not None and peak_torque.share > 1:
-        warnings.warn(f"torque is {_torque(peak_torque)}; --allow-effort accepts that", stacklevel=1)
+        warnings.warn(f"torque is {_torque(peak_torque)}; pass --allow-effort to accept it", stacklevel=1)
     manipulability = made.manipulability if found.drops else np.zeros(0)
     drops, code = _drop_table(found, manipulability), REFUTED if checked.get("refuted") else 0
     if overloaded and not allow_effort:
@@ -149,14 +154,14 @@ def program(
 
 
 def _limits_overrides(file: Path | None, job: PlanConfig) -> list[str]:
-    return [] if file is None else limits_overrides(file, build.robot_of(job.robot, job.cell))
+    return [] if file is None else limits_overrides(file, build.robot_of(job.robot, job.cell, job.tree))
 
 
 def _time_all(
     folder: Path, feed: str | None, method: str | None, limits: Path | None, overrides: Sequence[str], as_json: bool
 ) -> int:
     if (folder / plan_folder.SUMMARY).exists():
-        raise InputError(f"{folder} holds one plan of htcp plan; --all is for a run of htcp sweep")
+        raise InputError(f"{folder} contains one plan of htcp plan; --all needs a run of htcp sweep")
     run = open_run(folder)
     changes = [*_limits_overrides(limits, run.config), *overrides]
     run = timed(run, feed, None if method is None else (method,), changes)
@@ -181,12 +186,12 @@ def _check_motion(run: Path, made: PlanProgram, scenario: int) -> dict[str, int 
 
 def _step_seconds(step_ms: float | None) -> float | None:
     if step_ms is not None and not 0.1 <= step_ms <= 1000:
-        raise InputError(f"--step-ms is {step_ms}; from 0.1 to 1000 are possible")
+        raise InputError(f"--step-ms is {step_ms}; valid: 0.1 to 1000")
     return None if step_ms is None else 1e-3 * step_ms
 
 
 def _drop_table(found: figures.ProgramFigures, manipulability: Float[np.ndarray, "T"]) -> Table:
-    """Table of the feed drops, each with the smallest manipulability from its first target to its last [m/rad]."""
+    """Return a table with one row per feed drop, with the smallest manipulability between its targets [m/rad]."""
     rows = []
     for drop in found.drops:
         low, high = sorted((drop.first_target, drop.last_target))
@@ -201,10 +206,9 @@ def _share_record(found: list[figures.Share]) -> dict[str, dict]:
 
 def _torque(peak_torque: PeakTorque | None) -> str:
     if peak_torque is None:
-        return "not known: the arm's model states no inertias"
+        return "unknown: the arm's model has no inertias"
     at = (
-        f"{abs(peak_torque.torque):.4g} N m (N where it slides) at most, {peak_torque.joint} at "
-        f"{peak_torque.time_s:.2f} s"
+        f"{abs(peak_torque.torque):.4g} N m (N if prismatic) at most, {peak_torque.joint} at {peak_torque.time_s:.2f} s"
     )
     return (
         f"{100 * peak_torque.share:.1f} % of the effort limit, {at}" if peak_torque.share else f"{at}; no effort limit"
@@ -215,7 +219,7 @@ def _program_facts(found: figures.ProgramFigures) -> dict[str, str]:
     parts = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in found.seconds.items())
     held = f"held within 1 % over {100 * found.held_share:.2f} % of {1e3 * found.path_m:.1f} mm"
     if found.reason is not None:
-        held += f"; {1e3 * found.reached_m_s:.3g} mm/s reached all along, because of {found.reason}"
+        held += f"; {1e3 * found.reached_m_s:.3g} mm/s reached everywhere, limited by {found.reason}"
     facts = {"duration": f"{found.duration_s:.2f} s: {parts}", "feed": f"{1e3 * found.feed_m_s:g} mm/s, {held}"}
     for each in found.shares:
         facts[each.limit] = f"{100 * each.share:.1f} % of the limit at most, {each.joint} at {each.time_s:.2f} s"

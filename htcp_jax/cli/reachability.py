@@ -1,4 +1,4 @@
-"""`htcp reachability`: bounds on the reachable targets of every scenario, compared with a run's methods."""
+"""`htcp reachability`: bounds on the number of reachable targets of every scenario, compared with a run's plans."""
 
 import signal
 from pathlib import Path
@@ -30,17 +30,21 @@ from htcp_jax.report import reach_study
 from htcp_jax.runs import Run, manifest, open_run, plan_folder, reachability_file
 
 File = Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Sweep file, job file, or example.")]
-Each = Annotated[
-    bool, typer.Option("--each", help="Test every target on the path by itself, in any order and behind gaps.")
-]
+Each = Annotated[bool, typer.Option("--each", help="Also test every target of the path independently of the others.")]
 Resolution = Annotated[
     float,
     typer.Option(metavar="RAD", min=0.01, help="Angular resolution of the tool orientations searched."),
 ]
 ProofCells = Annotated[
-    int, typer.Option(metavar="CELLS", min=0, help="Size of a proof that a target is unreachable; 0: no proofs.")
+    int,
+    typer.Option(
+        metavar="CELLS", min=0, help="Maximum number of cells in a proof that a target is unreachable; 0: no proofs."
+    ),
 ]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Output folder, and the run to compare with.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Output folder; if it contains a run, its methods are compared with the bounds."),
+]
 
 
 def reachability(
@@ -55,20 +59,22 @@ def reachability(
     seed: Seed = None,
     as_json: Json = False,
 ) -> int:
-    """Bound the number of consecutive targets in each scenario that any method can reach.
+    """Compute bounds on the number of consecutive targets that any method can reach, for each scenario.
 
-    With --each also judge every target by itself: reachable, excluded with the reason, or undecided.
+    Lower bound: number of consecutive targets with a collision-free configuration, from the first target on. Upper
+    bound: number of targets before the first one that is proven unreachable. With --each, every target is also tested
+    independently of the others: it is reachable, excluded with the reason, or undecided.
 
-    Lower bound: a collision-free configuration was found. Upper bound: the next target is proven to be unreachable.
-    Writes reachability.json into the run folder, for htcp report, and lists methods of that run that get further. After
-    a signal, the targets searched so far are saved and marked as incomplete, unless the file exists. With --each also
-    writes reach.csv, a row for each target, and reach.png, a picture of the part with its targets.
+    Writes reachability.json into the output folder, for htcp report. If the folder contains a run, the table lists the
+    scenarios in which a method tracked more targets than the lower bound. With --each, also writes reach.csv, a row for
+    each target, and reach.png, a picture of the part with its targets. After a signal, the bounds so far are saved and
+    marked as incomplete, unless reachability.json exists; results of --each are not saved.
 
     Exit codes: 0, 2 on bad input, 130 or 143 after a signal.
 
     \b
     Examples:
-      htcp reachability sweeps/workpiece                     into out/workpiece, where the sweep writes
+      htcp reachability sweeps/workpiece                     into out/workpiece, the sweep's folder
       htcp reachability sweeps/workpiece --resolution 0.06
       htcp reachability job.yaml --each                      one job; a table and a picture in out/job
     """
@@ -97,7 +103,7 @@ def reachability(
                 folder / reachability_file.REACHABILITY, {"complete": False, **record_of(stop.found)}
             )
         raise Interrupted(
-            f"stopped; {out / reachability_file.REACHABILITY} has what was found, and is incomplete", signal.SIGINT
+            f"stopped; {out / reachability_file.REACHABILITY} contains the targets searched so far", signal.SIGINT
         ) from None
     if as_json:
         print_json(record)
@@ -110,7 +116,7 @@ def reachability(
 
 
 def _search(batch: grid.Batch, resolution_rad: float, proof_cells: int, each: bool) -> Reachability:
-    """Return the reachability of a batch, with a progress bar for each of its cells."""
+    """Return the reachability bounds of a batch. Show one progress bar for each of its `cells`, the distinct inputs."""
     with progress_bars() as bars:
         started: dict[int, TaskID] = {}
 
@@ -124,10 +130,10 @@ def _search(batch: grid.Batch, resolution_rad: float, proof_cells: int, each: bo
 
 
 def _beaten_scenarios(run: Run, batch: grid.Batch, found: Reachability) -> dict[str, list[int]]:
-    """Return the scenarios in which a method of the run got further, by method.
+    """Return, by method, the scenarios in which the method tracked more targets than the lower bound.
 
     Raises:
-        InputError: For a run with other targets.
+        InputError: If the targets of the run differ from those of the batch.
     """
     beaten = {}
     for method in run.methods:
@@ -135,7 +141,7 @@ def _beaten_scenarios(run: Run, batch: grid.Batch, found: Reachability) -> dict[
         both = min(len(plans.target), len(found.prefix))
         here, there = tables.gather(batch.scenarios, slice(both)), plans.target[:both]
         if here.targets.shape != there.shape or np.nanmax(_away(here, there), initial=0.0) > 1e-9:
-            raise InputError(f"{run.folder} holds a run with other targets; name another folder with --out")
+            raise InputError(f"{run.folder} contains a run with other targets; choose another --out")
         further = np.flatnonzero(plans.outcomes.tracked[:both] > found.prefix[:both])
         if len(further):
             beaten[method] = further.tolist()
@@ -143,9 +149,10 @@ def _beaten_scenarios(run: Run, batch: grid.Batch, found: Reachability) -> dict[
 
 
 def _away(scenarios: Scenario, targets: np.ndarray) -> np.ndarray:
-    """Distance of a run's targets from those of the scenarios [m].
+    """Return the absolute differences between a run's targets and the scenarios' targets, per coordinate [m].
 
-    It is 0 for an approach that deviates from its lines, whose targets are the path's first point.
+    They are set to 0 for an approach that deviates from its straight lines. All targets of such an approach are saved
+    as the path's first point.
     """
     before = np.arange(targets.shape[1]) < scenarios.on_path[:, None]
     first = np.take_along_axis(scenarios.targets, scenarios.on_path[:, None, None], axis=1)
@@ -160,12 +167,12 @@ def _print_bounds(name: str, batch: grid.Batch, found: Reachability, record: dic
         "lower bound": f"{reachable:,} of {targets:,} targets, {100 * reachable / targets:.2f} %",
         "complete": f"{complete:,} of {len(found.prefix):,} scenarios",
         "upper bound": f"{most:,} targets, {100 * most / targets:.2f} %; the others are proven to be unreachable",
-        "resolution": "none: the task leaves the TCP free, so configurations spread over the joint limits were tried"
+        "resolution": "none: the task does not fix the TCP, so configurations spread over the joint limits were tried"
         if (resolution := record["resolution_rad"]) is None
         else f"tool orientations every {resolution:.3g} rad",
         "files": str(out if found.each is not None else out / "reachability.json"),
     }
     print_facts(name, rows)
     for method, scenarios in record["beaten_by"].items():
-        text = f"{method} gets further in scenarios "
+        text = f"{method} tracked more targets than the lower bound in scenarios "
         stdout().print(Text.assemble((text, "yellow"), ", ".join(map(str, scenarios))))

@@ -16,7 +16,7 @@ from htcp_jax.viewer import Studio, offscreen, plot_strip, timed_play
 from htcp_jax.viewer import movie as movies
 from htcp_jax.viewer import replay as recordings
 
-LEAST, MOST = 160, 3840  # pixels across
+LEAST, MOST = 160, 3840  # valid widths of a picture [pixels]
 ASPECT = 11 / 16
 SLOWEST, FASTEST = 0.1, 100.0
 
@@ -27,7 +27,7 @@ Method = Annotated[
     typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
 ]
 Target = Annotated[
-    int | None, typer.Option(metavar="T", help="Target at which the arm is drawn; by default the last tracked.")
+    int | None, typer.Option(metavar="T", help="Target at which the arm is drawn; by default the last tracked one.")
 ]
 Movie = Annotated[
     str | None,
@@ -38,15 +38,18 @@ Speed = Annotated[
     typer.Option(metavar="X", help="Playback speed with --feed; by default 1 (real time)."),
 ]
 Close = Annotated[bool, typer.Option("--close", help="Show the workpiece close up instead of the complete arm.")]
+FromPart = Annotated[
+    bool, typer.Option("--from-part", help="Draw a moving part at rest and cut open; the cell moves around it.")
+]
 Width = Annotated[int, typer.Option(metavar="PIXELS", help="Width of the picture; the movie has half of it.")]
 Out = Annotated[
     Path,
-    typer.Option(metavar="DIR", help="Output folder; or a movie file, for example weld.mp4, without a picture."),
+    typer.Option(metavar="DIR", help="Output folder, or a movie file such as weld.mp4 to write only the movie."),
 ]
 
 
 class _Files(NamedTuple):
-    """Files to write into a folder."""
+    """Names of the files to write, and their folder. A name is None if that file is not written."""
 
     folder: Path
     picture: str | None
@@ -64,6 +67,7 @@ def render(
     target: Target = None,
     movie: Movie = None,
     close: Close = False,
+    from_part: FromPart = False,
     width: Width = 1280,
     out: Out = Path("out/render"),
     feed: PlayedFeed = None,
@@ -72,12 +76,13 @@ def render(
     overrides: ProgramKeys = None,
     as_json: Json = False,
 ) -> int:
-    """Draw one plan without a screen, as a picture and a movie.
+    """Draw a picture and a movie of one plan; no screen is needed.
 
     The workpiece is cut open. Targets are blue if tracked, orange if tracked after a recovery, red if the plan failed
-    there, grey beyond. A green cube marks a target at which the arm changes its configuration, a purple ball the
-    minimum guaranteed clearance. With --feed the movie shows the timed motion of htcp program, with plots of TCP and
-    joint speeds. Needs EGL or OSMesa.
+    there, grey after that target. A green cube marks a target at which the arm changes its configuration, a purple
+    ball the minimum guaranteed clearance. With --feed the movie shows the timed motion of htcp program, with plots of
+    TCP and joint speeds. A part that moves is drawn complete, and the world is at rest; with --from-part the part is
+    at rest and cut open. Install EGL or OSMesa.
 
     Exit codes: 0, 2 on bad input or without EGL and OSMesa.
 
@@ -86,20 +91,20 @@ def render(
       htcp plan
       htcp render out/plan                                         the plan of htcp plan
       htcp render out/plan --movie mp4 --close --width 1920        needs the extra "movie"
-      htcp render out/plan --feed 200mm/s --out weld.mp4           the movie alone, at true speed
+      htcp render out/plan --feed 200mm/s --out weld.mp4           only the movie, in real time
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
-      htcp render out/workpiece --scenario 24 --method nspace-sqp  one of a sweep
+      htcp render out/workpiece --scenario 24 --method nspace-sqp  one plan of a sweep
     """
     if movie not in (None, "none"):
         movies.check_kind(movie)
     feed_m_s = played_feed(feed, speed=speed is not None, one_way=one_way, set=overrides)
     if speed is not None and not SLOWEST <= speed <= FASTEST:
-        raise InputError(f"--speed is {speed:g}; from {SLOWEST:g} to {FASTEST:g} are possible")
+        raise InputError(f"--speed is {speed:g}; valid: {SLOWEST:g} to {FASTEST:g}")
     if feed_m_s is not None and movie == "none":
-        raise InputError("--feed gives a movie its time; --movie none makes none")
+        raise InputError("--feed applies to the movie, but --movie none writes no movie; omit one of them")
     if not LEAST <= width <= MOST:
-        raise InputError(f"--width is {width}; from {LEAST} to {MOST} pixels are possible")
-    offscreen.platform()  # before anything is read
+        raise InputError(f"--width is {width}; valid: {LEAST} to {MOST} pixels")
+    offscreen.platform()  # raises an error before files are read
     found = open_plans(run)
     replays = recordings.recorded_replays(found)
     replay = replays.replay(scenario, method or replays.methods[0])
@@ -115,11 +120,12 @@ def render(
     files = _files(out, movie, f"scenario-{scenario}-{replay.method}")
     with plan_folder.written_whole(files.folder) as folder:
         if files.picture:
-            with Studio(replay, width, _height(width), close) as studio:
+            with Studio(replay, width, _height(width), close, from_part=from_part) as studio:
                 Image.fromarray(studio.still(shown)).save(folder / files.picture, optimize=True)
         if files.movie:
             half = 2 * (width // 4)
-            with Studio(replay, half, _height(half), close, fine=False) as studio, progress_bar("frames") as reported:
+            look = {"close": close, "fine": False, "from_part": from_part}
+            with Studio(replay, half, _height(half), **look) as studio, progress_bar("frames") as reported:
                 film = studio.movie() if made is None else _film(studio, made, speed or 1.0)
                 movies.write_movie(folder / files.movie, film, reported)
     _print_files(replay, shown if files.picture else None, files.names, made, speed or 1.0, as_json)
@@ -129,19 +135,24 @@ def render(
 def _files(out: Path, movie: str | None, name: str) -> _Files:
     """Return the names of the files to write.
 
+    Args:
+        out: Value of --out: a folder, or a movie file.
+        movie: Value of --movie: the kind of movie; None if it is not set.
+        name: Stem of the files in a folder.
+
     Raises:
-        InputError: For a movie file whose suffix is of another kind.
+        InputError: If --out is a movie file whose suffix does not match --movie.
     """
     if (kind := out.suffix[1:].lower()) in movies.KINDS:
         if movie not in (None, kind):
-            raise InputError(f"--out {out} is the name of one {kind}, --movie {movie} names another format")
+            raise InputError(f"--out {out} is a {kind} file, but --movie is {movie}; omit --movie")
         movies.check_kind(kind)
         return _Files(out.parent, None, out.name)
     return _Files(out, f"{name}.png", None if movie == "none" else f"{name}.{movie or movies.KINDS[0]}")
 
 
 def _film(studio: Studio, made: PlanProgram, speed: float) -> movies.Film:
-    """Film of a robot program at `speed` times real time, above its plot strip."""
+    """Return the film of a robot program at `speed` times real time, with plots of the speeds below the picture."""
     play = timed_play.sample_program(made, timed_play.frame_times(made.program.duration_s, speed))
     return studio.film(timed_play.arms_of(made, play)).over(plot_strip.PlotStrip(made, play, studio.width, speed).at)
 

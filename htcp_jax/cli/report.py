@@ -15,17 +15,17 @@ Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
 
 
 def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> int:
-    """Summarise runs in tables and charts: success, clearance, times, why methods failed, and the paper's figures.
+    """Summarise runs in tables and charts: success, clearance, times, reasons for failures, and the paper's results.
 
-    Writes report.html (self-contained), report.md with its pictures, and a CSV file for each table.
+    Writes report.html (one self-contained file), report.md with pictures, and a CSV file for each table.
 
-    Exit codes: 0, 2 if a folder is no run or a file is damaged.
+    Exit codes: 0, 2 if a folder is not a run or a file is damaged.
 
     \b
     Examples:
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
       htcp report out/workpiece                       one run
-      htcp report out/workpiece --json                its tables for another program
+      htcp report out/workpiece --json                print the tables as JSON
       htcp sweep sweeps/workpiece --methods nspace-sqp --config paper
       htcp report out/workpiece out/workpiece-paper   several runs
     """

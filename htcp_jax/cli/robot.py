@@ -36,7 +36,8 @@ Tcp = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="TCP: a site or body of the model; by default tcp or tool0, else the only site or outermost body.",
+        help="Site or body at the TCP. Default: tcp or tool0, else the only site, else the last body of an unbranched "
+        "chain; otherwise required.",
     ),
 ]
 Out = Annotated[Path, typer.Option(metavar="ARM.xml", help="Output file; a picture is written next to it.")]
@@ -46,16 +47,16 @@ Most = Annotated[
         metavar="N",
         min=1,
         max=20,
-        help=f"Maximum number of capsules fitted to a body; by default {capsule_fit.MOST}, with --fit-tolerance "
-        f"{close_fit.MOST_CLOSE} on the last two links and {close_fit.MOST}, never more, on the others.",
+        help=f"Maximum number of capsules fitted to a body. Default: {capsule_fit.MOST}; if --fit-tolerance is given, "
+        f"{close_fit.MOST_CLOSE} on the last two links and the tool, {close_fit.MOST} on the others.",
     ),
 ]
 FitTolerance = Annotated[
     str | None,
     typer.Option(
         metavar="LENGTH",
-        help="Fit closer: on the last two links and the tool until 95 % of the capsules' surface is this close to the "
-        "mesh, for example 5mm.",
+        help="Fit more capsules: on the last two links and the tool, until 95 % of the capsules' surface is this close "
+        "to the mesh, for example 5mm.",
     ),
 ]
 Visual = Annotated[bool, typer.Option("--visual", help="Enclose the visual meshes instead of the collision geometry.")]
@@ -64,6 +65,10 @@ Fix = Annotated[
     list[str] | None,
     typer.Option("--fix", metavar="JOINT=VALUE", help="Freeze a joint at a value [rad or m]; may be repeated."),
 ]
+Omit = Annotated[
+    list[str] | None,
+    typer.Option(metavar="LINK", help="Link without capsules: a linkage's rod, a cable, the part. May be repeated."),
+]
 Replace = Annotated[bool, typer.Option("--replace", help="Overwrite existing files.")]
 
 
@@ -71,6 +76,7 @@ def robot(
     model: Model,
     out: Out,
     tcp: Tcp = None,
+    omit: Omit = None,
     most: Most = None,
     fit_tolerance: FitTolerance = None,
     visual: Visual = False,
@@ -81,24 +87,25 @@ def robot(
 ) -> int:
     """Convert a vendor's URDF or MJCF model to an arm of capsules.
 
-    The joints from base to TCP are kept, all others are frozen, for example a gripper's; --fix freezes further ones.
-    Capsules and spheres of the model are kept; meshes, boxes and cylinders are enclosed by fitted capsules. Writes
-    ARM.xml, for you to review, and ARM.png, which shows the capsules over the model, coloured by their largest distance
-    from it. ARM.xml holds the convex piece of the mesh in each fitted capsule, and lists the pairs of capsules that are
-    not checked for self-collision, with the reason: disabled by the model or the SRDF file, nearly always
-    overlapping, or overlapping where the meshes inside do not touch.
+    The joints from base to TCP stay movable. All others, such as a gripper's, are frozen; --fix freezes further ones.
+    A warning names frozen joints that mimic a moving joint: exclude their links with --omit.
+    Capsules and spheres of the model are kept; fitted capsules enclose meshes, boxes and cylinders. Writes ARM.xml and
+    ARM.png. Inspect the picture: it shows the capsules over the model, coloured by their distance from the mesh.
+    ARM.xml contains, for each fitted capsule, the convex hull of the mesh inside it. It also lists the pairs of
+    capsules that are not checked for self-collision, with the reason: disabled by the model or the SRDF file, nearly
+    always overlapping, or overlapping although the meshes inside do not touch.
 
     Exit codes: 0, 2 on bad input or if ARM.xml exists.
 
     \b
     Examples:
-      htcp example pipe pipe                                 one with a model to try: pipe/arm.xml
+      htcp example pipe pipe                                 copy an example with a model: pipe/arm.xml
       htcp robot pipe/arm.xml --out arm.xml
       htcp robot pipe/arm.xml --tcp link7 --most 5 --out flange.xml
       htcp robot panda.urdf --tcp panda_hand --fit-tolerance 5mm --out panda.xml
       htcp robot pipe/arm.xml --fix a3=0.2 --out six.xml
     """
-    options = {"most": most, "visual": visual, "srdf": srdf}
+    options = {"most": most, "visual": visual, "srdf": srdf, "omit": omit or ()}
     return convert(model, out, fix or (), fit_tolerance, replace, as_json, tcp=tcp, **options)
 
 
@@ -111,40 +118,40 @@ def convert(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Import a model, write it with its picture, and print what it consists of.
+    """Import a model, write it with its picture, and print its bodies and joints.
 
     Args:
         model: The vendor's model.
         out: The file to write.
-        fix: Joints to freeze, as on the command line.
-        fit_tolerance: The tolerance, as on the command line.
-        replace: Overwrite existing files.
-        as_json: Print JSON.
-        **options: Further arguments of `robots.import_robot`.
+        fix: Joints to freeze, each JOINT=VALUE.
+        fit_tolerance: Value of --fit-tolerance, with its unit; None if it is not set.
+        replace: True overwrites existing files.
+        as_json: True prints JSON instead of a table.
+        **options: Arguments passed on to `robots.import_robot`.
 
     Returns:
         The exit code.
     """
     fixed, tolerance_m = _fixed_values(fix), _length_m(fit_tolerance)
     if out.suffix.lower() != ".xml":
-        raise InputError(f"--out is {out}; an arm is an MJCF file and ends in .xml")
+        raise InputError(f"--out is {out}; the output is an MJCF file, whose name must end in .xml")
     picture = out.with_suffix(".png")
     for file in (out, picture):
         if file.exists() and not replace:
-            raise InputError(f"{file} exists; --replace overwrites it, manual changes included")
+            raise InputError(f"{file} exists; pass --replace to overwrite it, manual changes included")
     with progress_bar("bodies") as progress:
         arm = robots.import_robot(model, tolerance_m=tolerance_m, fixed=fixed, progress=progress, **options)
     source = os.path.relpath(model, out.parent)
-    from htcp_jax.viewer import draw_arm  # here, because bad input is refused before matplotlib is loaded
+    from htcp_jax.viewer import draw_arm  # here, after checks of the input, as the import is slow
 
     with plan_folder.written_whole(out.parent) as folder:
         plan_folder.write_text(folder / out.name, mjcf.arm_xml(arm, source))
         with progress_bar("pairs of capsules") as progress:
-            listed = _excluded_pairs(arm, robots.load_robot(folder / out.name), progress)
+            listed = _excluded_pairs(arm, robots.load_robot(folder / out.name, fewest_joints=1), progress)
         with progress_bar("pictures"):
             text = mjcf.arm_xml(arm, source, listed)
             plan_folder.write_text(folder / out.name, text)
-            made = robots.load_robot(folder / out.name)
+            made = robots.load_robot(folder / out.name, fewest_joints=1)
             own = self_collision.self_collision(made)
             carried = "" if arm.part is None else f", part on {arm.part}"
             shown = f"{len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}{carried}"
@@ -164,10 +171,10 @@ def convert(
 
 
 def _fixed_values(options: Iterable[str]) -> dict[str, float]:
-    """Return the values in `JOINT=VALUE` by the names of the joints.
+    """Return the values of the options `--fix JOINT=VALUE` by joint [rad or m].
 
     Raises:
-        InputError: For another form, a number that is not finite, and a joint that is given twice.
+        InputError: If an option is not JOINT=VALUE with a finite number, or if a joint is repeated.
     """
     values: dict[str, float] = {}
     for option in options:
@@ -185,10 +192,10 @@ def _fixed_values(options: Iterable[str]) -> dict[str, float]:
 
 
 def _length_m(text: str | None) -> float | None:
-    """Return the length in `--fit-tolerance` [m].
+    """Return the value of `--fit-tolerance` [m]; None if it is not set.
 
     Raises:
-        InputError: For another form, and for a length out of range.
+        InputError: If the text is not a length, or if the length is out of range.
     """
     if text is None:
         return None
@@ -205,7 +212,10 @@ def _length_m(text: str | None) -> float | None:
 
 
 def _excluded_pairs(arm: robots.ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[mjcf.Listed]:
-    """Pairs of capsules that need no check by the arm's meshes, except those that the model excludes."""
+    """Return the pairs of capsules that samples and meshes exclude from the self-collision check.
+
+    Pairs that the model or the SRDF file disables are not included.
+    """
     meshes, names = robots.LinkMeshes.of(arm), made.capsule_names
     x, tried = self_exclusions.samples(made), itertools.count(1)
     at = meshes.poses(x)

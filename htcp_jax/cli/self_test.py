@@ -19,25 +19,25 @@ from htcp_jax.runs import provenance
 from htcp_jax.viewer import offscreen
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
-POINTS = 3  # of the weld: 14 targets in all
-# Results of the method baseline on a CPU: the last configuration, and the minimum clearance. Other devices and
-# versions round differently, by far less than the tolerance.
+POINTS = 3  # number of points of the weld; with the start and the approach there are 14 targets
+# Known results of the method baseline on a CPU: the last configuration, and the minimum clearance. Rounding on other
+# devices and by other versions changes them by far less than TOLERANCE.
 KNOWN_RAD = (-0.03942173, -1.66173581, 0.28730992, -0.10670144, 0.24431399, -2.01895122)
 KNOWN_CLEARANCE_M = 0.0496996492
 TOLERANCE = 1e-6  # rad, m
 
 
 class SelfTest(NamedTuple):
-    """Result of the short plan."""
+    """Result of the self-test."""
 
     passed: bool
     description: str
     seconds: float
-    compile_s: float  # part of them
+    compile_s: float  # compilation time, a part of `seconds`
 
 
 def examine() -> dict[str, Any]:
-    """Collect facts on the installation, as plain values; `sound` is True if the self-test passed."""
+    """Return data on the installation, as for `htcp doctor --json`; "sound" is True if the self-test passed."""
     folder = compile_cache.enable()
     test = self_test()
     return {
@@ -54,22 +54,22 @@ def examine() -> dict[str, Any]:
 
 
 def self_test() -> SelfTest:
-    """Plan a short path by the baseline and compare the result with the known one."""
+    """Plan a short path by the method baseline, and compare the result with the known result."""
     began = time.perf_counter()
     robot, part = robots.gp50(), parts.load_workpiece()
-    count = 11 + POINTS  # the start, the approach, the path's first points
+    count = 11 + POINTS  # the start, the approach, and the path's first points
     scenario = scenarios.make_scenario(robot, part, START)
     scenario = dataclasses.replace(scenario, targets=scenario.targets[:count], count=np.asarray(count, np.int32))
     plans = batch.plan(robot, part, scenario, "baseline", threads=1, check_paths=False)
     off_rad = float(np.abs(plans.x[0, -1] - KNOWN_RAD).max())
     off_m = float(abs(plans.clearance[0].min() - KNOWN_CLEARANCE_M))
-    passed = off_rad <= TOLERANCE and off_m <= TOLERANCE  # NaN, where a target is not tracked, does not pass
-    description = f"{count} targets, {off_rad:.0e} rad and {1e3 * off_m:.0e} mm from the known answer"
+    passed = off_rad <= TOLERANCE and off_m <= TOLERANCE  # False for NaN, the value at targets that are not tracked
+    description = f"{count} targets, {off_rad:.0e} rad and {1e3 * off_m:.0e} mm from the known result"
     return SelfTest(passed, description, time.perf_counter() - began, plans.compile_s)
 
 
 def _rendering() -> dict[str, str | None]:
-    """OpenGL platform of `htcp render`, or the reason why there is none."""
+    """Return the OpenGL platform that `htcp render` uses, or the reason why there is none."""
     try:
         return {"platform": offscreen.platform(), "lacks": None}
     except InputError as error:
@@ -77,7 +77,7 @@ def _rendering() -> dict[str, str | None]:
 
 
 def _usable_cores() -> int | None:
-    """Number of cores for this process; fewer than the machine's if it is bound to some."""
+    """Return the number of cores that this process may use; None if unknown."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from htcp_jax.cli.feed import Feed
@@ -43,7 +43,7 @@ Out = Annotated[
         metavar="DIR", help="Output folder (run); by default out/<sweep>, with --config out/<sweep>-<config>."
     ),
 ]
-On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Run in this process or on a Ray cluster.")]
+On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Plan on this machine (here) or by Ray.")]
 Shard = Annotated[
     int | None,
     typer.Option(metavar="N", help="Scenarios per work unit; a failed unit is planned again completely."),
@@ -67,8 +67,8 @@ def sweep(
     """Plan every scenario of a parameter grid by several methods.
 
     Writes a run folder: manifest.json and Parquet files, with one row per method, scenario and target in targets/, and
-    one per method and scenario in scenarios/. The same command resumes an interrupted run; --methods and --limit may be
-    extended. With --feed, or program.feed in the job, complete motions are timed, as by htcp program.
+    one per method and scenario in scenarios/. Repeat the command to resume an interrupted run; you may add methods and
+    raise --limit. With --feed, or program.feed in the job, complete motions are timed, as by htcp program.
 
     Exit codes: 0 if everything is planned, 1 if the workers of a cluster are lost, 2 on bad input, 130 or 143 after a
     signal; finished work is kept.
@@ -79,16 +79,16 @@ def sweep(
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp --config paper
       htcp sweep sweeps/robot --limit 3 --set settings.alpha_rad=0.05 --out out/try
       htcp sweep sweeps/workpiece --methods beam --feed 20mm/s
-      htcp sweep sweeps/cross --methods baseline --on ray    on all cores, or on the cluster that Ray knows of
+      htcp sweep sweeps/cross --methods baseline --on ray    on the cluster that Ray finds, else on all cores
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     running, chosen = RunningSummary(), sweeps.method_names(methods)
-    claim_device(sweeps.device_of(on, device))  # before anything is read
+    claim_device(sweeps.device_of(on, device))  # before files are read
     spec = grid.load_sweep(file, config, seeded(overrides or (), seed))
     feed = spec.config.program.feed if feed is None else feed
     if feed is not None:
-        check_feed(spec, feed)  # before anything is planned
+        check_feed(spec, feed)  # before planning starts
     with _sweep_bars() as progress:
         run = sweeps.sweep(
             spec,
@@ -111,7 +111,7 @@ def sweep(
 
 
 def _sweep_record(run: Run, running: RunningSummary) -> dict:
-    """Output of --json: the run folder, and the summary of every method that is finished."""
+    """Return the record that --json prints: the run folder, and a summary of every finished method."""
     found = {
         method: plan_folder.summary_record(summary.summarise(running.plans(run, method))) for method in _finished(run)
     }
@@ -122,27 +122,37 @@ def _sweep_record(run: Run, running: RunningSummary) -> dict:
 
 
 def _finished(run: Run) -> list[str]:
-    """Methods that have planned the complete run, in this call or earlier."""
+    """Return the methods that have planned all scenarios of the run, in this call or earlier."""
     left = run.unfinished()
     return [method for method in run.methods if method not in left]
 
 
+class _TimeLeftColumn(TimeRemainingColumn):
+    """Time left; for a finished method the time that it took."""
+
+    def render(self, task: Task) -> Text:
+        """Return the time as text."""
+        return super().render(task).append(" in all" if task.finished else " left")
+
+
 @contextmanager
 def _sweep_bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
-    """Show one bar per method: scenarios done, targets tracked, time left."""
+    """Show one progress bar per method: loading and compiling, then finished scenarios, tracked targets, time left."""
     columns = (
         TextColumn("{task.description:<14}"),
         BarColumn(),
-        TextColumn("{task.fields[scenarios]} scenarios, {task.fields[tracked]:,} targets tracked"),
-        TimeRemainingColumn(elapsed_when_finished=True),
+        TextColumn("{task.fields[stage]}{task.fields[scenarios]} scenarios, {task.fields[tracked]:,} targets tracked"),
+        _TimeLeftColumn(elapsed_when_finished=True),
     )
     with progress_bars(*columns, speed_estimate_period=600) as bars:
-        tasks = {}
+        tasks, first = {}, {}
 
         def show(now: sweeps.SweepProgress) -> None:
-            # A scenario that is done has decided all of its targets, tracked or not.
+            # The bar counts decided targets: all targets of a finished scenario, tracked or not.
             decided = max(now.targets_tracked, now.targets * now.scenarios_done // now.scenarios)
+            stage = "loading and compiling; " if decided == first.setdefault(now.method, decided) < now.targets else ""
             fields = {"scenarios": f"{now.scenarios_done:,}/{now.scenarios:,}", "tracked": now.targets_tracked}
+            fields["stage"] = stage
             if now.method not in tasks:
                 tasks[now.method] = bars.add_task(now.method, total=now.targets, **fields)
             bars.update(tasks[now.method], completed=decided, **fields)
@@ -162,7 +172,7 @@ COUNTS = (
 )
 FIGURES = (
     Column("method", "method"),
-    Column("step_ms", "a step", "ms", ".2f"),
+    Column("step_ms", "time/target", "ms", ".2f"),
     Column("tcp", "TCP distance", "mean mm", ".3g"),
     Column("orientation", "orientation error", "mean deg", ".3g"),
     Column("clearance_min", "clearance", "min mm", ".3g"),
@@ -173,7 +183,7 @@ FIGURES = (
 
 
 def _print_table(run: Run, running: RunningSummary) -> None:
-    """Print the columns of the paper's tables, with the counts behind them."""
+    """Print the tables of a run's results by method, the explanations, and the unfinished methods."""
     console = stdout()
     limit = (
         "" if run.manifest.limit is None else f", the first {run.manifest.count:,} of {run.manifest.full:,} scenarios"
@@ -211,12 +221,12 @@ def _print_table(run: Run, running: RunningSummary) -> None:
 
 
 def _margin_text(requested_m: np.ndarray) -> str:
-    """Required clearances of the scenarios [mm], as text."""
+    """Return the required clearance, or the range of the required clearances of all scenarios, as text [mm]."""
     requested = 1e3 * requested_m
     return f"{requested[0]:g}" if len(requested) == 1 else f"{requested[0]:g} to {requested[-1]:g}"
 
 
 def _not_tried(status: np.ndarray) -> str:
-    """Numbers of scenarios that were not planned, by reason, as text; empty if there are none."""
+    """Return text with the number of scenarios that were not planned, by reason; "" if all were planned."""
     counts = {reason: int((status == reason).sum()) for reason in NOT_TRIED}
     return ", ".join(f"{reason.words} {count:,}" for reason, count in counts.items() if count)

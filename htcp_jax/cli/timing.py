@@ -1,4 +1,4 @@
-"""Timing of a run's scenarios, and the output of the times, for `htcp sweep --feed` and `htcp program --all`."""
+"""Timing of a run's scenarios and output of the times, for `htcp sweep --feed` and `htcp program --all`."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,16 +15,16 @@ from htcp_jax.trajectory import check_limits, time_run
 
 
 def timed(run: Run, feed: str | None, methods: Sequence[str] | None, overrides: Sequence[str] = ()) -> Run:
-    """Time the run, with one bar per method on a terminal.
+    """Time the motions of a run, and return the run with its times. Show one progress bar per method.
 
     Args:
         run: The run.
         feed: The feed rate, such as 20mm/s; None: the job's.
-        methods: The methods; None: all with results.
-        overrides: Changes of the job's section program, "key=value" each.
+        methods: The methods to time; None: all methods with results.
+        overrides: Changes to the job's section `program`, each "key=value".
 
     Raises:
-        InputError: As `time_run`.
+        InputError: See `time_run`.
     """
     with _timing_bars() as progress:
         return time_run(run, feed, methods, overrides=overrides, progress=progress, workers=None)
@@ -47,14 +47,14 @@ def check_feed(spec: grid.Sweep, feed: str) -> None:
     """Check that a sweep can be timed.
 
     Raises:
-        InputError: For an invalid feed rate, and for an arm of the sweep without velocity limits.
+        InputError: If the feed rate is invalid, or if an arm of the sweep has no velocity limits.
     """
     feed_rates.feed_of(feed)
     check_limits(point.config for point in spec.points())
 
 
 def timing_records(run: Run, methods: Sequence[str]) -> dict[str, dict]:
-    """Summary of each method's times, for --json; methods without times are omitted."""
+    """Return a summary of each method's times by method, for --json; methods without times are omitted."""
     known = _known_times(run, methods)
     return {
         method: {"feed_m_s": timing.feed_m_s, "limits": timing.limits} | timings.timing_row(method, timing.rows)
@@ -63,7 +63,7 @@ def timing_records(run: Run, methods: Sequence[str]) -> dict[str, dict]:
 
 
 def print_timing(run: Run, methods: Sequence[str]) -> None:
-    """Print a table of each method's times, and the feed and limits."""
+    """Print a table of each method's times, and the feed rate and limits."""
     known = _known_times(run, methods)
     if not known:
         return
@@ -78,13 +78,13 @@ def refuse_untimed(run: Run, methods: Sequence[str]) -> None:
     """Check that at least one scenario has been timed.
 
     Raises:
-        InputError: If none has.
+        InputError: If no scenario has been timed.
     """
     if not any(len(timing.timed) for timing in _known_times(run, methods).values()):
-        what = f"no motion leads to the last target of any scenario by {', '.join(methods)}"
-        raise InputError(f"{run.folder}: {what}; there is nothing to time")
+        what = f"no motion by {', '.join(methods)} leads to the last target of a scenario"
+        raise InputError(f"{run.folder}: {what}, so there is nothing to time")
 
 
 def _known_times(run: Run, methods: Sequence[str]) -> dict[str, timing_file.Timing]:
-    """Times of the methods that are timed."""
+    """Return the times of each method that has been timed, by method."""
     return {method: timing for method in methods if (timing := run.timing(method)) is not None}

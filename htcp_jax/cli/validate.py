@@ -1,4 +1,4 @@
-"""`htcp validate`: check the results of a sweep or of one plan independently, by MuJoCo alone."""
+"""`htcp validate`: check the results of a sweep or of one plan with MuJoCo, without the planner's code."""
 
 import sys
 import time
@@ -18,8 +18,8 @@ from htcp_jax.validation import Validation, validation_record, write_validation
 from htcp_jax.validation import validate_results as check
 
 VALIDATED, REFUTED = 0, 1
-ANNOUNCED_S = 60  # longer checks are announced
-LISTED = 10  # refuted configurations on the terminal
+ANNOUNCED_S, SURE_S = 60, 2  # the estimated duration is printed if it is longer than this, after this time [s]
+LISTED = 10  # maximum number of refuted configurations on the terminal
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
 BetweenTargets = Annotated[
@@ -27,18 +27,18 @@ BetweenTargets = Annotated[
 ]
 FeedMmS = Annotated[float, typer.Option(metavar="MM/S", hidden=True)]
 Feed = Annotated[
-    str | None, typer.Option(metavar="SPEED", help="Feed rate for the joint speeds in the table; by default 10mm/s.")
+    str | None, typer.Option(metavar="SPEED", help="Feed rate at which joint speeds are computed; by default 10mm/s.")
 ]
 
 
 def validate(
     run: Run, between: BetweenTargets = 20, feed: Feed = None, feed_mm_s: FeedMmS = 10.0, as_json: Json = False
 ) -> int:
-    """Check results independently: MuJoCo's kinematics and distances on the robot's model file, no code of the planner.
+    """Check plans with MuJoCo's kinematics and distances on the robot's model file, without the planner's code.
 
-    At every tracked target: clearance, TCP error, joint limits, and agreement with the saved values. Between targets:
-    collisions at samples, path deviation, joint speeds. Writes validation.json into the folder, for htcp report; an
-    earlier check of the same results with more samples is kept.
+    Checked at every tracked target: clearance, TCP error, joint limits, and agreement with the saved values. Checked
+    between targets: collisions at samples, path deviation, joint speeds. Writes validation.json into the folder, for
+    htcp report. If the folder contains a check of the same results with more samples, it is not overwritten.
 
     Exit codes: 0 if no target is refuted, 1 if one is, 2 on bad input.
 
@@ -48,18 +48,22 @@ def validate(
       htcp validate out/plan --feed 50mm/s        one plan, executed at 50 mm/s
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
       htcp validate out/workpiece                 every method of a sweep
-      htcp validate out/workpiece --between 0 --json  only the targets, for another program
+      htcp validate out/workpiece --between 0 --json  check only the targets, print JSON
     """
     feed_mm_s = feed_mm_s if feed is None else 1e3 * feed_rates.feed_of(feed)
     run = plan_sets.run_folder(run)
     began = time.perf_counter()
     with progress_bar("plans", time_left=True) as progress:
+        announced = False
 
-        def show(done: int, count: int) -> None:
-            if done == 1 and (seconds := (time.perf_counter() - began) * count) > ANNOUNCED_S:
-                print(
-                    f"about {seconds:,.0f} s for {count:,} plans, estimated from the first", file=sys.stderr, flush=True
-                )
+        def show(done: float | int, count: int) -> None:
+            nonlocal announced
+            spent = time.perf_counter() - began
+            if done and not announced and (spent > SURE_S or done >= 1):
+                announced = True
+                if (seconds := spent * count / done) > ANNOUNCED_S:
+                    text = f"about {seconds:,.0f} s for {run_labels.counted(count, 'plan')}"
+                    print(f"{text}, estimated after {spent:.0f} s", file=sys.stderr, flush=True)
             progress(done, count)
 
         found = check(run, between=between, feed_mm_s=feed_mm_s, progress=show)

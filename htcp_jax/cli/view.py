@@ -23,7 +23,10 @@ from htcp_jax.viewer import replay
 CLOSED = "closed"
 What = Annotated[
     Path | None,
-    typer.Argument(metavar="RUN|CONFIG.yaml", help="Output folder of htcp plan or htcp sweep, or a job to plan."),
+    typer.Argument(
+        metavar="RUN|CONFIG.yaml",
+        help="Output folder of htcp plan or htcp sweep, or a job to plan; by default the default job.",
+    ),
 ]
 Scenario = Annotated[int | None, typer.Option(metavar="K", help="Scenario shown first; by default one that failed.")]
 Method = Annotated[
@@ -32,7 +35,9 @@ Method = Annotated[
         metavar="NAME", help="Method shown first; for a job, the planning method.", autocompletion=complete_method
     ),
 ]
-Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen on; 0.0.0.0 admits other machines.")]
+Host = Annotated[
+    str, typer.Option(metavar="ADDRESS", help="Address to listen on; 0.0.0.0 lets other machines connect.")
+]
 Port = Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Port to listen on; 0 selects a free one.")]
 
 
@@ -49,10 +54,11 @@ def view(
 ) -> int:
     """Show plans in the browser: the arm with its capsules, the workpiece cut open, targets, clearance.
 
-    A run folder opens with its failed scenarios first; a job is planned first. With --feed, the timed motion of htcp
-    program is played in real time, with TCP and joint speeds; --set then changes keys of the job's section program.
-    Only this machine can connect, unless --host admits others, who need the token in the printed address.
-    Needs the extra "view". Writes nothing.
+    Failed scenarios of a run are listed first. A job is planned before it is shown. With --feed, the timed motion of
+    htcp program is played in real time, with TCP and joint speeds; --set then changes keys of the job's section
+    program. The space bar plays and pauses, the left and right arrow keys step. Only this machine can connect; pass
+    --host 0.0.0.0 to let other machines connect, with the token in the printed address. Install the extra "view".
+    Writes no files.
 
     Exit codes: 130 after Ctrl-C, 2 on bad input.
 
@@ -61,7 +67,7 @@ def view(
       htcp view                                    the default job
       htcp view pipe --seed 1 --port 8081
       htcp plan
-      htcp view out/plan --feed 20mm/s             in real time
+      htcp view out/plan --feed 20mm/s             a timed motion, in real time
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
       htcp view out/workpiece --method nspace-sqp  a sweep
     """
@@ -69,7 +75,7 @@ def view(
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     feed_m_s = played_feed(feed, one_way=one_way)
     replays, programs = _replays_and_programs(what, method, seeded(overrides or (), seed), feed_m_s, not one_way)
-    from htcp_jax.viewer import Viewer  # viser is an extra
+    from htcp_jax.viewer import Viewer  # here, as viser is an optional dependency
 
     viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
     try:
@@ -86,17 +92,17 @@ def view(
 def _replays_and_programs(
     what: Path | None, method: str | None, overrides: Sequence[str], feed_m_s: float | None, retract: bool
 ) -> tuple[replay.Replays, Callable[[int, str], PlanProgram]]:
-    """Open the plans to show; a job is planned.
+    """Open the plans to show; if `what` is a job, plan it.
 
     Returns:
-        The plans, and a function for the robot program of a scenario and method at the feed rate.
+        The plans, and a function (scenario, method) that returns the robot program at the feed rate.
     """
     what = what and examples.example_or_path(what)
     if what is not None and not what.exists():
-        raise InputError(f"{what}: no such run folder, and no such job")
+        raise InputError(f"{what}: no such run folder or job")
     if what is not None and what.is_dir():
         if overrides and feed_m_s is None:
-            raise InputError("--set and --seed change a job; a run folder is shown as it is")
+            raise InputError(f"--set and --seed change a job, and {what} is a run folder; omit them")
         found, how = open_plans(what), {"retract": retract, "overrides": overrides}
         return replay.recorded_replays(found), lambda scenario, by: plan_program.program_of(
             found, feed_m_s, by, scenario, **how

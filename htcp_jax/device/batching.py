@@ -1,6 +1,6 @@
-"""Functions of one lane, run over tables with one lane per row.
+"""Execution of functions of one lane over tables with one lane per row.
 
-One executable serves any number of lanes, and a lane's result does not depend on how many others there are.
+One executable computes any number of lanes, and a lane's result does not depend on the other lanes.
 """
 
 from collections.abc import Callable
@@ -15,20 +15,20 @@ from htcp_jax.types import Bool, Int
 
 
 class Loop(NamedTuple):
-    """Loop that a function of one lane returns in place of its result, so that lanes of uneven length fill a GPU.
+    """Loop that a function of one lane returns in place of its result, so that loops of different lengths fill a GPU.
 
-    The result is `result(state)` once `going(state)` is false. All functions know their lane; values that a step needs
-    and the state does not hold are recomputed in every step.
+    The lane's result is `result(state)` once `going(state)` is false. All functions are closures over the lane's
+    arguments. Values that a step needs and the state does not contain are recomputed in every step.
     """
 
-    state: Any
-    going: Callable[[Any], jax.Array]
-    step: Callable[[Any], Any]
-    result: Callable[[Any], Any] = lambda state: state
+    state: Any  # the initial state
+    going: Callable[[Any], jax.Array]  # state -> True while the loop continues
+    step: Callable[[Any], Any]  # state -> next state
+    result: Callable[[Any], Any] = lambda state: state  # last state -> the lane's result
 
 
 def finished(found: Any) -> Any:
-    """Return the result of one lane, running its `Loop` if it returned one."""
+    """Return the result of one lane; if `found` is a `Loop`, run the loop."""
     if not isinstance(found, Loop):
         return found
     return found.result(jax.lax.while_loop(found.going, found.step, found.state))
@@ -37,16 +37,16 @@ def finished(found: Any) -> Any:
 def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
     """Return a compiled function that applies `function` to the rows of tables, `width` at a time.
 
-    It is run(scene, lanes, *tables): tables have a leading axis of capacity C, of which the first `lanes` rows are
-    computed; rows of the results from `lanes` on are undefined. With width 1 the function is not batched: its loops
-    then run as long as their own lane needs, and the executable is a fifth shorter.
+    The compiled function is run(scene, lanes, *tables). Tables have C rows, of which the first `lanes` are computed;
+    rows of the results from `lanes` on are undefined. With width 1 the function is not batched: a loop then runs only
+    as long as its lane needs, and the executable is a fifth shorter.
 
     Args:
         function: Function of (scene, *one lane).
         width: Number of lanes computed side by side.
     """
 
-    @jax.jit  # traced once, for the result shapes and for the loop
+    @jax.jit  # traced only once, for the shapes of the results and for the loop
     def one_chunk(scene, tables, start):
         if width == 1:
             lane = jax.tree.map(lambda t: jax.lax.dynamic_index_in_dim(t, start, keepdims=False), tables)
@@ -75,17 +75,17 @@ def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
 class Slots(NamedTuple):
     """Lanes computed side by side, one per slot."""
 
-    row: Int[jax.Array, "width"]  # row in the tables; their length if the slot is empty
+    row: Int[jax.Array, "width"]  # row of the lane in the tables; the tables' length if the slot is empty
     lane: Any  # the lane's arguments, from the tables
-    state: Any
-    going: Bool[jax.Array, "width"]
+    state: Any  # state of the lane's loop
+    going: Bool[jax.Array, "width"]  # True while the lane's loop continues
 
 
 def refilled(function: Callable, width: int) -> jax.stages.Wrapped:
-    """Return `chunked` for a function that returns a `Loop`: a finished lane's slot takes the next lane.
+    """Return a compiled function as `chunked` does, for a function that returns a `Loop`.
 
-    So no lane waits for the longest in its chunk. While lanes are left, up to an eighth of the slots may be idle before
-    they are refilled.
+    When a lane's loop ends, the lane's slot takes the next lane, so that no lane waits for the longest one in its
+    chunk. While lanes are left, up to an eighth of the slots may be idle before they are refilled.
     """
 
     def run(scene, lanes, *tables):
@@ -134,11 +134,11 @@ def refilled(function: Callable, width: int) -> jax.stages.Wrapped:
 def next_rows(
     free: Bool[jax.Array, "width"], first: jax.Array, lanes: jax.Array
 ) -> tuple[Int[jax.Array, "width"], Bool[jax.Array, "width"], jax.Array]:
-    """Return the row that each free slot takes, the slots that take one, and the first row that is left.
+    """Return the row for each free slot, True for the slots that get a row, and the first row that is left.
 
     Args:
         free: True for free slots.
-        first: The first row to take, a scalar.
+        first: First row to assign, a scalar.
         lanes: Number of rows, a scalar.
     """
     row = first + jnp.cumsum(free, dtype=jnp.int32) - 1
@@ -152,7 +152,7 @@ def _empty(few: Any, capacity: int) -> Any:
 
 
 def _where(rows: Bool[jax.Array, "width"], yes: Any, no: Any) -> Any:
-    """Select each row from `yes` or `no`, in any tree of tables."""
+    """Return trees of tables with each row from `yes` where `rows` is True, else from `no`."""
 
     def chosen(a, b):
         return jnp.where(rows.reshape(rows.shape + (1,) * (a.ndim - 1)), a, b)

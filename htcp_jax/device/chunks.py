@@ -1,10 +1,10 @@
 """Proofs of joint paths in chunks computed side by side, for devices that compute many lanes in the time of one.
 
-Most proofs need one or two clearance queries, a few need thousands, and all would wait for those. So each slot proves
-one chunk of a path. When it is done it takes the next path; when no path is left it takes over the far end of another
-slot's chunk, the longest interval that bisection has not reached there. Bisection's result on an interval does not
-depend on those before it, so the combined result is the same as if each path had been searched from its start to its
-end. Results beyond the point where a path is refuted are dropped.
+Most proofs need one or two clearance queries, a few need thousands. Without chunks, all slots would wait for these few.
+Each slot therefore proves one chunk of a path. When the chunk is done, the slot takes the next path. When no path is
+left, it takes over the last part of another slot's chunk: the longest interval that bisection has not reached. The
+result of bisection on an interval does not depend on earlier intervals. The combined result is therefore the same as if
+each path had been searched from its start to its end. Results after the place where a path is refuted are dropped.
 """
 
 from collections.abc import Callable
@@ -19,23 +19,23 @@ from htcp_jax.types import Bool, Int
 
 
 class ChunkSlots(NamedTuple):
-    """Chunks computed side by side, one per slot, and the state of their proofs; initial states in free slots."""
+    """Chunks computed side by side, one per slot, and the state of their proofs."""
 
-    row: Int[jax.Array, "width"]  # the path's row in the tables; their length if the slot is free
-    far: bisection.Bisection
+    row: Int[jax.Array, "width"]  # row of the path in the tables; the tables' length if the slot is free
+    far: bisection.Bisection  # state of the proof; the initial state if the slot is free
 
 
 class PathResults(NamedTuple):
-    """Result for every path, combined from its chunks."""
+    """Results for all paths, each combined from the path's chunks."""
 
-    ends: Int[jax.Array, "capacity"]  # start of the first interval that is refuted or undecided, in units of 1 / WHOLE
+    ends: Int[jax.Array, "capacity"]  # start of the first interval that is not proven, in units of 1 / WHOLE
     proof: bisection.Proof
 
 
 def by_chunks(function: Callable, width: int) -> Callable:
-    """Return `batching.refilled` for a function whose loop is a bisection.
+    """Return a compiled function as `batching.refilled` does, for a function whose loop is a bisection.
 
-    Its state is a `Bisection` that has not begun, every step one clearance query, and its result `proven_result`.
+    The loop must begin with `initial_state()`; its step must be one clearance query, and its result `proven_result`.
     """
 
     def run(scene, lanes, *tables) -> bisection.Proof:
@@ -67,7 +67,7 @@ def by_chunks(function: Callable, width: int) -> Callable:
 
 
 def _shared_out(slots: ChunkSlots, capacity: int) -> ChunkSlots:
-    """Return the slots after free ones took over the far ends of others' chunks, one from each."""
+    """Return the slots after free slots took over the last parts of other slots' chunks, at most one part per chunk."""
     row, far = slots
     rest = far.end - far.place - (1 << (bisection.WHOLE_DEPTH - far.depth))  # beyond the next interval
     free, gives = row == capacity, (row < capacity) & (rest > 0)
@@ -75,7 +75,7 @@ def _shared_out(slots: ChunkSlots, capacity: int) -> ChunkSlots:
     gives &= nth_giver < jnp.sum(free, dtype=jnp.int32)
     takes = free & (nth_free < jnp.sum(gives, dtype=jnp.int32))
     giver = jnp.nonzero(gives, size=len(row), fill_value=0)[0][jnp.where(takes, nth_free, 0)]
-    # The longest interval at the end that bisection comes to: as long as the largest power of two in the rest.
+    # Length of the longest interval at the end that bisection will reach: the largest power of two in the rest.
     level = 63 - jax.lax.clz(jnp.maximum(rest, 1))
     start = far.end - (1 << level)
     new = bisection.initial_state()._replace(
@@ -89,12 +89,12 @@ def _shared_out(slots: ChunkSlots, capacity: int) -> ChunkSlots:
 def _put_together(
     slots: ChunkSlots, queried: bisection.Bisection, known: PathResults, capacity: int
 ) -> tuple[ChunkSlots, PathResults]:
-    """Return the results after a clearance query, and the slots that continue."""
-    row, here = slots.row, slots.far.place  # start of the interval that was examined
+    """Return the slots that continue after a clearance query, and the updated results."""
+    row, here = slots.row, slots.far.place  # start of the checked interval
     whole, found = known.proof, queried.proof
 
     def rows(which: Bool[jax.Array, "width"]) -> jax.Array:
-        return jnp.where(which, row, capacity)  # writes to that row are dropped
+        return jnp.where(which, row, capacity)  # writes to row `capacity` are dropped
 
     fails = (row < capacity) & (found.verdict != bisection.PathVerdict.VALID)
     ends = known.ends.at[rows(fails)].min(here, mode="drop")
@@ -113,5 +113,5 @@ def _put_together(
 
 
 def _table_of(one: Any, length: int) -> Any:
-    """Return a table of so many rows, all equal to `one`."""
+    """Return a table of `length` rows, all equal to `one`."""
     return jax.tree.map(lambda value: jnp.full(length, value), one)

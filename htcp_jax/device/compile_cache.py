@@ -1,12 +1,14 @@
-"""The folder of compiled programs: the first run compiles for seconds, later ones load from disk.
+"""The folder of compiled programs: the first run compiles for some seconds, later runs load programs from this folder.
 
-It holds two kinds of files. Those in EXECUTABLES are lane functions: `kept_executables` finds and loads them without
-tracing. All other functions are in JAX's own cache, which finds a program by its text, after it was traced and lowered.
+The folder contains two kinds of files. The subfolder EXECUTABLES has compiled lane functions, which `kept_executables`
+finds and loads without tracing. All other functions are in JAX's own cache, which finds a program by its text, after
+tracing and lowering.
 
-Both are native code, and the executables are pickles, too: whoever can write here can run code as this user. So the
-folder must not be writable by others, and executables are read only from a folder of mode 700 that the user owns.
+Both kinds contain native code, and executables are pickles: whoever can write into the folder can run code as this
+user. The folder must therefore not be writable by others. Executables are only read from a folder with mode 700 that
+the user owns.
 
-The folder is found without platformdirs, which would be a dependency for one path on each of three systems.
+platformdirs is not used, as it would be a dependency for a single path per operating system.
 """
 
 import contextlib
@@ -25,24 +27,25 @@ from htcp_jax.unfinished import NO_LINK, READ, clear, lock_file
 
 try:
     import fcntl
-except ImportError:  # no POSIX system: processes that start together compile the same functions
+except ImportError:  # not a POSIX system: without a lock, processes that start together compile the same functions
     fcntl = None
 
-OF_JAX = "-cache", "-atime"  # ends of the names of JAX's files
-EXECUTABLES = "executables"  # the folder of executables, in the cache folder
-MOST_BYTES = 2**30  # of both kinds of files; beyond, those are removed that were not used for the longest time
+OF_JAX = "-cache", "-atime"  # suffixes of the names of JAX's files
+EXECUTABLES = "executables"  # subfolder of the cache folder with the executables
+MOST_BYTES = 2**30  # maximum size of all files; if it is exceeded, the files unused for the longest time are removed
 OTHERS_WRITE, OTHERS_ANY = 0o022, 0o077  # permissions of group and others
-DIGEST = 32  # bytes at the beginning of a file of an executable
+DIGEST = 32  # bytes of the digest at the beginning of an executable's file
 
 
 def enable() -> Path | None:
-    """Keep executables in the user's cache folder, or in HTCP_CACHE; HTCP_CACHE=off disables the cache.
+    """Enable the cache of executables on disk, and return its folder.
 
-    A folder already set through JAX takes precedence. A folder of another user, or one that cannot be written, disables
-    the cache with a warning: it must not stop a plan.
+    The folder is HTCP_CACHE or, if this variable is not set, the user's cache folder. A folder already set through JAX
+    takes precedence. HTCP_CACHE=off disables the cache. If the folder belongs to another user or cannot be written, the
+    cache is disabled with a warning, and planning continues.
 
     Returns:
-        The folder, or None if nothing is kept.
+        The folder, or None if the cache is disabled.
 
     Raises:
         InputError: If users other than this one can write into the folder.
@@ -50,7 +53,7 @@ def enable() -> Path | None:
     choice = os.environ.get("HTCP_CACHE", "")
     if choice.lower() in ("off", "0", "no"):
         return None
-    import jax  # here, as the command prints its help before it is imported
+    import jax  # here, as the command prints its help without JAX
 
     if there := folder():
         return there
@@ -63,8 +66,8 @@ def enable() -> Path | None:
         return None
     if exposed:
         raise InputError(
-            f"{found} can be written by other users, and compiled programs in it would run as this one: "
-            f"chmod 700 {found}, or set HTCP_CACHE to another folder, or to off"
+            f"{found} is writable by other users, whose programs in it would run with your permissions: "
+            f"run chmod 700 {found}, or set HTCP_CACHE to another folder, or to off"
         )
     if not own or not writable:
         _warn_unwritable(found, "permission denied" if own else "it belongs to another user")
@@ -75,7 +78,7 @@ def enable() -> Path | None:
 
 
 def folder() -> Path | None:
-    """Return the folder that this process keeps programs in; None if there is none."""
+    """Return the cache folder of this process; None if the cache is disabled."""
     import jax
 
     found = jax.config.jax_compilation_cache_dir
@@ -83,22 +86,22 @@ def folder() -> Path | None:
 
 
 def _warn_unwritable(where: str | Path, why: str) -> None:
-    line = f"{where} cannot be used ({why}): compiled programs are not kept; HTCP_CACHE names another folder"
+    line = f"{where} cannot be used ({why}): compiled programs are not cached; set HTCP_CACHE to another folder"
     warnings.warn(line, UserWarning, stacklevel=3)
 
 
 def _is_own(path: Path) -> bool:
-    """True if the user owns a folder."""
+    """Return True if the user owns the folder."""
     return not hasattr(os, "geteuid") or os.stat(path).st_uid == os.geteuid()
 
 
 def _is_closed(path: Path, mode: int) -> bool:
-    """True if nobody but the owner has one of these permissions."""
+    """Return True if group and others have none of the permissions in `mode`."""
     return not hasattr(os, "geteuid") or not stat.S_IMODE(os.stat(path).st_mode) & mode
 
 
 def read_executable(key: str) -> bytes | None:
-    """Return the contents that `write_executable` wrote under this key; None if there are none, or others."""
+    """Return the executable stored under a key; None if its file is missing or damaged."""
     try:
         file = _executables() / key
         handle = os.open(file, READ | NO_LINK)
@@ -107,18 +110,18 @@ def read_executable(key: str) -> bytes | None:
                 return None
             data = stream.read()
             with contextlib.suppress(OSError):
-                os.utime(file)  # used now, see `_remove_oldest`
+                os.utime(file)  # the time of the last use, see `_remove_oldest`
     except OSError:
         return None
     return data[DIGEST:] if data[:DIGEST] == _digest(key, data[DIGEST:]) else None
 
 
 def write_executable(key: str, content: bytes) -> bool:
-    """Keep an executable under this key: written aside and moved into place. Return False where that fails."""
+    """Store an executable under a key, atomically; return False if this fails."""
     try:
         place = _executables()
         clear(place)
-        handle, name = tempfile.mkstemp(prefix=PART, dir=place)  # readable by the user alone
+        handle, name = tempfile.mkstemp(prefix=PART, dir=place)  # readable only by the user
         with open(handle, "wb") as stream:
             lock_file(handle)
             stream.write(_digest(key, content) + content)
@@ -131,7 +134,11 @@ def write_executable(key: str, content: bytes) -> bool:
 
 
 def _executables() -> Path:
-    """Return the folder of executables, made if needed. Raises OSError if there is none to be trusted."""
+    """Return the folder of executables, created if needed.
+
+    Raises:
+        OSError: If the folder cannot be created, or if other users can access it.
+    """
     if (there := folder()) is None or not there.is_dir():
         raise NotADirectoryError
     place = there / EXECUTABLES
@@ -146,7 +153,10 @@ def _digest(key: str, content: bytes) -> bytes:
 
 
 def _remove_oldest(place: Path) -> None:
-    """Limit the files of JAX and of this package in the cache folder to MOST_BYTES; others are left alone."""
+    """Remove files of JAX and of this package from the cache folder until they have at most MOST_BYTES.
+
+    Files that were unused for the longest time are removed first. Other files are kept.
+    """
     found, of_jax = [], [each for each in os.scandir(place) if each.name.endswith(OF_JAX)]
     for each in [*of_jax, *os.scandir(place / EXECUTABLES)]:
         with contextlib.suppress(OSError):  # removed by another process
@@ -164,9 +174,9 @@ def _remove_oldest(place: Path) -> None:
 
 @contextlib.contextmanager
 def compilation_lock(program: str) -> Iterator[None]:
-    """Lock the compilation of this executable among processes that share the cache folder.
+    """Lock the compilation of a program among processes that share the cache folder.
 
-    The others wait, then load it. If the lock is not available, continue without it.
+    Other processes wait, and then load the program. If the lock cannot be created, each process compiles the program.
     """
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):

@@ -1,13 +1,16 @@
-"""Names of executables on disk: digests of all that an executable depends on.
+"""Names of executables on disk: digests of everything that an executable depends on.
 
-`source_key` needs no tracing. It is of the core's source, the libraries, the processor or GPU, and a lane function with
-the values, shapes and static parts of its arguments. The static parts are in the structure of the pytree. They are
-described by their contents, and names of classes and functions stand for their source. So they must be the core's own:
-what depends on the code of another package or of a notebook is traced in every process, and then found by
-`program_key`, the digest of the program's text. So is a program that a change of the source did not change.
+There are two names. `source_key` needs no tracing. It is the digest of the core's source, the versions of libraries,
+the processor or GPU, and a lane function with its settings and the shapes and static parts of its arguments. Static
+parts, in the structure of the pytree, are described by their contents. Classes and functions are described by their
+names, as the digest of the core's source covers their code.
 
-A process that has replaced a function of the core, as in a notebook or a test, gets no such name either. Other values
-of modules that are replaced at run time do not change a name: that is for HTCP_CACHE=off.
+Lane functions that depend on code of another package or of a notebook have no `source_key`. Every process traces them,
+and then finds the executable by `program_key`, the digest of the program's text. `program_key` also finds programs that
+are still the same after a change of the source.
+
+In a process that has replaced a function of the core, as in a notebook or a test, `source_key` is None, too. Replacing
+other attributes of modules at run time does not change a name: set HTCP_CACHE=off in this case.
 """
 
 import dataclasses
@@ -28,18 +31,18 @@ import jax
 import numpy as np
 
 PACKAGE, ROOT = __name__.partition(".")[0], Path(__file__).parent.parent
-CORE = "model", "solvers", "clearance", "device", "motion", "planning", "reachability"  # of lane functions
-LIBRARIES = "jax", "jaxlib", "numpy", "optax"  # that they use
-INSTALLED = Path(jax.__file__).parents[1]  # where libraries are
+CORE = "model", "solvers", "clearance", "device", "motion", "planning", "reachability"  # used by lane functions
+LIBRARIES = "jax", "jaxlib", "numpy", "optax"  # libraries that lane functions use
+INSTALLED = Path(jax.__file__).parents[1]  # folder of the installed libraries
 WRAPPERS = (classmethod, staticmethod, partial, type(jax.jit(len)), jax.custom_jvp, jax.custom_vjp, FunctionType)
-WITHOUT_EFFECT = re.compile("cache|platforms|default_device|log|traceback|dump")  # on programs, of JAX's configuration
+WITHOUT_EFFECT = re.compile("cache|platforms|default_device|log|traceback|dump")  # names of JAX settings
 PROCESSOR = re.compile(
     "^(model name|flags|features|cpu (implementer|part|variant))\t*:.*", re.IGNORECASE | re.MULTILINE
 )
 
 
 class UnknownSource(Exception):
-    """An object is of other code than the core's, or has no description that another process would give as well."""
+    """Error for an object that depends on code outside the core, or cannot be described alike in every process."""
 
 
 def source_key(
@@ -49,8 +52,8 @@ def source_key(
 
     Args:
         function: The lane function.
-        values: Values of the settings that it reads.
-        device: The device that it is compiled for.
+        values: Values of the settings that the function reads.
+        device: The device that the function is compiled for.
         options: Options of the compiler.
         structure: Structure of the arguments' pytree.
         shapes: Shape and type of every leaf.
@@ -63,12 +66,12 @@ def source_key(
 
 
 def program_key(name: str, lowered: jax.stages.Lowered, device: jax.Device, options: dict) -> str:
-    """Return the name of an executable by the text of its program, which has all of its arguments.
+    """Return the name of an executable as a digest of its program's text, the device and the libraries.
 
     Args:
         name: Name of the lane function.
         lowered: The program.
-        device: The device that it is compiled for.
+        device: The device that the program is compiled for.
         options: Options of the compiler.
     """
     return _name(name, (_machine(device, options), lowered.as_text(), str(lowered.out_tree)))
@@ -80,7 +83,7 @@ def _name(function: str, about: tuple) -> str:
 
 
 def _machine(device: jax.Device, options: dict) -> tuple:
-    """Describe the libraries, their configuration, the device and the compiler's options."""
+    """Return a description of the libraries, their configuration, the device and the compiler's options."""
     client = device.client.platform_version if device.platform != "cpu" else ""
     what = (
         device.platform,
@@ -95,18 +98,18 @@ def _machine(device: jax.Device, options: dict) -> tuple:
 
 
 def _source() -> str:
-    """Digest of the core's source.
+    """Return the digest of the core's source.
 
     Raises:
-        UnknownSource: If a file changed since this process imported the package, or cannot be read; if a function of
-            the core was replaced.
+        UnknownSource: If a file cannot be read or has changed since this process imported the package, or if a function
+            of the core was replaced.
     """
     if _has_replaced_functions():
         raise UnknownSource
     try:
         imported_s = vars(sys.modules[PACKAGE])["_imported_s"]
         known = [os.stat(file) for file in _source_files()]
-        # st_ctime: a file that replaces another one may bring an older time along
+        # st_ctime: if a file is replaced by another one, st_mtime may be older than the replacement
         if max(max(each.st_mtime, each.st_ctime) for each in known) >= imported_s:
             raise UnknownSource
         return _source_digest()
@@ -115,8 +118,8 @@ def _source() -> str:
 
 
 def _has_replaced_functions() -> bool:
-    """Tell whether a module or class of the core has a function that reads globals of a program, notebook or test."""
-    for name, module in list(sys.modules.items()):
+    """Return True if any function in the core's modules and classes reads globals of a program, notebook or test."""
+    for name, module in sys.modules.copy().items():
         package, *inner = name.split(".")
         if package == PACKAGE and (len(inner) < 2 or inner[0] in CORE):
             own = vars(module)
@@ -128,7 +131,7 @@ def _has_replaced_functions() -> bool:
 
 
 def _reads_others(function: Any, own: dict[str, Any]) -> bool:
-    """Tell whether a function, or one that it wraps, reads globals of a program, notebook or test; not its module's."""
+    """Return True if a function, or one that it wraps, reads globals of a program, notebook or test."""
     while type(function) in WRAPPERS:
         read = getattr(function, "__globals__", own)
         if read is not own and not _is_installed(read.get("__name__", PACKAGE)):
@@ -139,7 +142,7 @@ def _reads_others(function: Any, own: dict[str, Any]) -> bool:
 
 @cache
 def _is_installed(module: str) -> bool:
-    """Tell whether a module is of this package, of Python or of a library, and not a program, notebook or test."""
+    """Return True if a module is of this package, of Python or of a library; False for a program, notebook or test."""
     package = module.partition(".")[0]
     known = package == PACKAGE or package in sys.stdlib_module_names or module.startswith("namedtuple_")
     return known or Path(getattr(sys.modules.get(package), "__file__", None) or "").is_relative_to(INSTALLED)
@@ -161,14 +164,14 @@ def _source_digest() -> str:
 
 @cache
 def _installation() -> tuple[str, ...]:
-    """Versions of Python and of libraries, and the processor."""
+    """Return the versions of Python and of libraries, and the processor."""
     return sys.version, *(version(name) for name in LIBRARIES), *_processor()
 
 
 def _processor() -> tuple[str, ...]:
     try:
         lines = {found.group() for found in PROCESSOR.finditer(Path("/proc/cpuinfo").read_text())}
-    except OSError:  # no Linux
+    except OSError:  # not Linux
         lines = {platform.processor()}
     return platform.system(), platform.machine(), *sorted(lines)
 
@@ -182,10 +185,10 @@ def _described_structure(structure: Any) -> tuple:
 
 
 def described(value: Any) -> Any:
-    """Return a description by plain values and tuples, whose text is the same in every process.
+    """Return a description of an object by plain values and tuples, with the same text in every process.
 
     Raises:
-        UnknownSource: If there is none.
+        UnknownSource: If the object has no such description.
     """
     if value is None or (isinstance(value, bool | int | float | str | bytes) and type(value).__module__ == "builtins"):
         return value
@@ -212,7 +215,7 @@ def described(value: Any) -> Any:
 
 
 def _described_code(value: type | FunctionType) -> tuple:
-    """Describe a class or a function of the core, or a class of Python or of the libraries."""
+    """Return a description of a class or function of the core, or of a class of Python or of the libraries."""
     package, *inner = value.__module__.split(".")
     if isinstance(value, type) and package in ("builtins", "functools", *LIBRARIES):
         return value.__module__, value.__qualname__
@@ -234,7 +237,7 @@ def _named(module: str, name: str) -> Any:
 
 
 def _described_bytes(code: CodeType) -> tuple:
-    """Describe a function without a name in its module: by its place, and by its bytecode, as a line may hold two."""
+    """Return a description of a function that has no name in its module: its place in the source, and its bytecode."""
     constants = tuple(
         _described_bytes(each) if isinstance(each, CodeType) else described(each) for each in code.co_consts
     )

@@ -4,7 +4,7 @@ import inspect
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any
@@ -22,31 +22,30 @@ from htcp_jax.device.tables import concatenate, gather, pad
 from htcp_jax.model import Task
 from htcp_jax.settings import Settings
 
-# XLA hoists loop invariants before it merges common subexpressions, which then no longer match: the arm's
-# links are computed up to seven times over. On a CPU that costs more than it saves; on a GPU it saves launches.
-# There, autotuning is off: the fastest of several variants changes from one compilation to the next, and rounds
-# differently.
+# XLA hoists loop invariants before it merges common subexpressions, which then no longer match: the arm's links are
+# computed up to seven times. On a CPU hoisting costs more than it saves; on a GPU it saves launches. On a GPU,
+# autotuning is off: the variant that it selects changes from one compilation to the next, and rounds differently.
 COMPILER = {
     "cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"},
     "gpu": {"xla_gpu_autotune_level": 0},
 }
 
 
-NO_STOPWATCH = nullcontext()  # in place of a stopwatch for the time spent waiting
+NO_STOPWATCH = nullcontext()  # used if the waiting time is not measured
 
 
 class ExecutableCache:
     """Cache of executables, one per lane function, values of the settings that it reads, device, and argument shapes.
 
     Args:
-        most: Number of executables; beyond that the least recently used one is dropped.
-        on_disk: True to keep them in the folder of `compile_cache`, too, for other processes.
+        most: Maximum number of executables; if it is exceeded, the least recently used one is dropped.
+        on_disk: True to also store executables in the folder of `compile_cache`, for other processes.
     """
 
     def __init__(self, most: int = 256, on_disk: bool = False):
         self._most, self._on_disk = most, on_disk
-        self._compiled: dict[tuple, jax.stages.Compiled] = {}  # the last requested ones at the end
-        self._compiling: dict[tuple, threading.Lock] = {}  # one per executable: others can be compiled meanwhile
+        self._compiled: dict[tuple, jax.stages.Compiled] = {}  # in the order of their last use
+        self._compiling: dict[tuple, threading.Lock] = {}  # one lock per executable: others can be compiled
         self._tracing, self._sorting = threading.Lock(), threading.Lock()
 
     def __len__(self) -> int:
@@ -64,16 +63,16 @@ class ExecutableCache:
         arguments: tuple,
         waiting: AbstractContextManager = NO_STOPWATCH,
     ) -> jax.stages.Compiled:
-        """Return the executable for arguments of these shapes, compiling it if there is none.
+        """Return the executable for arguments of the given shapes; compile it if it is not in the cache.
 
-        Python traces one function at a time; compilation runs in parallel.
+        Only one function is traced at a time; compilations run in parallel.
 
         Args:
             lane_function: The function and how it is compiled.
             settings: Settings of the planner.
             device: The device to compile for.
             arguments: Scene, number of lanes, and tables.
-            waiting: Context in which the executable is compiled.
+            waiting: Context that is open while the executable is loaded or compiled.
         """
         leaves, structure = jax.tree.flatten(arguments)
         shapes = tuple((x.shape, x.dtype) for x in leaves)
@@ -86,11 +85,11 @@ class ExecutableCache:
         return found
 
     def call(self, function: Callable, *arguments: Any) -> Any:
-        """Call a function of the core that carries `jax.jit`, on the default device, without tracing it if it is kept.
+        """Call a `jax.jit` function of the core on the default device, with an executable from the cache.
 
         Args:
             function: The function.
-            *arguments: Arrays, or robots and obstacles, see `without_labels`.
+            *arguments: Arrays, or robots and obstacles, whose labels are removed, see `without_labels`.
         """
         whole = _WholeFunction(function.__name__, inspect.unwrap(function))
         arguments = jax.tree.map(np.asarray, arguments)
@@ -124,8 +123,8 @@ class ExecutableCache:
                 del self._compiled[oldest]
                 self._compiling.pop(oldest, None)
 
-    def of(self, *lane_functions: LaneFunction) -> list[tuple[LaneFunction, jax.stages.Compiled]]:
-        """Return the executables of some lane functions."""
+    def executables_of(self, *lane_functions: LaneFunction) -> list[tuple[LaneFunction, jax.stages.Compiled]]:
+        """Return the executables in memory for these lane functions, as pairs (lane function, executable)."""
         return [
             (lane_function, self._compiled[key])
             for lane_function in lane_functions
@@ -136,7 +135,7 @@ class ExecutableCache:
 
 @dataclass(frozen=True)
 class _WholeFunction:
-    """A function without lanes and settings, with the interface of a `LaneFunction`."""
+    """A function without lanes or settings, with the interface of a `LaneFunction`."""
 
     name: str
     function: Callable
@@ -148,14 +147,14 @@ class _WholeFunction:
         return jax.jit(self.function, keep_unused=True)
 
 
-EXECUTABLES = ExecutableCache(on_disk=True)  # owned by this process, for all its plans
+EXECUTABLES = ExecutableCache(on_disk=True)  # executables of this process, shared by all plans
 
 
-FEW = 4  # so few lanes are not shared among threads
+FEW = 4  # calls with at most FEW lanes are not shared among threads
 
 
 class Stopwatch:
-    """Clock that runs while any thread is inside its context."""
+    """Stopwatch that runs while any thread is inside its context."""
 
     def __init__(self):
         self.seconds = 0.0
@@ -175,17 +174,18 @@ class Stopwatch:
 
 
 class Executor:
-    """Run lane functions on one scene and one device.
+    """Executor of lane functions on one scene and one device.
 
-    They are compiled on first use, once for any number of scenarios; `compile_s` is the time spent waiting for that.
+    Each function is compiled on first use, once for any number of scenarios. `compile_s` is the time spent waiting for
+    compilations.
 
     Args:
         scene: The scene.
         settings: Settings of the planner.
         device: The device; None: the default one.
         executables: The cache of executables.
-        threads: Number of threads that share a call's lanes on a CPU; each lane is computed by itself, so results do
-            not depend on it.
+        threads: Number of threads that share a call's lanes on a CPU. Results do not depend on this number, as lanes
+            are independent.
     """
 
     def __init__(
@@ -210,17 +210,17 @@ class Executor:
 
     @property
     def lanes(self) -> int:
-        """Number of lanes that an engine keeps in flight."""
+        """Number of lanes that an engine advances together."""
         return TRACKED.on(self.device).capacity
 
     @property
     def pays_by_lane(self) -> bool:
-        """True if a call with half the lanes takes half the time, as on a CPU."""
+        """True if the time of a call is proportional to the number of lanes, as on a CPU."""
         return self.device.platform == "cpu"
 
     @property
     def task(self) -> Task:
-        """Task that the arm has to fulfil at every target."""
+        """The task: the constraints at every target."""
         return self._scene.task
 
     @property
@@ -235,7 +235,7 @@ class Executor:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Number of values in the task, and number of clearance rows that each lane carries."""
+        """Number of values of the task, and number of clearance rows per lane."""
         return self.task.values, 1 if self._settings.clearance_rows == "smallest" else len(self._scene.rows.body)
 
     def __call__(self, lane_function: LaneFunction, *tables) -> Any:
@@ -249,22 +249,24 @@ class Executor:
         return concatenate(list(mapped(lambda share: self._run(lane_function, share), shares)))
 
     @contextmanager
-    def preparing(self, calls: Sequence[tuple]) -> Iterator[None]:
-        """Compile the given calls on all cores, in this order, while the caller continues.
+    def preparing(self, calls: Sequence[tuple]) -> Iterator[list[Future]]:
+        """Compile the executables of the given calls in the background, in this order, on all cores.
 
-        The caller waits only for executables that it uses in the meantime.
+        The caller continues inside the context, and waits only for executables that it uses there. It may cancel
+        compilations, which are the context's value.
 
         Args:
-            calls: (lane function, tables) as they will be made, with any values and any number of lanes.
+            calls: Tuples (lane function, *tables) like those of later calls. The tables' values and the number of lanes
+                may differ from those of the later calls.
         """
         with ThreadPoolExecutor(cores()) as pool:
             begun = [pool.submit(self._ready, lane_function, tables) for lane_function, *tables in calls]
             try:
-                yield
+                yield begun
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
-            for each in begun:
+            for each in (each for each in begun if not each.cancelled()):
                 with NO_STOPWATCH if each.done() else self._waiting:
                     each.result()
 
@@ -275,7 +277,7 @@ class Executor:
         lanes = len(jax.tree.leaves(tables)[0])
         arguments = self._arguments(lane_function, tables)
         result = self._executable(lane_function, arguments)(*arguments)
-        # Unlike waiting for an array, this does not hold the interpreter's lock, which other engines need.
+        # Unlike waiting for an array, this releases the interpreter's lock, which other engines need.
         jax.block_until_ready(result)
         if self.device.platform != "cpu":
             result = jax.device_get(result)  # all copies at once
@@ -289,7 +291,7 @@ class Executor:
         return self._scene, np.int32(lanes), *padded
 
     def _executable(self, lane_function: LaneFunction, arguments: tuple) -> jax.stages.Compiled:
-        key = lane_function, len(jax.tree.leaves(arguments)[-1])  # the tables' length, as some have a short table, too
+        key = lane_function, len(jax.tree.leaves(arguments)[-1])  # the tables' length: a table may be short
         if key not in self._own:
             self._own[key] = self._executables.get(lane_function, self._settings, self.device, arguments, self._waiting)
         return self._own[key]

@@ -1,11 +1,12 @@
 """Executables written to the cache folder, and loaded again without tracing.
 
-An executable is stored under the name of its program, `executable_key.program_key`. A second, short file, named
-`source_key`, says which program a lane function is, and is found without tracing. JAX's own cache keeps these programs,
-too, but what it has loaded cannot be serialised again: an executable is stored by the process that compiled it.
+An executable is stored under the name of its program, `executable_key.program_key`. A second, short file, named by
+`source_key`, contains this name, so that the executable is found without tracing. Only the process that compiled an
+executable stores it, as an executable loaded from JAX's own cache cannot be serialised again.
 
-On a CPU an executable calls functions of LAPACK by pointers that JAX sets when it lowers such a call, which a process
-that only loads does not do: `_load` sets them. An executable that calls anything else outside of it is not kept.
+On a CPU an executable calls functions of LAPACK by pointers. JAX sets the pointers when it lowers such a call. A
+process that only loads executables lowers none, so `_load` sets the pointers. An executable that calls other external
+functions is not stored.
 """
 
 import contextlib
@@ -22,19 +23,19 @@ from jax.experimental import serialize_executable
 
 from htcp_jax.device import compile_cache
 
-FAST = 1  # level of compression: a fifth of the size, in 10 ms
-CALLED = re.compile('custom_call_target="([^"]+)"')  # in the text of an executable
-LAPACK = "lapack_"  # beginning of the names of its functions
-HIT = "/jax/compilation_cache/cache_hits"  # JAX's event
+FAST = 1  # compression level: a fifth of the size in 10 ms
+CALLED = re.compile('custom_call_target="([^"]+)"')  # external calls in the text of an executable
+LAPACK = "lapack_"  # prefix of the names of LAPACK's functions
+HIT = "/jax/compilation_cache/cache_hits"  # JAX's event for a hit in its own cache
 
 
 def find(source: str | None, device: jax.Device, arguments: tuple) -> jax.stages.Compiled | None:
-    """Return the executable that was last compiled from this source; None if there is none that loads.
+    """Return the executable that was last compiled from a source; None if it does not exist or cannot be loaded.
 
     Args:
-        source: Its `source_key`.
+        source: `source_key` of the lane function; None: the result is None.
         device: The device.
-        arguments: Arguments of the structure that it is compiled for.
+        arguments: Arguments with the structure that the executable is compiled for.
     """
     if source is None or (program := compile_cache.read_executable(source)) is None:
         return None
@@ -44,14 +45,14 @@ def find(source: str | None, device: jax.Device, arguments: tuple) -> jax.stages
 def compiled(
     source: str | None, program: str, compile_: Callable[[], jax.stages.Compiled], device: jax.Device, arguments: tuple
 ) -> jax.stages.Compiled:
-    """Return the executable of a program, loaded if another process has compiled it, else compiled and kept.
+    """Return the executable of a program: loaded if it is stored, else compiled and stored.
 
     Args:
-        source: Its `source_key`; None: it is not found without tracing.
-        program: Its `program_key`.
-        compile_: Compiles it.
+        source: `source_key` of the lane function; None if it has none.
+        program: `program_key` of the program.
+        compile_: Function that compiles the program.
         device: The device.
-        arguments: Arguments of the structure that it is compiled for.
+        arguments: Arguments with the structure that the program is compiled for.
     """
     if (found := _load(program, device, arguments)) is None:
         with _jax_hits() as hits:
@@ -64,7 +65,7 @@ def compiled(
 
 
 def _save(program: str, executable: jax.stages.Compiled, device: jax.Device) -> bool:
-    """Keep an executable; return False if that fails, as some have no form on disk."""
+    """Store an executable; return False if this fails: some executables cannot be serialised."""
     try:
         called = set(CALLED.findall(executable.as_text() or ""))
         if device.platform == "cpu" and not all(name.startswith(LAPACK) for name in called):
@@ -72,7 +73,7 @@ def _save(program: str, executable: jax.stages.Compiled, device: jax.Device) -> 
         code, _, results = serialize_executable.serialize(executable)
         example = jax.tree.unflatten(results, range(results.num_leaves))  # a tree can be pickled, its structure cannot
         content = pickle.dumps((code, example, bool(called)))
-    except Exception:  # of many kinds
+    except Exception:  # serialisation raises exceptions of many types
         return False
     return compile_cache.write_executable(program, zlib.compress(content, FAST))
 
@@ -88,19 +89,19 @@ def _load(program: str, device: jax.Device, arguments: tuple) -> jax.stages.Comp
         return serialize_executable.deserialize_and_load(
             code, *structures, backend=device.client, execution_devices=[device]
         )
-    except Exception:  # of many kinds
+    except Exception:  # serialisation raises exceptions of many types
         return None
 
 
 @functools.cache
 def _set_lapack() -> None:
-    """Have JAX set the pointers to LAPACK's functions, by lowering a call of one of them."""
+    """Set the pointers to LAPACK's functions, by lowering a call of one of them with JAX."""
     jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.float64))
 
 
 @contextlib.contextmanager
 def _jax_hits() -> Iterator[list[str]]:
-    """Yield a list that gets an entry for every program that this thread takes from JAX's own cache."""
+    """Yield a list to which an entry is added for every program that this thread loads from JAX's own cache."""
     hits, thread = [], threading.get_ident()
 
     def note(event: str, **_) -> None:

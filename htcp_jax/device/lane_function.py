@@ -16,66 +16,63 @@ _SETTINGS = frozenset(field.name for field in fields(Settings))
 
 
 class BatchSize(NamedTuple):
-    """Number of rows that a function is compiled for, and how many lanes it computes side by side.
+    """Size of the tables that a function is compiled for."""
 
-    A table that refills gives a finished lane's slot to the next lane, see `LaneFunction.refill`; calls with few lanes
-    then get a short table.
-    """
-
-    capacity: int
-    width: int
+    capacity: int  # number of rows
+    width: int  # number of lanes computed side by side
+    # True: a finished lane's slot takes the next lane, see `LaneFunction.refill`; few lanes get a short table
     refills: bool = False
 
     def length(self, lanes: int) -> int:
-        """Return the number of rows of the table for a call with so many lanes."""
+        """Return the number of rows of the tables for a call with the given number of lanes."""
         return self.width if self.refills and lanes <= self.width else self.capacity
 
 
 class DeviceSizes(NamedTuple):
-    """Tables of a class of lane functions, one per platform for any number of lanes.
+    """Table sizes of a class of lane functions: one size per platform, for any number of lanes.
 
-    A table of another size would round differently. A CPU gains nothing from lanes side by side; a GPU from thousands,
-    fewer if each lane has hundreds of samples.
+    Results in tables of other sizes would be rounded differently. A CPU is not faster with several lanes side by side.
+    A GPU is faster with thousands of lanes, or with hundreds if each lane has hundreds of samples.
     """
 
     cpu: BatchSize
     gpu: BatchSize
 
     def on(self, device: jax.Device) -> BatchSize:
-        """Return the table for that device."""
+        """Return the table size for a device."""
         return self.cpu if device.platform == "cpu" else self.gpu
 
 
 ALONE = BatchSize(128, 1)
-STEP = DeviceSizes(cpu=ALONE, gpu=BatchSize(4096, 4096))  # for every lane, in every round
-DEEP = DeviceSizes(cpu=ALONE, gpu=BatchSize(2048, 512))  # for few lanes, or with vectorised inner loops
-# loops of some steps, in the longest calls
+STEP = DeviceSizes(cpu=ALONE, gpu=BatchSize(4096, 4096))  # for functions called for every lane in every round
+DEEP = DeviceSizes(cpu=ALONE, gpu=BatchSize(2048, 512))  # for calls with few lanes, or with vectorised inner loops
+# for loops of some steps, in the longest calls
 TRACKED = DeviceSizes(cpu=ALONE, gpu=BatchSize(PORTION, 4096, refills=True))
 DEEP_LOOP = DeviceSizes(cpu=ALONE, gpu=BatchSize(2048, 512, refills=True))  # DEEP, for functions that return a `Loop`
-SAMPLED = DeviceSizes(cpu=ALONE, gpu=BatchSize(256, 128))  # with hundreds of configurations per lane
+SAMPLED = DeviceSizes(cpu=ALONE, gpu=BatchSize(256, 128))  # for functions with hundreds of configurations per lane
 
 
 @dataclass(frozen=True)
 class LaneFunction:
     """A function of one lane, function(*parts, settings, scene, lane, ...), and how it is compiled.
 
-    The robot of its scene has the lane's own tool, and no labels: names are empty, and frames are missing. If it
-    returns a `Loop`, its step is step(scene, state), with a scene computed inside the loop: a robot that is carried
-    into it is compiled to other instructions, which round differently.
+    The robot in the scene has the lane's own tool, and no labels: names are empty, and frames are missing. If the
+    function returns a `Loop`, the loop's step is step(scene, state), with a scene that is computed inside the loop. A
+    robot from outside the loop would be compiled to other instructions, which round differently.
 
-    settings: names of those that it reads. Executables are compiled for these values only, so a new seed, for example,
-    compiles nothing. Reading a setting that is not named raises AttributeError when the lane function is compiled.
+    Executables depend only on the values of the settings that the function reads: a new seed, for example, needs no
+    compilation. Reading a setting that is not in `settings` raises AttributeError during compilation.
     """
 
     name: str
     function: Callable
     sizes: DeviceSizes
-    settings: tuple[str, ...] = ()  # names of those that the function reads
-    parts: tuple = ()  # hashable; distinguishes instances that share a function
-    refill: Callable = refilled  # `refilled` or a replacement, if the table refills
+    settings: tuple[str, ...] = ()  # names of the settings that the function reads
+    parts: tuple = ()  # first arguments of the function; hashable
+    refill: Callable = refilled  # `refilled` or a replacement; used if the tables' size has `refills`
 
     def values(self, settings: Settings) -> tuple:
-        """Return the values of the settings that it reads."""
+        """Return the values of the settings that the function reads."""
         return tuple(getattr(settings, name) for name in self.settings)
 
     def of(self, settings: Settings) -> Callable:
@@ -91,13 +88,13 @@ class LaneFunction:
         return bound
 
     def jitted(self, settings: Settings, device: jax.Device) -> jax.stages.Wrapped:
-        """Return the function to compile for that device: of (scene, number of lanes, tables...)."""
+        """Return the function to compile for a device, with the arguments (scene, number of lanes, *tables)."""
         table = self.sizes.on(device)
         return (self.refill if table.refills else chunked)(self.of(settings), table.width)
 
 
 class _NamedSettings(Settings):
-    """Settings restricted to those that a `LaneFunction` names."""
+    """Settings of which only those in `LaneFunction.settings` can be read."""
 
     @classmethod
     def of(cls, settings: Settings, lane_function: LaneFunction) -> "_NamedSettings":
@@ -110,6 +107,7 @@ class _NamedSettings(Settings):
     def __getattribute__(self, name: str) -> Any:
         if name in _SETTINGS and name not in object.__getattribute__(self, "__dict__"):
             raise AttributeError(
-                f"lane function {self.lane_function!r} reads the setting {name}, which it does not name"
+                f"lane function {self.lane_function!r} reads the setting {name}, but does not declare it; "
+                "add it to LaneFunction.settings"
             )
         return super().__getattribute__(name)

@@ -1,11 +1,11 @@
 """Work shared among processes of this machine.
 
-Engines in one process take turns, as Python runs one thread at a time; engines in separate processes do not.
+Python runs one thread at a time, so engines in one process hardly run in parallel; engines in separate processes do.
 
-The workers are loky's, which owns them: no more than the last call used, kept for the next call, ended after `IDLE_S`
-without work. Each keeps the shared objects of one call. They import this package and never their caller's main module,
-which may be a notebook or a script without a guard; and a worker that dies raises an error instead of blocking the
-others. The standard library's pools do neither, and Ray needs a server.
+The library loky manages the workers. Workers remain for the next call, and end after `IDLE_S` without work. Each worker
+keeps the shared objects of one call. Workers import this package and never the caller's main module, which may be a
+notebook or a script without a guard. If a worker dies, an error is raised, and the other workers are not blocked. The
+standard library's pools do neither, and Ray needs a server.
 """
 
 import os
@@ -30,47 +30,45 @@ from htcp_jax.unfinished import temporary_folder
 
 POLL_S = 0.1  # interval at which progress is polled
 IDLE_S = 300  # idle time after which workers end
-START_PAYS = 10_000  # targets that outweigh starting workers, which takes as long as some thousands of them
+START_PAYS = 10_000  # minimum number of targets for which starting workers saves time
 EACH_PAYS = 8  # minimum number of scenarios per worker
-MOST_TOGETHER = 64  # scenarios per part: fewer make calls with fewer lanes, more make the last part take longer
+MOST_TOGETHER = 64  # maximum number of scenarios per part, which limits the time of the last part
 
 
 def profitable_count(cores: int, scenarios: int, targets: int) -> int:
-    """Return the number of processes for a number of scenarios on a number of cores.
+    """Return the number of processes to use for a call.
 
-    It depends on this call alone, not on earlier ones.
+    The number does not depend on earlier calls.
 
     Args:
         cores: Number of cores.
         scenarios: Number of scenarios of this call.
-        targets: Number of targets of this call and of those that belong together with it, as a sweep's shards do.
+        targets: Number of targets of all calls that belong together, such as the shards of a sweep.
     """
     return max(1, min(cores, scenarios // EACH_PAYS)) if targets >= START_PAYS else 1
 
 
 def shares(count: int, processes: int) -> list[Int[np.ndarray, "_"]]:
-    """Divide so many scenarios into parts, each planned by the next free process; return their positions.
+    """Return the indices of the scenarios in each part of `count` scenarios; the next free process plans a part.
 
-    Neighbours in a grid are alike, so scenarios are dealt out in turn and each part gets its share of the hard ones.
+    Neighbouring scenarios of a grid are similar, so scenarios are assigned to parts in turn: each part gets its share
+    of hard ones.
     """
     parts = min(count, max(processes, -(-count // MOST_TOGETHER)))
     return [np.arange(first, count, parts) for first in range(parts)]
 
 
 def portable(*things: Any) -> bytes | None:
-    """Pickle objects for a process that imports this package and all installed ones, but not the caller's main module.
-
-    None if they cannot be pickled or need that module.
-    """
+    """Return pickled objects for another process; None if they cannot be pickled or need the caller's main module."""
     try:
         data = pickle.dumps(things)
-    except Exception:  # of many kinds
+    except Exception:  # pickling raises exceptions of many types
         return None
     return None if b"__main__" in data else data
 
 
 class Spread(NamedTuple):
-    """Results of the parts, in their order, and the time until the workers were ready [s]."""
+    """Result of `spread`: the results of the parts in order, and the time until the workers were ready [s]."""
 
     results: list
     start_s: float
@@ -84,21 +82,22 @@ def spread(
     report: Callable[[np.ndarray], None] | None,
     ready: Callable[[], Any] = tuple,
 ) -> Spread:
-    """Return call(set_counts, *shared, part) for every part.
+    """Call call(set_counts, *shared, part) in worker processes, once for every part; return the results.
 
-    set_counts(a, b) sets the two counts of a part's progress.
+    The argument set_counts(a, b) is a function that sets the two counts of the part's progress.
 
     Args:
         processes: Number of workers.
-        call: The function.
-        shared: Objects for all parts, see `portable`; they are sent to each worker once and kept there for the next
+        call: The function to call.
+        shared: Pickled objects for all parts, from `portable`. They are sent to each worker once, and kept for the next
             call.
-        parts: One argument of `call` each.
-        report: Called repeatedly with the counts of all parts (P, 2); an exception in it ends the work.
-        ready: Called in each worker before the first part, for imports that take time.
+        parts: The last argument of each call.
+        report: Function that is called repeatedly with the counts of all P parts (P, 2); an exception in it ends the
+            work.
+        ready: Function that is called in each worker before the first part, for imports that take time.
 
     Raises:
-        Exception: The one of the first part that fails.
+        Exception: The exception of the first part that fails.
         Lost: If a worker dies.
     """
     with temporary_folder() as folder:
@@ -117,12 +116,12 @@ def spread(
         except BaseException as error:
             workers.shutdown(kill_workers=True)
             if isinstance(error, BrokenProcessPool):
-                raise Lost("a worker process is gone; it may have run out of memory") from None
+                raise Lost("a worker process was killed; it may have run out of memory") from None
             raise
 
 
 def _watched(requested: Sequence[Future], look: Callable[[], Any]) -> None:
-    """Wait for all futures, calling `look` at intervals; raise the first exception among them."""
+    """Wait for all futures, calling `look` at intervals; raise the first exception of a future."""
     left = set(requested)
     while left:
         done, left = wait(left, POLL_S, FIRST_EXCEPTION)
@@ -142,23 +141,23 @@ def _executor(processes: int) -> Any:
 # Code that runs in a worker
 
 BOARD = "board"
-# The calling process keeps the GPUs. Where psutil is installed, loky takes a worker that grows by 300 MB to leak and
-# replaces it; these keep executables.
+# Workers do not use the GPUs, which the calling process has. If psutil is installed, loky replaces a worker whose
+# memory grows by 300 MB, as a leak; the large limit prevents this, as workers keep executables.
 ENVIRONMENT = {"JAX_PLATFORMS": "cpu", "LOKY_MAX_MEMORY_LEAK_SIZE": "1e18"}
-_kept: dict[str, tuple] = {}  # the last shared objects, by their digest: one entry, as long as the worker lives
+_kept: dict[str, tuple] = {}  # digest -> shared objects of the last call; at most one entry
 
 
 def _begin_worker(cache: str | None, least_s: float) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles this signal
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", least_s)
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
 
 
 def _end_with(parent: int) -> None:
-    """End this process with its parent.
+    """End this process when its parent ends.
 
-    A killed process sends its workers no signal; on Windows they end after `IDLE_S` without work.
+    A killed process sends no signal to its workers. On Windows they end after `IDLE_S` without work.
     """
     while os.getppid() == parent:
         time.sleep(1.0)

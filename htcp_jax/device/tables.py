@@ -8,33 +8,33 @@ import numpy as np
 
 Tables = TypeVar("Tables")
 
-PORTION = 16384  # rows, as many as the largest table of a lane function has
+PORTION = 16384  # number of rows of the largest table of a lane function
 
 
 def gather(tables: Tables, rows) -> Tables:
-    """Return some of the rows: the tables themselves if a mask selects all."""
+    """Return some rows of the tables; the tables themselves, not copies, if a mask selects all rows."""
     if not isinstance(rows, np.ndarray):
         return jax.tree.map(lambda table: table[rows], tables)
     if rows.dtype == bool:
         if rows.all():
             return tables
-        rows = np.flatnonzero(rows)  # counted once, not for every table
-    return jax.tree.map(lambda table: table.take(rows, axis=0), tables)  # in half the time of table[rows]
+        rows = np.flatnonzero(rows)  # computed once, not for every table
+    return jax.tree.map(lambda table: table.take(rows, axis=0), tables)  # takes half the time of table[rows]
 
 
 def portions(tables: Tables) -> Iterator[Tables]:
-    """Yield all rows in chunks, which limits the memory of results computed from them."""
+    """Yield the tables in chunks of PORTION rows, to limit the memory of results computed from a chunk."""
     for first in range(0, len(jax.tree.leaves(tables)[0]), PORTION):
         yield gather(tables, slice(first, first + PORTION))
 
 
 def concatenate(parts: Sequence[Tables]) -> Tables:
-    """Return the rows of all parts, one or more."""
+    """Return the rows of one or more parts as one tree of tables."""
     return parts[0] if len(parts) == 1 else jax.tree.map(lambda *tables: np.concatenate(tables), *parts)
 
 
 def interleaved(parts: Sequence[Tables]) -> Tables:
-    """Return the rows of all parts in their original order; part k of n has the rows k, k + n, k + 2 n and so on."""
+    """Return the rows of n parts in their original order; part k has the original rows k, k + n, k + 2 n and so on."""
     whole = concatenate(parts)
     count = len(jax.tree.leaves(whole)[0])
     order = np.concatenate([np.arange(number, count, len(parts)) for number in range(len(parts))])
@@ -42,9 +42,9 @@ def interleaved(parts: Sequence[Tables]) -> Tables:
 
 
 def gather_from(places: Sequence[tuple[Tables, np.ndarray]]) -> Tables:
-    """Return the rows at one or more places, in their order; a place is a table and some of its rows.
+    """Return the rows at some places, in the order of the places; a place is a tree of tables and some of its rows.
 
-    Each table is indexed once, however many places are in it.
+    Each table is indexed only once, even if several places are in it.
     """
     found: dict[int, tuple[Tables, list[int]]] = {}
     for place, (tables, _) in enumerate(places):
@@ -68,9 +68,9 @@ def scatter(tables: Tables, rows, new: Tables) -> Tables:
 
 
 def pad(table: np.ndarray, capacity: int, filled: int) -> np.ndarray:
-    """Return the table with `capacity` rows: its first row repeated up to `filled`, so that padding is valid.
+    """Return the table with `capacity` rows; new rows up to `filled` are copies of the first row, which is valid.
 
-    The rows beyond are not set and must not be read.
+    Rows from `filled` on are not set and must not be read.
     """
     lanes = len(table)
     if lanes == capacity:

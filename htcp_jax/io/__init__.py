@@ -1,13 +1,13 @@
-"""Readers of robots, parts, cells and YAML, and the one reader and writer of files.
+"""Readers of robots, parts, work cells and YAML files, and functions that open and write files safely.
 
-`robots` reads arms and imports vendors' models; `parts` reads workpieces with their paths. `cell` reads the bodies of a
+`robots` reads arms and imports vendors' models. `parts` reads workpieces with their paths. `cell` reads the bodies of a
 work cell from an MJCF file.
 
-`files` alone opens files: it limits their size, follows no link out of a folder, and replaces a file completely or not
-at all. `strict_yaml` refuses harmful input, and `strict_model` checks mappings: a `strict_model.FileSection` refuses
-unknown keys and names the valid ones.
+Only `files` opens files: it limits their size, follows no link out of a folder, and writes files atomically.
+`strict_yaml` reads YAML and refuses harmful input. `strict_model` validates mappings; it refuses unknown keys and names
+the valid ones.
 
-Bad input is an InputError of one line that names the file and the valid choices.
+Invalid input raises an InputError with one line that names the file and the valid choices.
 """
 
 import lazy_loader

@@ -1,7 +1,7 @@
 """Shapes of a work cell, read from an MJCF file, at their poses in the world.
 
-Planes, boxes, spheres, capsules and cylinders are kept as primitives; a mesh is read as triangles. Joints stay at the
-model's initial configuration. Visual geoms are ignored.
+Planes, boxes, spheres, capsules and cylinders are read as primitives, meshes as triangles. The model's joints are in
+their initial configuration. Visual geoms are ignored.
 """
 
 from pathlib import Path
@@ -21,18 +21,19 @@ from htcp_jax.types import Triple
 def load_cell(
     path: str | Path, *, moved: str | None = None, shift_m: Triple = tool.ZERO, rpy_rad: Triple = tool.ZERO
 ) -> tuple[Fixture, ...]:
-    """Read the shapes in an MJCF file.
+    """Return the shapes in an MJCF file, after moving a body or the complete cell.
+
+    The body and its descendants are rotated about the body's origin, then translated.
 
     Args:
         path: The file.
-        moved: The body that is rotated with its descendants about its origin and then translated; None: the complete
-            cell, about the world's origin.
-        shift_m: Translation.
-        rpy_rad: Rotation about world x, then y, then z.
+        moved: Name of the body; None: the complete cell is moved, and rotated about the world's origin.
+        shift_m: Translation in the world [m].
+        rpy_rad: Rotations about world x, then y, then z [rad].
 
     Raises:
-        InputError: For a file or a mesh that cannot be read, for an unknown body, for a model without geoms for
-            contact, and for a shape of another kind, naming it.
+        InputError: If a file or a mesh cannot be read, if the body is unknown, or if the model has no collision geom or
+            one of an unsupported kind.
     """
     path = Path(path)
     with no_log():
@@ -44,7 +45,7 @@ def load_cell(
     mujoco.mj_kinematics(model, data)
     geoms = [geom for geom in shapes.geoms if geom.touches]
     if not geoms:
-        raise InputError(f"{path}: no geoms for contact, so nothing that an arm could touch")
+        raise InputError(f"{path}: no collision geoms; give a geom a contype or conaffinity other than 0")
     origin = np.zeros(3) if moved is None else data.xpos[model.body(moved).id]
     move = tool.pose(tuple(np.array(shift_m) + origin), rpy_rad) @ tool.pose(tuple(-origin), tool.ZERO)
     return tuple(
@@ -57,7 +58,7 @@ def files_of_cell(path: str | Path) -> set[Path]:
     """Return the absolute paths of an MJCF file, its included files and its collision meshes.
 
     Raises:
-        InputError: For a file that cannot be read, and for a mesh file that does not exist.
+        InputError: If a file cannot be read or a mesh file does not exist.
     """
     path = Path(path)
     with no_log():
@@ -67,7 +68,7 @@ def files_of_cell(path: str | Path) -> set[Path]:
 
 
 def _moved_bodies(model: mujoco.MjModel, path: Path, moved: str | None) -> Bool[np.ndarray, "B"]:
-    """Return True for the bodies that are moved."""
+    """Return, for each body, True if it is moved: `moved` and its descendants, or all bodies if `moved` is None."""
     if moved is None:
         return np.ones(model.nbody, bool)
     names = [model.body(b).name for b in range(1, model.nbody)]
@@ -83,7 +84,7 @@ def _fixture(
     name = model.geom(geom.at).name or body or f"{geom.kind} {geom.at}"
     if geom.kind not in fixture.KINDS or (geom.mesh and geom.kind != "mesh"):
         kind = f"a {geom.kind} fitted to a mesh" if geom.mesh else f"a geom of type {geom.kind}"
-        raise InputError(f"{path}: {name} is {kind}; a cell is made of {', '.join(fixture.KINDS)}")
+        raise InputError(f"{path}: {name} is {kind}; valid in a cell: {', '.join(fixture.KINDS)}")
     T, none = np.eye(4), np.empty((0, 3, 3))
     if geom.kind != "mesh":
         T[:3, :3], T[:3, 3] = data.geom_xmat[geom.at].reshape(3, 3), data.geom_xpos[geom.at]

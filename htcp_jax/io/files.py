@@ -1,11 +1,11 @@
-"""Reading and writing of files: those that jobs name, and those in folders of runs and plans, which may be untrusted.
+"""Safe reading and writing of files: files named by jobs, and files in folders of runs, which may be untrusted.
 
-Readers accept only regular files, no pipes or devices, of limited size. In a run's or a plan's folder they follow no
-link that leads out of it, and read at most LARGEST bytes, at most GROWTH times the file's size or LARGEST after
-decompression, and JSON of limited depth without numbers beyond 64 bits.
+Readers accept only regular files of limited size, no pipes or devices. In the folder of a run or a plan, they follow no
+link that leads out of the folder, and read at most LARGEST bytes per file. Decompressed data may have LARGEST bytes, or
+GROWTH times the file's size if that is more. JSON must have a limited depth and no integers beyond 64 bits.
 
-The writer creates a file with a random name in the same folder, follows no link, and renames the file into place. While
-it writes, the file is locked, see `unfinished`.
+The writer creates a file with a random name in the same folder, follows no link, and renames the file at the end. The
+file is locked while it is written, see `unfinished`.
 """
 
 import contextlib
@@ -33,24 +33,24 @@ from htcp_jax.unfinished import NO_LINK, READ, lock_file
 if TYPE_CHECKING:
     import pyarrow as pa
 
-LARGEST_NAMED = 2 * 2**30  # of a file that a job names, and of a Parquet file [bytes]
-LARGEST = 64 * 2**20  # of any other file in a folder, and of any decompressed file [bytes]
-GROWTH = 50  # times its size, if that is more
-MOST_VALUES, DEEPEST = 5_000_000, 100  # values and nesting depth of JSON
-MOST_ARRAYS = 100  # in an archive
+LARGEST_NAMED = 2 * 2**30  # maximum size of a file that a job names, and of a Parquet file [bytes]
+LARGEST = 64 * 2**20  # maximum size of any other file in a folder, and of decompressed data [bytes]
+GROWTH = 50  # decompressed data may have this many times the file's size, even if that is more than LARGEST
+MOST_VALUES, DEEPEST = 5_000_000, 100  # maximum number of values and nesting depth of JSON
+MOST_ARRAYS = 100  # maximum number of arrays in an archive
 NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK | getattr(os, "O_BINARY", 0)
 
 
 def known_ending(path: Path, endings: tuple[str, ...]) -> str:
-    """Return the file's ending in lower case.
+    """Return the ending of a file name in lower case, with its dot.
 
     Raises:
-        InputError: If it is not among `endings`.
+        InputError: If the ending is not among `endings`.
     """
     ending = path.suffix.lower()
     if ending not in endings:
-        raise InputError(f"{path}: unknown ending {ending!r}; valid are {' '.join(endings)}")
+        raise InputError(f"{path}: unknown ending {ending!r}; valid: {' '.join(endings)}")
     return ending
 
 
@@ -60,12 +60,12 @@ def opened(path: Path, folder: Path | None = None, largest: int = LARGEST_NAMED)
 
     Args:
         path: The file.
-        folder: The folder out of which no link may lead; None: any.
+        folder: A folder; links in `path` must not lead out of it. None: links are not restricted.
         largest: Maximum size [bytes].
 
     Raises:
-        InputError: For anything but a regular file, one that is too large, and a link that leads out of `folder`.
-        OSError: For a file that is missing or cannot be read.
+        InputError: If the file is not regular or is too large, or if a link leads out of `folder`.
+        OSError: If the file is missing or cannot be read.
     """
     if "\0" in str(path):
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
@@ -80,7 +80,7 @@ def _check_size(found: os.stat_result, path: Path, largest: int) -> None:
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{path}: not a regular file")
     if found.st_size > largest:
-        raise InputError(f"{path}: {found.st_size:,} bytes; at most {largest:,} are read")
+        raise InputError(f"{path}: {found.st_size:,} bytes; at most {largest:,} are allowed")
 
 
 @contextlib.contextmanager
@@ -88,7 +88,7 @@ def open_named(path: Path) -> Iterator[io.BufferedReader]:
     """Open a file named by the user for reading.
 
     Raises:
-        InputError: As `opened` does, and if it cannot be read.
+        InputError: If the file is missing, cannot be read, is not regular or is too large.
     """
     try:
         with opened(path) as stream:
@@ -103,30 +103,30 @@ def read_bytes(path: Path) -> bytes:
     """Return the bytes of a file named by the user.
 
     Raises:
-        InputError: As `open_named` does.
+        InputError: See `open_named`.
     """
     with open_named(path) as stream:
         return stream.read()
 
 
 def read_inside(file: Path, folder: Path) -> bytes:
-    """Return the bytes of a file in a folder, at most LARGEST.
+    """Return the bytes of a file in a folder; the file may have at most LARGEST bytes.
 
     Raises:
-        InputError: As `opened` does.
-        OSError: As `opened` does.
+        InputError: See `opened`.
+        OSError: See `opened`.
     """
     with opened(file, folder, LARGEST) as stream:
         return stream.read()
 
 
 def read_json(file: Path, folder: Path) -> Any:
-    """Return the value in a JSON file of a folder; its numbers are finite, and integers have 64 bits.
+    """Return the value in a JSON file of a folder; all its numbers are finite, and its integers fit into 64 bits.
 
     Raises:
-        InputError: As `opened` does, and for invalid JSON, nesting deeper than DEEPEST, and more than MOST_VALUES
-            values.
-        OSError: As `opened` does.
+        InputError: See `opened`; also if the file is not valid JSON, is nested deeper than DEEPEST, or has more than
+            MOST_VALUES values.
+        OSError: See `opened`.
     """
     data = read_inside(file, folder)
     if sum(map(data.count, (b",", b"[", b"{"))) > MOST_VALUES:
@@ -164,17 +164,17 @@ def _check_depth(value: Any) -> None:
 
 
 def read_arrays(file: Path, folder: Path, leave: Collection[str] = ()) -> dict[str, np.ndarray]:
-    """Return the arrays in an .npz file of a folder by name; no pickles.
+    """Return the arrays in an .npz file of a folder, by name; pickles are refused.
 
     Args:
         file: The file.
-        folder: The folder out of which no link may lead.
+        folder: The folder of the file; links must not lead out of it.
         leave: Names of arrays to skip.
 
     Raises:
-        InputError: As `opened` does, and for a damaged file, one that decompresses to too much, and anything but
-            numbers.
-        OSError: As `opened` does.
+        InputError: See `opened`; also if the file is damaged, too large when decompressed, or has an array that does
+            not contain numbers.
+        OSError: See `opened`.
     """
     data, found = read_inside(file, folder), {}
     if data.count(b"PK\x01\x02") > MOST_ARRAYS:
@@ -187,24 +187,28 @@ def read_arrays(file: Path, folder: Path, leave: Collection[str] = ()) -> dict[s
                 if (name := entry.filename.removesuffix(".npy")) in leave:
                     continue
                 if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                    raise InputError(f"{file}: compressed by neither of the two methods of an .npz file")
+                    raise InputError(f"{file}: {name} has an unsupported compression; valid: stored, deflated")
                 with archive.open(entry) as stream:
                     found[name] = read_array(stream.read(entry.file_size), f"{file}: {name}")
     except InputError:
         raise
-    except Exception as error:  # a third-party parser on untrusted bytes: whatever it raises, the file is bad
+    except Exception as error:  # a third-party parser may raise any exception on untrusted bytes
         raise InputError(f"{file} is damaged ({one_line(error)})") from None
     return found
 
 
 def read_array(data: bytes, source: str) -> np.ndarray:
-    """Return the array in an .npy file's bytes; `source` is its name for messages.
+    """Return the array in the bytes of an .npy file.
+
+    Args:
+        data: Content of the file.
+        source: Name of the file, for messages.
 
     Raises:
-        InputError: For damaged bytes and for anything but numbers.
+        InputError: If the data are damaged, or if the array does not contain numbers.
     """
-    # numpy's reader allocates memory for the shape in the header before it reads the data. Read only the header,
-    # then use the bytes that exist. Object arrays (pickles) are refused.
+    # numpy's reader allocates memory for the shape in the header before it reads the data. So only the header is read
+    # by numpy, and the array is made from the bytes that exist. Object arrays (pickles) are refused.
     try:
         with quiet():
             stream = io.BytesIO(data)
@@ -212,9 +216,9 @@ def read_array(data: bytes, source: str) -> np.ndarray:
     except Exception as error:  # as above
         raise InputError(f"{source}: not a .npy array ({one_line(error)})") from None
     if dtype.kind not in "fiub":
-        raise InputError(f"{source}: an array of {dtype.name}, numbers are needed")
+        raise InputError(f"{source}: an array of {dtype.name}; it must be an array of numbers")
     if min(shape, default=0) < 0 or len(data) - stream.tell() != math.prod(shape) * dtype.itemsize:
-        raise InputError(f"{source}: damaged, its length is not that of its header's shape {shape}")
+        raise InputError(f"{source}: damaged: its length does not match the shape {shape} in its header")
     return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape, order="F" if by_column else "C")
 
 
@@ -225,24 +229,24 @@ def read_parquet(
 
     Args:
         stream: The open file.
-        file: Its path, for messages.
-        most_rows: Maximum number of rows; None: any.
-        exact: Require exactly `most_rows` rows.
+        file: Path of the file, for messages.
+        most_rows: Maximum number of rows; None: unlimited.
+        exact: True requires exactly `most_rows` rows.
 
     Raises:
-        InputError: For a damaged file, one that decompresses to too much, another number of rows, and columns of
-            anything but numbers, strings and lists of numbers.
+        InputError: If the file is damaged, too large when decompressed, has an invalid number of rows, or has a column
+            that does not contain numbers, strings or lists of numbers.
     """
-    import pyarrow as pa  # here, as most commands read no tables
+    import pyarrow as pa  # here, as most commands read no Parquet files
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
     try:
         size, schema = os.fstat(stream.fileno()).st_size, pq.read_schema(stream)
         if bad := [field.name for field in schema if not _is_plain(field.type)]:
-            raise InputError(f"{file}: column {bad[0]!r} is neither of numbers nor of words")
+            raise InputError(f"{file}: column {bad[0]!r} must contain numbers or strings")
         words = [field.name for field in schema if pa.types.is_string(field.type)]
-        # A repeated string is stored once, and stays dictionary-encoded until the column's size is checked.
+        # A repeated string is stored once (dictionary-encoded). It is decoded only after a check of the column's size.
         found = pq.ParquetFile(stream, read_dictionary=words, page_checksum_verification=True)
         about = found.metadata
         if most_rows is not None and (about.num_rows > most_rows or (exact and about.num_rows != most_rows)):
@@ -272,7 +276,7 @@ def _is_plain(kind: "pa.DataType") -> bool:
 
 
 def parquet_bytes(rows: "pa.Table", **how: Any) -> bytes:
-    """Return a table as the bytes of a Parquet file; `how` are keywords of `pyarrow.parquet.write_table`."""
+    """Return the bytes of a Parquet file with a table. `how` is passed on to `pyarrow.parquet.write_table`."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -283,14 +287,14 @@ def parquet_bytes(rows: "pa.Table", **how: Any) -> bytes:
 
 def _check_growth(file: Path, decoded: int, size: int) -> None:
     if decoded > max(LARGEST, GROWTH * size):
-        raise InputError(f"{file}: {size:,} bytes that decompress to {decoded:,}; refused")
+        raise InputError(f"{file}: {size:,} bytes decompress to {decoded:,}; maximum: {max(LARGEST, GROWTH * size):,}")
 
 
 def write_atomically(folder: Path, name: str, data: bytes) -> None:
-    """Write a file in a folder atomically: under a random name in the same place, then renamed.
+    """Write a file into a folder atomically: under a temporary name, then renamed to `name`.
 
     Raises:
-        InputError: If that fails, for a place that is not a regular file, and for a link that leads out of the folder.
+        InputError: If writing fails, if `name` exists and is not a regular file, or if a link leads out of the folder.
     """
     file = folder / name
     try:
@@ -313,10 +317,10 @@ def write_atomically(folder: Path, name: str, data: bytes) -> None:
 
 
 def make_folder(folder: Path, name: str) -> None:
-    """Create a folder inside a folder if it does not exist.
+    """Create the subfolder `name` of a folder if it does not exist.
 
     Raises:
-        InputError: If that fails, and for a link that leads out of the folder.
+        InputError: If the subfolder cannot be created, or if a link leads out of `folder`.
     """
     try:
         resolved_inside(folder / name, folder).mkdir(exist_ok=True)
@@ -325,14 +329,14 @@ def make_folder(folder: Path, name: str) -> None:
 
 
 def resolved_inside(path: Path, folder: Path) -> Path:
-    """Resolve the links in a path.
+    """Return a path with all links resolved.
 
     Raises:
-        InputError: If it leads out of the folder.
+        InputError: If the resolved path is outside the folder.
     """
     real = Path(os.path.realpath(path))
     if not real.is_relative_to(os.path.realpath(folder)):
-        raise InputError(f"{path}: a link that leads out of {folder} is not followed")
+        raise InputError(f"{path}: the file is a link to a place outside {folder}; such links are not followed")
     return real
 
 
@@ -343,17 +347,17 @@ def one_line(error: BaseException) -> str:
 
 
 def cause(error: BaseException, file: Path) -> str:
-    """Return an error's message without the file's name, for a message that begins with it."""
+    """Return an error's message without the file name at its beginning."""
     found = re.fullmatch(rf"{re.escape(str(file))}(?:: (.*)| is damaged \((.*)\))", str(error), re.DOTALL)
     return str(error) if found is None else found[1] or found[2]
 
 
 @contextlib.contextmanager
 def quiet():
-    """Silence a third-party parser: its warnings, and trimesh's logger, which prints complete tracebacks."""
+    """Return a context that suppresses warnings of third-party parsers, and the tracebacks that trimesh logs."""
     logger = logging.getLogger("trimesh")
     level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)  # for its child loggers, too
+    logger.setLevel(logging.CRITICAL + 1)  # also silences its child loggers
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

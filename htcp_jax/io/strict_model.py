@@ -1,4 +1,4 @@
-"""Validation of mappings as pydantic models; an unknown key is an error that names the nearest valid key."""
+"""Validate mappings as pydantic models. The error for an unknown key names the most similar valid key."""
 
 import copy
 import difflib
@@ -12,22 +12,27 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from htcp_jax.errors import InputError, described
 
-KIND = "kind"  # key of what another package reads, see `jobs.given_kinds`
+KIND = "kind"  # key of entries whose kind another package defines, see `jobs.given_kinds`
 
 
 class FileSection(BaseModel):
-    """A mapping in a file. Values are immutable; numbers are finite."""
+    """Base class of a section of a file: immutable, with finite numbers, and without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def validate_model(raw: dict, model: type[BaseModel], source: str) -> Any:
-    """Return `raw` as a `model`; `source` is its name for messages.
+    """Return the instance of `model` that a mapping describes.
+
+    Args:
+        raw: The mapping; it is not modified.
+        model: The pydantic model.
+        source: Name of the mapping, for messages.
 
     Raises:
-        InputError: Names the first error and the number of further ones.
+        InputError: If the mapping is invalid. The message has the first error and the number of further errors.
     """
-    raw = copy.deepcopy(raw)  # which stays as it is
+    raw = copy.deepcopy(raw)  # `refuse_unknown` modifies it
     refuse_unknown(raw, model, source)
     try:
         return model.model_validate(raw)
@@ -38,16 +43,16 @@ def validate_model(raw: dict, model: type[BaseModel], source: str) -> Any:
 
 
 def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> None:
-    """Refuse keys of `raw` that `model` lacks; remove sections without content.
+    """Raise an error for a key of `raw` that `model` does not have, and remove empty sections from `raw`.
 
     Args:
-        raw: A mapping.
+        raw: A mapping, which is modified.
         model: A pydantic model or a dataclass.
         source: Name of the mapping, for messages.
-        prefix: Dotted key of the section, with a dot.
+        prefix: Dotted key of the section with a final dot, such as "robot."; "" for the complete mapping.
 
     Raises:
-        InputError: For the first unknown key, and for true and false in place of numbers.
+        InputError: If a key is unknown, or if a value is true or false instead of a number.
     """
     keys = _keys_of(model)
     for name, value in list(raw.items()):
@@ -67,16 +72,18 @@ def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> Non
                 if isinstance(item, dict) and KIND not in item:
                     refuse_unknown(item, section, source, f"{prefix}{name}." + ("" if k is None else f"{k}."))
         if not key.sections and not key.is_truth and any(isinstance(item, bool) for item in _items(value)):
-            raise InputError(f"{source}: {prefix}{name} is {reprlib.repr(value)}: true and false are not numbers")
+            raise InputError(
+                f"{source}: {prefix}{name} is {reprlib.repr(value)}; it must be a number, not true or false"
+            )
 
 
 class _Key(NamedTuple):
     """Type information of a model's key."""
 
-    is_section: bool
-    sections: tuple[type, ...]  # possible types of its values, or of their items
-    is_mapping: bool  # to such items
-    is_truth: bool  # True if it takes true and false
+    is_section: bool  # True if the value must be a section
+    sections: tuple[type, ...]  # types of sections that the value, or its items, may have
+    is_mapping: bool  # True if the value is a mapping from names to items
+    is_truth: bool  # True if the value may be true or false
 
 
 @cache

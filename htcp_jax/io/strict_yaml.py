@@ -1,7 +1,8 @@
-"""Strict YAML for configurations: a mapping of plain values, without repeated keys, aliases and tags.
+"""Strict YAML for configurations: mappings of plain values, without repeated keys, aliases and tags.
 
-Plain values are those of YAML 1.2's core schema. PyYAML reads 1.1, where `1:30` is 90, `on` is true and `1e-3` is a
-string; nested aliases can expand a few lines into more values than fit into memory.
+Plain values are those of YAML 1.2's core schema. PyYAML by itself reads YAML 1.1, where `1:30` is 90, `on` is true and
+`1e-3` is a string. Aliases are refused, because nested aliases can expand a few lines to more values than fit into
+memory.
 """
 
 import re
@@ -14,15 +15,15 @@ import yaml
 from htcp_jax.errors import InputError
 from htcp_jax.io.files import opened
 
-LARGEST_FILE = 2 * 2**20  # [bytes]; PyYAML reads some 150 kB a second
+LARGEST_FILE = 2 * 2**20  # [bytes]; PyYAML reads about 150 kB per second
 DEEPEST = 50
 
 
 def read_yaml(path: str | Path) -> dict:
-    """Read the mapping in a YAML file; {} for an empty one.
+    """Return the mapping in a YAML file; {} if the file is empty.
 
     Raises:
-        InputError: For a file that cannot be read, is not strict YAML, or has no mapping.
+        InputError: If the file cannot be read, is not strict YAML, or does not contain a mapping.
     """
     try:
         with opened(Path(path), largest=LARGEST_FILE) as stream:
@@ -36,12 +37,12 @@ def read_yaml(path: str | Path) -> dict:
     if raw is None:
         return {}
     if not isinstance(raw, dict):
-        raise InputError(f"{path}: expected a mapping of keys to values, found {reprlib.repr(raw)}")
+        raise InputError(f"{path}: must be a mapping of keys to values, but is {reprlib.repr(raw)}")
     return raw
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML in which a repeated key, an alias, a tag and deep nesting are errors."""
+    """Safe YAML loader that refuses repeated keys, aliases, tags and deep nesting."""
 
     yaml_implicit_resolvers: ClassVar[dict] = {}
     depth = 0
@@ -57,16 +58,16 @@ class _Loader(yaml.SafeLoader):
 
     def _problem(self, event: yaml.Event) -> str | None:
         if isinstance(event, yaml.AliasEvent):
-            return f"alias *{event.anchor}: write it out"
+            return f"alias *{event.anchor} is not allowed; write its value out"
         if event.tag is not None:
-            return f"tag {event.tag}: plain values only"
+            return f"tag {event.tag} is not allowed; use a plain value"
         return "nested too deeply" if self.depth > DEEPEST else None
 
     def construct_mapping(self, node, deep=False):
         seen = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
-                raise yaml.MarkedYAMLError(problem="a key that is not a word", problem_mark=key.start_mark)
+                raise yaml.MarkedYAMLError(problem="a key is not a plain word", problem_mark=key.start_mark)
             if key.value in seen:
                 raise yaml.MarkedYAMLError(problem=f"key {key.value!r} is repeated", problem_mark=key.start_mark)
             seen.add(key.value)
@@ -93,10 +94,14 @@ for tag in (INT, FLOAT):
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Parse the value in `text`; errors name `source`.
+    """Return the value that a YAML text describes.
+
+    Args:
+        text: The text.
+        source: Name of the text, for messages.
 
     Raises:
-        InputError: For a text that is not strict YAML.
+        InputError: If the text is not strict YAML.
     """
     try:
         return yaml.load(text, _Loader)

@@ -1,4 +1,7 @@
-"""Builders of the robot, workpiece, obstacles, task and scenario that a job describes; all raise InputError."""
+"""Builders of the robot, workpiece, obstacles, task and scenario that a job describes.
+
+All raise InputError for invalid input.
+"""
 
 import warnings
 from dataclasses import replace
@@ -12,7 +15,7 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import given_obstacle, of_cell, self_collision
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
-from htcp_jax.io.robots import load_robot, part_moves
+from htcp_jax.io.robots import load_robot, model_source, part_moves
 from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.given_kinds import shapes_in_world
@@ -27,32 +30,34 @@ NO_CELL = CellConfig()
 
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     """Build the robot, the workpiece and the scenario of a job."""
-    robot = robot_of(job.robot, job.cell)
+    robot = robot_of(job.robot, job.cell, job.tree)
     workpiece = workpiece_of(job.workpiece, robot)
     return robot, workpiece, scenario_of(job, robot, workpiece)
 
 
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:
-    """Build the task: the constraints on the path."""
+    """Build the task of a job: the constraints on the tool at each point of the path."""
     return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
-def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL) -> Robot:
-    """Load the robot, without the tool's extension, which belongs to the scenario.
+def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.ComposedModel | None = None) -> Robot:
+    """Load the robot. The extension of its tool is not included, as it belongs to the scenario.
 
     Args:
-        arm: The arm.
-        cell: Its fixtures on links become bodies of the robot.
+        arm: Section `robot` of the job.
+        cell: Section `cell` of the job; fixtures on links become bodies of the robot.
+        tree: The models of arm, positioner, rail and tool as one tree; None: only the arm's file.
 
     Raises:
-        InputError: As `load_robot` and `with_carried` do, and for a tool that is longer than an arm in the world.
+        InputError: See `load_robot` and `with_carried`; also if the part does not move and the tool seems not to be in
+            metres, see `check_tool`.
     """
+    source = tree or arm.file
     robot = load_robot(
-        arm.file,
-        tcp_site="tcp" if arm.tcp is None else arm.tcp,
+        source,
+        tcp_site=arm.tcp or model_source.default_tcp(source),
         limits=arm.limits,
-        base_m=arm.base_m,
-        base_rpy_rad=arm.base_rpy_rad,
+        **({} if tree else {"base_m": arm.base_m, "base_rpy_rad": arm.base_rpy_rad}),
         tool=arm.tool,
         locked=dict(arm.locked),
     )
@@ -60,21 +65,24 @@ def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL) -> Robot:
         robot = replace(robot, pieces=None)
     elif arm.bodies == "meshes" and robot.pieces is None:
         raise InputError(
-            f"robot.bodies: {arm.model} has no convex pieces of meshes; valid: capsules, or a file made by htcp robot"
+            f"robot.bodies: {arm.model} has no convex pieces of meshes; "
+            "set robot.bodies to capsules, or use a model file written by htcp robot"
         )
-    if not robot.part_moves:  # else the TCP may be anywhere in the world
+    if not robot.part_moves:  # if the part moves, the TCP may be anywhere in the world
         parts.check_tool(robot, arm.tool_extension_m)
     return cell_shapes.with_carried(robot, cell)
 
 
 def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
-    """Load the workpiece, without its pose, which belongs to the scenario.
+    """Load the workpiece. Its pose is not included, as it belongs to the scenario.
 
-    Points on a mesh are as dense as the thinnest body near it requires. A UserWarning reports a cloud between whose
-    points that body fits, and a mesh whose covering radius is not smaller than that body's radius.
+    The points on a mesh are as dense as the thinnest body that can come near it requires. A UserWarning reports a cloud
+    with gaps through which this body fits, and a mesh whose covering radius is not below this body's radius.
     """
     if robot.part_moves and part.is_along_world_x:
-        raise InputError("workpiece.inlet_direction is world-x, but the part moves; give x,y,z in its link's frame")
+        raise InputError(
+            "workpiece.inlet_direction is world-x, but the part moves; set it to x,y,z in the frame of the part's link"
+        )
     direction = workpieces.InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
     stated = {"inlet": part.inlet_m, "inlet_direction": direction}
     workpiece = parts.load_workpiece(
@@ -96,16 +104,17 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         return workpiece
     if not len(workpiece.triangles) and workpiece.largest_gap_m > 2 * body.radius_m:
         warnings.warn(
-            f"{part.cloud}: a gap of {1e3 * workpiece.largest_gap_m:.3g} mm between its points; "
-            f"{body.label}, {2e3 * body.radius_m:.3g} mm thick, fits through",
+            f"{part.cloud}: the points have gaps of up to {1e3 * workpiece.largest_gap_m:.3g} mm; "
+            f"{body.label}, {2e3 * body.radius_m:.3g} mm thick, fits through; collisions may be missed; use a denser "
+            "cloud or a mesh",
             UserWarning,
             stacklevel=2,
         )
     if cover_m >= body.radius_m:
         warnings.warn(
             f"{part.cloud}: every clearance is reduced by {1e3 * cover_m:.3g} mm, the covering radius of the mesh's "
-            f"points; {body.label} has a radius of only {1e3 * body.radius_m:.3g} mm, and a smaller "
-            f"{mesh_points.KEY} would reduce it less",
+            f"points; {body.label} has a radius of only {1e3 * body.radius_m:.3g} mm; set a smaller "
+            f"{mesh_points.KEY}",
             UserWarning,
             stacklevel=2,
         )
@@ -113,14 +122,14 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
 
 
 def source_of(part: WorkpieceConfig) -> parts.WorkpieceSource:
-    """Return the source of the workpiece's walls; a file is read."""
+    """Return the source of the workpiece's walls: the generated duct, the content of a file, or no walls."""
     if part.is_duct:
         return parts.GeneratedDuct(seam=part.path) if path_file(part) is None else parts.GeneratedDuct()
     return parts.read_source(part.cloud, part.mesh_spacing_m) if part.has_cloud else parts.NoCloud()
 
 
 def path_file(part: WorkpieceConfig) -> str | None:
-    """Return the path's file; None if a seam of the generated duct is named."""
+    """Return the name of the path's file; None if the path is a seam of the generated duct."""
     is_seam = part.path in parts.SEAMS or (part.is_duct and not Path(part.path).suffix)
     return None if is_seam else part.path
 
@@ -133,15 +142,16 @@ def scenario_of(
     beyond_reach: Literal["raise", "record"] = "raise",
     follows: Float[np.ndarray, "3"] | None = None,
 ) -> Scenario:
-    """Build the scenario: start, pose, targets, margin and tool of a job.
+    """Build the scenario of a job: start, workpiece pose, targets, margin and tool extension.
 
     Args:
         job: The job.
-        robot: From `robot_of`.
-        workpiece: From `workpiece_of`.
-        number: Number of the scenario, for the random keys.
-        beyond_reach: See `make_scenario`; likewise for angles that no joint changes.
-        follows: Position at the start of the point that follows the path, world [m], if known.
+        robot: The robot from `robot_of`.
+        workpiece: The workpiece from `workpiece_of`.
+        number: Number of the scenario, from which its random keys are derived.
+        beyond_reach: "raise" raises an error if a target is beyond reach, or violates an angle that no joint changes;
+            "record" does not, see `make_scenario`.
+        follows: World position, in the start configuration, of the point that follows the path [m]; None: computed.
     """
     part, task = job.workpiece, task_of_job(job, robot)
     scenario = scenarios.make_scenario(
@@ -168,7 +178,10 @@ def scenario_of(
 
 
 def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] | None:
-    """Return the position at a given start of the point that follows the path, world [m]; None if unknown."""
+    """Return the world position, in the start configuration, of the point that follows the path [m].
+
+    None if that point is the TCP (the job has no task), or if the job gives no start configuration.
+    """
     if not job.task or job.start is None:
         return None
     return goals.follower_position(
@@ -177,7 +190,7 @@ def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] 
 
 
 def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:
-    """Load the triangles and clouds of the cell that stand still, for drawing; the others are bodies of the robot."""
+    """Load the triangles and clouds of the cell's fixed objects, for drawing; moving objects are bodies of the arm."""
     given = [shapes_in_world(kind) for kind in cell.obstacles]
     for kind, shapes in zip(cell.obstacles, given, strict=True):
         if not shapes:
@@ -198,16 +211,19 @@ def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:
 
 
 def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
-    """Build the collision objects in addition to the workpiece.
+    """Build the obstacles of the cell, without the workpiece.
 
     Raises:
-        InputError: As `standing_cell` does, and if the part moves for bodies of the world that cannot be tested.
+        InputError: See `standing_cell`; also if the part moves and an obstacle that is fixed in the world cannot be
+            tested.
     """
     if robot.part_moves and cell.obstacles:
-        raise InputError(f"cell.obstacles: {cell.obstacles[0].name!r} stands in the world, and the part moves")
+        raise InputError(
+            f"cell.obstacles: {cell.obstacles[0].name!r} is fixed in the world; if the part moves, remove it"
+        )
     if robot.part_moves and robot.attached and not cell.self_collision:
         name = robot.capsule_names[robot.attached[0]]
-        raise InputError(f"cell.self_collision is false, but {name!r} moves relative to the part; it must be true")
+        raise InputError(f"cell.self_collision must be true, because {name!r} moves relative to the part")
     standing = cell_shapes.standing_cell(cell, robot)
     clouds = tuple(
         of_cell.placed_cloud(
@@ -234,30 +250,30 @@ _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "s
 _APPROACH = {"approach_to_inlet": 0, "approach_to_path": 0}
 
 
-def robot_key(job: PlanConfig) -> tuple[RobotConfig, CellConfig]:
-    """Return the keys that determine the robot, `robot_of`'s arguments; equal for scenarios that share it."""
-    cell, arm = job.cell, job.robot.model_copy(update={"tool_extension_m": 0.0})
-    if not job.robot.is_gp50 and part_moves(job.robot.file):
-        return arm, cell.model_copy(update={"self_collision": False, "obstacles": ()})
+def robot_key(job: PlanConfig) -> tuple[RobotConfig, CellConfig, model_source.ComposedModel | None]:
+    """Return the arguments of `robot_of` for a job, as a cache key. Scenarios with equal keys share the robot."""
+    cell, arm, tree = job.cell, job.robot.model_copy(update={"tool_extension_m": 0.0}), job.tree
+    if (tree or not job.robot.is_gp50) and part_moves(tree or job.robot.file):
+        return arm, cell.model_copy(update={"self_collision": False, "obstacles": ()}), tree
     carried = cell.is_carried and CellConfig(model=cell.model, clouds=cell.clouds, fixtures=cell.fixtures)
-    return arm, carried or NO_CELL
+    return arm, carried or NO_CELL, tree
 
 
 def workpiece_key(job: PlanConfig) -> WorkpieceConfig:
-    """Return the keys that determine the workpiece."""
+    """Return the section `workpiece` without pose and approach, as a cache key. Equal keys share the workpiece."""
     return job.workpiece.model_copy(update=_POSE | _APPROACH)
 
 
 def obstacles_key(cell: CellConfig) -> tuple:
-    """Return the values that determine the planner's obstacles in addition to the workpiece.
+    """Return the values of `cell` that determine the obstacles, as a cache key.
 
-    The numbers of obstacles of other packages are excluded: they belong to the scenario.
+    The key does not contain the numeric fields of obstacles from other packages, as they belong to the scenario.
     """
     return cell.model_copy(update={"obstacles": ()}), tuple(map(template_of, cell.obstacles))
 
 
 def walls_key(part: WorkpieceConfig) -> WorkpieceConfig:
-    """Return the keys that determine the workpiece for the planner: without path and pose, which the scenario has."""
+    """Return the section `workpiece` without path and pose, as a cache key. Equal keys share the walls."""
     origin = (0.0, 0.0, 0.0)
     path = {"path": "", "path_columns": None, "path_unit": None}
     return part.model_copy(update={**path, "pivot_m": origin, "neutral_translation_m": origin})

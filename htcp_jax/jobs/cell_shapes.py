@@ -1,7 +1,8 @@
 """Shapes and clouds of a cell, with the link that carries each, and the links that each is not tested against.
 
-What stands still is an obstacle. What a moving link carries is part of the arm: capsules about its convex hull. If the
-part moves, so does the world, as seen from the part: what stands in the workshop is carried by a link.
+Objects that do not move are obstacles. Objects that a moving link carries become bodies of the arm: capsules around
+their convex hulls. If the part moves, planning is done in the frame of the part. The objects of the workshop move in
+this frame, so they are bodies, too.
 """
 
 from collections.abc import Mapping
@@ -23,37 +24,37 @@ BOX = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
 class Carried(NamedTuple):
-    """Carrier of a fixture."""
+    """Frame that carries a fixture: the world or a link; and the links that the fixture is not tested against."""
 
     frame: robots.ArmFrame
-    excluded: tuple[int, ...]  # links
+    excluded: tuple[int, ...]  # indices of these links
 
     @property
     def T(self) -> Float[np.ndarray, "4 4"]:
-        """The carrier's frame in its link, or in the world."""
+        """Pose of the frame in its link's frame, or in the world [m]."""
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = np.array(self.frame.columns).T, self.frame.origin_m
         return T
 
     @property
     def moves(self) -> bool:
-        """True if the carrier is a moving link."""
+        """True if the frame is on a moving link."""
         return self.frame.link >= 0
 
 
 class StandingCell(NamedTuple):
-    """Shapes and clouds that stand still, and by name the links that each is not tested against."""
+    """The shapes and clouds of a cell that do not move, and the exclusions of all of them."""
 
     shapes: tuple[Fixture, ...]
-    clouds: tuple[tuple[CloudConfig, Float[np.ndarray, "4 4"]], ...]  # with their poses in the world
-    excluded: Mapping[str, tuple[int, ...]]
+    clouds: tuple[tuple[CloudConfig, Float[np.ndarray, "4 4"]], ...]  # clouds with their poses in the world [m]
+    excluded: Mapping[str, tuple[int, ...]]  # links that a shape or cloud is not tested against, by its name
 
 
 def standing_cell(cell: CellConfig, robot: Robot) -> StandingCell:
-    """Load the shapes in a cell that stand still.
+    """Load the shapes and clouds of a cell that do not move.
 
     Raises:
-        InputError: For a file that cannot be read, a move of no model, and unknown names in `fixtures`.
+        InputError: If a file cannot be read, if a pose is given without a model, or if `fixtures` has an unknown name.
     """
     carried = _carriers(cell, robot)
     clouds = [(each, _carrier(robot, carried, name_of(each))) for each in cell.clouds]
@@ -69,10 +70,10 @@ def standing_cell(cell: CellConfig, robot: Robot) -> StandingCell:
 
 
 def with_carried(robot: Robot, cell: CellConfig) -> Robot:
-    """Return the robot with the bodies of the cell that its links carry.
+    """Return the robot with additional bodies: the shapes and clouds of the cell that its links carry.
 
     Raises:
-        InputError: For unknown names in `fixtures`, and for a body that cannot move: other than a box or a mesh.
+        InputError: If `fixtures` has an unknown name, or if a carried object is not a box or a mesh.
     """
     if not (cell.is_carried or robot.part_moves):
         return robot
@@ -85,7 +86,7 @@ def with_carried(robot: Robot, cell: CellConfig) -> Robot:
     for cloud in cell.clouds:
         if (own := _carrier(robot, carried, name := name_of(cloud))).moves:
             if not len(triangles := parts.load_geometry(cloud.cloud).triangles):
-                raise InputError(f"fixture {name!r} is a cloud of points; a box or a mesh can move with a link")
+                raise InputError(f"fixture {name!r} is a cloud of points; only a box or a mesh can move with a link")
             T = own.T @ tool.pose(cloud.base_m, cloud.base_rpy_rad)
             points = _moved(triangles.reshape(-1, 3), T)
             bodies.append(attached.AttachedBody(name, points, own.frame.link, own.excluded))
@@ -93,16 +94,16 @@ def with_carried(robot: Robot, cell: CellConfig) -> Robot:
 
 
 def name_of(cloud: CloudConfig) -> str:
-    """Return a cloud's name in messages."""
+    """Return the name of a cloud: the stem of its file."""
     return Path(cloud.cloud).stem
 
 
 def _shapes(cell: CellConfig, moved: bool) -> tuple[Fixture, ...]:
-    """Load the shapes of the cell's model, at their poses in the world, or as drawn."""
+    """Load the shapes of the cell's model; apply the job's `moved`, `shift_m` and `rpy_rad` if `moved` is True."""
     if cell.model is None:
         for key in ("moved", "shift_m", "rpy_rad"):
             if getattr(cell, key) != getattr(CellConfig(), key):
-                raise InputError(f"cell.{key} is given, but no cell.model")
+                raise InputError(f"cell.{key} is set, but cell.model is missing; set cell.model, too")
         return ()
     if not moved:
         return cells.load_cell(cell.model)
@@ -110,7 +111,7 @@ def _shapes(cell: CellConfig, moved: bool) -> tuple[Fixture, ...]:
 
 
 def _carriers(cell: CellConfig, robot: Robot) -> dict[str, Carried]:
-    """Return the carriers of the fixtures by name."""
+    """Return the carriers of the shapes and clouds in `cell.fixtures`, by name."""
     found: dict[str, Carried] = {}
     if cell.fixtures:
         known = sorted({*(shape.name for shape in _shapes(cell, moved=False)), *map(name_of, cell.clouds)})
@@ -118,7 +119,7 @@ def _carriers(cell: CellConfig, robot: Robot) -> dict[str, Carried]:
         if each.name not in known:
             raise InputError(f"cell.fixtures.{k}: no fixture {each.name!r}; valid: {', '.join(known) or 'none'}")
         if each.name in found:
-            raise InputError(f"cell.fixtures.{k}: {each.name!r} is there twice")
+            raise InputError(f"cell.fixtures.{k}: {each.name!r} is listed twice")
         try:
             frame, *others = (robots.carrier_of(robot, name) for name in (each.parent, *each.exclude))
         except InputError as error:
@@ -132,7 +133,10 @@ def _carrier(robot: Robot, carried: Mapping[str, Carried], name: str) -> Carried
 
 
 def _with_carriers(cell: CellConfig, robot: Robot, carried: Mapping[str, Carried]) -> list[tuple[Fixture, Carried]]:
-    """Load the shapes with their carriers: those of the world where the job places them, the others as drawn."""
+    """Load the shapes of the cell's model with their carriers.
+
+    A shape fixed in the world has the pose from the job, any other shape the pose from the model's file.
+    """
     shapes = _shapes(cell, moved=True)
     drawn = _shapes(cell, moved=False) if cell.is_carried else shapes
     owns = [_carrier(robot, carried, shape.name) for shape in shapes]
@@ -143,16 +147,16 @@ def _with_carriers(cell: CellConfig, robot: Robot, carried: Mapping[str, Carried
 
 
 def _placed(shape: Fixture, T: Float[np.ndarray, "4 4"]) -> Fixture:
-    """Return a shape moved by T."""
+    """Return a shape moved by the transform T [m]."""
     if shape.kind == "mesh":
         return shape._replace(triangles=_moved(shape.triangles, T))
     return shape._replace(T_world=T @ shape.T_world)
 
 
 def _points(shape: Fixture, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "P 3"]:
-    """Return the corners of a box or mesh, moved by T."""
+    """Return the corners of a box or a mesh, moved by the transform T [m]."""
     if shape.kind not in ("box", "mesh"):
-        raise InputError(f"fixture {shape.name!r} is a {shape.kind}; a box or a mesh can move with a link")
+        raise InputError(f"fixture {shape.name!r} is a {shape.kind}; only a box or a mesh can move with a link")
     own = _placed(shape, T)
     return own.triangles.reshape(-1, 3) if shape.kind == "mesh" else _moved(BOX * own.size, own.T_world)
 

@@ -1,7 +1,7 @@
 """Schema of a job file: the sections, their keys, and the default job.
 
-A PlanConfig is made by `load_config`. Some defaults are for the GP50 and the duct; with another robot or another cloud
-`defaults` replaces them.
+`load_config` makes a PlanConfig. Some defaults below are for the built-in arm (GP50) and the generated duct; the module
+`defaults` replaces them for another robot or another part.
 """
 
 import math
@@ -24,6 +24,7 @@ from pydantic import (
 from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
+from htcp_jax.io.robots import model_source
 from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.given_kinds import given_kind_of, needs_kind, record_of
@@ -31,37 +32,53 @@ from htcp_jax.model import TaskRow, Tool, duct, task_row_kind
 from htcp_jax.registry import NAME
 from htcp_jax.settings import Settings
 
-FARTHEST = 1e9  # of coordinates in files [m]
-LARGEST = 1e6  # of lengths [m] and joint positions; beyond, rounding exceeds the tolerance
+FARTHEST = 1e9  # maximum coordinate in a file [m]
+LARGEST = 1e6  # maximum length [m] and joint position; rounding errors of larger values exceed the tolerance
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 PointM = tuple[Number, Number, Number]
 FileCoordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 FilePointM = tuple[FileCoordinate, FileCoordinate, FileCoordinate]
 Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # larger values are usually degrees
 ApproachSteps = Annotated[int, Field(ge=0, le=10_000)]
-FASTEST = 1e9  # of any rate or count
-JointRates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # of the joints, in both directions
+FASTEST = 1e9  # maximum joint rate, and maximum encoder count per unit
+JointRates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # one limit per joint, for both directions
 Moment = Annotated[float, Field(gt=0, le=100)]  # [s]
-AUTO = "auto"  # a start that the planner chooses
-WORLD = "world"  # the carrier of fixtures that stand still
+AUTO = "auto"  # value of start_rad: the planner chooses the start
+WORLD = "world"  # parent of models and fixtures that are fixed in the world
 
 
 def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
-    """Validate joint positions, or the word AUTO.
+    """Return validated joint positions, or AUTO.
+
+    Args:
+        value: Value of start_rad.
+        numbers: Function that validates joint positions.
 
     Raises:
-        InputError: For any other word.
+        InputError: If the value is a text other than AUTO.
     """
     if isinstance(value, str) and value != AUTO:
-        raise InputError(f"{value!r} is not a start; valid: {AUTO}, or a list of joint positions")
+        raise InputError(f"{value!r} is not a start configuration; valid: {AUTO}, or a list of joint positions")
     return value if value == AUTO else numbers(value)
 
 
-def _column(value: Any) -> int | str:
-    """Validate a column: its number from 1, or its name in the header.
+def _coupled(value: Any) -> Any:
+    """Return the pairs (axis, joint) of `program.coupled`.
 
     Raises:
-        InputError: For anything else.
+        InputError: If the value is neither a mapping nor a list of pairs.
+    """
+    pairs = tuple(value.items()) if isinstance(value, dict) else value  # a saved job contains pairs
+    if not isinstance(pairs, tuple | list) or any(isinstance(pair, str) for pair in pairs):
+        raise InputError(f"{value!r} must be a mapping of axes to joints: {{AXIS: JOINT, ...}}")
+    return tuple(map(tuple, pairs))
+
+
+def _column(value: Any) -> int | str:
+    """Return a validated column of a CSV file: its number, counted from 1, or its name in the header.
+
+    Raises:
+        InputError: If the value is neither of these.
     """
     if (isinstance(value, int) and not isinstance(value, bool) and value >= 1) or (isinstance(value, str) and value):
         return value
@@ -69,22 +86,29 @@ def _column(value: Any) -> int | str:
 
 
 def _locked(value: Any) -> Any:
-    """Return the pairs of joint and value of a mapping.
+    """Return the pairs (joint, position) of `robot.locked`, sorted by joint.
 
     Raises:
-        InputError: For anything else.
+        InputError: If the value is neither a mapping nor a list of pairs.
     """
-    pairs = tuple(value.items()) if isinstance(value, dict) else value  # a record has pairs
+    pairs = tuple(value.items()) if isinstance(value, dict) else value  # a saved job contains pairs
     if not isinstance(pairs, tuple | list) or any(isinstance(pair, str) for pair in pairs):
-        raise InputError(f"{value!r} are no locked joints; valid: {{JOINT: VALUE, ...}}")
+        raise InputError(f"{value!r} must be a mapping of joints to positions; valid: {{JOINT: VALUE, ...}}")
     return tuple(sorted(map(tuple, pairs)))
 
 
+def _link(name: str) -> str:
+    """Return the name of a link without the prefix "robot."."""
+    return name.removeprefix("robot.")
+
+
 PathColumn = Annotated[int | str, PlainValidator(_column)]
+Link = Annotated[str, Field(min_length=1), AfterValidator(_link)]  # name of a link or site, world, or SECTION.LINK
 LockedJoints = Annotated[tuple[tuple[str, Number], ...], BeforeValidator(_locked), PlainSerializer(dict)]
+CoupledAxes = Annotated[tuple[tuple[str, str], ...], BeforeValidator(_coupled), PlainSerializer(dict)]
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
-# Entries {kind: NAME, ...} of a job are of other packages; a row without a kind is a `TaskRow`.
+# An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a `TaskRow`.
 Row = Annotated[
     TaskRow, WrapValidator(given_kind_of(task_row_kind.TASK_ROWS, task_row_kind.TaskRowKind)), WrapSerializer(record_of)
 ]
@@ -95,7 +119,7 @@ Obstacle = Annotated[
     WrapSerializer(record_of),
 ]
 
-SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of DEPENDENT
+SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of the keys in DEPENDENT
 DEPENDENT = (
     "robot.limits",
     "settings.q_weights",
@@ -112,31 +136,49 @@ DEPENDENT = (
 class RobotConfig(strict_model.FileSection):
     """The arm, its pose, and its tool."""
 
-    model: str = BUILT_IN_ARM  # or an MJCF or URDF file
-    limits: Literal["simulation", "datasheet", "model"] = "simulation"
-    tcp: str | None = None  # site or body at the TCP, or at the flange of a `tool`; default: see `load_robot`
-    base_m: PointM = (0.0, 0.0, 0.0)  # of the model's own frame, in the world
-    base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
+    model: str = BUILT_IN_ARM  # the built-in arm, or an MJCF or URDF file
+    limits: Literal["simulation", "datasheet", "model"] = "simulation"  # source of the joint limits, see `load_robot`
+    parent: Link = WORLD  # the world, or the link of the rail, positioner or tool that carries the arm
+    tcp: Link | None = None  # site or body at the TCP, or at the flange if `tool` is given; None: see `load_robot`
+    base_m: PointM = (0.0, 0.0, 0.0)  # position of the model's base frame in the parent's frame
+    base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # rotations about the parent's x, then y, then z
     tool: Tool | None = None
     tool_extension_m: Number = 0.0
-    locked: LockedJoints = ()  # joints of the file that do not move, by their names, and their positions [rad or m]
-    bodies: Literal["capsules", "meshes"] | None = None  # meshes: their convex pieces; None: meshes where there are any
+    locked: LockedJoints = ()  # names of joints that do not move, and their values [rad or m]
+    # collision bodies: "capsules", or "meshes", where convex pieces decide; None: "meshes" if the model has pieces
+    bodies: Literal["capsules", "meshes"] | None = None
 
     @property
     def is_gp50(self) -> bool:
-        """True for the built-in arm."""
+        """True if the arm is the built-in GP50."""
         return self.model == BUILT_IN_ARM
 
     @property
     def file(self) -> Path:
-        """The model's file."""
+        """Path of the arm's model file; for the built-in arm, the shipped one."""
         from htcp_jax.model import robot as robots  # here, as it imports JAX
 
         return robots.GP50 if self.is_gp50 else Path(self.model)
 
 
+class ModelConfig(strict_model.FileSection):
+    """A positioner, a rail or a tool with its own model, which is joined with the robot's model."""
+
+    model: str | None = None  # an MJCF or URDF file; None: no such model
+    parent: Link = WORLD  # the world, or a link of another model that carries this one
+    base_m: PointM = (0.0, 0.0, 0.0)  # position of the model's base frame in the parent's frame
+    base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # rotations about the parent's x, then y, then z
+
+    @model_validator(mode="after")
+    def _has_a_model(self) -> "ModelConfig":
+        given = [name for name, field in type(self).model_fields.items() if getattr(self, name) != field.default]
+        if self.model is None and given:
+            raise InputError(f"{given[0]} is set, but model is missing; set model, too")
+        return self
+
+
 class PathColumnsConfig(strict_model.FileSection):
-    """Columns of a path's file by what they hold: points, normals, tangents, quaternions."""
+    """Columns of a path's file for the coordinates of points, normals, tangents and quaternions."""
 
     x: PathColumn
     y: PathColumn
@@ -157,68 +199,70 @@ class PathColumnsConfig(strict_model.FileSection):
         for family in (("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz")):
             given = [name for name in family if getattr(self, name) is not None]
             if given and len(given) < len(family):
-                raise InputError(f"path_columns has {', '.join(given)}; all of {', '.join(family)} are needed")
+                raise InputError(f"path_columns has only {', '.join(given)}; all of {', '.join(family)} are needed")
         return self
 
     @property
     def given(self) -> dict[str, int | str]:
-        """The columns that are given."""
+        """The given columns: numbers or names in the header, by coordinate."""
         return self.model_dump(exclude_none=True)
 
 
 class WorkpieceConfig(strict_model.FileSection):
-    """The cloud, the tool path in its frame, its pose, and the approach to the path."""
+    """The workpiece: its cloud or mesh, the tool path in its frame, its pose, and the approach to the path."""
 
-    cloud: str = DUCT  # the generated duct, a file of points or a mesh, or none
+    cloud: str = DUCT  # the generated duct, a file of points or a mesh, or "none"
+    parent: Link | None = None  # link or site that carries the part; None: the link that robot.model names, or world
     path: str = "weld"  # a seam of the generated duct, see `io.parts`, or a CSV file of x,y,z
-    path_columns: PathColumnsConfig | None = None  # of the CSV file; None: those that its header names, or the first
-    path_unit: Literal["m", "mm", "cm", "in"] | None = None  # of the CSV file; None: as its header says, or m
-    origin_m: FilePointM | None = None  # subtracted from cloud, path and inlet; None: see `load_workpiece`
-    inlet_m: FilePointM | None = None  # centre of the inlet; None: the duct's, or none for another cloud
-    interior: Literal["hull", "none"] = "hull"  # boundary of the interior deeper than interior_depth_m
+    path_columns: PathColumnsConfig | None = None  # columns of the CSV file; None: from its header, or the first ones
+    path_unit: Literal["m", "mm", "cm", "in"] | None = None  # unit of the CSV file; None: the header's unit, or m
+    origin_m: FilePointM | None = None  # point subtracted from cloud, path and inlet; None: see `load_workpiece`
+    inlet_m: FilePointM | None = None  # centre of the inlet; None: the duct's inlet, or no inlet for another cloud
+    interior: Literal["hull", "none"] = "hull"  # convex hull, or no boundary, deeper than interior_depth_m
     interior_depth_m: float = Field(duct.INTERIOR_DEPTH_M, ge=0, le=LARGEST)
-    inlet_direction: PointM | Literal["world-x"] | None = "world-x"  # into the part; see `InletDirection`
-    mesh_spacing_m: Annotated[float, Field(ge=1e-5, le=LARGEST)] | None = None  # widest gap of the points on a mesh
-    tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None  # of the bare tip, from the TCP; null: all
-    pivot_m: PointM = duct.PIVOT  # world point that the rotations turn about
-    neutral_translation_m: PointM = duct.NEUTRAL_TRANSLATION  # of the workpiece frame, before the rotations
-    rotation_x_rad: float = 0.0  # about world x first, then y, then z
+    inlet_direction: PointM | Literal["world-x"] | None = "world-x"  # direction into the part; see `InletDirection`
+    mesh_spacing_m: Annotated[float, Field(ge=1e-5, le=LARGEST)] | None = None  # maximum gap of the points on a mesh
+    # length of the bare tip, from the TCP, that may touch walls [m]; None: the complete tip
+    tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None
+    pivot_m: PointM = duct.PIVOT  # world point about which the workpiece is rotated
+    neutral_translation_m: PointM = duct.NEUTRAL_TRANSLATION  # translation before the rotations
+    rotation_x_rad: float = 0.0  # rotation about world x, applied first, then y, then z
     rotation_y_rad: float = 0.4
     rotation_z_rad: float = 0.1
-    shift_m: PointM = (0.0, 0.0, 0.0)
-    approach_to_inlet: ApproachSteps = 5  # equal steps from the start's TCP to the inlet
-    approach_to_path: ApproachSteps = 5  # and from there to the first point of the path
+    shift_m: PointM = (0.0, 0.0, 0.0)  # translation in the world, after the rotations
+    approach_to_inlet: ApproachSteps = 5  # number of equal steps from the start's TCP to the inlet
+    approach_to_path: ApproachSteps = 5  # number of equal steps from the inlet to the first point of the path
 
     @property
     def is_duct(self) -> bool:
-        """True for the generated duct."""
+        """True if the workpiece is the generated duct."""
         return self.cloud == DUCT
 
     @property
     def has_cloud(self) -> bool:
-        """True unless the job has a path without walls."""
+        """True if the workpiece has walls; False if the job has only a path."""
         return self.cloud != NO_CLOUD
 
     @property
     def is_along_world_x(self) -> bool:
-        """True if the interior lies along the world's x, for any rotation of the part."""
+        """True if the direction into the part is the world's x, for any rotation of the part."""
         return self.inlet_direction == "world-x" or (self.is_duct and self.inlet_direction is None)
 
 
 class CloudConfig(strict_model.FileSection):
-    """A further cloud or mesh, fixed in the world."""
+    """A cloud or mesh of the work cell, in addition to the workpiece."""
 
     cloud: str  # a file of points or a mesh
-    base_m: PointM = (0.0, 0.0, 0.0)  # of its own frame, in the world
-    base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
+    base_m: PointM = (0.0, 0.0, 0.0)  # position of the cloud's own frame in the world
+    base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # rotations about world x, then y, then z
 
 
 class FixtureConfig(strict_model.FileSection):
-    """The carrier of a shape or cloud of the cell, and links that it may touch."""
+    """The parent of a shape or cloud of the cell, and the links that the shape or cloud may touch."""
 
-    name: str  # of a shape of `model`: its geom's, or else its body's; or of one of the `clouds`: its file's stem
-    parent: str = WORLD  # or a link of the arm: its pose is then in the link's frame, and it moves with the link
-    exclude: tuple[str, ...] = ()  # links that it is not tested against
+    name: str  # name of a geom in `model`, or else of its body; or the stem of a file in `clouds`
+    parent: Link = WORLD  # the world, or a link of the arm; on a link, the pose is in the link's frame
+    exclude: tuple[Link, ...] = ()  # links that the shape or cloud is not tested against
 
 
 class CellConfig(strict_model.FileSection):
@@ -226,36 +270,37 @@ class CellConfig(strict_model.FileSection):
 
     self_collision: bool = False
     model: str | None = None  # an MJCF file
-    moved: str | None = None  # the body to rotate and translate; None: the complete cell
-    shift_m: PointM = (0.0, 0.0, 0.0)
-    rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
+    moved: str | None = None  # name of the body to rotate and translate; None: the complete cell
+    shift_m: PointM = (0.0, 0.0, 0.0)  # translation in the world
+    rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # rotations about world x, then y, then z
     clouds: tuple[CloudConfig, ...] = ()
-    fixtures: tuple[FixtureConfig, ...] = ()  # those not carried by the world, or with links that they may touch
-    obstacles: tuple[Obstacle, ...] = ()  # of other packages
+    fixtures: tuple[FixtureConfig, ...] = ()  # shapes and clouds that a link carries, or that may touch links
+    obstacles: tuple[Obstacle, ...] = ()  # obstacles of kinds from other packages
 
     @property
     def is_carried(self) -> bool:
-        """True if any fixture is carried by a link."""
+        """True if a link carries any shape or cloud of the cell."""
         return any(each.parent != WORLD for each in self.fixtures)
 
 
 class UserFrameConfig(strict_model.FileSection):
-    """A frame with a number at the controller; RECTAN positions are in it."""
+    """A user frame of the controller, by number. RECTAN positions are written in this frame."""
 
     number: int = Field(ge=1, le=63)
     on: Literal["workpiece", "world"] = "workpiece"  # the object to which it is fixed
 
 
 class PulsesConfig(strict_model.FileSection):
-    """Encoder scale of a controller."""
+    """Encoder pulses of the joints, for robot programs that contain pulses."""
 
-    per_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...]  # or per m; negative: opposite direction
-    zero_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...] | None = None  # or m, at 0 pulses; None: 0
-    source: str = Field(min_length=1, max_length=200)  # of these numbers
+    per_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...]  # pulses per rad or m; < 0: reversed
+    # joint values at 0 pulses [rad or m]; None: 0
+    zero_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...] | None = None
+    source: str = Field(min_length=1, max_length=200)  # text that names the origin of these numbers
 
 
 class JointGroupsConfig(strict_model.FileSection):
-    """Names of the joints in the controller's groups, each in the controller's order."""
+    """Names of the joints in each group of the controller, in the controller's order."""
 
     robot: tuple[str, ...] = Field(min_length=1)
     base: tuple[str, ...] = ()  # axes that carry the robot: a rail
@@ -263,19 +308,22 @@ class JointGroupsConfig(strict_model.FileSection):
 
 
 class ProgramConfig(strict_model.FileSection):
-    """Section `program` of a job; it has no influence on plans."""
+    """Feed rate, joint limits and controller data for robot programs; without influence on plans."""
 
-    feed: str | None = None  # of the TCP on the path, with its unit: 20mm/s
+    feed: str | None = None  # feed rate of the TCP on the path, with its unit: 20mm/s
     velocity: JointRates | None = None  # [rad/s or m/s]; None: the model's
-    acceleration: JointRates | None = None  # [rad/s2 or m/s2]; None: the model's, or full speed in full_speed_s
-    jerk: JointRates | None = None  # [rad/s3 or m/s3]; None: full acceleration in full_acceleration_s
-    full_speed_s: Moment = 0.2
-    full_acceleration_s: Moment = 0.1
-    tool: int = Field(0, ge=0, le=63)  # its number at the controller
+    acceleration: JointRates | None = None  # [rad/s2 or m/s2]; None: the model's, or by full_speed_s
+    jerk: JointRates | None = None  # [rad/s3 or m/s3]; None: by full_acceleration_s
+    full_speed_s: Moment = 0.2  # time to reach the velocity limit, without acceleration limits
+    full_acceleration_s: Moment = 0.1  # time to reach the acceleration limit, without jerk limits
+    tool: int = Field(0, ge=0, le=63)  # number of the tool in the controller
+    tool_name: str | None = None  # name of the tool data, for rapid; None: tool<number>
+    # for rapid: axes whose value is the sum of their own joint and another joint, such as {joint_3: joint_2}
+    coupled: CoupledAxes = ()
     user_frame: UserFrameConfig | None = None
     pulses: PulsesConfig | None = None
-    groups: JointGroupsConfig | None = None  # for formats with external axes; None: all joints are the robot's
-    control_step_s: Moment = 0.002  # of the controller
+    groups: JointGroupsConfig | None = None  # for formats with external axes; None: all joints are in the robot's group
+    control_step_s: Moment = 0.002  # time step of the controller
 
     @field_validator("feed", mode="before")
     @classmethod
@@ -286,22 +334,25 @@ class ProgramConfig(strict_model.FileSection):
 
 
 class RayConfig(strict_model.FileSection):
-    """Ray resources per shard of a sweep; no influence on results."""
+    """Ray resources for each shard (work unit) of a sweep; without influence on results."""
 
     num_cpus: float = Field(1.0, gt=0)
-    num_gpus: float = Field(0.0, ge=0)  # a part below 1 shares the GPU
-    retries: int = Field(3, ge=0)  # of a shard after its worker or node died
+    num_gpus: float = Field(0.0, ge=0)  # if below 1, several shards share a GPU
+    retries: int = Field(3, ge=0)  # maximum number of retries of a shard whose worker or node died
 
 
 class PlanConfig(strict_model.FileSection):
-    """One plan; the defaults are the default job."""
+    """The configuration of one plan; its defaults are the default job."""
 
     robot: RobotConfig = RobotConfig()
+    positioner: ModelConfig = ModelConfig()
+    rail: ModelConfig = ModelConfig()
+    tool: ModelConfig = ModelConfig()
     workpiece: WorkpieceConfig = WorkpieceConfig()
     cell: CellConfig = CellConfig()
-    start_rad: StartAngles = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # or auto: chosen at the path's first point
+    start_rad: StartAngles = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # auto: the planner chooses a start on the path
     home_rad: tuple[Number, ...] | None = None  # first configuration of the motion; None: the start
-    task: tuple[Row, ...] = ()  # none: the TCP on the path
+    task: tuple[Row, ...] = ()  # rows of the task; empty: the TCP on the path
     margin_m: float = Field(5e-4, ge=0, le=1)  # required clearance at a target
     method: str = "beam"
     settings: Settings = Settings()
@@ -309,30 +360,43 @@ class PlanConfig(strict_model.FileSection):
     ray: RayConfig = RayConfig()
 
     @property
+    def tree(self) -> model_source.ComposedModel | None:
+        """The models of arm, positioner, rail and tool as one tree; None if only `robot.file` is used."""
+        sections = {key: getattr(self, key) for key in model_source.KEYS}
+        files = {key: Path(own.model) for key, own in sections.items() if own.model and own is not self.robot}
+        if not files and self.robot.parent == WORLD and self.workpiece.parent is None:
+            return None
+        models = [
+            model_source.PlacedModel(key, file, sections[key].parent, sections[key].base_m, sections[key].base_rpy_rad)
+            for key, file in {model_source.ROBOT: self.robot.file, **files}.items()
+        ]
+        return model_source.ComposedModel(tuple(models), self.workpiece.parent)
+
+    @property
     def start(self) -> tuple[float, ...] | None:
-        """The given start; None if the planner chooses it."""
+        """The start configuration [rad or m]; None if the planner chooses the start."""
         return None if isinstance(self.start_rad, str) else self.start_rad
 
     @property
     def begins_rad(self) -> tuple[float, ...]:
-        """First configuration of the motion: home, or the start without a home; empty if the planner chooses it."""
+        """First configuration of the motion: home, or else the start; () without home and with start_rad: auto."""
         begins = self.start if self.home_rad is None else self.home_rad
         return () if begins is None else begins
 
     @property
     def approach(self) -> tuple[int, int]:
-        """Steps to the inlet and from there to the path; 0 if the planner chooses a start on the path."""
+        """Numbers of steps to the inlet, and from there to the path; (0, 0) with start_rad: auto."""
         part = self.workpiece
         return (0, 0) if self.start is None else (part.approach_to_inlet, part.approach_to_path)
 
     @property
     def on_path(self) -> int:
-        """Index of the first target on the path, after the start's TCP and the approach."""
+        """Index of the first target on the path. The targets before it are the start's TCP and the approach."""
         return 1 + sum(self.approach)
 
     @field_validator("method")
     @classmethod
     def _could_be_a_method(cls, name: str) -> str:
-        if not NAME.fullmatch(name):  # whether it exists is checked by the planner
-            raise InputError(f"{name!r} is not a method; their names are small letters, digits and hyphens")
+        if not NAME.fullmatch(name):  # the planner checks that the method exists
+            raise InputError(f"{name!r} is not a method; names consist of lower-case letters, digits and hyphens")
         return name

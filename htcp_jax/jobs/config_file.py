@@ -1,9 +1,9 @@
-"""Configuration files before validation: inheritance between files, and overrides of keys.
+"""Merging of configuration files and overrides, before validation.
 
-    config: base.yaml        # everything in base.yaml, except the keys below
+    config: base.yaml        # the keys of base.yaml, unless they are set below
 
-Sections are merged key by key; other values are replaced, lists as a unit. File names are relative to the folder of the
-file that contains them.
+Sections are merged key by key. All other values, including lists, are replaced. File names are relative to the folder
+of the file that contains them.
 """
 
 import os
@@ -13,31 +13,37 @@ from typing import Any
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import parts, strict_yaml
+from htcp_jax.jobs.examples import example_or_path
 
-BASE = "config"  # the key for the base file
-BUILT_IN_ARM, DUCT, NO_CLOUD = "gp50", "duct", "none"  # words of a job, which `config` resolves
-# Keys that name files, each with the names of the built-in parts.
+BASE = "config"  # key that names the base file
+BUILT_IN_ARM, DUCT, NO_CLOUD = "gp50", "duct", "none"  # values of a job's keys that are not file names
+# Keys that name files, by section and key, with their values that are not file names but built-in parts.
 FILES = {
     ("robot", "model"): (BUILT_IN_ARM,),
     ("workpiece", "cloud"): (DUCT, NO_CLOUD),
     ("workpiece", "path"): parts.SEAMS,
     ("cell", "model"): (None,),
+    ("positioner", "model"): (None,),
+    ("rail", "model"): (None,),
+    ("tool", "model"): (None,),
 }
 
 
 def layers(path: Path) -> list[tuple[str, dict]]:
-    """Return the names and contents of a YAML file and its chain of base files, the base first.
+    """Return the name and content of a YAML file and of each of its base files; a base comes before its users.
 
     Raises:
-        InputError: For a file that cannot be read, and for a cycle of base files.
+        InputError: If a file cannot be read, or if the base files form a cycle.
     """
     return _below(strict_yaml.read_yaml(path), str(path), path.parent, [path])
 
 
 def layers_of(mapping: Mapping[str, Any], name: str) -> list[tuple[str, dict]]:
-    """Return the `layers` of a mapping in place of a file, named `name`.
+    """Return the name and content of a mapping and of each of its base files, see `layers`.
 
-    Its keys may be dotted, its files are relative to the working folder.
+    Args:
+        mapping: A configuration; keys may be dotted, and file names are relative to the working folder.
+        name: Name of the mapping, for messages.
     """
     raw: dict = {}
     for dotted, value in mapping.items():
@@ -46,7 +52,7 @@ def layers_of(mapping: Mapping[str, Any], name: str) -> list[tuple[str, dict]]:
 
 
 def merged(raws: Iterable[dict]) -> dict:
-    """Merge mappings; later ones take precedence."""
+    """Return the mapping that combines all mappings; later ones take precedence."""
     combined: dict = {}
     for raw in raws:
         _lay_over(combined, raw)
@@ -54,15 +60,15 @@ def merged(raws: Iterable[dict]) -> dict:
 
 
 def put_key(raw: dict, dotted: str, value: Any) -> None:
-    """Set one key, or merge a mapping into an existing section.
+    """Set one key of a configuration. If the value and the existing value are mappings, merge them.
 
     Args:
-        raw: The configuration, which is changed.
-        dotted: The key; rows of a list are numbered from 1.
+        raw: The configuration; it is modified.
+        dotted: The dotted key; rows of a list are numbered from 1.
         value: The value.
 
     Raises:
-        InputError: For a row that does not exist.
+        InputError: If a row does not exist.
     """
     *sections, key = dotted.split(".")
     for k, section in enumerate(sections):
@@ -79,16 +85,16 @@ def put_key(raw: dict, dotted: str, value: Any) -> None:
 def _put_in_row(rows: list, number: str, key: str, dotted: str, value: Any) -> None:
     """Set a key of one row in a list; rows are numbered from 1."""
     if not number.isdecimal() or not 1 <= int(number) <= len(rows) or not isinstance(rows[int(number) - 1], dict):
-        raise InputError(f"{dotted}: there is no row {number}; there are {len(rows)}")
+        raise InputError(f"{dotted}: no row {number}; the list has {len(rows)} rows")
     own = rows[int(number) - 1] = dict(rows[int(number) - 1])
     put_key(own, key, value)
 
 
 def parse_override(override: str) -> tuple[str, Any]:
-    """Split "key=value" from a command line into key and value.
+    """Return the dotted key and the value of an option "key=value".
 
     Raises:
-        InputError: Without a key or "=", and for a value that is not YAML.
+        InputError: If the key or "=" is missing, or if the value is not YAML.
     """
     dotted, equals, text = override.partition("=")
     if not equals or not dotted:
@@ -102,10 +108,10 @@ def _below(raw: dict, name: str, folder: Path, parents: list[Path]) -> list[tupl
         return [(name, raw)]
     base = raw.pop(BASE)
     if not isinstance(base, str):
-        raise InputError(f"{name}: {BASE} is {base!r}; it names the file that this one builds on")
-    file = folder / base
+        raise InputError(f"{name}: {BASE} is {base!r}; it must name a base file or an example")
+    file = example_or_path(base, folder)
     if any(_same(file, other) for other in parents):
-        raise InputError(f"{name}: configurations in a circle: {' -> '.join(map(str, [*parents, file]))}")
+        raise InputError(f"{name}: the files named by {BASE} form a circle: {' -> '.join(map(str, [*parents, file]))}")
     return [*_below(strict_yaml.read_yaml(file), str(file), file.parent, [*parents, file]), (name, raw)]
 
 
@@ -114,7 +120,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def named_files(raw: dict) -> Iterator[tuple[str, dict, str]]:
-    """Yield the keys that name files in a plain configuration: the dotted key, and the mapping with its key."""
+    """Yield each key that names a file: its dotted name, the mapping that contains the key, and its name there."""
     for (section, key), words in FILES.items():
         value = raw.get(section)
         if isinstance(value, dict) and isinstance(value.get(key), str) and value[key] not in words:
@@ -127,7 +133,7 @@ def named_files(raw: dict) -> Iterator[tuple[str, dict, str]]:
 
 
 def _anchor_files(raw: dict, folder: Path) -> None:
-    """Make file names in `raw` relative to `folder`, except the names of built-in parts."""
+    """Prefix all file names in `raw` with `folder`; names of built-in parts are not changed."""
     for _, owner, key in named_files(raw):
         owner[key] = str(folder / owner[key])
 
@@ -141,7 +147,7 @@ def _lay_over(combined: dict, raw: dict) -> None:
 
 
 def _yaml_value(value: Any) -> Any:
-    """Convert a Python value to YAML's types."""
+    """Return a Python value converted to YAML's types: mappings to dicts with text keys, paths to text."""
     if isinstance(value, Mapping):
         return {str(key): _yaml_value(item) for key, item in value.items()}
     return os.fspath(value) if isinstance(value, os.PathLike) else value

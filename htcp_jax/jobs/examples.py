@@ -9,11 +9,11 @@ from typing import Any
 from htcp_jax.io import strict_yaml
 
 _PACKAGE = Path(__file__).parents[1]
-ROOT = _PACKAGE / "examples" if (_PACKAGE / "examples").is_dir() else _PACKAGE.parent  # of a wheel, or of a checkout
+ROOT = _PACKAGE / "examples" if (_PACKAGE / "examples").is_dir() else _PACKAGE.parent  # in a wheel, or a checkout
 
 
 def examples() -> dict[str, Path]:
-    """Return the YAML file of every example: `cone`, `pipe`, `place/duct`, `sweeps/robot`, ..."""
+    """Return the YAML files of all examples by name, such as `pipe`, `place/duct` or `sweeps/robot`."""
     files = *(ROOT / "configs").rglob("*.yaml"), *(ROOT / "sweeps").glob("*.yaml")
     names = (file.relative_to(ROOT).with_suffix("").as_posix() for file in files)
     short = (name.removeprefix("configs/").removesuffix("/job") for name in names)
@@ -21,22 +21,25 @@ def examples() -> dict[str, Path]:
 
 
 def command(name: str) -> str:
-    """Return the command that runs the example."""
+    """Return the command that runs an example, such as "htcp sweep"."""
     return {"place": "htcp place", "sweeps": "htcp sweep"}.get(name.partition("/")[0], "htcp plan")
 
 
-def example_or_path(path: str | Path) -> Path:
-    """Return the file of the example that `path` names, or `path` if it exists or names none."""
-    return Path(path) if os.path.exists(path) else examples().get(str(path), Path(path))
+def example_or_path(path: str | Path, folder: Path = Path()) -> Path:
+    """Return the path of a file in `folder`; if there is no such file, that of the example with this name."""
+    file = folder / path
+    return file if file.exists() and not file.is_dir() else examples().get(str(path), file)
 
 
 def read_mapping(spec: str | Path | Mapping[str, Any], name: str) -> tuple[Path, dict[str, Any]]:
-    """Return the path and the content of a YAML file or an example, or of a mapping in place of a file.
+    """Return the path and the content of a YAML file, of an example, or of a mapping in place of a file.
 
-    The path of a mapping is `name`, in the working folder.
+    Args:
+        spec: Path of a file, name of an example, or a mapping.
+        name: Path that is returned for a mapping.
 
     Raises:
-        InputError: For a file that cannot be read.
+        InputError: If the file cannot be read.
     """
     if isinstance(spec, Mapping):
         return Path(name), dict(spec)
@@ -45,13 +48,13 @@ def read_mapping(spec: str | Path | Mapping[str, Any], name: str) -> tuple[Path,
 
 
 def description(file: Path) -> str:
-    """Return the first sentence of the file's first comment."""
+    """Return the first sentence of an example's first comment, without its full stop."""
     comment = re.match(r"(# ?.*\n)+", file.read_text(encoding="utf-8"))[0]
     return " ".join(comment.replace("#", " ").split()).split(". ")[0].rstrip(".")
 
 
 def files_with_baseline(file: Path) -> set[Path]:
-    """Return the file with its baseline and all files to which it refers, recursively."""
+    """Return an example's file, its baseline, and all files that these name, directly or indirectly."""
     found = {file, *file.parent.glob(f"baselines/{file.name}")}
     for name in re.findall(r"[\w./-]+\.\w+", re.sub("#.*", "", file.read_text(encoding="utf-8"))):
         if (other := Path(os.path.normpath(file.parent / name))).is_file():

@@ -1,4 +1,4 @@
-"""Feed rates as text with a unit: 20mm/s."""
+"""Conversion of feed rates with a unit, such as "20mm/s", to m/s."""
 
 import re
 
@@ -6,16 +6,16 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 
-UNITS = {"mm/s": 1e-3, "m/s": 1.0, "mm/min": 1e-3 / 60, "m/min": 1 / 60}  # in m/s
+UNITS = {"mm/s": 1e-3, "m/s": 1.0, "mm/min": 1e-3 / 60, "m/min": 1 / 60}  # each unit in m/s
 SLOWEST_M_S, FASTEST_M_S = 1e-9, 100.0
 _FEED = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*(\S+)\s*", re.IGNORECASE)
 
 
 def feed_of(text: str) -> float:
-    """Convert a feed rate, "20mm/s", to m/s.
+    """Return a feed rate, such as "20mm/s", in m/s.
 
     Raises:
-        InputError: For one that is not above 0, has no unit, or is beyond the valid range.
+        InputError: If the feed rate is not above 0, has no unit, or is out of range.
     """
     found = _FEED.fullmatch(text)
     unit = UNITS.get(found[2]) if found else None

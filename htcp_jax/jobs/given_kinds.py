@@ -1,4 +1,4 @@
-"""Obstacles and task rows of other packages in a job: {kind: NAME, KEY: VALUE, ...}, read and written."""
+"""Reading and writing of obstacles and task rows whose kinds are from other packages: {kind: NAME, KEY: VALUE, ...}."""
 
 import dataclasses
 import math
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 def given_kind_of(registry: Registry, base: type[ExtensionKind]) -> Callable[[Any, Callable], Any]:
-    """Return a pydantic validator for an entry that names a kind in `registry`, or is one already.
+    """Return a pydantic validator for an entry that names a kind in `registry`, or is an instance of `base`.
 
-    All other entries go to the built-in model.
+    Any other entry is validated by the built-in validator.
     """
 
     def read(value: Any, built_in: Callable) -> Any:
@@ -36,15 +36,15 @@ def given_kind_of(registry: Registry, base: type[ExtensionKind]) -> Callable[[An
 
 
 def needs_kind(value: Any) -> Any:
-    """Raise InputError for an obstacle of no kind."""
+    """Return an obstacle unchanged; raise InputError if it has no kind."""
     if not isinstance(value, obstacle_kind.ObstacleKind):
-        valid = ", ".join(obstacle_kind.OBSTACLES.names()) or "none is installed"
-        raise InputError(f"{value!r} is not an obstacle; it is {{kind: NAME, ...}}; valid names: {valid}")
+        valid = ", ".join(obstacle_kind.OBSTACLES.names()) or "none is installed (clouds belong in cell.clouds)"
+        raise InputError(f"{value!r} is not an obstacle; it must be {{kind: NAME, ...}}; valid names: {valid}")
     return value
 
 
 def record_of(value: Any, built_in: Callable) -> Any:
-    """Return the plain form of a kind for JSON and YAML."""
+    """Return an instance of a kind as a plain mapping for JSON and YAML."""
     if not _is_given(value):
         return built_in(value)
     return {
@@ -58,7 +58,7 @@ def _is_given(value: Any) -> bool:
 
 
 def _made(kind: type[ExtensionKind], raw: dict) -> ExtensionKind:
-    """Return a kind from its keys. Raises InputError for an unknown key and a value of another type."""
+    """Return an instance of a kind from its mapping; raise InputError for an unknown key or an invalid value."""
     given = {key: value for key, value in raw.items() if key != strict_model.KIND}
     strict_model.refuse_unknown(given, kind, f"kind {kind.name}")
     try:
@@ -68,7 +68,7 @@ def _made(kind: type[ExtensionKind], raw: dict) -> ExtensionKind:
 
 
 def _checked_kind(value: ExtensionKind) -> ExtensionKind:
-    """Return a kind that was made in Python with its values in the types of its fields."""
+    """Return an instance made in Python, with its values validated and converted to the types of its fields."""
     return _made(type(value), {field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
 
 
@@ -77,7 +77,7 @@ def _finite_kind(value: ExtensionKind) -> ExtensionKind:
         numbers = getattr(value, field.name)
         for number in numbers if isinstance(numbers, tuple) else [numbers]:
             if isinstance(number, float) and not math.isfinite(number):
-                raise InputError(f"kind {value.name}: {field.name} is {number}; finite numbers are needed")
+                raise InputError(f"kind {value.name}: {field.name} is {number}; it must be finite")
     return value
 
 
@@ -87,9 +87,10 @@ def _adapter(kind: type[ExtensionKind]) -> TypeAdapter:
 
 
 def shapes_in_world(kind: obstacle_kind.ObstacleKind) -> tuple["Fixture", ...]:
-    """Return a kind's shapes at their poses in the world; none if it knows none.
+    """Return the shapes of an obstacle at their poses in the world; () if its kind defines none.
 
-    Raises InputError for a shape that MuJoCo lacks, naming the kind.
+    Raises:
+        InputError: If a shape is not one of MuJoCo's primitives. The message names the kind.
     """
     from htcp_jax.model import Fixture, fixture  # here, as they import JAX
 
@@ -99,7 +100,7 @@ def shapes_in_world(kind: obstacle_kind.ObstacleKind) -> tuple["Fixture", ...]:
         size = tuple(float(value) for value in np.ravel(shape.size_m))
         if wanted is None or len(size) != wanted:
             valid = ", ".join(f"{name} with {count} sizes" for name, count in fixture.PRIMITIVES.items())
-            raise InputError(f"{kind.name}: a shape of type {shape.type!r} with {len(size)} sizes; valid: {valid}")
+            raise InputError(f"{kind.name}: a shape of type {shape.type!r} has {len(size)} sizes; valid: {valid}")
         T = tool.pose(_triple(shape.position_m), _triple(shape.rpy_rad))
         found.append(Fixture(kind.name, shape.type, T, np.array([*size, 0.0, 0.0, 0.0])[:3], np.empty((0, 3, 3))))
     return tuple(found)

@@ -1,15 +1,15 @@
-"""Sweep files: a grid of scenarios around one configuration.
+"""Sweep files: a grid of scenarios that vary one configuration.
 
-    config: ../configs/paper.yaml                      # shared by all scenarios; default: the default job
-    grid:                                              # axes multiply; the last one moves fastest
+    config: ../configs/paper.yaml                      # the job that is varied; without this key: the default job
+    grid:                                              # all combinations of its axes; the last one varies fastest
       - start_rad.3: {offsets: [-0.1, 0, 0.1]}         # added to the configuration's value
       - workpiece.rotation_y_rad: [0.4, 0.5]           # parameters of one axis vary jointly (zipped)
-        workpiece.rotation_z_rad: [0.1, 0.2]           # so this grid has 3 x 2 scenarios
+        workpiece.rotation_z_rad: [0.1, 0.2]           # this grid has 3 x 2 scenarios
 
-A parameter is any key of the configuration except `method`, `program` and `ray`: see `grid_axes`. Joints are given by
-number, from 1, or by name. Axes are applied in order, so an axis may set `start_rad` and the next ones change single
-joints. Instead of `grid`, `groups` maps names to grids, whose scenarios are concatenated. A scenario's number, which
-determines its random keys, is its index in the full grid.
+A parameter is any key of the configuration except `method`, `program` and `ray`, see `grid_axes`. A joint is given by
+its number, from 1, or by its name. Axes are applied in order: one axis may set `start_rad`, and later axes may change
+single joints. In place of `grid`, a file may have `groups`: a mapping of names to grids, whose scenarios are
+concatenated. A scenario's number is its index in the complete grid. It determines the scenario's random keys.
 """
 
 import itertools
@@ -38,8 +38,8 @@ from htcp_jax.jobs.build import (
 )
 from htcp_jax.jobs.config import DEPENDENT, PlanConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import put_key
-from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
-from htcp_jax.jobs.examples import read_mapping
+from htcp_jax.jobs.defaults import fill_in, is_other_arm, keys_of
+from htcp_jax.jobs.examples import example_or_path, read_mapping
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, ScenarioPoint, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import load_config, read_config
@@ -49,7 +49,7 @@ from htcp_jax.settings import Settings
 
 
 class SweepFile(strict_model.FileSection):
-    """Content of a sweep file; `grid_axes` checks the axes."""
+    """Content of a sweep file. The axes are checked later, by `grid_axes`."""
 
     config: str | None = None
     grid: tuple[dict, ...] | None = None
@@ -57,26 +57,26 @@ class SweepFile(strict_model.FileSection):
 
 
 class PlannerInputs(NamedTuple):
-    """Data shared by the scenarios in one call of the planner."""
+    """Inputs that all scenarios in one call of the planner share."""
 
     robot: Robot
     workpiece: Workpiece
     settings: Settings
     task: Task
-    obstacles: Obstacles = ()  # in addition to the workpiece
+    obstacles: Obstacles = ()  # those in addition to the workpiece
 
 
 class Batch(NamedTuple):
-    """Scenarios ready to be planned."""
+    """Scenarios of a sweep, with all inputs of the planner."""
 
-    cells: tuple[PlannerInputs, ...]
-    cell: Int[np.ndarray, "S"]  # index of each scenario's cell
-    scenarios: Scenario  # stacked
-    points: tuple[ScenarioPoint, ...]
+    cells: tuple[PlannerInputs, ...]  # the distinct inputs; scenarios with equal inputs share one entry
+    cell: Int[np.ndarray, "S"]  # index of each scenario's inputs in `cells`
+    scenarios: Scenario  # all scenarios, with a leading axis S in each array
+    points: tuple[ScenarioPoint, ...]  # number and configuration of each scenario
 
     @property
     def robot(self) -> Robot:
-        """Robot of the first scenario; all have the same joints."""
+        """Robot of the first scenario; the robots of all scenarios have the same joints."""
         return self.cells[0].robot
 
     @property
@@ -87,16 +87,15 @@ class Batch(NamedTuple):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep file, read and checked, with the robot of its configuration.
+    """A validated sweep, with the robot of its configuration.
 
     Attributes:
         name: Stem of the file's name.
         config: Configuration shared by all scenarios.
-        robot: Its robot.
+        robot: The configuration's robot.
         groups: The grids.
-        stated: See `grid_points.points_of`.
-        alone: True if every scenario uses the random keys of a job planned alone (number 0) in place of its own
-            number's.
+        stated: Keys that the configuration sets, see `grid_points.points_of`.
+        alone: True if all scenarios use the random keys of number 0, as a single job does.
     """
 
     name: str
@@ -110,27 +109,27 @@ class Sweep:
         return sum(group.size for group in self.groups)
 
     def points(self, limit: int | None = None) -> tuple[ScenarioPoint, ...]:
-        """Return the first `limit` scenarios, in order.
+        """Return number and configuration of the first `limit` scenarios; None: of all.
 
         Raises:
-            InputError: For a value out of its range.
+            InputError: If a value is out of its range.
         """
         if limit is not None and not 1 <= limit <= MOST:
             raise InputError(f"limit is {limit}; valid: 1 to {MOST:,}")
         return tuple(itertools.islice(points_of(self.name, self.config, self.groups, self.stated), limit))
 
     def batch(self, limit: int | None = None) -> Batch:
-        """Build the first `limit` scenarios with their cells.
+        """Build the first `limit` scenarios with their planner inputs; None: all.
 
         Raises:
-            InputError: Naming the scenario, for a start outside the joint limits and targets beyond reach, and for
-                robots with different joints.
+            InputError: If a start is outside the joint limits, or if the robots have different joints. The message
+                names the scenario.
         """
         points = self.points(limit)
         arms = {robot_key(self.config): self.robot}
         parts: dict[tuple[tuple, WorkpieceConfig], Workpiece] = {}
         obstacles: dict[tuple[tuple, tuple], Obstacles] = {}
-        follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # position at a start, see `make_scenario`
+        follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # argument of `scenario_of`, by what determines it
         cells: dict[tuple, tuple[int, PlannerInputs]] = {}
         scenarios, whose = [], []
         for point in points:
@@ -160,26 +159,26 @@ def load_sweep(
     config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
 ) -> Sweep:
-    """Load a sweep.
+    """Return the sweep that a file or a mapping describes.
 
     Args:
-        spec: Path of its file, or the name of an example, or a mapping, {"grid": [...]}, whose files are relative to
-            the working folder.
-        config: Configuration in place of the sweep's own.
+        spec: Path of the sweep file, name of an example, or a mapping {"grid": [...]}. File names in a mapping are
+            relative to the working folder.
+        config: Configuration that replaces the sweep's own; None: the sweep's own.
         overrides: Changes to the configuration before the axes are applied, see `load_config`.
 
     Raises:
-        InputError: For an invalid file, for an unknown parameter and for an empty grid.
+        InputError: If the file is invalid, if a parameter is unknown, or if the grid is empty.
     """
     path, raw = read_mapping(spec, "sweep")
     file: SweepFile = strict_model.validate_model(raw, SweepFile, str(path))
     if config is None and file.config is not None:
-        config = path.parent / file.config
+        config = example_or_path(file.config, path.parent)
     if (file.grid is None) == (file.groups is None):
-        raise InputError(f"{path}: a sweep has either a grid or groups, a list of axes or several under their names")
+        raise InputError(f"{path}: a sweep must have either `grid`, a list of axes, or `groups`, named lists of axes")
     grids = {None: file.grid} if file.groups is None else file.groups
     if not grids:
-        raise InputError(f"{path}: groups is empty")
+        raise InputError(f"{path}: groups is empty; it needs at least one grid")
     raw, source = read_config(config, overrides)
     stated = keys_of(raw)
     first = _first_values(raw, grids, path.parent)
@@ -187,15 +186,15 @@ def load_sweep(
         put_key(raw, key, value)
     fill_in(raw, keys_of(raw), source)
     base: PlanConfig = strict_model.validate_model(raw, PlanConfig, source)
-    robot = robot_of(base.robot, base.cell)
+    robot = robot_of(base.robot, base.cell, base.tree)
     groups = []
     for name, axes in grids.items():
         where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
         groups.append(read_grid(where, path.parent, name, axes, robot.joint_names))
         for key in first.keys() - groups[-1].keys:
-            raise InputError(f"{where}: {key} varies in another group; it must vary in every one")
+            raise InputError(f"{where}: {key} varies in another group; it must vary in every group")
     if (size := sum(group.size for group in groups)) > MOST:
-        raise InputError(f"{path}: the grid has {size:,} scenarios; at most {MOST:,} make a sweep")
+        raise InputError(f"{path}: the grid has {size:,} scenarios; at most {MOST:,} are allowed")
     return Sweep(path.stem, base, robot, tuple(groups), frozenset(stated.intersection((*DEPENDENT, "start_rad"))))
 
 
@@ -204,31 +203,31 @@ def load_sweep_or_job(
     config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
 ) -> Sweep:
-    """Load a sweep, or a job as a sweep of one scenario.
+    """Return a sweep, or a job as a sweep of one scenario.
 
     Args:
-        spec: As of `load_sweep`, or a job's; a job has neither `grid` nor `groups`.
-        config: Configuration in place of the sweep's own.
-        overrides: Changes to the configuration.
+        spec: A sweep as for `load_sweep`, or a job as for `load_config`; a job has neither `grid` nor `groups`.
+        config: Configuration that replaces the sweep's own. It must be None for a job.
+        overrides: Changes to the configuration, see `load_config`.
 
     Raises:
-        InputError: As `load_sweep` and `load_config`, and for a job with another configuration.
+        InputError: See `load_sweep` and `load_config`; also for a job with `config`.
     """
     path, raw = read_mapping(spec, "sweep")
     if not isinstance(raw, dict) or {"grid", "groups"} & raw.keys():
         return load_sweep(spec, config, overrides)
     if config is not None:
-        raise InputError(f"{path} is a job; only a sweep takes another configuration")
+        raise InputError(f"{path} is a job; omit config (--config), which replaces the job of a sweep")
     job = load_config(spec, overrides)
     name = "job" if isinstance(spec, Mapping) else path.stem
-    return Sweep(name, job, robot_of(job.robot, job.cell), (Group(None, ()),), frozenset(), alone=True)
+    return Sweep(name, job, robot_of(job.robot, job.cell, job.tree), (Group(None, ()),), frozenset(), alone=True)
 
 
 def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder: Path) -> dict[str, Any]:
-    """Return the values that the configuration takes from the axes, so that it has a robot and a start.
+    """Return values of the axes that complete the shared configuration: a robot and a start, by key.
 
-    If they vary the robot, the first value of each of its keys and of the start; else the first start, if another robot
-    has no start.
+    If axes vary the robot, these are the first values of its keys and of the start. If the configuration has another
+    robot than the GP50 and no start, it is the first value of the start. Otherwise the result is empty.
     """
     first: dict[str, Any] = {}
     for axis in itertools.chain.from_iterable(grids.values()):
@@ -237,7 +236,7 @@ def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder:
             if isinstance(items, list | tuple) and items:
                 first.setdefault(str(key), items[0])
     if "robot.model" not in first:
-        lacks_start = is_other(raw, "robot.model") and "start_rad" not in raw
+        lacks_start = is_other_arm(raw) and "start_rad" not in raw
         return {key: value for key, value in first.items() if key == "start_rad" and lacks_start}
     model = first.pop("robot.model")
     if isinstance(model, str | os.PathLike):
@@ -248,14 +247,21 @@ def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder:
 
 
 def _like(first: Robot, robot: Robot, where: str) -> Robot:
-    """Return the robot.
+    """Return `robot` unchanged, after a check that it has the same joints as the first robot.
+
+    Args:
+        first: The first robot.
+        robot: The robot to check.
+        where: Name of its scenario, for messages.
 
     Raises:
-        InputError: If its joint types differ from the first one's.
+        InputError: If the number or the types of the joints differ.
     """
     if robot.slides != first.slides:
         kinds = [f"{one.name} has {len(one.slides)} joints, {sum(one.slides)} of them slides" for one in (robot, first)]
-        raise InputError(f"{where}: {'; '.join(kinds)}; the robots of one sweep must have as many joints of each kind")
+        raise InputError(
+            f"{where}: {'; '.join(kinds)}; all robots of a sweep must have the same numbers of hinge and slide joints"
+        )
     return robot
 
 
@@ -267,22 +273,22 @@ def _task(point: ScenarioPoint, robot: Robot) -> Task:
 
 
 def _check_alike(point: ScenarioPoint, task: Task, first: Task) -> None:
-    """Check that a goal has as many numbers as the first scenario's: all are stacked in one array.
+    """Check that goals have as many numbers as those of the first task, as all goals are stacked in one array.
 
     Raises:
-        InputError: If it has not.
+        InputError: If the numbers differ.
     """
     if task.numbers != first.numbers:
         raise InputError(
-            f"scenario {point.number}: its task has other rows than the first one's; "
-            "a cone of 0 degrees is no cone, and the TCP with an offset is another point than without"
+            f"scenario {point.number}: its task has other kinds of rows than the first scenario's; "
+            "for example, a row with cone_deg: 0 is not a cone, and a row with an offset from the TCP is not a TCP row"
         )
 
 
 def _check_obstacles(point: ScenarioPoint, scenario: Scenario, first: Scenario) -> None:
-    """Raise InputError if the obstacles have another count of numbers than the first scenario's."""
+    """Raise InputError if the numeric fields of a scenario's obstacles have another size than the first scenario's."""
     if np.shape(scenario.obstacle_numbers) != np.shape(first.obstacle_numbers):
-        raise InputError(f"scenario {point.number}: its cell.obstacles have other numbers than the first one's")
+        raise InputError(f"scenario {point.number}: its cell.obstacles need as many numbers as the first scenario's")
 
 
 def _scenario(

@@ -1,4 +1,4 @@
-"""Axes of a grid: their keys, reading from a file, recording in a manifest, application to a configuration."""
+"""Axes of a grid: functions that read them from a file, record them in a manifest and apply them to a job."""
 
 import difflib
 import itertools
@@ -14,8 +14,8 @@ from htcp_jax.io import strict_model
 from htcp_jax.jobs.config import AUTO, DEPENDENT, SOURCES, PlanConfig
 from htcp_jax.jobs.config_file import FILES
 
-MOST = 1_000_000  # scenarios of a grid
-# Keys with columns of their own in the tables of a run.
+MOST = 1_000_000  # maximum number of scenarios in a sweep
+# Keys that have columns in the tables of every run. Other keys have columns only in runs that vary them.
 PARAMETERS = (
     "start_rad",
     "workpiece.rotation_x_rad",
@@ -26,27 +26,28 @@ PARAMETERS = (
     "robot.tool_extension_m",
     "margin_m",
 )
-NO_AXIS = "method", "program", "ray"  # a sweep has its own list of methods; the others have no influence on plans
-MOST_ROWS = 8  # of a task that an axis may name
-OF_A_ROW = {"cone_deg": 0.0, "within_deg": 0.0, "within_m": 0.0, "offset_m": (0.0, 0.0, 0.0)}  # keys that may vary
+NO_AXIS = "method", "program", "ray"  # keys that cannot vary: methods are listed apart; the others do not affect plans
+MOST_ROWS = 8  # axes may vary this many rows of a task
+OF_A_ROW = {"cone_deg": 0.0, "within_deg": 0.0, "within_m": 0.0, "offset_m": (0.0, 0.0, 0.0)}  # may vary
 FILE_KEYS = {".".join(key): words for key, words in FILES.items()}
-LOCKED = "robot.locked"  # its keys are the names of the joints
-OF_A_KIND = re.compile(  # of other packages, and of locked joints
+LISTS = "task", "cell.clouds", "cell.fixtures", "cell.obstacles"  # only keys of their elements may vary
+LOCKED = "robot.locked"  # a mapping whose keys are names of joints
+OF_A_KIND = re.compile(  # keys of obstacles and task rows from other packages, and locked joints
     r"((?:cell\.obstacles|task)\.[1-9]\d*\.[a-zA-Z_]\w*|robot\.locked\.[^.]+)(?:\.([xyz]))?"
 )
 XYZ = "xyz"
 
 
 def _varied_keys() -> dict[str, Any]:
-    """Return every key that an axis may vary, with its default."""
+    """Return the defaults of all keys that an axis may vary, by key."""
     found = {}
     for name, value in PlanConfig().model_dump().items():
         if name == "task":
             found |= {f"task.{k}.{key}": default for k in range(1, MOST_ROWS + 1) for key, default in OF_A_ROW.items()}
         elif name not in NO_AXIS:
             found |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
-    for name in ("clouds", "fixtures", "obstacles"):  # lists
-        del found[f"cell.{name}"]
+    for key in LISTS:
+        found.pop(key, None)
     return found
 
 
@@ -54,67 +55,67 @@ KEYS = _varied_keys()
 
 
 class AxisParameter(NamedTuple):
-    """A quantity that an axis may vary: a key of the configuration, or one element of its value."""
+    """A quantity that an axis may vary: a key of the configuration, or one element of a key's value."""
 
-    name: str  # start_rad.joint3
-    key: str  # start_rad
-    element: int | None  # 2
+    name: str  # such as start_rad.joint3
+    key: str  # such as start_rad
+    element: int | None  # index in the value, such as 2; None: the complete value
 
 
 class AxisColumn(NamedTuple):
-    """One parameter of an axis."""
+    """One parameter of an axis, with its values."""
 
     parameter: AxisParameter
-    relative: bool  # True if the values are offsets
+    relative: bool  # True if the values are added to the configuration's value
     values: tuple[Any, ...]
 
 
-GridAxis = tuple[AxisColumn, ...]  # columns of equal length
+GridAxis = tuple[AxisColumn, ...]  # parameters that vary jointly, with equal numbers of values
 
 
 class Group(NamedTuple):
-    """A grid; `name` is None if the file has only one."""
+    """A grid of scenarios; `name` is its key in `groups`, or None if the sweep has `grid` instead."""
 
     name: str | None
     axes: tuple[GridAxis, ...]
 
     @property
     def size(self) -> int:
-        """Number of scenarios."""
+        """Number of scenarios in the grid."""
         return math.prod(len(axis[0].values) for axis in self.axes)
 
     @property
     def keys(self) -> set[str]:
-        """Keys that vary."""
+        """Keys of the configuration that vary."""
         return {column.parameter.key for axis in self.axes for column in axis}
 
     def rows(self) -> Iterator[list[tuple[AxisColumn, Any]]]:
-        """Yield the columns with their values for every scenario; the last axis moves fastest."""
+        """Yield, for every scenario, its pairs of column and value; the last axis varies fastest."""
         for rows in itertools.product(*(range(len(axis[0].values)) for axis in self.axes)):
             yield [(column, column.values[row]) for axis, row in zip(self.axes, rows, strict=True) for column in axis]
 
 
 class ScenarioPoint(NamedTuple):
-    """One scenario of a sweep: its configuration, as if it were planned alone."""
+    """One scenario of a sweep, with the configuration that plans it as a single job."""
 
     number: int
     group: str | None
     config: PlanConfig
-    varied: Mapping[str, str] = {}  # JSON by key, for varied keys without a column of their own
+    varied: Mapping[str, str] = {}  # JSON values of the varied keys that are not in PARAMETERS, by key
 
 
 def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], joints: Sequence[str]) -> Group:
-    """Read a grid from a sweep file.
+    """Return the grid that a list of axes in a sweep file describes.
 
     Args:
         where: Name of the grid, for messages.
         folder: Folder to which file names are relative.
-        name: Name of the group; None without groups.
-        axes: The axes as in the file.
+        name: Key of the grid in `groups`; None if the file has `grid` instead.
+        axes: The axes as written in the file.
         joints: Names of the robot's joints.
 
     Raises:
-        InputError: For an empty grid, an invalid axis, and a repeated parameter.
+        InputError: If the grid is empty, an axis is invalid, or a parameter is repeated.
     """
     if not axes:
         raise InputError(f"{where} is empty; it needs at least one axis")
@@ -129,7 +130,7 @@ def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], 
 
 
 def parameters(joints: Sequence[str]) -> dict[str, AxisParameter]:
-    """Return all parameters by every name that a sweep file may use."""
+    """Return all parameters by the names that a sweep file may use; a parameter may have several names."""
     known = {name: AxisParameter(name, name, None) for name in (*PARAMETERS, *KEYS)}
     for k, joint in enumerate(joints):
         known[f"start_rad.{k + 1}"] = known[f"start_rad.{joint}"] = AxisParameter(f"start_rad.{joint}", "start_rad", k)
@@ -140,9 +141,9 @@ def parameters(joints: Sequence[str]) -> dict[str, AxisParameter]:
 
 
 def kind_parameter(name: str) -> AxisParameter | None:
-    """Return the parameter of an obstacle or a row of another package, or of a locked joint; None for other names.
+    """Return the parameter with this name: a key of an obstacle or a task row of another package, or a locked joint.
 
-    Whether there is such a key is checked by `put_parameter`.
+    None for any other name. `put_parameter` checks that the key exists.
     """
     if (found := OF_A_KIND.fullmatch(name)) is None:
         return None
@@ -151,33 +152,34 @@ def kind_parameter(name: str) -> AxisParameter | None:
 
 
 def put_parameter(raw: dict, column: AxisColumn, value: Any) -> None:
-    """Set one parameter in a plain configuration.
+    """Set one parameter in a configuration of plain values.
 
     Raises:
-        InputError: For an offset or an element of a value that is not given, and for an element that it lacks.
+        InputError: If an offset or an element applies to a missing value, or if the value has no such element.
     """
     parameter = column.parameter
     owner, key = _owner(raw, parameter), parameter.key.rpartition(".")[2]
     old = owner[key]
     if old is None and column.relative:
-        raise InputError(f"{parameter.name} is not given, so nothing can be added to it")
+        raise InputError(f"{parameter.name} is not set, so it cannot have offsets; use values")
     if old == AUTO and (column.relative or parameter.element is not None):
         raise InputError(f"{parameter.name}: {parameter.key} is {AUTO}, which has no joint positions to vary")
     if parameter.element is None:
         owner[key] = _added(parameter, old, value) if column.relative else value
         return
     if old is None or parameter.element >= len(old):
-        raise InputError(f"{parameter.name}: {parameter.key} has {len(old or ())} values only")
+        length = "null" if old is None else f"a list of {len(old)}"
+        raise InputError(f"{parameter.name}: {parameter.key} is {length}, so this element cannot vary")
     new = list(old)
     new[parameter.element] = old[parameter.element] + value if column.relative else value
     owner[key] = tuple(new)
 
 
 def _owner(raw: dict, parameter: AxisParameter) -> dict:
-    """Return the part of a plain configuration that has the parameter's key.
+    """Return the mapping in a configuration of plain values that contains the parameter's key.
 
     Raises:
-        InputError: If it has no such key.
+        InputError: If the key does not exist.
     """
     section, _, key = parameter.key.rpartition(".")
     if section == LOCKED:
@@ -192,14 +194,14 @@ def _owner(raw: dict, parameter: AxisParameter) -> dict:
             if strict_model.KIND in owner
             else ", ".join(OF_A_ROW)
         )
-        raise InputError(f"{parameter.name}: {section} has no key {key} that may vary; valid: {valid}")
+        raise InputError(f"{parameter.name}: {section} has no key {key} that can vary; valid: {valid}")
     return owner
 
 
 def _task_row(raw: dict, parameter: AxisParameter) -> dict:
-    """Return the row of the task, or the obstacle, to which a parameter belongs.
+    """Return the mapping of the task row or the obstacle to which a parameter belongs.
 
-    The list in `raw` is replaced by a copy.
+    The list in `raw` is replaced by a copy first, so that callers may modify the mapping.
     """
     *sections, name, number, _ = parameter.key.split(".")
     for section in sections:
@@ -207,14 +209,16 @@ def _task_row(raw: dict, parameter: AxisParameter) -> dict:
     rows = raw[name] = tuple(dict(row) for row in raw[name])
     if int(number) > len(rows):
         what = f"the task has {len(rows)} rows" if name == "task" else f"the cell has {len(rows)} obstacles"
-        raise InputError(f"{parameter.name}: {what}")
+        raise InputError(f"{parameter.name}: {what}; they are numbered from 1")
     return rows[int(number) - 1]
 
 
 def group_record(group: Group, stated: Collection[str]) -> dict[str, Any]:
-    """Return a group as recorded in a manifest, with absolute file names.
+    """Return the record of a grid for a manifest, with absolute file names.
 
-    It contains the `stated` keys if the group's axes affect defaults.
+    Args:
+        group: The grid.
+        stated: Keys that the configuration sets; recorded only if the axes affect the defaults of other keys.
     """
 
     def values(column: AxisColumn) -> list:
@@ -230,7 +234,12 @@ def group_record(group: Group, stated: Collection[str]) -> dict[str, Any]:
 
 
 def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
-    """Return the group of a `group_record`; other entries are ignored."""
+    """Return the grid that a `group_record` describes; unknown entries of the record are ignored.
+
+    Args:
+        record: The record.
+        joints: Names of the robot's joints.
+    """
     known = parameters(joints)
 
     def column(name: str, values: Mapping[str, list]) -> AxisColumn:
@@ -241,17 +250,17 @@ def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
 
 
 def absolute(name: str | None, words: Collection[str | None]) -> str | None:
-    """Return an absolute file name; None and the names of built-in parts stay if they are among `words`."""
+    """Return a file name as an absolute path. Values in `words`, such as names of built-in parts, are not changed."""
     return name if name in words else str(Path(name).resolve())
 
 
 def has_own_defaults(group: Group) -> bool:
-    """Return True if the defaults depend on the scenario, see `defaults.own_defaults`."""
+    """Return True if the scenarios of a grid may have different defaults, see `defaults.own_defaults`."""
     return bool(group.keys & {*SOURCES, "workpiece.neutral_translation_m"})
 
 
 def varied_keys(names: Collection[str]) -> tuple[str, ...]:
-    """Return the varied keys without a column of their own, given the names of all axes' parameters."""
+    """Return the keys that vary and are not in PARAMETERS, given the names of the parameters of all axes."""
     given = {name: kind_parameter(name) for name in names if name not in KEYS}
     names = [given[name].key if given.get(name) else name for name in names]
     own = tuple(dict.fromkeys(name for name in names if OF_A_KIND.fullmatch(name) and name not in KEYS))
@@ -285,27 +294,35 @@ def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str
     for item in value:
         _check_value(f"{where}: {key}", parameter, item, relative)
     words = FILE_KEYS.get(parameter.key)
-    if words is not None:  # relative to the sweep file's folder
+    if words is not None:  # file names are relative to the sweep file's folder
         value = [item if item in words else str(folder / item) for item in value]
     return AxisColumn(parameter, relative, tuple(map(_hashable, value)))
 
 
 def _unknown(key: str, known: Collection[str]) -> str:
     if key.partition(".")[0] in NO_AXIS:
-        return f"{key} cannot vary within a sweep; valid is any other key of the configuration, {', '.join(PARAMETERS)}"
+        return f"{key} cannot vary within a sweep; valid: any other key of the job, {', '.join(PARAMETERS)}"
+    if key in LISTS:
+        return f"{key} is a list, which cannot vary; write one job file per list, and sweep each with --config"
     close = difflib.get_close_matches(key, known, n=2, cutoff=0.6)
     hint = f"did you mean {' or '.join(close)}? " if close else ""
     others = f"{', '.join(NO_AXIS[:-1])} and {NO_AXIS[-1]}"
-    return f"unknown parameter {key}; {hint}valid: any key of the configuration but {others}, one joint as start_rad.3"
+    return f"unknown parameter {key}; {hint}valid: any key of the configuration but {others}; a joint is start_rad.3"
 
 
 def _check_value(where: str, parameter: AxisParameter, item: Any, relative: bool) -> None:
-    """Check that `item` has the parameter's type; its range is checked with the configuration.
+    """Check the type of a parameter's value. The range is checked later, with the configuration.
+
+    Args:
+        where: Name of the value, for messages.
+        parameter: The parameter.
+        item: The value.
+        relative: True if the value is an offset.
 
     Raises:
-        InputError: If it has not.
+        InputError: If the value has another type.
     """
-    default = KEYS.get(parameter.key)  # None: of a kind, which checks its values itself
+    default = KEYS.get(parameter.key)  # None: a key of another package's kind, which checks its own values
     if parameter.key in FILE_KEYS:
         if relative or not (item in FILE_KEYS[parameter.key] or isinstance(item, str | os.PathLike)):
             raise InputError(f"{where} takes names of files, not {item!r}")
@@ -329,7 +346,7 @@ def _added(parameter: AxisParameter, old: Any, offset: Any) -> Any:
     if not isinstance(old, tuple):
         return old + offset
     if len(old) != len(offset):
-        raise InputError(f"{parameter.name} has {len(old)} values, an offset of it {len(offset)}")
+        raise InputError(f"{parameter.name} has {len(old)} values, but its offset has {len(offset)}")
     return tuple(a + b for a, b in zip(old, offset, strict=True))
 
 

@@ -1,4 +1,4 @@
-"""Scenarios of a grid, each with its complete configuration, as if planned alone."""
+"""Scenarios of a sweep, each with the complete configuration that plans it as a single job."""
 
 import itertools
 import json
@@ -14,17 +14,17 @@ from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, ScenarioPoint, has_own_def
 def points_of(
     name: str, config: PlanConfig, groups: Sequence[Group], stated: Collection[str]
 ) -> Iterator[ScenarioPoint]:
-    """Yield the scenarios in order.
+    """Yield the scenarios of all grids in order.
 
     Args:
         name: Name of the sweep, for messages.
         config: Configuration shared by the scenarios.
         groups: The grids.
-        stated: The keys among `config.DEPENDENT` and "start_rad" that the configuration states; the others get each
-            scenario's own defaults.
+        stated: The keys among `config.DEPENDENT` and "start_rad" that the configuration sets. The others get the
+            defaults for each scenario's robot and workpiece.
 
     Raises:
-        InputError: For a value out of its range.
+        InputError: If a value is out of its range.
     """
     base = config.model_dump()
     columns = [column for group in groups for axis in group.axes for column in axis]
@@ -49,7 +49,12 @@ def points_of(
 
 
 def short_names(files: Iterable[str | None], words: Collection[str | None]) -> dict[str | None, str | None]:
-    """Return the shortest ends of paths, of equal length, that distinguish the files; `words` are kept."""
+    """Return a short name for each file: its last path components, as many as are needed to distinguish all files.
+
+    Args:
+        files: Paths of the files.
+        words: Values that are not paths, such as names of built-in parts; they are not changed.
+    """
     resolved = {file: Path(file).resolve() for file in files if file not in words}
     count = 1
     while len({path.parts[-count:] for path in resolved.values()}) < len(set(resolved.values())):

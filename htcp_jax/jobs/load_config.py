@@ -1,12 +1,12 @@
-"""Loading of a configuration from a file, a mapping and overrides, validated and with its defaults.
+"""Loading of a job from a file or a mapping and from overrides, with defaults and validation.
 
     load_config("plan.yaml", ["margin_m=0.001", "settings.alpha_rad=0.05"]) -> PlanConfig
 
-A key has the value that an override gives it, else that of the file (or of a file that it builds on), else the default
-for the job's arm and part, see `defaults`: a part of one's own lies at the world's origin, not turned.
+The value of a key comes from an override, else from the file, else from its base file (see `config_file`), else from
+the defaults for the job's arm and part (see `defaults`). By default, a user-supplied part is at the world's origin
+without rotation.
 
-A file may have a base file, see `config_file`. File names in a YAML file are relative to its folder, those in an
-override to the working folder.
+File names in a YAML file are relative to its folder, and file names in an override to the working folder.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,16 +27,17 @@ from htcp_jax.registry import NAME
 def load_config(
     config: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] | Mapping[str, Any] = ()
 ) -> PlanConfig:
-    """Load the default job, changed by `config`, then by `overrides`.
+    """Return the default job with the keys set by `config`, then by `overrides`.
 
     Args:
-        config: A YAML file, the name of an example, or a mapping, whose files are relative to the working folder.
-        overrides: "dotted.key=value" each, or a mapping.
+        config: A YAML file, the name of an example, or a mapping; file names in a mapping are relative to the working
+            folder. None: the default job.
+        overrides: Texts "dotted.key=value", or a mapping of dotted keys to values.
 
     Raises:
-        InputError: For a file that cannot be read, is not a YAML mapping or repeats a key, for a cycle of base files,
-            for an unknown key, for a value of the wrong type or outside its range, and for a robot other than the GP50
-            without a start.
+        InputError: If a file cannot be read, is not a YAML mapping or repeats a key; if base files form a cycle; if a
+            key is unknown; if a value has the wrong type or is out of its range; or if the robot is not the GP50 and
+            start_rad is missing.
     """
     raw, source = read_config(config, overrides)
     fill_in(raw, stated=keys_of(raw), source=source)
@@ -46,10 +47,10 @@ def load_config(
 def read_config(
     config: str | Path | Mapping[str, Any] | None, overrides: Sequence[str] | Mapping[str, Any]
 ) -> tuple[dict, str]:
-    """Merge the arguments of `load_config` into one mapping, without defaults; return it with its name for messages.
+    """Return the merged arguments of `load_config`, without defaults, and the name of the configuration for messages.
 
     Raises:
-        InputError: As `load_config`, except for values.
+        InputError: See `load_config`; values are not checked here.
     """
     source, found = "the default configuration", []
     if isinstance(config, Mapping):
@@ -61,8 +62,10 @@ def read_config(
     for name, raw in found:
         strict_model.refuse_unknown(raw, PlanConfig, name)
     raw = merged(raw for _, raw in found)
-    if "method" in raw and not NAME.fullmatch(str(raw["method"])):  # also if an override replaces it
-        raise InputError(f"{source}: method is {raw['method']!r}; names are small letters, digits and hyphens")
+    if "method" in raw and not NAME.fullmatch(str(raw["method"])):  # an error even if an override replaces it
+        raise InputError(
+            f"{source}: method is {raw['method']!r}; names consist of lower-case letters, digits and hyphens"
+        )
     pairs = overrides.items() if isinstance(overrides, Mapping) else map(parse_override, overrides)
     for dotted, value in pairs:
         put_key(raw, dotted, value)
@@ -75,9 +78,15 @@ def with_kinds(
     obstacles: Sequence[obstacle_kind.ObstacleKind | Mapping[str, Any]],
     task: Sequence[task_row_kind.TaskRowKind | Mapping[str, Any]] | None,
 ) -> PlanConfig:
-    """Return the job with further obstacles, and with another task unless it is None.
+    """Return the job with additional obstacles, and with `task` in place of its own task.
 
-    Raises InputError for values that a job file could not state.
+    Args:
+        job: The job.
+        obstacles: Obstacles, as `ObstacleKind` values or as mappings as in a job file.
+        task: Rows of the task, as `TaskRowKind` values or as mappings; None: the job's own task.
+
+    Raises:
+        InputError: If a value would be invalid in a job file.
     """
     if not obstacles and task is None:
         return job
@@ -88,7 +97,7 @@ def with_kinds(
 
 
 def seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Sequence[str] | Mapping[str, Any]:
-    """Add the seed to overrides, as the key `settings.seed`."""
+    """Return the overrides with `settings.seed` set to the seed; unchanged if the seed is None."""
     if seed is None:
         return overrides
     if isinstance(overrides, Mapping):

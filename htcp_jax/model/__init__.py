@@ -1,15 +1,16 @@
 """The robot, its kinematics, the task and the workpiece: frozen arrays and pure functions of one configuration.
 
-`Robot` is a serial arm with capsules around its links, and `Tool` what a job mounts on it. `Workpiece` is the part with
-its path; `PathFrames` has the normals, tangents and orientations along it. `Scenario` places part, start and tool for
-one plan, and `Fixture` is a body of the work cell. `TaskRow` is a row of the task as a person writes it; `Task` states
-by such rows what the TCP must do at a target, as errors of position and orientation.
+`Robot` is a serial arm with capsules around its links, and `Tool` is a tool that a job mounts on it. `Workpiece` is the
+part with its path; `PathFrames` has the normals, tangents and orientations along the path. `Scenario` is the part's
+pose, the start and the tool of one plan, and `Fixture` is a body of the work cell. `TaskRow` is a row of the task as
+written in a job file; `Task` is the resulting constraint on the arm at a target.
 
-`kinematics` computes the poses of links and TCP and their Jacobians; `inverse_kinematics` moves a configuration onto a
-target; `goals` computes the goals that the task's rows have at each target, and `task_rows` has the built-in kinds of
-rows. `task_row_kind` has the base class of kinds that other packages add, and `row_bounds` what a kind states about
-its error between two configurations. Modules of what a job states import no JAX; `listed_rows` and `given_row` compute
-with them.
+`kinematics` computes the poses of links and TCP and their Jacobians. `inverse_kinematics` moves a configuration onto a
+target. `task_rows` has the built-in kinds of rows, and `goals` computes the goals of rows at each target.
+`task_row_kind` has the base class of the kinds that other packages add, and `row_bounds` has the allowed regions of a
+row between two targets. `task_list` and `task_row_kind` read rows without JAX; `listed_rows` and `given_row` compute
+with these rows.
+
 `rotations`, `surface`, `mesh_points` and `duct` are geometry: rotations, the triangles that are drawn, points on a
 mesh, the generated duct. `arrays` checks points that a caller passes in. `robot`, `scenario`, `task`, `tool`, `fixture`
 and `workpiece` have the types above and the functions that make and change them, such as `scenario.make_scenario`.

@@ -1,4 +1,4 @@
-"""Points and directions of the arm by name: the TCP's, or those of a site or body of the model."""
+"""Frames, points and axes of the arm by name: tcp, or a site or body of the model."""
 
 import numpy as np
 
@@ -11,7 +11,16 @@ TCP = ArmFrame("tcp", None, (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), 
 
 
 def frame_of(robot: Robot, name: str, what: str = "frame") -> ArmFrame:
-    """Return the frame with that name. what: the word for it in messages. Raises InputError for an unknown name."""
+    """Return the arm's frame with the given name.
+
+    Args:
+        robot: The robot.
+        name: Name of the frame: tcp, or a site or body of the model.
+        what: Word for the frame in the error message.
+
+    Raises:
+        InputError: For an unknown name.
+    """
     known = {frame.name: frame for frame in (*robot.frames, TCP)}
     if name not in known:
         raise InputError(f"no {what} {name!r} on {robot.name}; valid: {', '.join(sorted(known))}")
@@ -19,20 +28,34 @@ def frame_of(robot: Robot, name: str, what: str = "frame") -> ArmFrame:
 
 
 def point_of(robot: Robot, name: str, offset_m: Triple = (0.0, 0.0, 0.0)) -> Feature:
-    """Return the point at `offset_m` [m] in the frame with that name. Raises InputError for an unknown name."""
+    """Return a point of the arm as a feature.
+
+    Args:
+        robot: The robot.
+        name: Name of a frame: tcp, or a site or body of the model.
+        offset_m: Position of the point in this frame [m].
+
+    Raises:
+        InputError: For an unknown name.
+    """
     frame = frame_of(robot, name, "point")
     place = np.array(frame.origin_m) + np.array(frame.columns).T @ np.array(offset_m)
     return Feature(frame.link, tuple(place.tolist()))
 
 
 def axis_of(robot: Robot, name: str) -> Feature:
-    """Return an axis of a frame as a direction: tcp.z, or reversed -tcp.z.
+    """Return an axis of a frame as a feature, for example tcp.z, or -tcp.z for the opposite direction.
 
-    Raises InputError for an unknown name, and for a letter other than x, y, z.
+    Args:
+        robot: The robot.
+        name: Name of the frame, a dot, and x, y or z; a leading minus reverses the axis.
+
+    Raises:
+        InputError: For an unknown frame, and for an axis other than x, y, z.
     """
     own, _, letter = name.lstrip("-").rpartition(".")
     if letter not in ("x", "y", "z"):
-        raise InputError(f"the axis is {name!r}; it is a name and x, y or z, as in tcp.z")
+        raise InputError(f"the axis is {name!r}; it must be like tcp.z: a frame's name, a dot and x, y or z")
     frame, sign = frame_of(robot, own, "axis"), -1.0 if name.startswith("-") else 1.0
     x, y, z = frame.columns["xyz".index(letter)]
     return Feature(frame.link, (sign * x, sign * y, sign * z), is_direction=True)

@@ -1,4 +1,4 @@
-"""The convex hull of a cloud as half-spaces."""
+"""The convex hull of a point cloud as an intersection of half-spaces."""
 
 from typing import NamedTuple
 
@@ -11,25 +11,25 @@ from htcp_jax.errors import InputError
 
 
 class Hull(NamedTuple):
-    """The points x with normal @ x <= offset; the normals are unit and point outwards."""
+    """A convex hull: the points x with normal @ x <= offset. The normals have length 1 and point outwards."""
 
     normal: Float[np.ndarray, "F 3"]
-    offset: Float[np.ndarray, "F"]
-    vertices: Float[np.ndarray, "V 3"]  # of the exact hull, for any tolerance
+    offset: Float[np.ndarray, "F"]  # [m]
+    vertices: Float[np.ndarray, "V 3"]  # vertices of the exact hull [m], also for a tolerance above 0
 
 
 @cached_by_values(2)
 def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: str) -> Hull:
-    """Return the hull of P points [m]: exact at tolerance 0, else with fewer facets.
+    """Return the convex hull of P points [m]: exact for tolerance 0, otherwise with fewer facets.
 
-    With a tolerance the half-spaces still contain every point and each touches one; they extend beyond
-    the exact hull by about the tolerance at most. A smooth convex surface needs that: nearly all points on
-    it are vertices, and each vertex costs two facets.
+    With a tolerance the half-spaces still contain every point, and each touches one. They extend beyond the exact hull
+    by at most about the tolerance. Use a tolerance for a smooth convex surface: nearly all of its points are vertices
+    of the exact hull, and each vertex adds two facets.
 
     Args:
         points: The points [m].
-        tolerance_m: Distance from the hull below which a point adds no vertex.
-        source: Name of the points in the message.
+        tolerance_m: Distance from the hull [m] below which a point adds no vertex.
+        source: Name of the points in the error message.
 
     Raises:
         InputError: For points in one plane.
@@ -37,7 +37,9 @@ def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: st
     try:
         exact = scipy.spatial.ConvexHull(points)
     except scipy.spatial.QhullError:
-        raise InputError(f"{source}: flat, so it has no inside; choose interior 'none'") from None
+        raise InputError(
+            f"{source}: the points lie in one plane, so the hull has no inside; set interior to 'none'"
+        ) from None
     vertices = points[exact.vertices]
     if tolerance_m == 0.0:
         planes = _distinct_planes(exact.equations)
@@ -50,6 +52,6 @@ def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: st
 
 
 def _distinct_planes(equations: Float[np.ndarray, "E 4"]) -> Float[np.ndarray, "F 4"]:
-    """Return each plane once: Qhull cuts a flat facet into triangles that share its equation."""
+    """Return the planes without repetitions: Qhull cuts a flat facet into triangles with the same equation."""
     _, first = np.unique(equations.round(9), axis=0, return_index=True)
     return equations[np.sort(first)]

@@ -1,7 +1,7 @@
 """Convex pieces of link meshes, one within each capsule that was fitted to a part of a mesh.
 
-The mesh is cut by planes; a capsule encloses the triangles of one part, and the part's convex hull lies within it: a
-closer bound of the same triangles.
+A mesh is cut by planes, and a capsule is fitted to each part. The convex hull of the part lies within the capsule and
+bounds the same triangles more closely.
 """
 
 from itertools import product as combinations
@@ -13,32 +13,33 @@ import scipy
 from htcp_jax.types import Anywhere, Float, Int
 
 FLAT = 1e-7  # points this close to a plane or a line, relative to their extent, lie on it
-SHARP = 0.9  # cosine of the angle between normals above which no plane is put over an edge or a corner
+SHARP = 0.9  # no plane is added at an edge or a corner if the cosine of the angle between its normals is larger
 
 
 class ConvexPiece(NamedTuple):
-    """A convex polyhedron in its own frame, thickened by a radius; stacked ones repeat last rows.
+    """A convex polyhedron in its own frame, thickened by a radius.
 
-    A polygon, a segment and a point are prisms without thickness in the directions that they lack.
+    A polygon, a segment or a point is stored as a prism of thickness 0. In a stack of pieces, arrays are padded by
+    repeating their last rows.
     """
 
-    vertices: Float[Anywhere, "*n V 3"]
-    normals: Float[Anywhere, "*n F 3"]  # of the faces, unit, outwards
-    edges: Int[Anywhere, "*n E 2"]  # vertices, in the direction of the cross product of the sides' normals
-    sides: Int[Anywhere, "*n E 2"]  # faces
-    radius: Float[Anywhere, "*n"]
+    vertices: Float[Anywhere, "*n V 3"]  # [m]
+    normals: Float[Anywhere, "*n F 3"]  # outward unit normals of the faces
+    edges: Int[Anywhere, "*n E 2"]  # indices of both ends, in the direction of the cross product of the sides' normals
+    sides: Int[Anywhere, "*n E 2"]  # indices of the faces that meet at the edge
+    radius: Float[Anywhere, "*n"]  # [m]
 
 
 class BodyPieces(NamedTuple):
     """Convex pieces of an arm's K bodies, each in the frame of its capsule's link."""
 
-    piece: ConvexPiece  # stacked; of a body without a piece any
-    planes: Float[Anywhere, "K D 4"]  # that enclose the piece: unit normal, offset [m]
-    excess_m: Float[Anywhere, "K"]  # largest distance of the capsule's surface from the piece; 0: without a piece
+    piece: ConvexPiece  # stacked; an arbitrary one for a body without a piece
+    planes: Float[Anywhere, "K D 4"]  # half-spaces that enclose the piece: unit normal, offset [m]
+    excess_m: Float[Anywhere, "K"]  # largest distance of the capsule's surface from the piece; 0: there is no piece
 
 
 def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexPiece:
-    """Return the convex hull of at least one point [m], thickened by a radius [m].
+    """Return the convex hull of P >= 1 points [m], thickened by a radius [m].
 
     The points may lie in a plane or on a line.
     """
@@ -51,7 +52,7 @@ def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexP
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     used, vertex = np.unique(np.arange(len(points)).repeat(len(thickened))[hull.simplices], return_inverse=True)
     corners, vertices = vertex.reshape(-1, 3), points[used]
-    ends = corners[:, [[1, 2], [0, 2], [0, 1]]]  # of the edge towards each neighbour, which is opposite of a corner
+    ends = corners[:, [[1, 2], [0, 2], [0, 1]]]  # ends of the edge to each neighbour; neighbour i is opposite corner i
     sides = np.stack(np.broadcast_arrays(face[:, None], face[hull.neighbors]), axis=2)
     is_edge = (np.arange(len(face))[:, None] < hull.neighbors) & (sides[..., 0] != sides[..., 1])
     is_edge &= ends[..., 0] != ends[..., 1]
@@ -66,7 +67,7 @@ def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexP
 
 
 def stack_pieces(pieces: list[ConvexPiece]) -> ConvexPiece:
-    """Return the pieces stacked, each padded to the largest."""
+    """Stack pieces, each padded to the size of the largest one."""
     columns = list(zip(*(piece[:4] for piece in pieces), strict=True))
     padded = [[_padded(rows, max(2, *map(len, column))) for rows in column] for column in columns]
     return ConvexPiece(*map(np.stack, padded), np.stack([piece.radius for piece in pieces]))
@@ -77,14 +78,14 @@ def _padded(rows: np.ndarray, count: int) -> np.ndarray:
 
 
 def body_pieces(pieces: list[ConvexPiece], excess_m: Float[np.ndarray, "K"]) -> BodyPieces:
-    """Return the pieces of K bodies, stacked, with the planes that enclose them."""
+    """Stack the pieces of K bodies and compute the planes that enclose each piece."""
     planes = [_enclosing_planes(piece) for piece in pieces]
     most = max(map(len, planes))
     return BodyPieces(stack_pieces(pieces), np.stack([_padded(each, most) for each in planes]), excess_m)
 
 
 def _enclosing_planes(piece: ConvexPiece) -> Float[np.ndarray, "D 4"]:
-    """Return the planes of a piece's faces, and those over its sharp edges and corners."""
+    """Return half-spaces that enclose a piece: at its faces, its sharp edges and its sharp corners."""
     sides = piece.normals[piece.sides]
     edges = sides[np.sum(sides[:, 0] * sides[:, 1], axis=1) < SHARP].sum(axis=1)
     is_side = np.zeros((len(piece.vertices), len(piece.normals)), bool)

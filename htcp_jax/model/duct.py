@@ -1,8 +1,8 @@
-"""The workpiece that ships with the package: a generated duct, round inlet to flat outlet, and its weld.
+"""The workpiece that ships with the package: a generated duct from a round inlet to a flat outlet, and its weld.
 
 A section in the y-z plane is a closed curve. Each of its halves (above and below the height zc) is half a
-superellipse |y/a|^n + |(z - zc)/b|^n = 1 with its own b and n; the halves meet at (+-a, zc). The six parameters of
-the sections are interpolated along x through the stations below by monotone cubics, which add no bulge between them.
+superellipse |y/a|^n + |(z - zc)/b|^n = 1 with its own b and n; the halves meet at (+-a, zc). Monotone cubics
+interpolate the six parameters along x through the stations below, without overshoot.
 Both ends are open, as in the measured duct that the parameters were fitted to.
 """
 
@@ -37,7 +37,7 @@ WELD_KNOTS = np.array([
 ])
 # fmt: on
 
-POINTS = 50_015  # as many as the paper's cloud
+POINTS = 50_015  # number of points in the paper's cloud
 WELD_POINTS = 94
 INLET = (0.0, 0.0, 0.19138)  # centre of the inlet, the via point of the approach [m]
 
@@ -49,13 +49,13 @@ INTERIOR_DEPTH_M = 0.2
 
 @cache
 def _sections() -> Any:
-    import scipy  # here, as a job names the duct
+    import scipy  # here, so that reading a job does not load it
 
     return scipy.interpolate.PchipInterpolator(STATIONS[:, 0], STATIONS[:, 1:], extrapolate=False)
 
 
 class DuctSection(NamedTuple):
-    """Parameters of the sections at P positions along x; lengths in m. NaN outside the duct's length."""
+    """Parameters of the duct's sections at P positions along x; lengths in m. NaN outside the duct's length."""
 
     a: Float[np.ndarray, "P"]
     zc: Float[np.ndarray, "P"]
@@ -65,7 +65,11 @@ class DuctSection(NamedTuple):
     n_below: Float[np.ndarray, "P"]
 
     def half(self, above) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P"]]:
-        """Return b and n of the half that each point lies in; `above` holds P booleans."""
+        """Return b and n of the half that each of P points lies in.
+
+        Args:
+            above (Array): True for the upper half (P,).
+        """
         return np.where(above, self.b_above, self.b_below), np.where(above, self.n_above, self.n_below)
 
 
@@ -75,9 +79,10 @@ def section(x: Float[np.ndarray, "P"]) -> DuctSection:
 
 
 def section_value(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
-    """Return |y/a|^n + |(z - zc)/b|^n - 1 at P points [m]. It is not a distance.
+    """Return the implicit function |y/a|^n + |(z - zc)/b|^n - 1 of the duct at P points [m].
 
-    0 on the surface, negative in the bore, NaN before the inlet and behind the outlet.
+    The value is 0 on the surface, negative in the bore, and NaN before the inlet and behind the outlet. It is not a
+    distance.
     """
     x, y, z = points.T
     at = section(x)
@@ -86,10 +91,10 @@ def section_value(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
 
 
 def surface(x: Float[np.ndarray, "P"], angle: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P 3"]:
-    """Return surface points [m] at `x` [m] and `angle` [rad].
+    """Return the points of the duct's surface [m] at positions `x` [m] and polar angles `angle` [rad].
 
-    The angle is the polar one of the section scaled to unit half axes. It spaces points evenly even where
-    n = 6; the usual superellipse angle leaves gaps there.
+    The angle is measured in the section scaled to half axes of 1. Equal steps of this angle space points evenly, also
+    where n = 6; the usual superellipse angle leaves gaps there.
     """
     at = section(x)
     b, n = at.half(np.sin(angle) >= 0.0)
@@ -98,10 +103,10 @@ def surface(x: Float[np.ndarray, "P"], angle: Float[np.ndarray, "P"]) -> Float[n
 
 
 def duct_cloud(points: int = POINTS, seed: int = 0) -> Float[np.ndarray, "{points} 3"]:
-    """Return `points` points [m], uniform by area on the duct's surface; the same bytes for the same seed.
+    """Return `points` random points [m], uniform by area on the duct's surface; the same bytes for the same seed.
 
-    A cell of a fine grid is drawn by its area, then a place in the cell: cells of 2 mm are nearly flat, so
-    a distribution that is uniform in each cell is uniform on the surface.
+    Each point is drawn in two steps: a cell of a fine grid, with a probability proportional to its area, then a uniform
+    position in the cell. Cells of 2 mm are nearly flat, so the points are uniform on the surface.
     """
     rows, columns = 480, 720
     x = np.linspace(STATIONS[0, 0], STATIONS[-1, 0], rows + 1)
@@ -119,9 +124,9 @@ def duct_cloud(points: int = POINTS, seed: int = 0) -> Float[np.ndarray, "{point
 
 
 def weld(points: int = WELD_POINTS) -> Float[np.ndarray, "{points} 3"]:
-    """Return the weld on the duct's wall, from the inlet inwards: `points` points [m].
+    """Return the weld on the duct's wall as `points` points [m], from the inlet inwards.
 
-    They are equally spaced by arc length along the cubic spline through WELD_KNOTS.
+    The points are equally spaced by arc length along the cubic spline through WELD_KNOTS.
     """
     import scipy
 
@@ -138,7 +143,7 @@ def equal_steps(
         curve: Function from parameters (n,) to points (n, 3).
         end: Last parameter; the first is 0.
         points: Number of points.
-        closed: True: the last point is one step short of the first.
+        closed: True for a closed loop: the last point is then one step before the first.
     """
     fine = np.linspace(0.0, end, 20_001)
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve(fine), axis=0), axis=1)))

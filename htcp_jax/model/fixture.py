@@ -8,10 +8,10 @@ from jaxtyping import Float
 
 from htcp_jax.model.mesh_points import area
 
-PRIMITIVES = {"plane": 0, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}  # with the number of sizes
+PRIMITIVES = {"plane": 0, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}  # shape -> number of its sizes
 KINDS = (*PRIMITIVES, "mesh")
 CONVEX = 1e-6  # tolerance of the convexity test, relative to the hull's size
-MOST_FACES = 400  # most faces of a mesh treated as a convex solid; larger ones are sampled
+MOST_FACES = 400  # maximum number of faces of a mesh treated as a convex solid; meshes with more faces are sampled
 
 
 class Fixture(NamedTuple):
@@ -21,7 +21,7 @@ class Fixture(NamedTuple):
     kind: str  # one of KINDS
     T_world: Float[np.ndarray, "4 4"]  # MuJoCo's frame of the shape [m]; the world's for a mesh
     size: Float[np.ndarray, "3"]  # MuJoCo's sizes of the shape [m]
-    triangles: Float[np.ndarray, "F 3 3"]  # of a mesh, world [m]
+    triangles: Float[np.ndarray, "F 3 3"]  # triangles of a mesh, world [m]; empty for other shapes
 
     @property
     def surface(self) -> Float[np.ndarray, "F 3 3"]:
@@ -44,9 +44,9 @@ class Fixture(NamedTuple):
 
     @property
     def convex(self) -> bool:
-        """True if a mesh is closed and convex and has few faces.
+        """True if the mesh is closed and convex, and has at most MOST_FACES faces.
 
-        It is if its triangles lie on its hull and have the hull's area.
+        A mesh is closed and convex if its triangles lie on its convex hull and have the hull's area.
         """
         if len(self.triangles) > MOST_FACES:
             return False

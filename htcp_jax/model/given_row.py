@@ -1,4 +1,4 @@
-"""The rows of a task that are of some `task_row_kind.TaskRowKind`, and their goals."""
+"""Task rows of kinds that other packages define (`task_row_kind.TaskRowKind`), and the goals of these rows."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,11 @@ from htcp_jax.types import Array, Scalar
 
 
 def row_of_kind(kind: TaskRowKind, robot: Robot) -> "GivenRow":
-    """Return the row of a kind for a robot. Raises InputError for what is wrong with the kind."""
+    """Return the planner's row for a kind's row and a robot.
+
+    Raises:
+        InputError: For an invalid `along`, a name that the robot lacks, and a wrong number of errors or slacks.
+    """
     if unknown := [name for name in kind.along if name not in ON_PATH]:
         raise InputError(f"along of {kind.name} has {unknown[0]!r}; valid: {', '.join(ON_PATH)}")
     template = template_of(kind)
@@ -29,28 +33,30 @@ def row_of_kind(kind: TaskRowKind, robot: Robot) -> "GivenRow":
         given, what = getattr(kind, name), "error" if name == "equalities" else "slack"
         found = np.shape(_evaluated(template, what, features))
         if found != (given,):
-            raise InputError(f"{what} of {kind.name} returns the shape {found}; {name} is {given}")
+            raise InputError(
+                f"{what} of {kind.name} returns the shape {found}; with {name} = {given} it must be ({given},)"
+            )
     if not kind.equalities + kind.inequalities:
-        raise InputError(f"{kind.name} has neither equalities nor inequalities")
+        raise InputError(f"{kind.name}: `equalities` and `inequalities` are both 0; set one of them")
     return GivenRow(template, features)
 
 
 def goals_of_kind(kind: TaskRowKind, posed: PlacedPath) -> Float[np.ndarray, "T g"]:
-    """Return the numbers of the row at the points of the path."""
+    """Return the goals of a kind's row at the T points of the path; their offsets are 0, see `GivenRow`."""
     count = len(posed.path)
     columns = [np.tile(numbers_of([kind]), (count, 1)), *path_values(kind.along, posed).values()]
     return np.column_stack([*columns, np.zeros((count, kind.equalities + kind.inequalities))])
 
 
 def drawn_of_kind(kind: TaskRowKind, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
-    """Return a random goal: the kind's own numbers, at a random place of a path."""
+    """Return a random goal: the kind's numbers, with random vectors for the path's place, tangent and normal."""
     random = rng.normal(size=(len(kind.along), 3))
     random /= np.linalg.norm(random, axis=1, keepdims=True)
     return np.concatenate([numbers_of([kind]), random.ravel(), np.zeros(kind.equalities + kind.inequalities)])
 
 
 def path_values(names: tuple[str, ...], posed: PlacedPath) -> dict[str, Float[np.ndarray, "T 3"]]:
-    """Return places, tangents and normals of a path in the world, by name."""
+    """Return values along a path in the world, by name: place [m], tangent, normal."""
     return {
         name: posed.path if name == "place" else getattr(posed.workpiece, ON_PATH[name]) @ posed.rotate.T
         for name in names
@@ -59,14 +65,18 @@ def path_values(names: tuple[str, ...], posed: PlacedPath) -> dict[str, Float[np
 
 @dataclass(frozen=True)
 class GivenRow(Row):
-    """A row of some kind. A goal: the kind's numbers, then what is added to its errors and slacks before the path."""
+    """A row of a `TaskRowKind`.
+
+    A goal is the kind's numbers, then one offset per error and slack. The offsets are 0 on the path. On the approach
+    they begin at values by which the start satisfies the row, and decrease to 0.
+    """
 
     template: Template
     features: tuple[Feature, ...] = ()
 
     @property
     def kind(self) -> type[TaskRowKind]:
-        """The kind of a row."""
+        """Class of the row's kind."""
         return self.template.kind
 
     @property
@@ -95,20 +105,20 @@ class GivenRow(Row):
         return self.template.size + self.equalities + self.inequalities
 
     def error(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
-        """Return the kind's error, less what is added to it."""
+        """Return the kind's error minus the goal's error offset."""
         first = self.template.size
         return self._own(goal).error(value) - goal[first : first + self.equalities]
 
     def slack(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return the kind's slack, and what is added to it."""
+        """Return the kind's slack plus the goal's slack offset."""
         return self._own(goal).slack(value) + goal[self.template.size + self.equalities :]
 
     def aim(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return how far inside the inequalities a step aims."""
+        """Return the distance inside the inequalities at which a step aims [m or rad]."""
         return self._own(goal).aim(value)
 
     def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> RateBound:
-        """Return what is allowed by the goals at both targets, or by the numbers half way."""
+        """Return the allowed region: satisfied by goal 0, by goal 1, or by their mean."""
         tolerance = tolerance_rad if self.angular else tolerance_m
 
         def by(goal: Float[Array, "g"], value: Float[Array, "v"]) -> Scalar:
@@ -121,7 +131,7 @@ class GivenRow(Row):
         return RateBound(slack, tuple(feature.is_direction for feature in self.features), self.kind.rate)
 
     def eased(self, start, first, share, places):
-        """Return goals whose errors and slacks are those of the start, faded out."""
+        """Return the first goal with offsets that decrease to 0; with the first offsets the start satisfies the row."""
         value, goal = jnp.asarray(start), jnp.asarray(first)
         error, slack = np.asarray(self.error(value, goal)), np.asarray(self.slack(value, goal))
         short = np.where(slack < 0, 2 * (AIM_RAD if self.angular else AIM_M) - slack, 0.0) + SLACK
@@ -130,7 +140,7 @@ class GivenRow(Row):
         return goals
 
     def interpolated(self, goals, share, places=None):
-        """Return numbers on the line between the targets; tangents and normals are turned."""
+        """Interpolate the goals' numbers linearly, and tangents and normals by rotation."""
         found, first = mixed(goals, share), 0
         for name, value in self.template.fields:
             if isinstance(value, Slot):
@@ -145,6 +155,6 @@ class GivenRow(Row):
 
 
 def _evaluated(template: Template, what: str, features: tuple[Feature, ...]) -> np.ndarray:
-    """Return a kind's error or slack at some place, to see its shape."""
+    """Evaluate a kind's error or slack at arbitrary values, to determine its shape."""
     size = sum(len(feature.rows) for feature in features)
     return np.asarray(getattr(template.with_numbers(jnp.ones(template.size)), what)(jnp.full(size, 0.5)))

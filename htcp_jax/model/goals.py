@@ -1,7 +1,7 @@
-"""Conversion of the rows of a task list to the planner's: a task for a robot, and its goals at every target.
+"""Conversion of a job's task list to the planner's task for a robot, and to the goals of its rows at every target.
 
-Before the path's first point the goals are interpolated evenly from the start's values to those of the first point, as
-the tool's position is. So the start always satisfies its goal.
+On the approach the goals are interpolated evenly from the start's values to those of the path's first point, as is the
+tool's position. The start therefore always satisfies its goal.
 """
 
 from collections.abc import Sequence
@@ -15,31 +15,31 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.arm_features import point_of
-from htcp_jax.model.robot import Robot, lengthen_tool
+from htcp_jax.model.robot import Robot
 from htcp_jax.model.rotations import frame_turns
-from htcp_jax.model.scenario import Scenario
+from htcp_jax.model.scenario import Scenario, with_tool
 from htcp_jax.model.task import Task
 from htcp_jax.model.task_list import TaskRow
 from htcp_jax.model.task_row_kind import PlacedPath, TaskRowKind
 from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, Row, TaskPoint
 from htcp_jax.model.workpiece import Workpiece
 
-ON_PATH = (TaskRow(point="tcp", on="path"),)  # the paper's, and the default
-DRAWS, FLAT = 8, 1e-6  # configurations for a task's rank; relative tolerance of singular values
+ON_PATH = (TaskRow(point="tcp", on="path"),)  # the paper's task, and the default
+DRAWS, FLAT = 8, 1e-6  # random configurations from which a task's rank is computed; tolerance of singular values
 
 
 def task_of(rows: Sequence[TaskRowKind], robot: Robot, tolerance_m: float = 1e-3, tolerance_rad: float = 2e-3) -> Task:
-    """Return the task of the given rows for a robot; without rows, the paper's.
+    """Return the task of the given rows for a robot; without rows, the paper's task.
 
     Args:
         rows: Rows of the task list.
         robot: The robot, whose sites and bodies the rows may name.
-        tolerance_m: Tolerance of the norm of the error.
-        tolerance_rad: Tolerance of angles in it.
+        tolerance_m: Tolerance of the norm of the error [m].
+        tolerance_rad: Tolerance of angles [rad].
 
     Raises:
-        InputError: For a name that the robot lacks, for more equalities than joints, and for a row that repeats or
-            contradicts those before it.
+        InputError: For a name that the robot lacks, for more equations than joints, and for a row that repeats or
+            contradicts earlier rows.
     """
     parts: list[Row] = []
     for k, row in enumerate(rows or ON_PATH, 1):
@@ -51,14 +51,14 @@ def task_of(rows: Sequence[TaskRowKind], robot: Robot, tolerance_m: float = 1e-3
             _check_turns(k, row, robot, parts[-1])
     task = Task(tuple(parts), tolerance_m, tolerance_rad)
     task.freedom(robot)
-    for k in range(2, len(parts) + 1):
+    for k in (k for k in range(2, len(parts) + 1) if parts[k - 1].equalities):
         if _jacobian_rank(robot, rows[:k], Task(tuple(parts[:k]))) < sum(part.equalities for part in parts[:k]):
-            raise InputError(f"task.{k} ({rows[k - 1]}) repeats or contradicts the rows before it")
+            raise InputError(f"task.{k} ({rows[k - 1]}) repeats or contradicts an earlier row; remove one of them")
     return task
 
 
 def follower_position(rows: Sequence[TaskRowKind], robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:
-    """Return the position [m] of the point that follows the path; the TCP if no row names one.
+    """Return the position [m] of the point that follows the path: the TCP, unless a row names another point.
 
     Args:
         rows: Rows of the task list.
@@ -83,8 +83,8 @@ def with_goals(
     """Return the scenario with the rows' goals at all of its targets.
 
     Args:
-        scenario: A scenario; its last targets are the path.
-        rows: Rows of the task list; without any, the paper's task.
+        scenario: A scenario; its last targets are the points of the path.
+        rows: Rows of the task list; empty for the paper's task.
         task: The rows' task, see `task_of`.
         robot: The robot without the scenario's tool extension.
         workpiece: The scenario's workpiece.
@@ -95,7 +95,7 @@ def with_goals(
     rows = rows or ON_PATH
     if task.parts == (TaskPoint(),) and rows[0].on == "path":
         return scenario
-    robot, targets = lengthen_tool(robot, float(scenario.tool_extension_m)), scenario.targets
+    robot, targets = with_tool(robot, float(scenario.tool_extension_m)), scenario.targets
     rotate, translate = scenario.T_world_workpiece[:3, :3], scenario.T_world_workpiece[:3, 3]
     before = len(targets) - len(workpiece.path)
     posed = PlacedPath(rotate, translate, targets[before:], workpiece)
@@ -117,7 +117,7 @@ def with_goals(
 def check_constant_angles(
     scenario: Scenario, rows: Sequence[TaskRowKind], task: Task, robot: Robot, workpiece: Workpiece
 ) -> None:
-    """Check that angles to directions of the world that no joint changes are as required.
+    """Check that angles to world directions which no joint can change are allowed at every point of the path.
 
     Args:
         scenario: A scenario with the rows' goals.
@@ -127,7 +127,7 @@ def check_constant_angles(
         workpiece: The scenario's workpiece.
 
     Raises:
-        InputError: For a cone or an angle that is violated on the path and that no joint changes.
+        InputError: For an angle that violates its cone or limit at a point of the path.
     """
     for k, (row, part, start) in enumerate(zip(rows or ON_PATH, task.parts, task.starts, strict=True), 1):
         if part.inequalities and _turns_against_world(row, robot):
@@ -136,7 +136,7 @@ def check_constant_angles(
 
 
 def _jacobian_rank(robot: Robot, rows: Sequence[TaskRowKind], task: Task) -> int:
-    """Return the rank of the equalities' Jacobian: the largest one at some random configurations and goals."""
+    """Return the rank of the equations' Jacobian: its maximum over random configurations and goals."""
     rng = np.random.default_rng(0)
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     found = 0
@@ -158,7 +158,7 @@ _JACOBIAN = jax.jit(lambda robot, x, goal, task: task.linear_at(robot, x, goal).
 def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
     for k, row in enumerate(rows, 1):
         if "rotations" in row.uses and workpiece.frames.rotations is None:
-            raise InputError(f"task.{k} ({row}): the path has no orientations; its file needs columns qw,qx,qy,qz")
+            raise InputError(f"task.{k} ({row}): the path has no orientations; add columns qw,qx,qy,qz to its file")
         if row.frame == "path":
             square = np.linalg.norm(np.cross(workpiece.tangents, workpiece.normals), axis=1)
             if len(flat := np.flatnonzero(square < 1e-6)):
@@ -168,30 +168,38 @@ def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
 
 
 def _turns_against_world(row: TaskRowKind, robot: Robot) -> bool:
-    """Return True for a row about a direction of the world that may be the same in all configurations."""
+    """Return True for an angular row about a world direction if its angle may be the same in all configurations."""
     return isinstance(row, TaskRow) and row.angular and row.is_in_world and (robot.part_moves or row.is_of_path)
 
 
 def _slopes(robot: Robot, part: Row) -> Float[np.ndarray, "D V N"]:
-    """Return the Jacobians of a row's features at some random configurations."""
+    """Return the Jacobians of a row's features at D random configurations."""
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     x = np.random.default_rng(0).uniform(lower, upper, (DRAWS, len(lower)))
     return np.array([_SLOPES(robot, jnp.asarray(each), Task((part,))) for each in x])
 
 
 def _check_turns(k: int, row: TaskRow, robot: Robot, part: Row) -> None:
-    """Raise InputError for a direction of the world that too few joints turn to be held exactly."""
+    """Check that the joints can satisfy the equations of a row about a world direction.
+
+    Raises:
+        InputError: If the joints can rotate it about fewer axes than the row has equations.
+    """
     sizes = np.linalg.svd(_slopes(robot, part), compute_uv=False)
     turns = int((sizes > FLAT).sum(axis=1).max())
     if turns < part.equalities:
         raise InputError(
-            f"task.{k} ({row}): it has {part.equalities} equations, and joints turn it in {turns} directions; "
-            "an angle is allowed by cone_deg or within_deg"
+            f"task.{k} ({row}): it has {part.equalities} equations, but the joints rotate it in only {turns} "
+            "directions; set cone_deg or within_deg to allow an angle"
         )
 
 
 def _check_constant(k: int, row: TaskRow, robot: Robot, part: Row, goals: Float[np.ndarray, "T g"]) -> None:
-    """Raise InputError for a cone or an angle that no joint changes and that is violated on the path."""
+    """Check a row whose angle no joint changes; all other rows are skipped.
+
+    Raises:
+        InputError: If the angle violates its limit at a point of the path.
+    """
     if np.abs(_slopes(robot, part)).max() > FLAT:
         return
     x = jnp.asarray(np.clip(0.0, robot.lower, robot.upper))
@@ -202,12 +210,16 @@ def _check_constant(k: int, row: TaskRow, robot: Robot, part: Row, goals: Float[
         angle = np.rad2deg(most - float(part.slack(value, goals[far[0]])[0]))
         raise InputError(
             f"task.{k} ({row}): no joint changes this angle; it is {angle:.4g} degrees at point {far[0] + 1} of the "
-            f"path, {np.rad2deg(most):.4g} are allowed"
+            f"path, and at most {np.rad2deg(most):.4g} are allowed; increase this limit or change the direction"
         )
 
 
 def _check_pairs(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.ndarray], before: int) -> None:
-    """Raise InputError for two rows about one link or point that no orientation or place satisfies together."""
+    """Check that every two rows about the same link or point can be satisfied together.
+
+    Raises:
+        InputError: For two rows that contradict each other.
+    """
     on_path = [goal[before:] for goal in goals]
     for i, k in combinations(range(len(rows)), 2):
         a, b, own, found = task.parts[i], task.parts[k], (on_path[i], on_path[k]), None
@@ -225,10 +237,14 @@ def _check_pairs(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.nda
 def _unmet_turns(
     of: Sequence[AxisTowards | FrameOrientation], goals: Sequence[np.ndarray], tolerance_rad: float
 ) -> tuple[int, str] | None:
-    """Return the first point of the path where two axes or frames of one link cannot be as required, and the reason.
+    """Return the first point of the path at which two angular rows contradict each other, and the reason.
 
-    A frame requires the direction of each axis of its link. The angle between two axes is what it is, and each may be
-    off by its limit; as the angle of a frame to another may.
+    For two axes, the angle between the required directions may differ from the angle between the axes by at most the
+    sum of the rows' limits. An orientation row requires a direction of every axis. For two orientation rows, the angle
+    between the required orientations may be at most the sum of the limits.
+
+    Returns:
+        The point's index and the reason. None if there is no contradiction, and for rows of different links.
     """
     if any(part.is_view for part in of) or (of[0].link, of[0].seen_from) != (of[1].link, of[1].seen_from):
         return None
@@ -248,34 +264,38 @@ def _unmet_turns(
     if not len(far := np.flatnonzero(np.abs(wants - has) > most)):
         return None
     has, wants = np.rad2deg(has), np.rad2deg(wants[far[0]])
-    return int(far[0]), f"{has:.4g} degrees between the {what}, {wants:.4g} between their directions"
+    return int(far[0]), f"the {what} are {has:.4g} degrees apart, their required directions {wants:.4g}"
 
 
 def _unmet_bands(
     of: Sequence[TaskPoint | PointAlong], goals: Sequence[np.ndarray], tolerance_m: float
 ) -> tuple[int, str] | None:
-    """Return the first point of the path where a point cannot be in the bands of two rows, and the reason.
+    """Return the first point of the path at which the bands of two rows do not intersect, and the reason.
 
-    A direction of one row that lies in the span of the other's is constrained by both.
+    The bands are compared along the directions that both rows constrain: those directions of one row that lie in the
+    span of the other row's directions.
+
+    Returns:
+        The point's index and the reason. None if there is no contradiction, and for rows about different points.
     """
     if (of[0].link, of[0].offset_m) != (of[1].link, of[1].offset_m):
         return None
     bands = [_bands(part, goal, tolerance_m) for part, goal in zip(of, goals, strict=True)]
     for (across, offset, within), (u, o, w) in (bands, bands[::-1]):
-        share = np.einsum("tci,tdi->tdc", across, u)  # of each direction u in the directions across
+        share = np.einsum("tci,tdi->tdc", across, u)  # component of each direction u along the directions `across`
         spans = np.abs((share**2).sum(axis=2) - 1) < FLAT
         off = np.abs(np.einsum("tdc,tc->td", share, offset) - o)
         most = np.abs(share).sum(axis=2) * within[:, None] + w[:, None]
         if len(far := np.argwhere(spans & (off > most + FLAT))):
             first = tuple(far[0])
-            return int(first[0]), f"{off[first]:.4g} m between the places, {most[first]:.4g} m allowed"
+            return int(first[0]), f"required positions are {off[first]:.4g} m apart, {most[first]:.4g} m are allowed"
     return None
 
 
 def _bands(
     part: TaskPoint | PointAlong, goals: Float[np.ndarray, "T g"], tolerance_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the directions (T, c, 3) in which a point is constrained, its places in them and its band [m]."""
+    """Return a row's c constrained directions (T, c, 3), their offsets (T, c) [m] and the half widths (T,) [m]."""
     if isinstance(part, TaskPoint):
         across = np.eye(3)[list(part.axes)]
         return np.broadcast_to(across, (len(goals), *across.shape)), goals, np.full(len(goals), tolerance_m)

@@ -25,19 +25,20 @@ def reanchor(
 ) -> tuple[Joints, Scalar]:
     """Move a configuration onto a target by damped Newton steps within the joint limits, equation (5b).
 
-    The damping (1e-3 m/rad)^2 keeps steps bounded at singularities and costs 1e-6 of a Newton step elsewhere; a joint
-    at its limit stays there while the others compensate. A violated band or cone is an additional row of a step.
+    The damping (1e-3 m/rad)^2 bounds the steps at singularities; elsewhere it shortens a Newton step by about 1e-6 of
+    its length. A joint at its limit stays there while the others compensate. A violated band or cone adds a row to the
+    step's equations.
 
     Args:
         robot: The robot.
-        x: The configuration to begin with [rad or m].
-        target: The task's goal, in the format of its rows.
-        tolerance_m: Residual at which to stop.
-        iterations: Most steps.
+        x: The initial configuration [rad or m].
+        target: The task's goal (G,), in the format of its rows.
+        tolerance_m: Residual at which to stop [m].
+        iterations: Maximum number of steps.
         task: The task; static.
 
     Returns:
-        The new configuration [rad or m] and its residual [m].
+        The new configuration [rad or m] and its residual [m], which may exceed the tolerance.
 
     Raises:
         InputError: For more than one configuration or target.
@@ -56,7 +57,7 @@ def reanchor(
         (_, error, _), count = state
         return (count < 0) | (safe_norm(error) > tolerance_m) & (count < iterations)
 
-    # The first iteration evaluates x itself, so that the kinematics is compiled once.
+    # The first iteration evaluates the initial x, so that the kinematics is compiled only once.
     blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
     (x, error, _), _ = jax.lax.while_loop(going, step, ((x, *blank[1:]), jnp.full((), -1, jnp.int32)))
     return x, task.residual_at(robot, x, target) if task.bands else safe_norm(error)
@@ -71,8 +72,8 @@ def damped_step(robot: Robot, x: Joints, error: Float[Array, "M"], jac: Float[Ar
         robot: The robot.
         x: The configuration [rad or m].
         error: The error that the step removes [m].
-        jac: Its Jacobian [m/rad or m/m].
-        damping: Added to the diagonal of J J^T [m2/rad2].
+        jac: J, minus the error's Jacobian [m/rad or m/m].
+        damping: Number that is added to the diagonal of J J^T [m2/rad2].
     """
 
     def move(jac):
@@ -84,7 +85,7 @@ def damped_step(robot: Robot, x: Joints, error: Float[Array, "M"], jac: Float[Ar
 
 
 def _residual_to_remove(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R"]:
-    """Return the residual that a step has to remove [m]: the error, and the violations of bands and cones."""
+    """Return the residual that a step removes [m]: the error, then the violations of bands and cones."""
     if not task.bands:
         return task.error(task.value(robot, x), target)
     linear = task.linear_at(robot, x, target)

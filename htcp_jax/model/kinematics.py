@@ -2,9 +2,9 @@
 
 The paper's Gamma and Jac; the geometric Jacobian is that of Siciliano et al., Robotics, section 3.1.
 
-The loop over the joints is unrolled on a GPU, and nothing is inverted or decomposed: it compiles fast and batches well.
-Several of these in one jitted function cost one pass over the joints, as the compiler merges what they share. x may be
-a list, too. An x that is not one configuration of the robot raises InputError.
+No matrix is inverted or decomposed, and the loop over the joints is unrolled on a GPU, so the functions compile fast
+and batch well. Several of them in one jitted function cost one pass over the joints, as the compiler merges common
+subexpressions. x may also be a list. An x that is not one configuration of the robot raises InputError.
 """
 
 from typing import NamedTuple
@@ -38,23 +38,29 @@ def tcp_position(robot: Robot, x: Joints) -> Vector3:
 
 
 def capsule_segments(robot: Robot, x: Joints) -> tuple[Float[Array, "K 3"], Float[Array, "K 3"]]:
-    """Return the ends p, q of the capsules' segments in the world [m]."""
+    """Return the end points p and q of the capsules' axes in the world [m]."""
     own = _frames_of(robot, x, robot.capsule_link)
     return _to_world(own, robot.capsule_p), _to_world(own, robot.capsule_q)
 
 
 def body_poses(robot: Robot, x: Joints) -> Float[Array, "K 4 4"]:
-    """Return the poses of the capsules' links in the world."""
+    """Return T_world_link of each capsule's link [m]."""
     own = _frames_of(robot, x, robot.capsule_link)
     moved = jnp.concatenate([own.rotation, own.origin[:, :, None]], axis=2)
     return jnp.concatenate([moved, jnp.broadcast_to(jnp.eye(4)[3:], (len(moved), 1, 4))], axis=1)
 
 
-def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
-    """Return the bare tip in the world [m]: from the capsule end nearest to the TCP, to the TCP.
+@jax.jit
+def body_poses_at(robot: Robot, x: Float[Array, "W N"]) -> Float[Array, "W K 4 4"]:
+    """Return T_world_link of each capsule's link [m], at W configurations [rad or m]."""
+    return jax.vmap(lambda one: body_poses(robot, one))(x)
 
-    Only capsules on the last link that has any are considered, without those of fixtures. The end is the nearest one at
-    x = 0, so that it is the same in every configuration.
+
+def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
+    """Return the bare tip in the world [m]: the segment from the nearest end of a capsule to the TCP.
+
+    Only capsules of the last link that has capsules are considered; fixtures are ignored. The nearest end is selected
+    at x = 0, so that it is the same in every configuration.
     """
     links = np.delete(robot.capsule_link, robot.attached)  # fixtures come last
     last = np.flatnonzero(links == max(links))
@@ -64,27 +70,44 @@ def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
 
 
 class ArmShape(NamedTuple):
-    """Geometry of an arm for drawing, at W configurations or at one, world [m]."""
+    """Geometry of an arm for drawing, at W configurations or at one, in the world [m]."""
 
-    p: Float[Array, "*W K 3"]  # ends of the capsules' axes
-    q: Float[Array, "*W K 3"]
+    p: Float[Array, "*W K 3"]  # first ends of the capsules' axes
+    q: Float[Array, "*W K 3"]  # second ends
     tip: Float[Array, "*W 3"]  # start of the tool's bare tip, see `tip_segment`
-    tcp: Float[Array, "*W 3"]  # its end
+    tcp: Float[Array, "*W 3"]  # end of the bare tip
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the ends of the capsules' axes and, last, of the bare tip, for one configuration (K + 1, 3)."""
+        """Return the ends of K + 1 axes at one configuration: the capsules' axes, then the bare tip [m]."""
         return np.vstack([self.p, self.tip]), np.vstack([self.q, self.tcp])
 
 
 @jax.jit
 def capsules_and_tcp(robot: Robot, x: Float[Array, "W N"]) -> ArmShape:
-    """Return the arm's geometry at several configurations [rad or m].
+    """Return the arm's geometry at W configurations [rad or m].
 
-    Compiled once per robot structure and number of configurations.
+    The function is compiled once per robot structure and number of configurations.
     """
 
     def one(x: Joints) -> ArmShape:
         return ArmShape(*capsule_segments(robot, x), *tip_segment(robot, x))
+
+    return jax.vmap(one)(x)
+
+
+@jax.jit
+def root_poses(robot: Robot, x: Float[Array, "W N"]) -> Float[Array, "W 4 4"]:
+    """Return the pose of the chain's root in the workshop [m], at W configurations [rad or m].
+
+    The root is the part's link if the part moves. Otherwise it is the world, and the poses are the identity.
+    """
+    origin, axes = jnp.array([robot.world.origin_m]), jnp.array(robot.world.columns)
+    link = -1 if robot.world.link is None else robot.world.link
+
+    def one(x: Joints) -> Pose:
+        rotation = directions(robot, x, axes, (link,) * 3)  # row i: the workshop's axis i, in the root's frame
+        place = -product(rotation, point_positions(robot, x, origin, (link,)).T)[:, 0]
+        return _homogeneous(_Frames(rotation, place))
 
     return jax.vmap(one)(x)
 
@@ -102,15 +125,15 @@ def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
 def point_jacobians(
     robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...] | Int[Array, "P"]
 ) -> Float[Array, "P 3 N"]:
-    """Return the translational Jacobians at x of points that are fixed to links [m/rad or m/m].
+    """Return the translational Jacobians of points that are fixed to links [m/rad or m/m].
 
-    Joints beyond its link do not move a point: their columns are zero.
+    Joints after a point's link do not move the point: their columns are zero.
 
     Args:
         robot: The robot.
         x: The configuration [rad or m].
         points: Positions of the points at x, in the world [m].
-        links: Each point's link, -1 for the world; `robot.capsule_link` for one point per capsule.
+        links: Index of each point's link, -1 for the world; `robot.capsule_link` for one point per capsule.
     """
     moves = jnp.arange(len(robot.slides))[None, :] <= jnp.asarray(links)[:, None]
     velocities = _velocities(robot, _link_frames(robot, x), points)
@@ -120,25 +143,25 @@ def point_jacobians(
 def point_positions(
     robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...]
 ) -> Float[Array, "P 3"]:
-    """Return the positions at x, in the world [m], of points that are fixed to links.
+    """Return the positions in the world [m] of points that are fixed to links.
 
     Args:
         robot: The robot.
         x: The configuration [rad or m].
         points: Positions in the frames of the points' links [m].
-        links: Each point's link, -1 for the world.
+        links: Index of each point's link, -1 for the world.
     """
     return _to_world(_frames_of(robot, x, links), points)
 
 
 def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tuple[int, ...]) -> Float[Array, "P 3"]:
-    """Rotate directions that are fixed to links into the world at x; lengths are kept.
+    """Rotate directions that are fixed to links into the world; lengths are preserved.
 
     Args:
         robot: The robot.
         x: The configuration [rad or m].
         vectors: Directions in the frames of their links, without a unit.
-        links: Each direction's link, -1 for the world.
+        links: Index of each direction's link, -1 for the world.
     """
     return product(_frames_of(robot, x, links).rotation, vectors[:, :, None])[..., 0]
 
@@ -146,13 +169,13 @@ def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tup
 def direction_jacobians(
     robot: Robot, x: Joints, directions: Float[Array, "P 3"], links: tuple[int, ...]
 ) -> Float[Array, "P 3 N"]:
-    """Return the derivatives of `directions` at x: axis x direction for a hinge [1/rad], 0 for a slide [1/m].
+    """Return the Jacobians of `directions`: axis x direction for a hinge [1/rad], 0 for a slide [1/m].
 
     Args:
         robot: The robot.
         x: The configuration [rad or m].
         directions: Directions in the world at x, without a unit.
-        links: Each direction's link, -1 for the world.
+        links: Index of each direction's link, -1 for the world.
     """
     frames = _link_frames(robot, x)
     axes = product(frames.rotation, robot.axis[:, :, None])[..., 0]
@@ -171,7 +194,7 @@ def checked_configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
         name: Name of x in the message.
 
     Raises:
-        InputError: For another shape, and for several configurations.
+        InputError: For any other shape, such as several configurations.
     """
     return checked_shape(x, (len(robot.slides),), f"{name} of {robot.name}")
 
@@ -179,7 +202,7 @@ def checked_configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
 def max_reach(robot: Robot) -> float:
     """Return a bound on the TCP's distance from the origin of the first joint's frame [m].
 
-    It is the sum of the lengths of links and tool and of the travel of the slides; infinite if a slide has no limits.
+    The bound is the sum of the lengths of links and tool and of the slides' travel; infinite if a slide has no limits.
     """
     links = np.linalg.norm(np.asarray(robot.T_parent_joint)[1:, :3, 3], axis=1)
     travel = np.maximum(np.abs(robot.lower), np.abs(robot.upper))[np.array(robot.slides)]
@@ -189,7 +212,7 @@ def max_reach(robot: Robot) -> float:
 def body_reach(robot: Robot) -> Float[np.ndarray, "K"]:
     """Return a bound on the distance of each body's points from the origin of the first joint's frame [m].
 
-    As `max_reach`; -inf for bodies that are fixed in the world.
+    The bound is computed as in `max_reach`; it is -inf for bodies that are fixed in the world.
     """
     links = np.linalg.norm(np.asarray(robot.T_parent_joint)[:, :3, 3], axis=1)
     links[0] = 0.0
@@ -208,7 +231,7 @@ class _Frames(NamedTuple):
 
 @jax.jit
 def _link_frames(robot: Robot, x: Joints) -> _Frames:
-    """Return the frames of the N links: the motion of each joint, then the product along the chain."""
+    """Return the frames of the N links, by multiplying the joints' motions along the chain."""
     x = checked_configuration(robot, x)
     fixed = _Frames(robot.T_parent_joint[:, :3, :3], robot.T_parent_joint[:, :3, 3])
     slides = np.array(robot.slides)
@@ -221,7 +244,7 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
         return link, link
 
     world = _Frames(jnp.eye(3, dtype=x.dtype), jnp.zeros(3, x.dtype))
-    # A loop on the CPU, where it costs little: every executable contains the kinematics several times.
+    # On a CPU a loop costs little and keeps executables small: each contains the kinematics several times.
     return jax.lax.scan(then, world, steps, unroll=1 if backend().is_cpu else len(slides))[1]
 
 
@@ -237,7 +260,7 @@ def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
 
 @jax.jit
 def _velocities(robot: Robot, links: _Frames, points: Float[Array, "P 3"]) -> Float[Array, "P N 3"]:
-    """Return the velocity of each world point per unit velocity of each joint, as if it were fixed to the last link."""
+    """Return each point's velocity per unit velocity of each joint, as if all points were fixed to the last link."""
     axes = product(links.rotation, robot.axis[:, :, None])[..., 0]
     turning = jnp.cross(axes[None], points[:, None] - links.origin[None])
     return jnp.where(np.array(robot.slides)[None, :, None], axes[None], turning)

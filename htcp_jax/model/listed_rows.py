@@ -1,4 +1,4 @@
-"""The planner's rows of a job's task, `task_list.TaskRow`, and their goals at every target."""
+"""Conversion of a job's task rows, `task_list.TaskRow`, to the planner's rows and their goals at every target."""
 
 import numpy as np
 import scipy
@@ -12,13 +12,17 @@ from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, 
 
 
 def row_of_task(row: TaskRow, robot: Robot) -> Row:
-    """Return a task row for a robot. Raises InputError for a name that the robot lacks."""
+    """Return the planner's row for a row of a job's task.
+
+    Raises:
+        InputError: For a name that the robot lacks.
+    """
     seen_from = robot.world if robot.part_moves and row.is_in_world else None
     if row.orientation is not None:
         frame = frame_of(robot, row.of)
         return FrameOrientation(frame.link, frame.columns, row.limit_deg is not None, seen_from)
     if row.axis is not None:
-        if row.is_of_path:  # the angle is the same from the other side: a direction of the world, towards the path's
+        if row.is_of_path:  # the same angle, written as a world direction that must point along the path's direction
             axis = np.array(row.towards) / np.linalg.norm(row.towards) @ np.array(robot.world.columns)
             return AxisTowards(robot.world.link, tuple(axis.tolist()), cone=row.limit_deg is not None)
         name, k, sign = row.axis_of
@@ -29,14 +33,14 @@ def row_of_task(row: TaskRow, robot: Robot) -> Row:
     link, offset, *_ = point_of(robot, row.point, row.offset_m)
     if row.on in ("plane", "line"):
         return PointAlong(link, offset, 1 if row.on == "plane" else 2, row.within_m is not None)
-    of_world = (row.frame == "world" or row.axes == "xyz") and row.within_m is None  # then all three are equivalent
+    of_world = (row.frame == "world" or row.axes == "xyz") and row.within_m is None  # all frames are then equivalent
     if of_world and not (link is None and any(offset)):
         return TaskPoint(link, offset, tuple("xyz".index(axis) for axis in row.axes))
     return PointAlong(link, offset, len(row.axes), row.within_m is not None)
 
 
 def goals_of_row(row: TaskRow, part: Row, posed: PlacedPath) -> Float[np.ndarray, "T g"]:
-    """Return the goals of a task row at the points of the path."""
+    """Return the goals of a task row at the T points of the path, in the format of `part`."""
     count = len(posed.path)
     if isinstance(part, TaskPoint):
         return _places(row, posed)[:, list(part.axes)]
@@ -57,7 +61,7 @@ def _places(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T 3"]:
 
 
 def _across(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T k 3"]:
-    """Return the directions in which a point is constrained."""
+    """Return the k directions in which a point is constrained, at the T points of the path."""
     count = len(posed.path)
     if row.on == "plane":
         normal = _in_world(row, np.array(row.normal), posed)
@@ -76,7 +80,7 @@ def _across(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T k 3"]:
 
 
 def _directions(row: TaskRow, posed: PlacedPath) -> Float[np.ndarray, "T 3"]:
-    """Return the wanted directions of an axis; for a row with looks_at_m, the place."""
+    """Return the required directions of an axis in the world; for a row with looks_at_m, the place to point at [m]."""
     count = len(posed.path)
     if row.looks_at_m is not None:
         return np.tile(_in_world(row, np.array(row.looks_at_m), posed, is_place=True), (count, 1))

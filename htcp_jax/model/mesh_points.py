@@ -1,15 +1,15 @@
-"""Points that cover a mesh: no point of its triangles is further than a known distance from one of them.
+"""Points that cover a mesh: every place on the mesh is within the covering radius of one of the points.
 
-Every triangle is cut at the middle of its longest edge until its own three corners cover it. Nothing is random: the
-same mesh gives the same points, evenly spread for any shapes of its triangles.
+Every triangle is cut at the middle of its longest edge until the corners of each piece cover this piece. The algorithm
+is deterministic, and spreads the points evenly for triangles of any shape.
 
-Every body is thickened by the covering radius: a clearance is a lower bound at any spacing, and more conservative at a
-coarser one. By default the spacing follows the thinnest body that can come near the mesh, within limits on the number
-of points.
+The covering radius is subtracted from every clearance. A clearance is therefore a lower bound at any spacing, and more
+conservative at a coarser one. By default the spacing follows the thinnest body that can come near the mesh, within
+limits on the number of points.
 
-A triangle's covering radius is the largest distance of any of its points to the nearest corner. Where no angle is
-obtuse, that is attained at the circumcentre. Otherwise the circumcentre lies outside, and it is attained where the
-bisector of one of the two shorter edges meets the longest one: at c / (2 cos B) from B, or b / (2 cos C) from C.
+A triangle's covering radius is the largest distance of any of its points from the nearest corner. If no angle is
+obtuse, it is attained at the circumcentre. Otherwise it is attained where the perpendicular bisector of one of the
+two shorter edges meets the longest edge: at c / (2 cos B) from B, or b / (2 cos C) from C.
 """
 
 from collections.abc import Collection
@@ -24,22 +24,22 @@ from htcp_jax.model import kinematics
 from htcp_jax.model.robot import Robot, capsule_label
 
 MOST = 3_000_000  # points
-FEW, MANY = 20_000, 300_000  # default numbers of points: about as many for any body, and no more for a thin one
-THINNED, EXCESS = 80_000, 3  # up to so many, points that are EXCESS times as many are thinned out
-SHARE = 4  # ratio of a body's radius to the covering radius that it requires,
-FINEST_M = 0.002  # but it requires no smaller one than this
+FEW, MANY = 20_000, 300_000  # default number of points: about FEW for thick bodies, at most about MANY for thin ones
+THINNED, EXCESS = 80_000, 3  # a cover for which THINNED points suffice is thinned out if it has EXCESS times as many
+SHARE = 4  # ratio of a body's radius to the default covering radius
+FINEST_M = 0.002  # minimum of the default covering radius
 ROUNDING = 1e-6  # relative rounding error of a covering radius; nearly flat triangles cost digits
 KEY = "workpiece.mesh_spacing_m"
 
 Triangles = Float[np.ndarray, "F 3 3"]
-Corners = Float[np.ndarray, "3 3 F"]  # the same, corner and coordinate first: numpy works along the last axis
+Corners = Float[np.ndarray, "3 3 F"]  # triangles by corner and coordinate, as numpy is fastest along the last axis
 
 
 class PointCover(NamedTuple):
-    """P points on a mesh, and the distance [m] from any point of the mesh within which one of them lies."""
+    """P points on a mesh, and their covering radius."""
 
-    points: Float[np.ndarray, "P 3"]
-    radius_m: float
+    points: Float[np.ndarray, "P 3"]  # [m]
+    radius_m: float  # every point of the mesh is within this distance of one of the points
 
 
 class NearbyBody(NamedTuple):
@@ -50,13 +50,13 @@ class NearbyBody(NamedTuple):
 
 
 def thinnest_nearby(robot: Robot, distance_m: float | None = None, excluded: Collection[int] = ()) -> NearbyBody | None:
-    """Return the thinnest body that can come near a mesh, None if there is no such body.
+    """Return the thinnest body of the robot that can come near a mesh; None if no body can.
 
     Args:
         robot: The robot.
-        distance_m: Distance of the mesh from the first joint's origin [m]. None: half of the largest reach, for a
-            workpiece, whose poses are not known; the bodies near the base do not extend as far.
-        excluded: Links whose bodies are not tested against the mesh.
+        distance_m: Distance of the mesh from the first joint's origin [m]. None: half of the maximum reach, for a
+            workpiece whose poses are unknown; this excludes the bodies near the base.
+        excluded: Indices of links whose bodies are not tested against the mesh.
     """
     distance_m = kinematics.max_reach(robot) / 2 if distance_m is None else distance_m
     is_near = (kinematics.body_reach(robot) >= distance_m) & ~np.isin(robot.capsule_link, list(excluded))
@@ -69,16 +69,15 @@ def thinnest_nearby(robot: Robot, distance_m: float | None = None, excluded: Col
 def cover_mesh(
     triangles: Triangles, source: str, spacing: float | None = None, body: NearbyBody | None = None
 ) -> PointCover:
-    """Sample triangles: their corners and those of their pieces, until these cover the mesh.
+    """Return points that cover a mesh: the corners of its triangles and of their pieces.
 
-    Narrow or small triangles have more corners than needed; a thinned set of points covers their mesh.
+    If narrow or small triangles give many more points than needed, the points are thinned out.
 
     Args:
         triangles: F >= 1 triangles [m].
         source: Name of the mesh in messages.
-        spacing: The widest gap between points [m]: every point of the mesh has one of them within half of it. None:
-            half of the body's radius, but no less than twice FINEST_M. A mesh gets about FEW points even if these are
-            closer, and about MANY even if these are farther apart.
+        spacing: The widest gap between points [m]: twice the required covering radius. None: half of the body's radius,
+            but at least twice FINEST_M; a mesh gets at least about FEW points and at most about MANY.
         body: The thinnest body that can come near; None: about FEW points.
 
     Raises:
@@ -89,11 +88,11 @@ def cover_mesh(
     if not total > 0:
         raise InputError(f"{source}: the mesh has no area")
     if spacing is not None and not 0 < spacing < np.inf:
-        raise InputError(f"{source}: a spacing of {spacing} m; it must be more than 0")
+        raise InputError(f"{source}: the spacing is {spacing} m; it must be more than 0")
     wanted = _default_radius(total, body) if spacing is None else spacing / 2
     required = f"a spacing of {2 * wanted:.3g} m"
     if spacing is None and body is not None and wanted < _default_radius(total, None):
-        required += f", so fine because of {body.label} with a radius of {1e3 * body.radius_m:.4g} mm"
+        required += f", as fine as {body.label} with a radius of {1e3 * body.radius_m:.4g} mm requires"
     regular = total / (2 * wanted**2)  # number of points of a square grid
     _check_count(regular, required, source)
     left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
@@ -113,10 +112,10 @@ def cover_mesh(
 
 
 def _thinned_cover(triangles: Triangles, radius_m: float, required: str, source: str) -> PointCover:
-    """Return middles of pieces so that each piece lies within `radius_m` of one of them.
+    """Return a cover with fewer points: balls of `radius_m` about the points contain all triangles.
 
-    A piece is in a ball if its corners are. Pieces that no ball covers yet are cut until they are small enough to get
-    one themselves.
+    A ball contains a piece of a triangle if it contains the piece's corners. Pieces that no ball contains are cut until
+    a ball about their own middle contains them.
     """
     left, kept = np.ascontiguousarray(np.moveaxis(triangles, 0, 2)), np.empty((0, 3))
     while left.shape[2]:
@@ -125,7 +124,7 @@ def _thinned_cover(triangles: Triangles, radius_m: float, required: str, source:
         if len(kept) and (fitting := np.flatnonzero(extent <= radius_m)).size:
             parts = left[:, :, fitting]
             _, nearest = scipy.spatial.cKDTree(kept).query(parts.mean(axis=0).T, distance_upper_bound=radius_m)
-            point = np.append(kept, [[np.inf] * 3], axis=0)[nearest].T  # infinite: none is so close
+            point = np.append(kept, [[np.inf] * 3], axis=0)[nearest].T  # infinite: no point is within radius_m
             is_covered = _furthest_corner(parts, point) <= radius_m
             left, extent = (np.delete(each, fitting[is_covered], axis=-1) for each in (left, extent))
         is_small = extent <= radius_m / 2
@@ -136,7 +135,7 @@ def _thinned_cover(triangles: Triangles, radius_m: float, required: str, source:
 
 
 def _greedy_middles(corners: Corners, radius_m: float) -> Float[np.ndarray, "P 3"]:
-    """Return middles of triangles so that each triangle lies within `radius_m` of one of them; greedily, in order."""
+    """Select middles of triangles, greedily and in order, until each triangle lies within `radius_m` of one of them."""
     middle = corners.mean(axis=0).T
     tree, is_left, kept = scipy.spatial.cKDTree(middle), np.ones(len(middle), bool), []
     for row in np.lexsort(middle.T):
@@ -148,12 +147,12 @@ def _greedy_middles(corners: Corners, radius_m: float) -> Float[np.ndarray, "P 3
 
 
 def _furthest_corner(corners: Corners, point: Float[np.ndarray, "3 #F"]) -> Float[np.ndarray, "F"]:
-    """Return the distance of each triangle's furthest corner from its point [m]."""
+    """Return the distance of each triangle's furthest corner from a point [m]; one point per triangle."""
     return np.sqrt(np.max([_square_norm(corner - point) for corner in corners], axis=0))
 
 
 def _default_radius(total: float, body: NearbyBody | None) -> float:
-    """Return the default covering radius [m] for a total area [m2], by the points of square grids."""
+    """Return the default covering radius [m] for a total area [m2], estimated as for points on a square grid."""
     coarsest, finest = (float(np.sqrt(total / (2 * count))) for count in (FEW, MANY))
     required = coarsest if body is None else max(body.radius_m / SHARE, FINEST_M)
     return max(min(required, coarsest), finest)
@@ -189,7 +188,7 @@ def covering_radius(triangles: Triangles) -> Float[np.ndarray, "F"]:
 
 
 def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
-    """Return the covering radius. The longest edge is from b to c; the opposite angle, the largest, is at a."""
+    """Return each triangle's covering radius [m]. The longest edge is from b to c, so the largest angle is at a."""
     b, c, a = corners
     bc, ba, ca = c - b, a - b, a - c
     square, square_b, square_c = _square_norm(bc), _square_norm(ba), _square_norm(ca)
@@ -202,9 +201,9 @@ def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
 
 
 def _halved_triangles(corners: Corners) -> tuple[Float[np.ndarray, "3 3 2*F"], Float[np.ndarray, "3 F"]]:
-    """Cut each triangle in two at the middle of its longest edge, the first; return the halves and these middles.
+    """Cut each triangle in two at the middle of its first edge, the longest; return the halves and the middles.
 
-    Two neighbours with this edge have the same middle to the last bit.
+    Two triangles that share such an edge get the same middle, bit for bit.
     """
     b, c, a = corners
     middle = (b + c) / 2
@@ -212,7 +211,7 @@ def _halved_triangles(corners: Corners) -> tuple[Float[np.ndarray, "3 3 2*F"], F
 
 
 def _longest_edge_first(corners: Corners) -> Corners:
-    """Return the corners in the same sense of rotation, beginning with the longest edge."""
+    """Reorder each triangle's corners cyclically so that its longest edge comes first."""
     a, b, c = corners
     ab, bc, ca = _square_norm(b - a), _square_norm(c - b), _square_norm(a - c)
     from_b, from_c = (bc > ab) & (bc >= ca), (ca > ab) & (ca > bc)
@@ -238,4 +237,4 @@ def _square_norm(u: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
 
 def _check_count(points: float, spacing: str, source: str) -> None:
     if points > MOST:
-        raise InputError(f"{source}: more than {MOST:,} points at {spacing}; see {KEY}")
+        raise InputError(f"{source}: more than {MOST:,} points at {spacing}; increase {KEY}")

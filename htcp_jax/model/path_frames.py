@@ -1,6 +1,6 @@
-"""Directions along a tool path: normals, which point from the wall into the free space, tangents, and orientations.
+"""Directions along a tool path: normals that point from the wall into the free space, tangents, and orientations.
 
-They are read from the path's file; normals and tangents may also be computed from the cloud and the path.
+The path's file may contain them. Otherwise normals are computed from the cloud, and tangents from the path.
 """
 
 from typing import NamedTuple
@@ -16,11 +16,11 @@ NEIGHBOURS = 60  # wall points used to fit a normal
 
 
 class PathFrames(NamedTuple):
-    """Directions at the T points of a path, in the workpiece frame; None: not in its file."""
+    """Directions at the T points of a path, in the workpiece frame; None if the path's file has none."""
 
     normals: Float[np.ndarray, "T 3"] | None = None  # unit
     tangents: Float[np.ndarray, "T 3"] | None = None  # unit, in the path's direction
-    rotations: Float[np.ndarray, "T 3 3"] | None = None  # of the tool's frame
+    rotations: Float[np.ndarray, "T 3 3"] | None = None  # orientations of the tool's frame
 
 
 def wall_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
@@ -30,7 +30,7 @@ def wall_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]
 
 
 def tangents(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Return the unit tangents of a path, by central differences; coincident neighbours share one.
+    """Return the unit tangents of a path, by central differences; coincident neighbours get the same tangent.
 
     Raises:
         InputError: For a path of zero length.
@@ -38,9 +38,9 @@ def tangents(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
     ahead = np.linalg.norm(np.diff(path, axis=0), axis=1)
     apart = np.concatenate([[True], ahead > 1e-9])
     if not (ahead > 1e-9).any():
-        raise InputError("the path has no tangent: all of its points are at one place")
+        raise InputError("the path has no tangent, because all of its points coincide")
     found = np.gradient(path[apart], axis=0)[np.cumsum(apart) - 1]
     length = np.linalg.norm(found, axis=1, keepdims=True)
-    back = length[:, 0] <= 1e-9  # where it turns back on itself
+    back = length[:, 0] <= 1e-9  # where the path reverses
     found[back], length[back] = np.diff(path, axis=0, append=path[-1:])[back], 1.0
     return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)

@@ -1,11 +1,12 @@
 """The robot: a serial arm with capsules around its links.
 
-A link moves with a joint: its frame lies on that joint's axis, and bodies fixed to it, including tools, belong to it. A
-Robot consists of plain arrays, read once from a model file (`io.robots`); kinematics.py needs nothing else.
+Each joint moves one link. The link's frame lies on the joint's axis, and bodies fixed to the link, including tools,
+belong to it. A Robot consists of plain arrays, read once from a model file (`io.robots`); kinematics.py needs nothing
+else.
 
-The chain's root carries the part. It is the world, unless the part moves: on a positioner, or in the arm's hand. The
-root is then the part's link, and what stands in the workshop is fixed to a link of the chain. Everywhere else in this
-package "world" means the root's frame; `Robot.world` is the workshop's.
+The chain's root carries the part. It is the world, unless the part moves: on a positioner, or in the arm's gripper. The
+root is then the part's link, and objects fixed in the workshop are fixed to a link of the chain. Everywhere else in
+this package "world" means the root's frame; `Robot.world` is the workshop's frame.
 """
 
 import dataclasses
@@ -29,37 +30,43 @@ _STATIC = {"static": True}
 
 
 class ArmFrame(NamedTuple):
-    """A site or a body of the model with its name and frame."""
+    """The frame of a site or a body of the model."""
 
     name: str
-    link: int | None  # to which it is fixed; None: the TCP's own frame
+    link: int | None  # link to which the frame is fixed, -1 for the world; None: the TCP's own frame
     origin_m: Triple  # in the frame of the link
-    columns: tuple[Triple, Triple, Triple]  # its axes x, y, z, there
+    columns: tuple[Triple, Triple, Triple]  # the frame's axes x, y, z in the frame of the link
 
 
 WORLD = ArmFrame("world", -1, (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 
 
 class Exclusion(NamedTuple):
-    """Two capsules, by their numbers, that are not checked against each other, and the reason."""
+    """A pair of capsules, by their indices, that is not checked for collision, and the reason."""
 
     first: int  # farther from the base than the second
     second: int
-    rule: str  # of `clearance.obstacles.self_exclusions`: a, b, c or d
-    share: float  # of the sampled configurations, in which the capsules overlap or nearly so [1]; 0 by rule a
+    rule: str  # rule of `clearance.obstacles.self_exclusions`: a, b, c or d
+    share: float  # share of the sampled configurations in which the capsules (nearly) overlap [1]; 0 by rule a
 
 
 @runtime_checkable
 class VendorMeshes(Protocol):
-    """The vendor's meshes in an arm's capsules; equal and hashable by the files that they are read from."""
+    """Protocol of the vendor's meshes in an arm's capsules; objects read from the same files are equal."""
 
     def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
-        """Return the depth of the deepest contact between the meshes in two capsules at x [m]; 0 without meshes."""
+        """Return the depth of the deepest contact between the meshes in two capsules [m]; 0 without meshes.
+
+        Args:
+            first: Name of a capsule.
+            second: Name of another capsule.
+            x: The configuration [rad or m].
+        """
 
     def outside_m(
         self, capsule: str, robot: "Robot", x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]
     ) -> float | None:
-        """Return the distance of a point in the world from the mesh in a capsule at x [m]; None without a mesh.
+        """Return the distance of a point from the mesh in a capsule [m]; None without a mesh.
 
         Args:
             capsule: Name of the capsule.
@@ -82,34 +89,44 @@ class Robot:
     axis: Float[Array, "N 3"]  # unit, in the joint's own frame
     T_link_tcp: Pose  # in the last link; z points out of the tool
     lower: Joints  # [rad or m], -inf where the model sets no limit
-    upper: Joints
-    speed: Joints  # [rad/s or m/s], inf if the model states none
-    acceleration: Joints  # [rad/s2 or m/s2], likewise
-    effort: Joints  # [N m or N], likewise
-    capsule_p: Float[Array, "K 3"]  # ends of the segment in the frame of the capsule's link
-    capsule_q: Float[Array, "K 3"]  # a sphere has p == q
-    capsule_radius: Float[Array, "K"]
+    upper: Joints  # [rad or m], inf where the model sets no limit
+    speed: Joints  # [rad/s or m/s], inf where the model sets no limit
+    acceleration: Joints  # [rad/s2 or m/s2], inf where the model sets no limit
+    effort: Joints  # [N m or N], inf where the model sets no limit
+    capsule_p: Float[Array, "K 3"]  # first ends of the axes, in the frame of the capsule's link [m]
+    capsule_q: Float[Array, "K 3"]  # second ends [m]; a sphere has p == q
+    capsule_radius: Float[Array, "K"]  # [m]
     on_tool: Float[Array, "K 2"]  # 1 where the end p, q moves with the tool's tip, see lengthen_tool
     name: str = dataclasses.field(metadata=LABEL)
     joint_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)
     slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)
     capsule_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)
     capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
-    ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # neither capsule nor sphere
-    exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=LABEL)  # that the model states
-    listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # True: complete, except pairs of `mounted`
+    ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # geoms that are not capsules or spheres
+    exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=LABEL)  # pairs that the model excludes
+    # True: `exclusions` is complete, except for pairs with a capsule of `mounted`
+    listed: bool = dataclasses.field(default=False, metadata=_STATIC)
+    # groups of capsules; within each group `exclusions` is complete
+    listed_together: tuple[tuple[int, ...], ...] = dataclasses.field(default=(), metadata=LABEL)
     mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=LABEL)  # capsules of the job: tool, fixtures
-    attached: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # those of fixtures on moving links
-    pieces: BodyPieces | None = None  # of the meshes in its capsules; None: capsules alone decide
-    meshes: VendorMeshes | None = dataclasses.field(default=None, metadata=LABEL)  # None if its file refers to none
-    frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)  # that a task may name
-    base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)  # fixed to the root: link -1
-    world: ArmFrame = dataclasses.field(default=WORLD, metadata=_STATIC)  # on a link of the chain if the part moves
+    attached: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of fixtures on moving links
+    pieces: BodyPieces | None = None  # convex pieces of the meshes in the capsules; None: only capsules are checked
+    meshes: VendorMeshes | None = dataclasses.field(default=None, metadata=LABEL)  # None: the arm's file has none
+    frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)  # frames that a task may name
+    # frames that are fixed to the chain's root, link -1
+    base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)
+    # the workshop's frame; on a link of the chain if the part moves
+    world: ArmFrame = dataclasses.field(default=WORLD, metadata=_STATIC)
 
     @property
     def part_moves(self) -> bool:
-        """True if the chain's root is the part's link: bodies fixed to it are never tested against the part."""
+        """True if the chain's root is the part's link; bodies fixed to the root are never tested against the part."""
         return self.world != WORLD
+
+    @property
+    def part_link(self) -> str | None:
+        """Name of the link that carries the part; None if the part does not move."""
+        return next(frame.name for frame in self.base_frames if not any(frame.origin_m)) if self.part_moves else None
 
     def _repr_html_(self) -> str:
         limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)
@@ -122,7 +139,11 @@ class Robot:
 
 
 def carrier_of(robot: Robot, name: str) -> ArmFrame:
-    """Return the frame that may carry a fixture: the world's, or that of a link. Raises InputError for another name."""
+    """Return the frame to which a fixture may be fixed, by its name: the world, a link or a site.
+
+    Raises:
+        InputError: For an unknown name.
+    """
     known = {frame.name: frame for frame in (*robot.base_frames, *robot.frames, robot.world)}
     if name not in known:
         raise InputError(f"no link {name!r} on {robot.name}; valid: {', '.join(sorted(known))}")
@@ -130,15 +151,16 @@ def carrier_of(robot: Robot, name: str) -> ArmFrame:
 
 
 def core_radius(robot: Robot) -> Float[Array, "K"]:
-    """Return the radii of capsules that lie within the bodies [m]: of pieces, if there are any; may be negative.
+    """Return the largest radii (K,) at which the capsules certainly lie within the bodies [m]; may be negative.
 
-    A piece's support function is at least the capsule's less its excess.
+    The result is the capsules' radii. If the robot has pieces, `excess_m` is subtracted: a piece's support function is
+    no smaller than the capsule's minus the excess.
     """
     return robot.capsule_radius if robot.pieces is None else robot.capsule_radius - robot.pieces.excess_m
 
 
 def radius_to_workpiece(robot: Robot) -> Float[Array, "K"]:
-    """Return the radii of the capsules for their distance from the workpiece [m]; far below 0 where none is tested."""
+    """Return the capsules' radii (K,) for clearances to the workpiece [m]; -FAR_M for capsules that are not tested."""
     if not robot.part_moves:
         return robot.capsule_radius
     return jnp.where(np.array(robot.capsule_link) < 0, -FAR_M, robot.capsule_radius)
@@ -147,7 +169,8 @@ def radius_to_workpiece(robot: Robot) -> Float[Array, "K"]:
 def capsule_label(robot: Robot, name: str) -> str:
     """Return a capsule's name for a message.
 
-    A capsule that is only numbered goes by its link's name, if known, followed by its own if the link has several.
+    The label of a numbered capsule, such as capsule3, is its link's name if the link has one. If the link has several
+    capsules, the capsule's own name follows in brackets.
     """
     if not name.startswith("capsule"):
         return f"capsule {name}"
@@ -161,20 +184,20 @@ def capsule_label(robot: Robot, name: str) -> str:
 def mesh_note(
     robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"], by_piece: bool
 ) -> str:
-    """Return the end of a message: that a piece decided, or the distance of a capsule's surface from its mesh.
+    """Return the end of a collision message: how closely the body that was measured follows the vendor's mesh.
 
     Args:
         robot: The robot.
         capsule: Name of the capsule.
         x: The configuration [rad or m].
         point: The point of the capsule's surface, in the world [m].
-        by_piece: True if the piece in the capsule decided.
+        by_piece: True if the clearance was measured to the convex piece in the capsule.
 
     Returns:
-        The end of the message, "" if the arm's file refers to no mesh for this capsule.
+        The end of the message; "" if the arm's file refers to no mesh for this capsule.
     """
     if by_piece:
-        return "; measured by the convex piece of the mesh in this capsule"
+        return "; measured to the convex piece of the mesh in this capsule"
     outside_m = robot.meshes.outside_m(capsule, robot, x, point) if robot.meshes else None
     if outside_m is None:
         return ""
@@ -184,8 +207,9 @@ def mesh_note(
 def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:
     """Return the robot with its tool longer by `extension_m` [m] along the tool's z axis; negative shortens.
 
-    The TCP moves, and so do the capsules of the body that carries the TCP. The first of them starts at the flange: it
-    keeps that end and is lengthened. The extension may be traced. Unless it is 0, capsules that move have no pieces.
+    The TCP moves, and with it the capsules of the body that carries it. The first of these capsules keeps its end at
+    the flange and is lengthened. Unless the extension is 0, capsules that move lose their convex pieces. JAX may trace
+    the extension.
     """
     shift = extension_m * robot.T_link_tcp[:3, 2]
     ends = robot.on_tool[:, :, None] * shift[None, None, :]

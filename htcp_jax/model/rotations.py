@@ -1,7 +1,7 @@
 """Rotations: exponential and logarithm map, quaternions, and the smallest rotation between directions.
 
-jaxlie has these maps too, but stores a rotation as a quaternion, so matrices would be converted and rounded
-differently; it also depends on jax_dataclasses and tyro.
+jaxlie also has these maps, but stores a rotation as a quaternion: matrices would be converted, with other rounding
+errors. It also depends on jax_dataclasses and tyro.
 """
 
 import jax.numpy as jnp
@@ -13,9 +13,9 @@ from htcp_jax.types import Array, Float, Scalar, Vector3
 
 
 def axis_angle_matrix(axis: Float[Array, "n 3"], turn: Float[Array, "n"]) -> Float[Array, "n 3 3"]:
-    """Return the rotation matrices about unit axes by angles [rad], the exponential map.
+    """Return the rotation matrices about unit axes by angles [rad]: the exponential map, by Rodrigues' formula.
 
-    I + sin(turn) K + (1 - cos(turn)) K^2, where K v = axis x v.
+    The matrix is I + sin(turn) K + (1 - cos(turn)) K^2, where K v = axis x v.
     """
     x, y, z = axis.T
     o = jnp.zeros_like(x)
@@ -25,7 +25,7 @@ def axis_angle_matrix(axis: Float[Array, "n 3"], turn: Float[Array, "n"]) -> Flo
 
 
 def rotation_vector(rotation: Float[Array, "3 3"]) -> Vector3:
-    """Return the axis of a rotation matrix times its angle, 0 to pi [rad]; the logarithm map."""
+    """Return the rotation vector of a matrix: its axis times its angle, 0 to pi [rad]; the logarithm map."""
     twice = jnp.stack([
         rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1],
     ])  # fmt: skip
@@ -33,7 +33,7 @@ def rotation_vector(rotation: Float[Array, "3 3"]) -> Vector3:
     turn = jnp.arctan2(sine, cosine)
     flat = sine < 1e-12
     small = 0.5 * twice * jnp.where(flat, 1.0, turn / jnp.where(flat, 1.0, sine))
-    # Near half a turn the sine does not determine the axis; the symmetric part is (1 - cos) axis axis' + cos I.
+    # Near an angle of pi the sine does not determine the axis; the symmetric part is (1 - cos) axis axis' + cos I.
     symmetric = 0.5 * (rotation + rotation.T) - cosine * jnp.eye(3)
     best = jnp.argmax(jnp.diagonal(symmetric))
     column = jnp.where(cosine < -0.5, symmetric[:, best], jnp.array([1.0, 0.0, 0.0]))
@@ -42,7 +42,7 @@ def rotation_vector(rotation: Float[Array, "3 3"]) -> Vector3:
 
 
 def quaternion_matrix(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
-    """Return the matrix of a unit quaternion w, x, y, z (Siciliano et al., Robotics, section 2.6)."""
+    """Return the rotation matrix of a unit quaternion w, x, y, z (Siciliano et al., Robotics, section 2.6)."""
     w, x, y, z = quaternion
     return jnp.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -52,9 +52,10 @@ def quaternion_matrix(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
 
 
 def sine_error(now: Float[Array, "3 3"], wanted: Float[Array, "3 3"]) -> Vector3:
-    """Return the axis from one rotation to another times sin(angle), beyond a right angle the axis alone.
+    """Return the axis of the rotation between two orientations, times sin(angle) up to pi / 2, times 1 beyond.
 
-    It is half of sum_k r_k x t_k over the columns of both (Siciliano et al., Robotics, section 3.7.3).
+    The product axis sin(angle) is half of sum_k r_k x t_k over the columns of both matrices (Siciliano et al.,
+    Robotics, section 3.7.3).
     """
     v = 0.5 * jnp.sum(jnp.cross(now.T, wanted.T), axis=0)
     size = safe_norm(v)
@@ -62,14 +63,15 @@ def sine_error(now: Float[Array, "3 3"], wanted: Float[Array, "3 3"]) -> Vector3
 
 
 def angle(a: Vector3, b: Vector3) -> Scalar:
-    """Return the angle of two directions of length 1, 0 to pi [rad]; exact near both ends, where its gradient is 0."""
+    """Return the angle between two unit directions, 0 to pi [rad]; accurate near 0 and pi, with gradient 0 there."""
     return jnp.arctan2(safe_norm(jnp.cross(a, b)), product(a, b))
 
 
 def axis_error(axis: Vector3, direction: Vector3) -> Float[Array, "2"]:
     """Return the rotation vector from one unit direction to another, the logarithm map, as two components [rad].
 
-    They are along two directions perpendicular to `direction`; for opposite directions half a turn about any axis.
+    The components are along two axes perpendicular to `direction`. For opposite directions the result is a rotation by
+    pi about an arbitrary perpendicular axis.
     """
     least = jnp.argmin(jnp.abs(direction))
     first = jnp.cross(direction, jnp.where(jnp.arange(3) == least, 1.0, 0.0))
@@ -84,7 +86,7 @@ def axis_error(axis: Vector3, direction: Vector3) -> Float[Array, "2"]:
 
 
 def least_turn(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Return the smallest rotation vector that turns one direction into another; about any axis for opposite ones."""
+    """Return the shortest rotation vector from unit direction a to b [rad]; its axis is arbitrary if b = -a."""
     square, cosine = np.cross(a, b), float(a @ b)
     if (sine := float(np.linalg.norm(square))) < 1e-12:
         square, sine = np.cross(a, np.eye(3)[np.abs(a).argmin()]), 1.0
@@ -96,7 +98,7 @@ def least_turn(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np
 def turned_directions(
     a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"], share: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Return a share of the smallest rotation from unit directions a to b, applied to a."""
+    """Interpolate unit directions: rotate a by a share of the smallest rotation to b; share 0 is a, 1 is b."""
     turns = np.array([least_turn(one, other) for one, other in zip(a, b, strict=True)]).reshape(-1, 3)
     return scipy.spatial.transform.Rotation.from_rotvec(share[:, None] * turns).apply(a) if len(a) else a
 
@@ -104,14 +106,14 @@ def turned_directions(
 def turned_frames(
     a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"], share: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n 3 3"]:
-    """Return a share of the smallest rotation from frames a to b, applied to a."""
+    """Interpolate rotation matrices: rotate a by a share of the smallest rotation to b; share 0 is a, 1 is b."""
     if not len(a):
         return a
     return scipy.spatial.transform.Rotation.from_rotvec(share[:, None] * frame_turns(a, b)).as_matrix() @ a
 
 
 def frame_turns(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Return the smallest rotation vectors, in the world, that turn frames a into b [rad]."""
+    """Return the shortest rotation vectors, in the world, from rotation matrices a to b [rad]."""
     if not len(a):
         return np.zeros((0, 3))
     return scipy.spatial.transform.Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).as_rotvec()

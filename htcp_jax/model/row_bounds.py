@@ -1,23 +1,25 @@
-"""Allowed regions of a task row's features between two targets, and the slack that an interval of a motion leaves.
+"""Allowed regions of a task row's features on a segment between two targets, and the slack on an interval of a motion.
 
-On a segment a row's goal lies between that of the previous target, 0, and that of this one, 1:
+On a segment a row's goal lies between goal 0 of the previous target and goal 1 of the segment's own target. The allowed
+region of each kind of row:
 
-    a place       f_k = u_k p - o_k, its deviation in a direction by either: min f_k <= w and max f_k >= -w
-    an axis       the angle to d_0, to d_1, or to the direction half way, is at most the limit
-    a frame       so is the angle of the rotation to R_0, to R_1, or to the rotation half way
-    a view        so is the angle to the direction of the place
-    any other     error and slack by goal 0, by goal 1, or by the numbers half way
+    a point       with f_k = u_k p - o_k, the deviation by goal k = 0, 1 in a direction: min f_k <= w and max f_k >= -w
+    an axis       the angle to d_0, to d_1, or to the direction half way between them, is at most the limit
+    a frame       the angle of the rotation to R_0, to R_1, or to the rotation half way, is at most the limit
+    a view        the angle to the direction of the place is at most the limit
+    other kinds   error and slack are within the tolerance by goal 0, by goal 1, or by their mean
 
-w is the band plus the tolerance of lengths; the limit is the half angle, half way at least half the turn from 0 to 1,
-plus the tolerance of angles.
+w is the band plus the tolerance of lengths. The limit is the half angle plus the tolerance of angles. Half way, the
+half angle is taken to be at least half of the angle from goal 0 to goal 1.
 
-Where |g''| <= B within h of the middle m, g is within B h^2 / 2 of g(m) + (s - m) g'(m), the ends of which bound every
-convex function of it. Angles are compared as chords, which are lengths of vectors: |a - d| = 2 sin(angle / 2), and of
-rotation matrices sqrt(2) times that. Where the hinges turn by S in all per unit of s, |a''| <= S^2; of the direction
-q / |q| to a place, |q| >= r, it is at most |q''| / r + 2 / sqrt(3) |q'|^2 / r^2.
+Bounds: if |g''| <= B within h of the middle m, then g(s) is within B h^2 / 2 of g(m) + (s - m) g'(m). A convex function
+of this line attains its maximum at an end. Angles are compared as chords, which are lengths of vectors: |a - d| =
+2 sin(angle / 2) for axes, and sqrt(2) times that for rotation matrices. If the hinges turn by S in total per unit of s,
+an axis satisfies |a''| <= S^2. For the direction q / |q| to a place, |q| >= r, the second derivative is at most
+|q''| / r + 2 / sqrt(3) |q'|^2 / r^2.
 
-Of any other row error and slack change by at most `rate` times the displacement of its features, see `TaskRowKind`. A
-row without a rate is sampled: at intervals no longer than SAMPLED, in their middles, and nothing between them.
+Error and slack of other kinds change by at most `rate` times the displacement of their features, see `TaskRowKind`. A
+row without a rate is sampled: it is evaluated only in the middles of intervals no longer than SAMPLED.
 """
 
 from collections.abc import Callable
@@ -30,48 +32,45 @@ from htcp_jax.model.rotations import angle, axis_angle_matrix, rotation_vector
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Scalar, Vector3
 
-ROUNDING_M = 1e-9  # of a place
-ROUNDING = 1e-12  # of a chord
+ROUNDING_M = 1e-9  # rounding error of a position
+ROUNDING = 1e-12  # rounding error of a chord
 SAMPLED = 0.01  # longest interval of a sampled row, in any joint [rad or m]
 
 
 class RowSlack(NamedTuple):
-    """Slack of a row, or of each of P, on an interval of a joint path."""
+    """Slack of a row, or of each of P rows, on an interval of a joint path."""
 
-    left: Float[Array, "*P"]  # allowed deviation of its features' vectors from the path; negative: it may be violated
-    broken: Bool[Array, "*P"]  # True: it is violated at the middle
-    apart: Float[Array, "*P"]  # lower bound on the distance of the place that an axis points at [m]; inf: none
+    left: Float[Array, "*P"]  # further deviation that the features' vectors may have; negative: may be violated
+    broken: Bool[Array, "*P"]  # True: the row is violated at the interval's middle
+    apart: Float[Array, "*P"]  # lower bound on an axis's distance from the place it points at [m]; inf: not a view
 
 
 class FeatureMotion:
-    """Motion of a row's features on an interval of a joint path, about its middle; per unit of the path."""
+    """Motion of a row's features about the middle of an interval of a joint path; rates are per unit of the path."""
 
-    half: Scalar  # half the interval
-    turning: Scalar  # sum of the hinges' turns [rad]
-    fastest: Scalar  # largest joint change [rad or m]
+    half: Scalar  # half the interval's length
+    turning: Scalar  # sum of the hinges' rotation rates [rad]
+    fastest: Scalar  # largest rate of a joint [rad or m]
 
     def moving(self, k: int) -> tuple[Vector3, Vector3]:
-        """Return feature k's position [m] or direction, and its velocity."""
+        """Return feature k at the middle, a position [m] or a direction, and its velocity."""
         raise NotImplementedError
 
     def bend(self, k: int) -> Scalar:
-        """Return a bound on the acceleration of feature k, a point, on the interval [m]."""
+        """Return an upper bound on the acceleration of feature k, a point, on the interval [m]."""
         raise NotImplementedError
 
     def velocity(self, function: Callable) -> tuple[Array, Array]:
-        """Return function(feature 0, feature 1, ...) of the features' vectors, and its derivative."""
+        """Return function(feature 0, feature 1, ...) at the middle, and its derivative along the path."""
         raise NotImplementedError
 
 
 class Slabs(NamedTuple):
-    """Allowed region of a point: c directions, offsets and allowed deviations.
+    """Allowed region of a point, by the goals of both targets: slabs normal to c directions."""
 
-    For either target: the offsets along the directions, and the allowed deviation [m].
-    """
-
-    across: Float[Array, "2 c 3"]
-    offset: Float[Array, "2 c"]
-    within: Float[Array, "2"]
+    across: Float[Array, "2 c 3"]  # directions
+    offset: Float[Array, "2 c"]  # required positions along the directions [m]
+    within: Float[Array, "2"]  # allowed deviations [m]
 
     def left(self, motion: FeatureMotion) -> RowSlack:
         """Return the slack of the point [m]."""
@@ -90,10 +89,13 @@ class Slabs(NamedTuple):
 
 
 class Chords(NamedTuple):
-    """Allowed vectors of the arm: within a distance of one of k; axes of length 1, concatenated."""
+    """Allowed region of an axis or a frame: vectors within a distance of one of k vectors.
+
+    A vector is the axis, or the concatenation of the frame's three axes, of length 1 each.
+    """
 
     vectors: Float[Array, "k v"]
-    radius: Float[Array, "k"]
+    radius: Float[Array, "k"]  # allowed distances, as chords
 
     def left(self, motion: FeatureMotion) -> RowSlack:
         """Return the slack of the axes, as a chord."""
@@ -106,10 +108,10 @@ class Chords(NamedTuple):
 
 
 class ViewTarget(NamedTuple):
-    """The place that an axis points at [m], and the allowed deviation of the axis as a chord."""
+    """Allowed region of an axis that points at a place."""
 
-    place: Vector3
-    radius: Scalar
+    place: Vector3  # [m]
+    radius: Scalar  # allowed deviation of the axis, as a chord
 
     def left(self, motion: FeatureMotion) -> RowSlack:
         """Return the slack of the axis, as a chord."""
@@ -132,14 +134,14 @@ class ViewTarget(NamedTuple):
 
 
 class RateBound(NamedTuple):
-    """Features of which error and slack change by at most `rate` per displacement; None: sampled."""
+    """Allowed region of features by their slack, which changes by at most `rate` times their displacement."""
 
-    slack: Callable[[Float[Array, "v"]], Scalar]  # the larger of the slacks by the goals at both targets and half way
-    is_direction: tuple[bool, ...]  # of each feature
-    rate: float | None
+    slack: Callable[[Float[Array, "v"]], Scalar]  # the largest slack by goal 0, by goal 1 and by their mean
+    is_direction: tuple[bool, ...]  # per feature; False for a point
+    rate: float | None  # see `TaskRowKind`; None: unknown, the row is sampled
 
     def left(self, motion: FeatureMotion) -> RowSlack:
-        """Return the slack of the features' vectors together."""
+        """Return the slack as a norm: the displacement that all features together may have."""
         half, moving = motion.half, [motion.moving(k) for k in range(len(self.is_direction))]
         slack = self.slack(jnp.concatenate([now for now, _ in moving]))
         if self.rate is None:
@@ -153,7 +155,7 @@ Region = Slabs | Chords | ViewTarget | RateBound
 
 
 def allowed_axes(a: Vector3, b: Vector3, limit: Float[Array, "2"], tolerance_rad: float) -> Chords:
-    """Return the allowed axes between two directions with half angles [rad]."""
+    """Return the allowed region of an axis between two required directions; `limit` is each goal's half angle [rad]."""
     both = a + b
     middle = jnp.where(safe_norm(both) > 1e-6, both / jnp.maximum(safe_norm(both), 1e-6), a)
     return Chords(jnp.stack([a, b, middle]), chord(_half_angles(limit, angle(a, b)) + tolerance_rad))
@@ -162,7 +164,7 @@ def allowed_axes(a: Vector3, b: Vector3, limit: Float[Array, "2"], tolerance_rad
 def allowed_frames(
     a: Float[Array, "3 3"], b: Float[Array, "3 3"], limit: Float[Array, "2"], tolerance_rad: float
 ) -> Chords:
-    """Return the allowed frames between two rotations with angles [rad]."""
+    """Return the allowed region of a frame between two required rotations; `limit` is each goal's half angle [rad]."""
     vector = rotation_vector(product(b, a.T))
     size = safe_norm(vector)
     axis = jnp.where(size > 0, vector, jnp.array([1.0, 0.0, 0.0])) / jnp.where(size > 0, size, 1.0)
@@ -172,12 +174,12 @@ def allowed_frames(
 
 
 def chord(half_angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Return the chord of a half angle [rad] in a circle of radius 1; infinite from half a turn on."""
+    """Return the chord 2 sin(angle / 2) of an angle [rad] in the unit circle; infinite for pi and more."""
     return jnp.where(half_angle < np.pi, 2 * jnp.sin(0.5 * half_angle), jnp.inf)
 
 
 def _half_angles(limit: Float[Array, "2"], turn: Scalar) -> Float[Array, "3"]:
-    """Return the half angles about both ends of a turn, and half way."""
+    """Return the half angles at goal 0, at goal 1 and half way; `turn` is the angle between the goals [rad]."""
     return jnp.append(limit, jnp.maximum(limit.mean(), 0.5 * turn))
 
 

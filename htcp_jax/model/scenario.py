@@ -1,4 +1,4 @@
-"""Scenarios: start, workpiece pose and targets of one plan; checked, then stacked."""
+"""Scenarios: the start, workpiece pose and targets of one plan. They are checked, then stacked into a batch."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,51 +16,51 @@ from htcp_jax.status import Status
 from htcp_jax.types import Anywhere, Bool, Float, Int
 
 NOT_REFUSED = -1
-PLACE_ROUNDING = 1e-9  # of sums of shares
+PLACE_ROUNDING = 1e-9  # rounding error of `Scenario.place`
 
 
 class OutOfReach(InputError):
-    """A target is beyond the arm's maximum reach."""
+    """Error for a target beyond the arm's maximum reach."""
 
 
 @register_pytree
 @dataclass(frozen=True)
 class Scenario:
-    """The data that differs between members of a batch. Stacked, every leaf has a leading axis S."""
+    """Data of one plan that may differ within a batch; in stacked scenarios every leaf has a leading axis S."""
 
-    x_start: Float[Anywhere, "*S N"]  # [rad or m]; with `auto_start` home or arbitrary, until it is chosen
-    x_home: Float[Anywhere, "*S N"]  # start of the motion [rad or m]; NaN: x_start, still to be chosen
+    x_start: Float[Anywhere, "*S N"]  # [rad or m]; with `auto_start` a placeholder until the planner has chosen it
+    x_home: Float[Anywhere, "*S N"]  # first configuration of the motion [rad or m]; NaN: x_start, when it is chosen
     auto_start: Bool[Anywhere, "*S"]  # True: the planner chooses the start, at the path's first point
     T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
-    interior_plane: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `interior_plane_of`
+    interior_plane: Float[Anywhere, "*S 4"]  # unit normal and offset [m], see `interior_plane_of`
     targets: Float[Anywhere, "*S T M"]  # positions of the tool, world [m]; rows from `count` on are padding
-    count: Int[Anywhere, "*S"]  # targets to track
-    on_path: Int[Anywhere, "*S"]  # the first target that is a point of the path; those before it lead there
+    count: Int[Anywhere, "*S"]  # number of targets to track
+    on_path: Int[Anywhere, "*S"]  # index of the first target that is a point of the path; earlier ones are the approach
     margin_m: Float[Anywhere, "*S"]  # required clearance
     tool_extension_m: Float[Anywhere, "*S"]
-    number: Int[Anywhere, "*S"]  # identity, from which the random keys are folded
+    number: Int[Anywhere, "*S"]  # the scenario's number, from which the random keys are folded
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status of a scenario that is not planned
-    task_goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
-    obstacle_numbers: Float[Anywhere, "*S P"] | None = None  # of the kinds of obstacles [m]; None: there are none
-    max_joint_step: Float[Anywhere, "*S T N"] | None = None  # most travel to a target of the path [rad or m]; None: any
-    # With goals inserted between targets: 3.25 is a quarter of the way from target 3 to 4; None: rows are targets
-    place: Float[Anywhere, "*S T"] | None = None  # of each row among the targets [1]
+    task_goals: Float[Anywhere, "*S T G"] | None = None  # goals of the task, see `task_rows` [m]; None: the targets
+    obstacle_numbers: Float[Anywhere, "*S P"] | None = None  # numbers of obstacles of other packages [m]; None: none
+    max_joint_step: Float[Anywhere, "*S T N"] | None = None  # maximum travel to a target [rad or m]; None: unlimited
+    # If goals are inserted between targets, 3.25 is a quarter of the segment from target 3 to 4.
+    place: Float[Anywhere, "*S T"] | None = None  # position of each row among the targets [1]; None: rows are targets
 
     @property
     def begins_anywhere(self) -> Bool[Anywhere, "*S"]:
-        """True if the motion begins at the start, and the planner still has to choose it."""
+        """True if the motion begins at the start, and the planner has not chosen the start yet."""
         return np.asarray(np.isnan(self.x_home).any(axis=-1))
 
     @property
     def segments(self) -> Int[Anywhere, "*S T"]:
-        """The target at the end of the segment that each row is on, without inserted goals; see `place`."""
+        """Index of the target at the end of each row's segment; inserted goals are not counted, see `place`."""
         if self.place is None:
             return np.broadcast_to(np.arange(self.targets.shape[-2]), self.targets.shape[:-1])
         return np.ceil(np.asarray(self.place) - PLACE_ROUNDING).astype(int)
 
     @property
     def goals(self) -> Float[Anywhere, "*S T G"]:
-        """The task's goals at every target."""
+        """Goals of the task at every target; for the paper's task, the targets."""
         return self.targets if self.task_goals is None else self.task_goals
 
 
@@ -72,13 +72,13 @@ def path_targets(
 ) -> Float[np.ndarray, "T 3"]:
     """Return the targets of one scenario [m]: the start TCP, the steps of the approach, and the complete path.
 
-    The path's first point is the last step of the approach, too, so it occurs twice. All points are in one frame.
+    The path's first point occurs twice: it is also the last step of the approach. All points are in the same frame.
 
     Args:
         tcp: The start TCP.
-        inlet: The inlet's centre, via point of the approach; None: the steps lead straight from the start to the path.
+        inlet: The inlet's centre, via point of the approach; None: the approach is straight from the start to the path.
         path: Points of the path.
-        approach: Number of equal steps to the inlet's centre, and of equal steps from there to the path.
+        approach: Number of equal steps to the inlet's centre, and number of equal steps from there to the path.
     """
     stops = [tcp, path[0]] if inlet is None else [tcp, inlet, path[0]]
     steps = [sum(approach)] if inlet is None else approach
@@ -111,24 +111,24 @@ def make_scenario(
         workpiece: The workpiece.
         start: N joint positions [rad or m]; None: the planner chooses them, at the path's first point, which is then
             the first target, without an approach.
-        home: Joint positions in which the motion begins [rad or m]; None: the start.
-        rotation: Workpiece about world y, then z [rad], after `rotation_x_rad`.
-        rotation_x_rad: Workpiece about world x.
-        shift: Of the workpiece, world [m].
+        home: Joint positions at which the motion begins [rad or m]; None: the start.
+        rotation: Rotation of the workpiece about world y, then z [rad], after `rotation_x_rad`.
+        rotation_x_rad: Rotation of the workpiece about world x.
+        shift: Translation of the workpiece in the world [m].
         approach: Steps of the approach, see `path_targets`.
         margin_m: Required clearance.
-        tool_extension_m: See `robot.lengthen_tool`.
-        number: Identity, for the random keys.
-        beyond_reach: "raise" an OutOfReach for a target beyond the arm's maximum reach, or "record" it: the scenario is
-            then not planned, and its status is that reason.
-        follows: Position at the start of the point that follows the path, world [m]; None: the TCP.
+        tool_extension_m: Extension of the tool, see `robot.lengthen_tool`.
+        number: Number of the scenario, for the random keys.
+        beyond_reach: What to do if a target is beyond the arm's maximum reach: "raise" raises OutOfReach; "record" sets
+            the scenario's status, and the scenario is not planned.
+        follows: World position [m], at the start, of the point that follows the path; None: the TCP's position.
 
     Raises:
         InputError: For a start or home of the wrong length or outside the joint limits.
-        OutOfReach: An InputError, for a target beyond the arm's maximum reach if that is to "raise".
+        OutOfReach: An InputError, for a target beyond the arm's maximum reach if `beyond_reach` is "raise".
     """
     x_start, x_home = _begins(robot, start, home)
-    longer = _LONGER(robot, float(tool_extension_m)) if tool_extension_m else robot
+    longer = with_tool(robot, float(tool_extension_m))
     T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
     rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
     path = workpiece.path @ rotate.T + translate
@@ -165,9 +165,9 @@ def interior_plane_of(
 ) -> Float[np.ndarray, "4"]:
     """Return the plane beyond which capsule ends must lie inside the workpiece: its unit normal n and offset [m].
 
-    Beyond is n @ x > offset, in the world. If the robot's own base is beyond that plane, next to the workpiece, the
-    plane separates nothing: the offset is infinite and the rule off; so it is if the part moves. The paper's rule,
-    along the world's x, always applies.
+    A point x in the world lies beyond the plane if n @ x > offset. If the part moves, or if the robot's base is beyond
+    the plane (next to the workpiece), the offset is infinite, which switches the rule off. For the paper's rule, along
+    the world's x, the base is not considered.
     """
     plane = workpiece.interior_plane(T_world_workpiece)
     if robot.part_moves:
@@ -182,49 +182,53 @@ def interior_plane_of(
 
 
 def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
-    """Describe the rule that bodies deep in the workpiece must lie in its hull, or the reason that it is off."""
+    """Describe the rule that bodies deep in the workpiece must lie in its hull, or the reason why it is off."""
     is_outside = np.isinf(scenario.interior_plane[3]) and len(workpiece.hull_offset)
     return "off: the robot stands beyond the inlet, or the part moves" if is_outside else workpiece.interior_rule
 
 
-def place_of(workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> str:
-    """Describe where a workpiece stands in the world: its frame, and the extent of its walls, or of its path.
+def place_of(workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"], link: str | None = None) -> str:
+    """Describe a workpiece's place in the world: its frame, and the extent of its walls, or of its path without walls.
 
     Args:
         workpiece: The workpiece.
         T_world_workpiece: Its pose [m].
+        link: Name of the link that carries it; None for the world.
     """
     T = np.asarray(T_world_workpiece)
     angle = np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1.0, 1.0)))
     at = ", ".join(f"{value:.4g}" for value in np.round(T[:3, 3], 6) + 0.0)
-    place = f"origin at ({at}) m" if T[:3, 3].any() else "at the world's origin"
+    place = f"origin at ({at}) m" if T[:3, 3].any() else f"at {'the world' if link is None else link}'s origin"
     turned = f"turned by {angle:.3g} deg" if (T[:3, :3] != np.eye(3)).any() else "not turned"
     points = workpiece.shown @ T[:3, :3].T + T[:3, 3]
     sides = zip("xyz", points.min(axis=0) + 0.0, points.max(axis=0) + 0.0, strict=True)
     extent = ", ".join(f"{axis} {low:.3f} to {high:.3f}" for axis, low, high in sides)
     origin = ", ".join(f"{value:.12g}" for value in np.asarray(workpiece.origin))
     of_files = f"; its origin is ({origin}) m of its files" if np.any(workpiece.origin) else ""
-    return f"{place}, {turned}; extent {extent} m{of_files}"
+    frame = "" if link is None else f", in the frame of {link}"
+    return f"{place}, {turned}; extent {extent} m{frame}{of_files}"
 
 
 def without_pose(T_world_workpiece: Float[np.ndarray, "4 4"]) -> str:
-    """Return the beginning of a message on a workpiece without a pose [m]: where it stands; empty if it has one."""
+    """Return the beginning of a message about a workpiece without a pose; "" for any other pose [m]."""
     if (np.asarray(T_world_workpiece) != np.eye(4)).any():
         return ""
-    return "the workpiece is at the world's origin, not turned, where a job without its pose puts it: "
+    return "the workpiece is at the world's origin, not rotated, as in a job without a pose: "
 
 
 def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:
-    """Return the robot with one scenario's tool, and the scenario without its tool extension.
-
-    Together they are equivalent to the originals.
-    """
+    """Return an equivalent robot and scenario: the robot with the scenario's tool extension, the scenario with 0."""
     own = replace(scenario, tool_extension_m=np.zeros_like(scenario.tool_extension_m))
-    return _LONGER(robot, float(scenario.tool_extension_m)), own
+    return with_tool(robot, float(scenario.tool_extension_m)), own
+
+
+def with_tool(robot: Robot, extension_m: float) -> Robot:
+    """Return the robot with its tool lengthened by `extension_m`, see `lengthen_tool`; the same object for 0."""
+    return _LONGER(robot, extension_m) if extension_m else robot
 
 
 def stack(scenarios: Sequence[Scenario]) -> Scenario:
-    """Stack scenarios into one batch: numpy leaves with a leading axis S.
+    """Stack S scenarios into one batch: numpy leaves with a leading axis S.
 
     Shorter target lists are padded with their last target.
 
@@ -246,11 +250,11 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
 
 
 def with_free_approach(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> Scenario:
-    """Return stacked scenarios whose approaches leave their lines: the chosen targets become the path's first point.
+    """Replace some targets of the approach by the path's first point, so that the approach may leave its line.
 
     Args:
         scenarios: Stacked scenarios.
-        which: True at the chosen targets.
+        which: True for the targets to replace.
     """
     s, first = np.arange(len(which)), np.minimum(scenarios.on_path, which.shape[1] - 1)
     targets, goals = (
@@ -261,11 +265,11 @@ def with_free_approach(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> S
 
 
 def with_max_joint_step(scenarios: Scenario, most: float | Sequence[float] | None) -> Scenario:
-    """Return stacked scenarios in which a joint travels no farther between two targets of the path.
+    """Limit the travel of each joint between two targets of the path.
 
     Args:
         scenarios: Stacked scenarios.
-        most: Longest travel, one for all joints or one per joint [rad or m]; None: any.
+        most: Maximum travel: one number for all joints, or one per joint [rad or m]; None: unlimited.
     """
     if most is None:
         return scenarios
@@ -278,7 +282,7 @@ _TCP, _LONGER = jax.jit(tcp_position), jax.jit(lengthen_tool)
 
 
 def _begins(robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequence[float] | Anywhere | None):
-    """Return x_start and x_home of a scenario."""
+    """Return x_start and x_home of a `Scenario`."""
     if start is None and home is None:
         anywhere = np.clip(np.zeros(len(robot.joint_names)), robot.lower, robot.upper)
         return anywhere, np.full_like(anywhere, np.nan)
@@ -287,7 +291,7 @@ def _begins(robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequen
 
 
 def _start_configuration(robot: Robot, positions: Sequence[float] | Anywhere, what: str) -> Float[np.ndarray, "N"]:
-    """Return joint positions within the robot's limits; messages call them `what`.
+    """Return joint positions as an array, checked against the robot's limits; `what` is their name in messages.
 
     Raises:
         InputError: For a wrong number of positions, and for one outside its limits.
@@ -304,7 +308,10 @@ def _start_configuration(robot: Robot, positions: Sequence[float] | Anywhere, wh
 def _check_reach(robot: Robot, targets: np.ndarray) -> None:
     base, longest = np.asarray(robot.T_parent_joint)[0, :3, 3], max_reach(robot)
     far = np.linalg.norm(targets - base, axis=1)
-    if (worst := int(np.argmax(far > longest))) or far[0] > longest:
+    beyond = np.flatnonzero(far > longest)
+    if len(beyond):
+        first, others = beyond[0], f", {len(beyond) - 1} other targets are too far, too" if len(beyond) > 1 else ""
         raise OutOfReach(
-            f"target {worst} is {far[worst]:.3f} m from the robot's base; {robot.name} reaches {longest:.3f} m at most"
+            f"target {first} is {far[first]:.3f} m from the robot's base; {robot.name} reaches {longest:.3f} m at most"
+            f"{others}"
         )

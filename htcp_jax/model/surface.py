@@ -1,4 +1,4 @@
-"""Surface of a point cloud for drawing: for every point a normal and a small disc that meets its neighbours."""
+"""Surface of a point cloud for drawing: a normal and a small disc for every point; neighbouring discs overlap."""
 
 from typing import NamedTuple
 
@@ -6,8 +6,8 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-MOST = 60_000  # points drawn at most
-NEIGHBOURS, REACHED = 24, 8  # points per fitted normal; a disc extends beyond this neighbour
+MOST = 60_000  # maximum number of points drawn
+NEIGHBOURS, REACHED = 24, 8  # neighbours to which a normal is fitted; a disc extends beyond the REACHED-th neighbour
 CORNERS, SURROUNDINGS = 6, 500
 
 
@@ -15,8 +15,8 @@ class Surface(NamedTuple):
     """P points of a cloud [m], each with a normal and a disc."""
 
     points: Float[np.ndarray, "P 3"]
-    normals: Float[np.ndarray, "P 3"]  # unit, to the inside
-    radius: Float[np.ndarray, "P"]  # of the discs
+    normals: Float[np.ndarray, "P 3"]  # unit, towards the inside
+    radius: Float[np.ndarray, "P"]  # radii of the discs [m]
 
     def only(self, which: Bool[np.ndarray, "P"] | Int[np.ndarray, "n"]) -> "Surface":
         """Return the points selected by a mask or by indices."""
@@ -29,10 +29,14 @@ class Surface(NamedTuple):
 
 
 class WorldGeometry(NamedTuple):
-    """Geometry in the world, for pictures."""
+    """Geometry in the world, for drawing."""
 
     triangles: Float[np.ndarray, "F 3 3"]  # [m]
     clouds: Surface
+
+    def placed(self, T: Float[np.ndarray, "4 4"]) -> "WorldGeometry":
+        """Return the geometry transformed by T [m]."""
+        return WorldGeometry(self.triangles @ T[:3, :3].T + T[:3, 3], self.clouds.placed(T))
 
 
 NOTHING = WorldGeometry(np.empty((0, 3, 3)), Surface(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)))
@@ -47,7 +51,7 @@ class Mesh(NamedTuple):
 
 
 def surface_of(cloud: Float[np.ndarray, "P 3"], most: int = MOST) -> Surface:
-    """Return the surface of a cloud: all of its points, or a random choice of `most`, the same each time."""
+    """Return the surface of a cloud [m]: all of its points, or at most `most` points from a fixed random choice."""
     if len(cloud) > most:
         cloud = cloud[np.sort(np.random.default_rng(0).choice(len(cloud), most, replace=False))]
     count = min(NEIGHBOURS, len(cloud) - 1)
@@ -61,8 +65,8 @@ def cloud_normals(
 ) -> Float[np.ndarray, "P 3"]:
     """Return the unit normals of the cloud's surface at points, towards the inside.
 
-    A normal is perpendicular to the plane fitted to the points near its point, towards the side on which most of the
-    surroundings lie.
+    A normal is perpendicular to the plane that fits the point's neighbours. It points to the side on which most of the
+    cloud nearby lies.
 
     Args:
         points: Points at which to fit [m].
@@ -77,7 +81,7 @@ def cloud_normals(
 def _inwards(
     points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P 3"], cloud: Float[np.ndarray, "C 3"]
 ) -> Float[np.ndarray, "P 3"]:
-    """Return the normals turned to the side on which the point's wider surroundings in the cloud lie."""
+    """Reverse each normal that points away from the mean of the cloud around its point, weighted by distance."""
     some = cloud[:: max(1, len(cloud) // SURROUNDINGS)]
     width = max(np.ptp(cloud, axis=0).max() / 4, 1e-9)
     squared = (points**2).sum(axis=1)[:, None] - 2 * points @ some.T + (some**2).sum(axis=1)
@@ -87,7 +91,7 @@ def _inwards(
 
 
 def discs(surface: Surface, side: int = 1, corners: int = CORNERS) -> Mesh:
-    """Return a polygon for every point, visible from the side of its normal.
+    """Return a mesh with one disc per point; a disc is a polygon, visible from the side of its normal.
 
     Args:
         surface: The points, their normals and radii.

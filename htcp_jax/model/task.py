@@ -3,9 +3,9 @@
     error(x) = 0        M rows, with the Jacobian -d error / dx, M x N; the paper's are target - Gamma(x) of the TCP
     slack(x) >= 0       B rows: cones and bands
 
-The kinds of rows are in `task_rows`. They compare features of the arm, `value`, which depend on x alone, with the
-numbers of a target's goal. With N - M = 0 the arm has no redundancy, and no null space. Errors and their tolerances are
-defined here only.
+The kinds of rows are in `task_rows`. A row compares features of the arm, whose `value` depends only on x, with the
+numbers of a target's goal. If N - M = 0, the arm has no redundancy and no null space. This module alone defines errors
+and their tolerances.
 """
 
 from dataclasses import dataclass
@@ -36,24 +36,24 @@ EXACT = 1e-9  # [m or rad]; smaller violations of an inequality are rounding
 class TaskLinear(NamedTuple):
     """A task at one configuration, to first order; angles are converted to lengths, see `Task`."""
 
-    error: Float[Array, "M"]  # the error that a step has to remove [m]
+    error: Float[Array, "M"]  # the error that a step must remove [m]
     jacobian: Float[Array, "M N"]  # [m/rad or m/m]; the paper's Jac(x)
-    slack: Float[Array, "B"]  # slack, less the small distance inside at which a step aims [m]
-    gradient: Float[Array, "B N"]  # of the slack [m/rad or m/m]
+    slack: Float[Array, "B"]  # slack minus the small distance inside the inequality at which a step aims [m]
+    gradient: Float[Array, "B N"]  # gradient of the slack [m/rad or m/m]
 
 
 @jax.tree_util.register_static
 @dataclass(frozen=True)
 class Task:
-    """The constraint on the arm: its rows, and their tolerances. Static: a goal is data.
+    """The constraint on the arm: its rows and their tolerances. A task is static in JAX; its goals are data.
 
-    An angle is converted to the length with the same share of its tolerance, so that one number, the residual [m],
+    Angles are converted to lengths by the factor tolerance_m / tolerance_rad. One number, the residual [m], then
     measures how far a configuration is from satisfying the task.
     """
 
     parts: tuple[Row, ...] = (TaskPoint(),)
-    tolerance_m: float = 1e-3  # of the norm of the error
-    tolerance_rad: float = 2e-3  # of angles in it
+    tolerance_m: float = 1e-3  # tolerance of the norm of the error
+    tolerance_rad: float = 2e-3  # tolerance of angles
 
     @property
     def rows(self) -> int:
@@ -77,12 +77,12 @@ class Task:
 
     @property
     def sampled(self) -> bool:
-        """True if the error of a row has no bound on its rate of change: edges are then checked at samples."""
+        """True if a row has no bound on its error between two configurations: edges are then checked at samples."""
         return any(part.sampled for part in self.parts)
 
     @property
     def is_points(self) -> bool:
-        """True if all rows are world coordinates of points: then a goal is the value itself."""
+        """True if all rows are world coordinates of points; a goal then consists of these coordinates."""
         return all(isinstance(part, TaskPoint) for part in self.parts)
 
     @property
@@ -91,7 +91,7 @@ class Task:
         return TaskPoint() in self.parts
 
     def tcp_place(self, goal: Float[Anywhere, "*S G"]) -> Float[Anywhere, "*S 3"]:
-        """Return the TCP position in a goal, for a task with `holds_tcp`, in the world [m]."""
+        """Return the TCP position in a goal, in the world [m]; only for a task with `holds_tcp`."""
         start = self.starts[self.parts.index(TaskPoint())]
         return goal[..., start : start + 3]
 
@@ -101,11 +101,11 @@ class Task:
         share: Float[np.ndarray, "n"],
         places: Float[np.ndarray, "n 2 3"] | None = None,
     ) -> Float[np.ndarray, "n G"]:
-        """Return goals between those of two targets: places on a line, directions and frames turned evenly.
+        """Interpolate goals between two targets: positions linearly, directions and frames by rotation.
 
         Args:
             goals: Goals at both targets.
-            share: Share of the way from the first to the second.
+            share: Share of the segment from the first target to the second [1].
             places: Positions of the targets, world [m]; None: unknown.
         """
         parts = zip(self.parts, self.starts, strict=True)
@@ -114,13 +114,13 @@ class Task:
         )
 
     def turn(self, goals: Float[np.ndarray, "n 2 G"]) -> Float[np.ndarray, "n"]:
-        """Return the largest angle between the orientations that two goals require [rad]."""
+        """Return the largest angle, over all rows, between the orientations that two goals require [rad]."""
         parts = zip(self.parts, self.starts, strict=True)
         return np.max([part.turn(goals[..., at : at + part.numbers]) for part, at in parts], axis=0)
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """Index in a goal of each part's first number."""
+        """Index of each row's first number in a goal."""
         return tuple(np.cumsum([0, *(part.numbers for part in self.parts[:-1])]).tolist())
 
     @property
@@ -128,22 +128,22 @@ class Task:
         return tuple(feature for part in self.parts for feature in part.features)
 
     def freedom(self, robot: Robot) -> int:
-        """Return D = N - M, the dimension of the null space.
+        """Return the dimension of the null space, D = N - M.
 
         Raises:
-            InputError: For more rows than joints.
+            InputError: For more equations than joints.
         """
         joints = len(robot.slides)
         if self.rows > joints:
-            raise InputError(f"the task has {self.rows} rows, the robot {robot.name} has {joints} joints")
+            raise InputError(f"the task has {self.rows} equations, more than the {joints} joints of robot {robot.name}")
         return joints - self.rows
 
     def value(self, robot: Robot, x: Joints) -> Float[Array, "V"]:
-        """Return the features of the arm: points [m], and directions without a unit."""
+        """Return the coordinates of the arm's features at x [rad or m]: points [m], directions without a unit."""
         return _concatenated([_rows_of_feature(feature, feature_at(robot, x, feature)) for feature in self._features])
 
     def jacobian(self, robot: Robot, x: Joints) -> Float[Array, "V N"]:
-        """Return d value / dx [m/rad or m/m, of directions 1/rad]."""
+        """Return d value / dx [m/rad or m/m; 1/rad for directions]."""
         return _concatenated(
             [_rows_of_feature(feature, _feature_jacobian(robot, x, feature)) for feature in self._features]
         )
@@ -177,15 +177,18 @@ class Task:
         return self.linear(self.value(robot, x), self.jacobian(robot, x), goal)
 
     def error(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Float[Array, "M"]:
-        """Return Delta C = C_next - C_ref of equation (9) [m]."""
+        """Return the error Delta C = C_next - C_ref of equation (9) [m]; angles are converted to lengths."""
         return goal - value if self.is_points else self._together("error", value, goal)
 
     def slack(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
-        """Return the smallest slack of all bands and cones [m]; infinite without one."""
+        """Return the smallest slack of all bands and cones [m]; infinite if the task has none."""
         return jnp.min(self._slack(value, goal), initial=jnp.inf)
 
     def residual(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
-        """Return the error's norm [m], which a plan records; if a band or cone is violated, more than the tolerance."""
+        """Return the residual [m]: the norm of the error.
+
+        If a band or cone is violated, the violation and the tolerance are added.
+        """
         off = safe_norm(self.error(value, goal))
         if not self.bands:
             return off
@@ -198,10 +201,7 @@ class Task:
         return any(part.angular and part.equalities for part in self.parts)
 
     def errors(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> tuple[Scalar, Scalar]:
-        """Return the distance of the constrained points from their goals [m] and the largest angle error [rad].
-
-        The residual combines them.
-        """
+        """Return the two parts of the residual: the points' distance from their goals [m], the largest angle [rad]."""
         value, v = self.value(robot, x), 0
         lengths, angles = [jnp.zeros(0)], [jnp.zeros(())]
         for start, part in zip(self.starts, self.parts, strict=True):
@@ -216,14 +216,14 @@ class Task:
         return self.residual(self.value(robot, x), goal)
 
     def least_turn(self, robot: Robot, rotation: Float[Array, "3 3"], goal: Float[Array, "G"]) -> Scalar:
-        """Return a lower bound on the last link's rotation until every row is satisfied [rad].
+        """Return a lower bound on the angle by which the last link must rotate to satisfy every row [rad].
 
-        Only rows that depend on nothing but the last link's orientation are considered. When it turns by an angle, none
-        of its axes turns by more.
+        Only rows that depend solely on the last link's orientation are considered. The bound is valid because a
+        rotation by an angle changes the direction of no axis by more than this angle.
 
         Args:
             robot: The robot.
-            rotation: The orientation to turn from, in the world.
+            rotation: The link's initial orientation in the world.
             goal: The goal, in the format of the rows.
         """
         found = [jnp.zeros(())]
@@ -247,11 +247,11 @@ class Task:
     def is_satisfied(self, clearance: Numbers, residual: Numbers, margin_m: Numbers) -> Numbers:
         """Return True where a configuration is accepted; elementwise, numpy or JAX.
 
-        The only acceptance test, on the host and on the device: D > 0, D >= margin_m, and the target reached. A margin
-        of 0 requires D > 0, as the paper does: touching is not clear.
+        This is the only acceptance test, on the host and on the device: D > 0, D >= margin_m, and a residual within the
+        tolerance. A margin of 0 requires D > 0, as in the paper: contact is not accepted.
 
         Args:
-            clearance: D [m].
+            clearance: The clearance D [m].
             residual: The residual [m].
             margin_m: Required clearance.
         """
@@ -261,7 +261,7 @@ class Task:
         return self._together("slack", value, goal)
 
     def _together(self, what: str, value: Array, goal: Array) -> Array:
-        """Return the quantity `what` of all parts, with angles as lengths."""
+        """Return the quantity `what` of all rows, concatenated; angles are converted to lengths."""
         found, v, g = [], 0, 0
         for part in self.parts:
             size = part.size
@@ -271,13 +271,13 @@ class Task:
         return _concatenated(found)
 
 
-TCP_POSITION = Task()  # the paper's
+TCP_POSITION = Task()  # the paper's task
 
 
 def feature_at(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3"]:
-    """Return a point's position [m], or a direction of length 1; all three coordinates, in the world.
+    """Return all three coordinates of a feature in the world: a position [m] or a unit direction.
 
-    If the part moves, its link takes the place of the world, except for a direction that is `seen_from` a frame.
+    If the part moves, coordinates are in the frame of the part's link. A direction with `seen_from` is in that frame.
     """
     if _is_tcp(feature):
         return tcp_position(robot, x)
@@ -303,7 +303,7 @@ def _is_tcp(feature: Feature) -> bool:
 
 
 def _axes(robot: Robot, x: Joints, frame: ArmFrame) -> Float[Array, "3 3"]:
-    """Return a frame's axes at x, one a row."""
+    """Return a frame's axes at x, one per row."""
     return directions(robot, x, jnp.asarray(frame.columns), 3 * (frame.link,))
 
 
@@ -313,7 +313,7 @@ def _turns_with_last(robot: Robot, feature: Feature) -> bool:
 
 
 def _fixed(robot: Robot, feature: Feature) -> tuple[Float[Array, "3"], tuple[int]]:
-    """Return the vector in the frame of its link, and that link; the TCP's frame is part of the last one."""
+    """Return a feature's vector in the frame of its link, and the link; features of the TCP are on the last link."""
     vector = jnp.asarray(feature.vector)
     if feature.link is not None:
         return vector, (feature.link,)

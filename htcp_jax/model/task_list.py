@@ -4,8 +4,8 @@
       - {point: tcp, on: path}
       - {axis: tcp.z, towards: -path.normal, cone_deg: 60}
 
-`goals` converts them to the planner's kinds of rows, with goals at every target, by `listed_rows`. This module does
-without JAX until a method is called, as it reads a job.
+`goals` and `listed_rows` convert the list to the planner's rows and their goals at every target. This module reads
+jobs, and does not import JAX until a method is called.
 """
 
 import math
@@ -38,42 +38,41 @@ NEEDED = {"path": (), "plane": ("through_m", "normal"), "line": ("through_m", "d
 
 @dataclass(frozen=True)
 class TaskRow(TaskRowKind):
-    """One row; `KINDS` lists which fields belong together.
+    """One row of a task list; `KINDS` lists the fields that may be combined.
 
-    A name is the TCP's, tcp, or that of a site or body of the model. frame: for places and directions given in numbers,
-    the workpiece's or the world's; for a point on the path, the frame of its axes, which may also be the path's own,
-    with x along the tangent and z along the normal. If the part moves, the chain's root is its link, and directions of
-    the world are features of the link that the world is.
+    A name is tcp, or the name of a site or body of the model. `frame` is world or workpiece, for positions and
+    directions given as numbers. For a point on the path it is the frame of `axes`, and may also be path: x along the
+    tangent, z along the normal. If the part moves, the chain's root is the part's link, and world directions are
+    features of the link to which the workshop is fixed.
 
     Raises:
-        InputError: For fields that do not belong together, an invalid place or direction, and an angle out of its
-            range.
+        InputError: For fields that may not be combined, an invalid position or direction, and an angle out of range.
     """
 
     name: ClassVar[str] = "built-in"
     sampled: ClassVar[bool] = False
 
-    point: str | None = None  # a name
-    offset_m: Triple = (0.0, 0.0, 0.0)  # of the point, in the frame of that name
-    on: str | Triple | None = None  # path, plane, line, or a place [m]
+    point: str | None = None  # name of a frame, see above
+    offset_m: Triple = (0.0, 0.0, 0.0)  # position of the point in that frame
+    on: str | Triple | None = None  # path, plane, line, or a position [m]
     through_m: Triple | None = None  # a point of the plane or the line
-    normal: Triple | None = None  # of the plane, any length
-    direction: Triple | None = None  # of the line, any length
-    axes: str = "xyz"  # in which a point on the path or at a place is constrained
+    normal: Triple | None = None  # normal of the plane, any length
+    direction: Triple | None = None  # direction of the line, any length
+    axes: str = "xyz"  # constrained coordinates of a point on the path or at a position
     frame: str = "world"
-    within_m: float | None = None  # tolerance to both sides in each direction; None: exactly
-    axis: str | None = None  # a name and x, y or z of its frame, tcp.z; a minus reverses it; or one of DIRECTIONS
-    towards: str | Triple | None = None  # one of DIRECTIONS, or in numbers, of any length
-    looks_at_m: Triple | None = None  # a place, from the origin of the axis's frame
-    cone_deg: float | None = None  # half angle [degrees, pi rad are 180]; 0 or None: exactly
-    within_deg: float | None = None  # the same, and of an orientation [degrees, pi rad are 180]
+    within_m: float | None = None  # tolerance to both sides in each direction; None: an equality
+    axis: str | None = None  # axis of a frame, such as tcp.z or its reverse -tcp.z; or one of DIRECTIONS
+    towards: str | Triple | None = None  # one of DIRECTIONS, or three numbers, any length
+    looks_at_m: Triple | None = None  # position to which the axis points from the origin of its frame
+    cone_deg: float | None = None  # half angle about the direction [degrees, pi rad are 180]; 0 or None: an equality
+    within_deg: float | None = None  # as cone_deg; for an orientation its tolerance [degrees, pi rad are 180]
     orientation: str | tuple[float, float, float, float] | None = None  # path, or a quaternion without a unit, w first
-    of: str = "tcp"  # a name: whose orientation
+    of: str = "tcp"  # name of the frame that `orientation` constrains
 
     def __post_init__(self):
         given = [name for name in KINDS if getattr(self, name) is not None]
         if len(given) != 1:
-            raise InputError(f"a row is one of {', '.join(KINDS)}; this one is {' and '.join(given) or 'none of them'}")
+            raise InputError(f"a row must have one of {', '.join(KINDS)}; this row has {' and '.join(given) or 'none'}")
         self._check_keys(given[0])
         if self.frame not in FRAMES:
             raise InputError(f"frame is {self.frame!r}; valid: {', '.join(FRAMES)}")
@@ -91,23 +90,27 @@ class TaskRow(TaskRowKind):
         return self.point is None
 
     def part(self, robot: "Robot") -> "Row":
-        """Return the row for a robot. Raises InputError for a name that it lacks, and for a place in a moving world."""
+        """Return the planner's row for a robot.
+
+        Raises:
+            InputError: For a name that the robot lacks, and for a position in the world if the part moves.
+        """
         if robot.part_moves and self.is_in_world and (self.point is not None or self.looks_at_m is not None):
             valid = "workpiece" if self.angular else "workpiece, path"
-            raise InputError(f"frame is world, and the part moves; valid for a place: {valid}")
+            raise InputError(f"frame is world, but the part moves; valid for a position: {valid}")
         return _listed_rows().row_of_task(self, robot)
 
     def goals(self, part: "Row", posed: PlacedPath) -> Float[np.ndarray, "T g"]:
-        """Return the goals of the row at the points of the path."""
+        """Return the goals of the row at the T points of the path."""
         return _listed_rows().goals_of_row(self, part, posed)
 
     def drawn(self, part: "Row", rng: np.random.Generator) -> Float[np.ndarray, "g"]:
-        """Return a random goal."""
+        """Return a random goal, for checks of the task's rank."""
         return part.drawn(rng)
 
     @property
     def is_in_world(self) -> bool:
-        """True if places, directions or axes of the row are the world's."""
+        """True if the row's positions, directions or constrained axes are in the world's frame."""
         by_axes = self.axes != "xyz" or self.within_m is not None
         given = self.towards, self.orientation, self.looks_at_m, self.on
         numbers = any(isinstance(each, tuple) for each in given) or self.on in ("plane", "line")
@@ -115,7 +118,7 @@ class TaskRow(TaskRowKind):
 
     @property
     def is_of_path(self) -> bool:
-        """True for an axis that is the path's normal or tangent, towards a direction in the world."""
+        """True if the row's axis is the path's normal or tangent, which points in a world direction."""
         return self.axis in DIRECTIONS
 
     @property
@@ -131,7 +134,7 @@ class TaskRow(TaskRowKind):
 
     @property
     def uses(self) -> set[str]:
-        """Path frames that the row requires: normals, tangents, rotations."""
+        """Names of the path's data that the row requires: normals, tangents, rotations."""
         found = {"rotations"} if self.orientation == "path" else set()
         if (direction := self.axis if self.is_of_path else self.towards) in DIRECTIONS:
             found.add("normals" if direction.endswith("normal") else "tangents")
@@ -145,42 +148,44 @@ class TaskRow(TaskRowKind):
         for field in fields(self):
             stated = getattr(self, field.name) != field.default
             if stated and field.name != kind and field.name not in KINDS[kind]:
-                raise InputError(f"{field.name} is not a key of a row of {kind}; valid: {', '.join(KINDS[kind])}")
+                raise InputError(f"{field.name} is not a key of a {kind} row; valid: {', '.join(KINDS[kind])}")
 
     def _check_point(self) -> None:
         if self.on is None or (isinstance(self.on, str) and self.on not in NEEDED):
             raise InputError(f"on is {self.on!r}; valid: {', '.join(NEEDED)}, or x,y,z in metres")
         for name in NEEDED[self.on] if isinstance(self.on, str) else ():
             if getattr(self, name) is None:
-                raise InputError(f"a point on a {self.on} needs {name}")
+                raise InputError(f"set {name} for a point on a {self.on}")
         for name in ("normal", "direction"):
             if (vector := getattr(self, name)) is not None and not math.hypot(*vector) > 0:
-                raise InputError(f"{name} is zero; it must point somewhere")
+                raise InputError(f"{name} is zero; it must have a direction")
         if not self.axes or any(axis not in "xyz" for axis in self.axes) or sorted(set(self.axes)) != list(self.axes):
             raise InputError(f"axes is {self.axes!r}; valid: some of x, y, z, in this order")
         if self.frame == "path" and self.on != "path":
-            raise InputError("frame is path, which a point on the path alone has; valid: world, workpiece")
+            raise InputError("frame: path is only for a point on the path; valid: world, workpiece")
 
     def _check_axis(self) -> None:
         name, dot, letter = self.axis.lstrip("-").rpartition(".")
         if not self.is_of_path and (not name or not dot or letter not in ("x", "y", "z")):
-            raise InputError(f"axis is {self.axis!r}; it is a name and x, y or z, as in tcp.z, or a path's direction")
+            raise InputError(
+                f"axis is {self.axis!r}; it must be like tcp.z (a frame's name, a dot and x, y or z) or path.normal"
+            )
         if self.is_of_path and not (isinstance(self.towards, tuple) and self.frame == "world"):
-            raise InputError(f"axis is {self.axis}, the part's own; it needs towards: [x, y, z] in frame: world")
+            raise InputError(f"axis is {self.axis}, a direction of the part; set towards: [x, y, z] and frame: world")
         if (self.towards is None) == (self.looks_at_m is None):
-            raise InputError(f"an axis needs either towards ({', '.join(DIRECTIONS)}, or x,y,z) or looks_at_m")
+            raise InputError(f"set either towards ({', '.join(DIRECTIONS)}, or x,y,z) or looks_at_m for an axis")
         if isinstance(self.towards, str) and self.towards not in DIRECTIONS:
             raise InputError(f"towards is {self.towards!r}; valid: {', '.join(DIRECTIONS)}, or x,y,z")
         if isinstance(self.towards, tuple) and not math.hypot(*self.towards) > 0:
-            raise InputError("towards is zero; it must point somewhere")
+            raise InputError("towards is zero; it must have a direction")
         if self.cone_deg is not None and self.within_deg is not None:
-            raise InputError("cone_deg and within_deg are the same; leave out one")
+            raise InputError("cone_deg and within_deg mean the same; omit one")
         if self.frame == "path":
-            raise InputError("frame is path; write towards: path.tangent or path.normal")
+            raise InputError("frame: path is not valid here; set towards: path.tangent or path.normal")
 
     def _check_orientation(self) -> None:
         if self.frame == "path":
-            raise InputError("frame is path; write orientation: path")
+            raise InputError("frame: path is not valid here; set orientation: path")
         if isinstance(self.orientation, str) and self.orientation != "path":
             raise InputError(f"orientation is {self.orientation!r}; valid: path, or a quaternion w,x,y,z")
         if isinstance(self.orientation, tuple) and not math.hypot(*self.orientation) > 0:
@@ -188,5 +193,5 @@ class TaskRow(TaskRowKind):
 
 
 def _listed_rows() -> ModuleType:
-    """Return the module that computes, imported when it is used, as it imports JAX."""
+    """Import module `listed_rows` on first use, as it imports JAX."""
     return import_module("htcp_jax.model.listed_rows")

@@ -1,7 +1,7 @@
-"""Kinds of task rows, as a person writes them; and the base class for those of other packages.
+"""Kinds of task rows, as written in a job; the base class for kinds of other packages.
 
-A kind with its fields, a Python object, becomes a `task_rows.Row` for a robot, and its goals at every target, see
-`given_row` and docs/add-a-task-row.md. This module does without JAX until a method is called, as it reads a job.
+`given_row` converts a kind, a Python object with fields, to a `task_rows.Row` for a robot with goals at every target.
+See docs/add-a-task-row.md. This module reads jobs, and does not import JAX until a method is called.
 """
 
 from collections.abc import Callable
@@ -21,25 +21,31 @@ if TYPE_CHECKING:
     from htcp_jax.model.task_rows import Feature, Row
     from htcp_jax.model.workpiece import Workpiece
 
-ON_PATH = {"place": "places", "tangent": "tangents", "normal": "normals"}  # what a kind may use of the path
+ON_PATH = {"place": "places", "tangent": "tangents", "normal": "normals"}  # values along the path that a kind may use
 
 
 class PlacedPath(NamedTuple):
     """A workpiece's pose and its path in the world."""
 
-    rotate: Float[np.ndarray, "3 3"]  # of the workpiece
-    translate: Float[np.ndarray, "3"]  # [m]
-    path: Float[np.ndarray, "T 3"]  # [m]
+    rotate: Float[np.ndarray, "3 3"]  # rotation of the workpiece
+    translate: Float[np.ndarray, "3"]  # its translation [m]
+    path: Float[np.ndarray, "T 3"]  # points of the path in the world [m]
     workpiece: "Workpiece"
 
 
 class TaskRowKind(ExtensionKind):
-    """A kind of task row: derive a frozen dataclass from it, and define `name`, `features`, and `error` or `slack`.
+    """Base class of a kind of task row.
 
-    equalities, inequalities: numbers of values that `error` and `slack` return. angular: they are angles [rad], not
-    lengths [m]. rate: error and slack change by at most this times the displacement of the features' coordinates, as
-    one vector [m, of directions 1]; None: not known, so edges are sampled, not proven. along: what it uses of the path
-    at the target, some of place, tangent, normal: they are attributes then, in the world [m, or of length 1].
+    Derive a frozen dataclass, and define `name`, `features`, and `error` or `slack`.
+
+    Attributes:
+        equalities: Number of values that `error` returns.
+        inequalities: Number of values that `slack` returns.
+        angular: True if `error` and `slack` are angles [rad]; False for lengths [m].
+        rate: Lipschitz constant: error and slack change by at most `rate` times the norm of the change of all features'
+            coordinates [m; 1 for directions]. None: unknown; edges are then sampled, not proven.
+        along: Names of the path's values that the row uses: some of place, tangent, normal. Each is then an attribute
+            with the value at the target, in the world [m, or of length 1].
     """
 
     equalities: ClassVar[int] = 0
@@ -48,27 +54,35 @@ class TaskRowKind(ExtensionKind):
     rate: ClassVar[float | None] = None
     along: ClassVar[tuple[str, ...]] = ()
 
-    on: ClassVar[Any] = None  # of built-in kinds: path, if the point of the row follows it
+    on: ClassVar[Any] = None  # for built-in rows only: "path" if the row's point follows the path
     frame: ClassVar[str] = "world"
 
     def features(self, robot: "Robot") -> tuple["Feature", ...]:
-        """Return the points and directions of the arm that it constrains, see `point_of` and `axis_of`."""
+        """Return the constrained points and directions of the arm, from `point_of` and `axis_of`."""
         raise NotImplementedError
 
     def error(self, value: Float[Array, "v"]) -> Float[Array, "m"]:
-        """Return the errors of its equations at the features' world coordinates, concatenated, in jax.numpy."""
+        """Return the errors of the row's equations, computed in jax.numpy.
+
+        Args:
+            value: World coordinates of the features, concatenated: points [m], directions of length 1.
+        """
         import jax.numpy as jnp
 
         return jnp.zeros(0)
 
     def slack(self, value: Float[Array, "v"]) -> Float[Array, "b"]:
-        """Return the slacks of its inequalities, likewise; negative: violated."""
+        """Return the slacks of the row's inequalities, computed in jax.numpy; negative if violated.
+
+        Args:
+            value: World coordinates of the features, concatenated: points [m], directions of length 1.
+        """
         import jax.numpy as jnp
 
         return jnp.zeros(0)
 
     def aim(self, value: Float[Array, "v"]) -> Float[Array, "b"]:
-        """Return how far inside the inequalities a step aims [m or rad]."""
+        """Return the distance inside each inequality at which a step aims [m or rad]."""
         import jax.numpy as jnp
 
         from htcp_jax.model.task_rows import AIM_M, AIM_RAD
@@ -76,38 +90,45 @@ class TaskRowKind(ExtensionKind):
         return jnp.full(self.inequalities, AIM_RAD if self.angular else AIM_M)
 
     def deviation(self, frame: Callable[[str], tuple[np.ndarray, np.ndarray]]) -> Float[np.ndarray, "n"] | None:
-        """Return by how much n configurations violate the row [m or rad], in plain numpy, for `htcp validate`.
+        """Return the violation of the row in n configurations [m or rad], in plain numpy, for `htcp validate`.
 
-        0 or less if they do not; None: the row is not validated. frame: Returns MuJoCo's origins (n, 3) [m] and
-        rotations (n, 3, 3) of a frame by its name.
+        Args:
+            frame: Function from a frame's name to its origins (n, 3) [m] and rotations (n, 3, 3), computed by MuJoCo.
+
+        Returns:
+            The violations, 0 or less where the row is satisfied; None if the row is not validated.
         """
         return None
 
     @property
     def sampled(self) -> bool:
-        """True if it has no bound between two configurations."""
+        """True if the row has no bound between two configurations, so that edges are sampled."""
         return self.rate is None
 
     @property
     def uses(self) -> set[str]:
-        """Path frames that the row requires."""
+        """Names of the path's directions that the row requires: normals, tangents."""
         return {ON_PATH[name] for name in self.along} - {"places"}
 
     def part(self, robot: "Robot") -> "Row":
-        """Return the row for a robot. Raises InputError for what is wrong with the kind."""
+        """Return the planner's row for a robot.
+
+        Raises:
+            InputError: For an invalid `along`, a name that the robot lacks, and a wrong number of errors or slacks.
+        """
         return _given_row().row_of_kind(self, robot)
 
     def goals(self, part: "Row", posed: PlacedPath) -> Float[np.ndarray, "T g"]:
-        """Return the numbers of the row at the points of the path."""
+        """Return the goals of the row at the T points of the path."""
         return _given_row().goals_of_kind(self, posed)
 
     def drawn(self, part: "Row", rng: np.random.Generator) -> Float[np.ndarray, "g"]:
-        """Return a random goal: its own numbers, at a random place of a path."""
+        """Return a random goal: the row's own numbers, with random vectors for the path's place and directions."""
         return _given_row().drawn_of_kind(self, rng)
 
 
 def _given_row() -> ModuleType:
-    """Return the module that computes, imported when it is used, as it imports JAX."""
+    """Import module `given_row` on first use, as it imports JAX."""
     return import_module("htcp_jax.model.given_row")
 
 

@@ -1,8 +1,8 @@
-"""Kinds of rows of a task: the features of the arm that each compares with its goal, and their errors.
+"""Kinds of task rows: each compares features of the arm with a goal.
 
-Features are points and directions that are fixed to a link. From their values and the numbers of its goal at one
-target, a row computes the deviation (`error`, an equality) or the slack (`slack`, an inequality, violated below 0).
-Kinds are static; goals are data, so a cone's angle may differ from scenario to scenario.
+Features are points and directions that are fixed to a link. A row computes the error of an equality, or the slack of an
+inequality (negative if violated), from the values of its features and its goal at one target. Kinds are static in JAX;
+goals are data: a cone's angle, for example, may differ between scenarios.
 
 Errors of angles are rotation vectors, the logarithm map (Lynch and Park, Modern Robotics, section 3.2.3) [rad].
 """
@@ -10,6 +10,7 @@ Errors of angles are rotation vectors, the logarithm map (Lynch and Park, Modern
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
@@ -30,28 +31,30 @@ from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Float, Triple, Vector3
 
 XYZ = (0, 1, 2)
-AIM_RAD, AIM_M = 1e-3, 2e-4  # distance inside an inequality at which a step aims, as rows are linearised,
-AIM_SHARE = 0.25  # at most this share of it
-SLACK = 1e-6  # [rad]
+AIM_RAD, AIM_M = 1e-3, 2e-4  # distance inside an inequality at which a step aims, as rows are linearised
+AIM_SHARE = 0.25  # upper limit of AIM_RAD and AIM_M, as a share of the half angle or band
+SLACK = 1e-6  # widening of goals on the approach, for rounding [rad; for rows of other packages also m]
 
 
 class Feature(NamedTuple):
-    """A point or a direction of the arm, in the world."""
+    """A point or a direction that is fixed to a link of the arm; its value is its coordinates in the world."""
 
-    link: int | None  # to which it is fixed; None: the TCP's frame
-    vector: Triple  # in that frame: of a point [m], of a direction of length 1
+    link: int | None  # link to which the feature is fixed; None: the TCP's frame
+    vector: Triple  # position [m] or unit direction in that frame
     is_direction: bool = False
-    rows: tuple[int, ...] = XYZ  # the coordinates in use
-    seen_from: ArmFrame | None = None  # frame of its coordinates, for a direction; None: the chain's root
+    rows: tuple[int, ...] = XYZ  # indices of the coordinates in use
+    seen_from: ArmFrame | None = None  # frame of a direction's coordinates; None: the chain's root
 
 
 class Row:
     """Base class of all kinds of rows, at one target.
 
-    `value` are the coordinates of its features, one after another; `goal` are its numbers at the target. Errors and
-    slacks are in metres, if `angular` in radians.
+    In the methods, `value` is the concatenated coordinates of the row's features, and `goal` its numbers at the target.
+    Errors and slacks are in metres, or in radians if `angular`.
 
-    turns: its errors and slacks change by no more than a turn of its features, directions.
+    Attributes:
+        turns: True if all features are directions, and a rotation of them by an angle changes errors and slacks by at
+            most this angle.
     """
 
     turns: ClassVar[bool] = False
@@ -63,12 +66,12 @@ class Row:
 
     @property
     def is_view(self) -> bool:
-        """True if the first feature is an axis that points at a place, and the second one its origin."""
+        """True if the first feature is an axis that points at a place, and the second feature is its origin."""
         return False
 
     @property
     def sampled(self) -> bool:
-        """True if it has no bound between two configurations."""
+        """True if the row has no bound between two configurations, so that edges are sampled."""
         return False
 
     @property
@@ -97,19 +100,25 @@ class Row:
         return sum(len(feature.rows) for feature in self.features)
 
     def error(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
-        """Return the errors of the equations."""
+        """Return the errors of the equations [m or rad]."""
         return jnp.zeros(0)
 
     def slack(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return the slack of the inequalities; violated below 0."""
+        """Return the slacks of the inequalities [m or rad]; negative if violated."""
         return jnp.zeros(0)
 
     def aim(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return how far inside the inequalities a step aims."""
+        """Return the distance inside each inequality at which a step aims [m or rad]."""
         return jnp.zeros(0)
 
     def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Region:
-        """Return the region that is allowed between two targets."""
+        """Return the allowed region of the features between two targets.
+
+        Args:
+            goals: Goals at both targets.
+            tolerance_m: Tolerance of lengths.
+            tolerance_rad: Tolerance of angles.
+        """
         raise NotImplementedError
 
     def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
@@ -123,10 +132,13 @@ class Row:
         share: Float[np.ndarray, "A"],
         places: Float[np.ndarray, "A 3"] | None,
     ) -> Float[np.ndarray, "A g"]:
-        """Return the goals before the path, of which the first holds at the start.
+        """Return the goals at the A targets of the approach: from a goal that the start satisfies to the path's first.
 
-        start: value at the start; first: goal at the path's first point; share: fraction of the interpolation at each
-        target; places: positions of the point that follows the path, if this row holds it.
+        Args:
+            start: Value of the features at the start.
+            first: Goal at the path's first point.
+            share: Share of the interpolation at each target, 0 at the start [1].
+            places: Positions of the point that follows the path, if this row constrains it [m]; else None.
         """
         raise NotImplementedError
 
@@ -136,11 +148,11 @@ class Row:
         share: Float[np.ndarray, "n"],
         places: Float[np.ndarray, "n 2 3"] | None = None,
     ) -> Float[np.ndarray, "n g"]:
-        """Return goals between those of two targets.
+        """Interpolate goals between two targets.
 
         Args:
             goals: Goals at both targets.
-            share: Share of the way from the first to the second.
+            share: Share of the segment from the first target to the second [1].
             places: Positions of the targets, world [m]; None: unknown.
         """
         return mixed(goals, share)
@@ -152,21 +164,21 @@ class Row:
 
 @dataclass(frozen=True)
 class TaskPoint(Row):
-    """A point of the arm and its constrained world coordinates; a goal is these coordinates [m].
+    """A point of the arm whose world coordinates, some or all, must equal a goal [m].
 
     Raises:
-        InputError: For no coordinates, for others than 0, 1, 2, and for an offset of the TCP.
+        InputError: For an empty or invalid tuple of axes, and for an `offset_m` without a link.
     """
 
-    link: int | None = None  # to which it is fixed; None: the TCP
-    offset_m: Triple = (0.0, 0.0, 0.0)  # in the frame of the link; the TCP has none
-    axes: tuple[int, ...] = XYZ  # of the world: 0, 1, 2 are x, y, z
+    link: int | None = None  # link to which the point is fixed; None: the point is the TCP
+    offset_m: Triple = (0.0, 0.0, 0.0)  # position in the frame of the link; must be 0 for the TCP
+    axes: tuple[int, ...] = XYZ  # constrained world coordinates: 0, 1, 2 are x, y, z
 
     def __post_init__(self):
         if not self.axes or sorted(set(self.axes)) != list(self.axes) or not set(self.axes) <= set(XYZ):
-            raise InputError(f"the axes of a task point are {self.axes}; valid: some of 0, 1, 2, in this order")
+            raise InputError(f"axes of a task point is {self.axes}; valid: some of 0, 1, 2, in this order")
         if self.link is None and any(self.offset_m):
-            raise InputError("the TCP has no offset of its own: name the link that the point is fixed to")
+            raise InputError("offset_m of the TCP must be 0; set link to the link that the point is fixed to")
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -188,25 +200,25 @@ class TaskPoint(Row):
         return goal - value
 
     def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Slabs:
-        """Return the places within the tolerance [m]."""
+        """Return the region of positions within the tolerance."""
         across = jnp.broadcast_to(jnp.eye(3)[jnp.array(self.axes)], (2, len(self.axes), 3))
         return Slabs(across, goals, jnp.full(2, tolerance_m))
 
     def eased(self, start, first, share, places):
-        """Return the places that lead to the first goal."""
+        """Interpolate the position from the start to the first goal; with `places`, return their coordinates."""
         wanted = start + share[:, None] * (first - start)
         return wanted if places is None else places[:, list(self.axes)]
 
 
 @dataclass(frozen=True)
 class PointAlong(Row):
-    """A point of the arm that is constrained in `count` directions u: u p = offset, or within a band about that.
+    """A point p of the arm, constrained in `count` directions u: u p = offset, or within a band about the offset.
 
-    A goal is u and the offset [m] of each direction and, with a band, its half width [m].
+    A goal contains each direction u with its offset [m] and, with a band, its half width [m].
     """
 
-    link: int | None
-    offset_m: Triple
+    link: int | None  # link to which the point is fixed; None: the TCP's frame
+    offset_m: Triple  # position of the point in that frame
     count: int
     band: bool = False
 
@@ -246,18 +258,21 @@ class PointAlong(Row):
         return jnp.broadcast_to(jnp.minimum(AIM_M, AIM_SHARE * goal[-1]), (self.inequalities,))
 
     def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Slabs:
-        """Return the places within the band and the tolerance [m]."""
+        """Return the region of positions within the band and the tolerance."""
         each = goals[:, : 4 * self.count].reshape(2, self.count, 4)
         within = goals[:, -1] if self.band else jnp.zeros(2)
         return Slabs(each[..., :3], each[..., 3], within + tolerance_m)
 
     def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
-        """Return random directions at right angles, and offsets."""
+        """Return a random goal: orthonormal directions, and offsets."""
         square = np.linalg.qr(rng.normal(size=(3, 3)))[0][: self.count]
         return np.append(np.column_stack([square, rng.normal(size=self.count)]).ravel(), np.ones(int(self.band)))
 
     def eased(self, start, first, share, places):
-        """Return offsets that lead to the first goal's."""
+        """Interpolate the offsets from the start's offsets to those of the first goal.
+
+        With `places`, the offsets are computed from these positions.
+        """
         goals = np.tile(first, (len(share), 1))
         across = first[: 4 * self.count].reshape(self.count, 4)
         at_start = across[:, :3] @ start
@@ -266,7 +281,7 @@ class PointAlong(Row):
         return goals
 
     def interpolated(self, goals, share, places=None):
-        """Return turned directions, through places on the line between the targets."""
+        """Interpolate directions by rotation; the offsets follow the line between the targets' positions."""
         found = mixed(goals, share)
         each = goals[..., : 4 * self.count].reshape(-1, 2, self.count, 4)
         a, b = each[:, 0, :, :3].reshape(-1, 3), each[:, 1, :, :3].reshape(-1, 3)
@@ -286,14 +301,14 @@ class PointAlong(Row):
 
 @dataclass(frozen=True)
 class AxisTowards(Row):
-    """An axis of the arm turned in a direction, or from `looks_from_m` towards a place: exactly, or within a cone.
+    """An axis of the arm that must point in a direction, or from `looks_from_m` at a place: exactly, or within a cone.
 
     A goal is the direction, or the place [m], and with a cone its half angle [rad].
     """
 
-    link: int | None
-    axis: Triple  # of length 1, in the frame of the link
-    looks_from_m: Triple | None = None  # origin of the view, in the frame of the link; None: no place
+    link: int | None  # link to which the axis is fixed; None: the TCP's frame
+    axis: Triple  # unit vector in that frame
+    looks_from_m: Triple | None = None  # origin of the axis in that frame; None: the goal is a direction
     cone: bool = True
     seen_from: ArmFrame | None = None  # frame of a goal's direction; None: the chain's root
 
@@ -302,18 +317,18 @@ class AxisTowards(Row):
 
     @property
     def is_view(self) -> bool:
-        """True if it points at a place."""
+        """True if the axis points at a place."""
         return self.looks_from_m is not None
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """The axis and, if it points at a place, the point `looks_from_m`."""
+        """The axis; if it points at a place, also the point `looks_from_m`."""
         axis = Feature(self.link, self.axis, is_direction=True, seen_from=self.seen_from)
         return (axis,) if self.looks_from_m is None else (axis, Feature(self.link, self.looks_from_m))
 
     @property
     def equalities(self) -> int:
-        """Number of equations: two without a cone, as an axis may turn about itself."""
+        """Number of equations: two without a cone, as the arm may rotate about the axis."""
         return 0 if self.cone else 2
 
     @property
@@ -333,7 +348,7 @@ class AxisTowards(Row):
         return axis_error(value[:3], self._direction(value, goal))
 
     def slack(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return the angle from the axis to the cone [rad]."""
+        """Return the cone's half angle minus the angle from the axis to the direction [rad]."""
         if not self.cone:
             return jnp.zeros(0)
         return (goal[3] - angle(value[:3], self._direction(value, goal)))[None]
@@ -343,19 +358,19 @@ class AxisTowards(Row):
         return jnp.broadcast_to(jnp.minimum(AIM_RAD, AIM_SHARE * goal[-1]), (self.inequalities,))
 
     def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Region:
-        """Return the directions within the cones and the tolerance [rad]."""
+        """Return the region of directions within the cones and the tolerance."""
         limit = goals[:, 3] if self.cone else jnp.zeros(2)
         if self.looks_from_m is not None:
             return ViewTarget(goals[1, :3], chord(limit[1] + tolerance_rad))
         return allowed_axes(*goals[:, :3], limit, tolerance_rad)
 
     def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
-        """Return a random direction."""
+        """Return a random goal."""
         drawn = rng.normal(size=self.numbers)
         return drawn / np.linalg.norm(drawn[:3])
 
     def eased(self, start, first, share, places):
-        """Return directions that lead to the first goal's, or wider cones."""
+        """Interpolate the direction, or the place, from the start to the first goal; a cone is widened instead."""
         if self.cone:
             return _wider(self, start, first, share)
         if self.looks_from_m is not None:
@@ -365,14 +380,14 @@ class AxisTowards(Row):
         return scipy.spatial.transform.Rotation.from_rotvec(share[:, None] * turn).apply(np.array(start[:3]))
 
     def interpolated(self, goals, share, places=None):
-        """Return turned directions; the place that an axis points at stays on the line."""
+        """Interpolate directions by rotation, and a place that the axis points at linearly."""
         found = mixed(goals, share)
         if self.looks_from_m is None:
             found[:, :3] = turned_directions(goals[:, 0, :3], goals[:, 1, :3], share)
         return found
 
     def turn(self, goals):
-        """Return the angle between two directions [rad]."""
+        """Return the angle between the directions of two goals [rad]; 0 if the axis points at a place."""
         if self.looks_from_m is not None:
             return np.zeros(len(goals))
         a, b = goals[:, 0, :3], goals[:, 1, :3]
@@ -387,12 +402,12 @@ class AxisTowards(Row):
 
 @dataclass(frozen=True)
 class FrameOrientation(Row):
-    """A frame of the arm turned to a rotation: exactly, or within an angle.
+    """A frame of the arm that must have a given rotation: exactly, or within an angle.
 
-    A goal is the rotation matrix, row by row, and with a tolerance the angle [rad].
+    A goal is the rotation matrix, row by row, and with a tolerance its angle [rad].
     """
 
-    link: int | None
+    link: int | None  # link to which the frame is fixed; None: the TCP's frame
     columns: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # the frame's axes
     cone: bool = False
     seen_from: ArmFrame | None = None  # frame of a goal's rotation; None: the chain's root
@@ -426,7 +441,7 @@ class FrameOrientation(Row):
         return jnp.zeros(0) if self.cone else self._to_go(value, goal)
 
     def slack(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return the angle tolerance less the angle to the goal's rotation [rad]."""
+        """Return the angle tolerance minus the angle to the goal's rotation [rad]."""
         return (goal[-1] - safe_norm(self._to_go(value, goal)))[None] if self.cone else jnp.zeros(0)
 
     def aim(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
@@ -434,7 +449,7 @@ class FrameOrientation(Row):
         return jnp.broadcast_to(jnp.minimum(AIM_RAD, AIM_SHARE * goal[-1]), (self.inequalities,))
 
     def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> Region:
-        """Return the frames within the angles and the tolerance [rad]."""
+        """Return the region of frames within the angles and the tolerance."""
         limit = goals[:, 9] if self.cone else jnp.zeros(2)
         return allowed_frames(*goals[:, :9].reshape(2, 3, 3), limit, tolerance_rad)
 
@@ -443,7 +458,7 @@ class FrameOrientation(Row):
         return np.append(scipy.spatial.transform.Rotation.random(rng=rng).as_matrix().ravel(), np.ones(int(self.cone)))
 
     def eased(self, start, first, share, places):
-        """Return rotations that lead to the first goal's, or larger angles."""
+        """Interpolate the rotation from the start to the first goal; an angle tolerance is widened instead."""
         if self.cone:
             return _wider(self, start, first, share)
         transform = scipy.spatial.transform
@@ -451,13 +466,13 @@ class FrameOrientation(Row):
         return transform.Slerp([0.0, 1.0], both)(share).as_matrix().reshape(-1, 9)
 
     def interpolated(self, goals, share, places=None):
-        """Return turned frames."""
+        """Interpolate the rotation matrices of the goals by rotation, and an angle tolerance linearly."""
         found, each = mixed(goals, share), goals[..., :9].reshape(-1, 2, 3, 3)
         found[:, :9] = turned_frames(each[:, 0], each[:, 1], share).reshape(-1, 9)
         return found
 
     def turn(self, goals):
-        """Return the angle between two rotations [rad]."""
+        """Return the angle between the rotations of two goals [rad]."""
         each = goals[..., :9].reshape(-1, 2, 3, 3)
         return np.linalg.norm(frame_turns(each[:, 0], each[:, 1]), axis=1)
 
@@ -466,7 +481,7 @@ class FrameOrientation(Row):
 
 
 def mixed(goals: Float[np.ndarray, "n 2 *g"], share: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n *g"]:
-    """Return numbers at a share of the way from one target to the next, on a straight line."""
+    """Interpolate the numbers of two goals linearly; share 0 is the first goal, 1 the second."""
     share = share.reshape(-1, *[1] * (goals.ndim - 2))
     return (1.0 - share) * goals[:, 0] + share * goals[:, 1]
 
@@ -474,8 +489,11 @@ def mixed(goals: Float[np.ndarray, "n 2 *g"], share: Float[np.ndarray, "n"]) -> 
 def _wider(
     row: Row, start: Float[np.ndarray, "v"], first: Float[np.ndarray, "g"], share: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "A g"]:
-    """Return goals with the half angle that the start needs, narrowed to the first goal's."""
+    """Return the first goal with other half angles: they decrease from one that the start satisfies to the goal's."""
     goals = np.tile(first, (len(share), 1))
-    short = max(float(-row.slack(jnp.asarray(start), jnp.asarray(first))[0]), 0.0)
+    short = max(-float(np.asarray(_SLACK(row, np.asarray(start), np.asarray(first)))[0]), 0.0)
     goals[:, -1] += (1.0 - share) * (short + 2 * AIM_RAD) + SLACK * (share < 1.0)
     return goals
+
+
+_SLACK = jax.jit(lambda row, value, goal: row.slack(value, goal), static_argnums=0)

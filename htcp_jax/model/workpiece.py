@@ -1,8 +1,8 @@
 """The workpiece: its walls and tool path in its own frame, its pose in the world, and its convex hull.
 
-Host side, numpy. Walls are points. Those of a mesh cover it within a known distance, which is subtracted from every
-clearance. The hull is for the interior rule of the clearance: deep behind the inlet, a point of the robot outside the
-hull has pierced the wall.
+Walls are points, in numpy on the host. The points of a mesh cover it within a known distance, which is subtracted from
+every clearance. The hull is for the interior rule of the clearance: deep behind the inlet, a point of the robot outside
+the hull has pierced the wall.
 """
 
 import enum
@@ -24,49 +24,51 @@ from htcp_jax.types import Triple
 
 
 class InletDirection(enum.Enum):
-    """Directions into the part that are not given as a vector."""
+    """Named directions into the part, in place of a vector."""
 
-    WORLD_X = enum.auto()  # the world's x, for any rotation of the part, as in the paper
-    HULL_FACET = enum.auto()  # inward normal of the hull's facet nearest to the inlet; without an inlet no interior
+    WORLD_X = enum.auto()  # the world's x for any rotation of the part, as in the paper
+    HULL_FACET = enum.auto()  # inward normal of the hull's facet nearest to the inlet; no interior without an inlet
 
 
 @dataclass(frozen=True, eq=False)
 class Workpiece:
-    """A cloud and a tool path, both [m] in the workpiece frame. Immutable: arrays are read-only copies.
+    """A part: the points on its walls, and a tool path, both [m] in the workpiece frame.
 
-    Without points there is no cloud, only a path.
+    Workpieces are immutable: their arrays are read-only copies. A workpiece with an empty cloud is a path without
+    walls.
 
     Attributes:
         name: Name of the part.
         cloud: Points on the walls.
         path: Points of the tool path.
-        inlet: Centre of the inlet, via point of the approach; None: no inlet.
+        inlet: Centre of the inlet, a via point of the approach; None: no inlet.
         pivot: Fixed point of the rotation, see `T_world`.
-        neutral_translation: Translation without a rotation, see `T_world`.
+        neutral_translation: Translation that is applied before the rotations, see `T_world`.
         interior_depth_m: Distance behind its nearest point at which the interior begins, see `interior_plane`.
         interior: "hull" computes the half-spaces below; "none" leaves them empty (F = 0), for flat clouds.
-        hull_tolerance_m: 0 for the exact hull; above, fewer facets that extend beyond it by about that much at most and
-            still enclose the cloud.
-        inlet_direction: Into the part, made unit; once constructed an array, or None for the world's x.
+        hull_tolerance_m: 0 for the exact hull. A larger tolerance gives fewer facets, which still enclose the cloud and
+            extend beyond the exact hull by at most about the tolerance.
+        inlet_direction: Direction into the part. Once constructed it is a unit vector, or None for the world's x.
         triangles: The mesh that the cloud was sampled on [m]; none for a cloud.
-        covering_radius_m: Largest distance from the mesh to its nearest point of the cloud; 0 for a cloud.
-        tip_contact_m: Length at the TCP of the bare tip (last body to TCP) that may touch walls; None: all of it.
-        frames: The path's normals, tangents and orientations, as far as given.
-        origin: The frame's origin in the coordinates of the part's files, which was subtracted from them.
-        hull_normal: Unit outward normals of the cloud's convex hull, which is where hull_normal @ x <= hull_offset.
-        hull_offset: Offsets of its half-spaces.
-        hull_vertices: Vertices of the exact hull, with interior "none" the complete cloud.
+        covering_radius_m: Largest distance from any point of the mesh to the nearest point of the cloud; 0 for a cloud.
+        tip_contact_m: Length of the part of the bare tip, at the TCP, that may touch walls; None: all of the tip.
+        frames: The path's normals, tangents and orientations, if given.
+        origin: Point of the part's files, in their coordinates, that is the origin of the workpiece frame.
+        hull_normal: Outward unit normals of the cloud's convex hull, the points x with hull_normal @ x <= hull_offset.
+        hull_offset: Offsets of the hull's half-spaces.
+        hull_vertices: Vertices of the exact hull; the complete cloud with interior "none".
 
     Raises:
-        InputError: For wrong shapes and counts, NaN, 1 to 3 points, no path, and a flat cloud with "hull".
+        InputError: For arrays of the wrong shape or length, NaN, a cloud of 1 to 3 points, an empty path, and a flat
+            cloud with "hull".
     """
 
     name: str
     cloud: Float[np.ndarray, "P 3"]
     path: Float[np.ndarray, "T 3"]
-    inlet: Float[np.ndarray, "3"] | Triple | None = None  # these three are arrays once constructed
-    pivot: Float[np.ndarray, "3"] | Triple = PIVOT
-    neutral_translation: Float[np.ndarray, "3"] | Triple = NEUTRAL_TRANSLATION
+    inlet: Float[np.ndarray, "3"] | Triple | None = None  # an array once constructed
+    pivot: Float[np.ndarray, "3"] | Triple = PIVOT  # an array once constructed
+    neutral_translation: Float[np.ndarray, "3"] | Triple = NEUTRAL_TRANSLATION  # an array once constructed
     interior_depth_m: float = INTERIOR_DEPTH_M
     interior: Literal["hull", "none"] = "hull"
     hull_tolerance_m: float = 0.0
@@ -89,7 +91,7 @@ class Workpiece:
                 raise InputError(f"{name} is {getattr(self, name)}; it must be 0 or more")
         for name, directions in self.frames._asdict().items():
             if directions is not None and len(directions) != len(path):
-                raise InputError(f"{name} of the path: {len(directions)} for its {len(path)} points")
+                raise InputError(f"{name} of the path has {len(directions)} rows, but the path has {len(path)} points")
         triangles = np.array(self.triangles, dtype=np.float64)
         corners = triangles.reshape(-1, 3) if len(triangles) else cloud  # sampled points between corners add no vertex
         lost = inlet is None and self.inlet_direction is InletDirection.HULL_FACET
@@ -112,15 +114,15 @@ class Workpiece:
         """Return T_world_workpiece: x_world = pivot + Rz(wz) Ry(wy) Rx(wx) (x + neutral_translation - pivot) + shift.
 
         Args:
-            wy: Rotation about world y [rad], after that about x.
-            wz: Rotation about world z [rad], the last one.
+            wy: Rotation about world y [rad], applied second.
+            wz: Rotation about world z [rad], applied last.
             shift: Translation in the world [m].
-            wx: Rotation about world x [rad], the first one.
+            wx: Rotation about world x [rad], applied first.
         """
         cy, sy, cz, sz = np.cos(wy), np.sin(wy), np.cos(wz), np.sin(wz)
         T = np.eye(4)
         T[:3, :3] = [[cz * cy, -sz, cz * sy], [sz * cy, cz, sz * sy], [-sy, 0.0, cy]]
-        if wx:  # without it the result is the same bit for bit
+        if wx:  # skipped for 0, so that the result stays the same bit for bit
             cx, sx = np.cos(wx), np.sin(wx)
             T[:3, :3] = T[:3, :3] @ [[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]]
         T[:3, 3] = self.pivot + T[:3, :3] @ (self.neutral_translation - self.pivot) + shift
@@ -131,12 +133,12 @@ class Workpiece:
         """The path's unit normals, from the wall into the free space: as given, else fitted to the cloud.
 
         Raises:
-            InputError: If they are not given, and there is no cloud.
+            InputError: If neither normals nor a cloud are given.
         """
         if self.frames.normals is not None:
             return self.frames.normals
         if not len(self.cloud):
-            raise InputError(f"{self.name}: without a cloud, the path's file must contain normals, in columns nx,ny,nz")
+            raise InputError(f"{self.name}: without a cloud, the path's file must have normals in columns nx,ny,nz")
         return wall_normals(self.cloud, self.path)
 
     @cached_property
@@ -146,7 +148,7 @@ class Workpiece:
 
     @property
     def shown(self) -> Float[np.ndarray, "P 3"]:
-        """The points that a picture shows [m]: the cloud, or without one the path."""
+        """The points to draw [m]: the cloud, or the path if there is no cloud."""
         return self.cloud if len(self.cloud) else self.path
 
     @cached_property
@@ -161,7 +163,7 @@ class Workpiece:
             return "none"
         if len(self.triangles):
             reach = f"{len(self.triangles):,} triangles within {1e3 * self.covering_radius_m:.3g} mm of"
-            return f"{reach} {len(self.cloud):,} points, subtracted"
+            return f"{reach} {len(self.cloud):,} points; this distance is subtracted"
         return f"{len(self.cloud):,} points, gaps up to {1e3 * self.largest_gap_m:.3g} mm"
 
     @property
@@ -187,8 +189,8 @@ class Workpiece:
     def interior_plane(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
         """Return the plane beyond which points of the robot must lie in the hull: its unit normal n and offset [m].
 
-        Beyond is n @ x > offset, in the world. n is the inlet's direction; the plane lies interior_depth_m behind the
-        part's first point along n.
+        A point x in the world lies beyond the plane if n @ x > offset. n is the inlet's direction; the plane lies
+        interior_depth_m behind the part's first point along n.
         """
         rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
         n = np.array([1.0, 0.0, 0.0]) if self.inlet_direction is None else rotate @ self.inlet_direction
@@ -197,7 +199,7 @@ class Workpiece:
 
 
 def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.ndarray, "3"] | None:
-    """Return the unit vector into the part; None for the world's x, and without an interior."""
+    """Return the unit vector into the part; None for the world's x, and if there is no interior."""
     if value is None or value is InletDirection.WORLD_X:  # None: a copy of a workpiece, see `dataclasses.replace`
         return None
     if value is InletDirection.HULL_FACET and not len(hull.offset):
@@ -206,7 +208,7 @@ def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.
         return -hull.normal[np.argmax(hull.normal @ inlet - hull.offset)]
     direction = triple(value, "inlet_direction")
     if not np.linalg.norm(direction) > 0:
-        raise InputError("inlet_direction is zero; it must point into the part")
+        raise InputError("inlet_direction is zero; it must be a direction into the part")
     return direction / np.linalg.norm(direction)
 
 
@@ -219,4 +221,4 @@ def _interior_hull(cloud: Float[np.ndarray, "P 3"], interior: str, tolerance_m: 
         return convex_hull(cloud, tolerance_m, f"cloud of {name}")
     if interior in ("hull", "none"):
         return Hull(np.empty((0, 3)), np.empty(0), cloud)
-    raise InputError(f"interior is {interior!r}; valid are hull, none")
+    raise InputError(f"interior is {interior!r}; valid: hull, none")

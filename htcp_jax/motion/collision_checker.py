@@ -6,8 +6,8 @@
     good = checker.valid(inputs, here)
     proof = checker.edges(inputs, a, b, tube)
 
-There is one checker per device. Compiled functions, padded tables and the walls around the tool's bare tip are behind
-it. The tip is not a collision body: it has to come near the wall, and the job defines what it may touch (`tip_guard`).
+There is one checker per device. It also tests the tool's bare tip, which is not a collision body: the tip has to come
+near the wall, and the job defines what it may touch (`tip_guard`).
 """
 
 import numpy as np
@@ -20,10 +20,12 @@ from htcp_jax.model import Task
 from htcp_jax.model import task as tasks
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.motion.step_functions import ADVANCE, PATH_CLEAR, PROVE, SETTLE, TIP, ProofResolution, State, advance_of
+from htcp_jax.numerics import ragged_rows
 from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus
 
-PLACES = 100  # intervals of a joint path at whose ends the tip is checked
+PLACES = 100  # smallest number of intervals of a joint path at whose ends the tip is checked
+TIP_STEP_M = 0.5e-3  # largest travel of the tip within such an interval
 
 Configurations = Float[np.ndarray, "n N"]
 Rows = Bool[np.ndarray, "n"]
@@ -39,7 +41,7 @@ class CollisionChecker:
     Args:
         executor: Runs compiled functions in the scene.
         settings: Settings of the planner.
-        guard: The walls that the tool's bare tip must not pass through; None if it may touch anywhere.
+        guard: Walls that the tool's bare tip must not pass through; None if the tip may touch anywhere.
     """
 
     def __init__(self, executor: Executor, settings: Settings, guard: tip_guard.TipGuard | None = None):
@@ -47,22 +49,25 @@ class CollisionChecker:
         self._settings, self._guard, self._advance = settings, guard, advance_of(settings)
 
     def states(self, inputs: LaneInputs, q: Configurations) -> State:
-        """Return clearance, residual, TCP and linearisation of configurations at their targets."""
+        """Return the states of configurations q at their targets: clearance, residual, TCP and linearisation."""
         return self.executor(ADVANCE, inputs, q, np.zeros_like(q))
 
     def stepped(self, inputs: LaneInputs, q: Configurations, y: Configurations) -> State:
-        """Return the states after steps y [rad or m] of step QPs.
+        """Return the states after steps y [rad or m] from configurations q.
 
         Their linearisation has the rows of clearance that step QPs use (`settings.clearance_rows`).
         """
         return self.executor(self._advance, inputs, q, y)
 
     def valid(self, inputs: LaneInputs, at: State, among: Rows | bool = True) -> Rows:
-        """Return True for states of `among` that satisfy the task and the margin, with the bare tip out of walls."""
+        """Return True for states that satisfy task and margin, with the bare tip outside of walls.
+
+        States not marked by `among` get False.
+        """
         return self.tip_free(inputs, at.x, self.task.is_satisfied(at.clearance, at.residual, inputs.margin_m) & among)
 
     def tip_free(self, inputs: LaneInputs, q: Configurations, among: Rows) -> Rows:
-        """Return True for configurations of `among` whose bare tip passes through no wall."""
+        """Return True for configurations marked by `among` whose bare tip does not pass through a wall."""
         good = np.array(among)
         if self._guard is not None and good.any():
             tip = self.executor(TIP, *tables.gather((inputs, q), good))
@@ -70,7 +75,7 @@ class CollisionChecker:
         return good
 
     def project(self, inputs: LaneInputs, q: Configurations) -> Configurations:
-        """Return configurations brought onto their targets, as far as inverse kinematics gets; they may collide."""
+        """Return configurations moved onto their targets by inverse kinematics, if it converges; they may collide."""
         return self.executor(SETTLE, inputs, q)
 
     def edges(
@@ -85,10 +90,10 @@ class CollisionChecker:
         deepest: int | Int[np.ndarray, "n"] = motion_proof.DEEPEST,
         tip: bool = True,
     ) -> bisection.Proof:
-        """Return proofs that the straight joint paths from a to b are valid all along.
+        """Prove or refute that the straight joint paths from a to b are valid; return one `Proof` per path.
 
-        The bodies are clear, the TCP stays in its tube, the task's rows hold where the tube requires them, and the bare
-        tip is out of the walls.
+        On a valid path the bodies are clear, the TCP stays in its tube, the task's rows are satisfied where the tube
+        requires them, and the bare tip is outside of walls.
 
         Args:
             inputs: Scenario and target of each path.
@@ -96,10 +101,10 @@ class CollisionChecker:
             b: Ends of the paths [rad or m].
             tube: Allowed regions of the TCP; None: anywhere.
             kept: Share of D that must remain, see `clearance.proof.motion_proof.prove`.
-            resolution_m: D is proven to be more than minus that, see `prove`.
-            deepest: Most halvings, see `prove`.
-            tip: False if the tip is not checked; else it is at PLACES - 1 places between a and b, and the verdict of a
-                path on which it passes through a wall is IN_COLLISION.
+            resolution_m: The proof is D > -resolution_m, see `prove`.
+            deepest: Maximum number of halvings, see `prove`.
+            tip: True to check the tip at configurations between a and b, PLACES - 1 or more, so that it travels at most
+                TIP_STEP_M in between; if it passes through a wall at one of them, the verdict is IN_COLLISION.
         """
         proof = self.executor(*prove_call(self.task, inputs, a, b, tube, kept, resolution_m, deepest))
         if self._guard is None or not tip:
@@ -111,7 +116,7 @@ class CollisionChecker:
     def path_clear(self, inputs: LaneInputs, a: Configurations, b: Configurations) -> Rows:
         """Return True for straight joint paths that are clear by `settings.path_test`, the bare tip included.
 
-        The test by proof uses the executable for motions, so that no other one is compiled.
+        With `bisection` it uses the executable of `edges`, so that no other one is compiled.
         """
         if self._settings.path_test == "bisection":
             return self.edges(inputs, a, b, resolution_m=motion_proof.RESOLUTION_M).verdict == SegmentStatus.VALID
@@ -121,11 +126,25 @@ class CollisionChecker:
         good = np.array(among)
         if self._guard is not None and good.any():
             inputs, a, b = tables.gather((inputs, a, b), good)
-            x = a[:, None] + (np.arange(1, PLACES) / PLACES)[None, :, None] * (b - a)[:, None]
-            many = tables.gather(inputs, np.repeat(np.arange(len(a)), PLACES - 1))
-            free = self.tip_free(many, x.reshape(-1, a.shape[1]), np.ones(len(a) * (PLACES - 1), bool))
-            good[good] = free.reshape(len(a), -1).all(axis=1)
+            tips = self._tips_along(inputs, a, b, np.full(len(a), PLACES))
+            free = ~self._guard.passes(tips[:, 0], tips[:, 1]).reshape(len(a), -1).any(axis=1)
+            travel = np.linalg.norm(np.diff(tips.reshape(len(a), -1, 2, 3), axis=1), axis=-1).max(axis=(1, 2))
+            counts = np.ceil(PLACES * travel / TIP_STEP_M).astype(int)
+            far = free & (counts > PLACES)
+            if far.any():
+                tips = self._tips_along(*tables.gather((inputs, a, b, counts), far))
+                passes = self._guard.passes(tips[:, 0], tips[:, 1])
+                free[np.repeat(np.flatnonzero(far), counts[far] - 1)[passes]] = False
+            good[good] = free
         return good
+
+    def _tips_along(
+        self, inputs: LaneInputs, a: Configurations, b: Configurations, counts: Int[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "m 2 3"]:
+        """Return the tip's ends [m] at counts - 1 evenly spaced configurations of each path, in its order."""
+        path, nth = ragged_rows(counts - 1)
+        x = a[path] + ((nth + 1) / counts[path])[:, None] * (b - a)[path]
+        return self.executor(TIP, tables.gather(inputs, path), x)
 
 
 def prove_call(
@@ -138,7 +157,7 @@ def prove_call(
     resolution_m=-motion_bound.ROUNDING_M,
     deepest=motion_proof.DEEPEST,
 ) -> tuple:
-    """Return the lane function and the tables of `CollisionChecker.edges`, see `Executor.preparing`."""
+    """Return the lane function and the tables with which `CollisionChecker.edges` calls the executor."""
     closely = ProofResolution(
         *(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int)))
     )

@@ -10,7 +10,7 @@ NO_PARENT = -1
 
 
 class Tree:
-    """Nodes with one parent each, in growing tables."""
+    """A tree of nodes, each with one parent, in tables that grow as needed."""
 
     def __init__(self, table: Any):
         self._table, self._count = table, len(table.parent)
@@ -19,10 +19,10 @@ class Tree:
         return self._count
 
     def add(self, nodes: Any) -> Int[np.ndarray, "m"]:
-        """Add nodes and return their rows."""
+        """Add nodes to the tree and return the indices of their rows."""
         first, count = self._count, self._count + len(nodes.parent)
         if count == first:
-            return np.arange(first, count)  # the first table, the caller's root, may be read-only
+            return np.arange(first, count)  # the caller's first table, with the root, may be read-only
         if count > len(self._table.parent):
             self._table = jax.tree.map(lambda column: _longer(column[:first], 2 * count), self._table)
 
@@ -34,7 +34,7 @@ class Tree:
         return np.arange(first, count)
 
     def path(self, row: int) -> Int[np.ndarray, "k"]:
-        """Return the rows from the root to a node."""
+        """Return the indices of the rows from the root to a node."""
         rows, parent = [row], self._table.parent
         while (row := int(parent[row])) != NO_PARENT:
             rows.append(row)

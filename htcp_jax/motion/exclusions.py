@@ -1,4 +1,4 @@
-"""Reasons why no configuration is clear at a target: the smallest set of bodies with which `tool_cells` proves it."""
+"""Reason why a target has no clear configuration: the fewest bodies of the arm with which `tool_cells` proves it."""
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -18,11 +18,11 @@ SMALLEST_FIRST = {
 
 
 def exclusions(executor: Executor, robot: Robot, inputs: LaneInputs, cells: int) -> Int[np.ndarray, "n"]:
-    """Return the reason of each of n targets for which a proof excludes any clear configuration, as `Exclusion`.
+    """Return, for each of n targets, why it has no clear configuration: an `Exclusion`, NONE without a proof.
 
     Args:
         executor: Compiled functions of the scene, whose task fixes the TCP's position.
-        robot: The arm, its tool not extended.
+        robot: The arm, without the scenarios' tool extensions.
         inputs: The lanes' inputs, one row per target.
         cells: Maximum number of cells of a proof, see `tool_cells.excluded`.
     """
@@ -37,7 +37,7 @@ def exclusions(executor: Executor, robot: Robot, inputs: LaneInputs, cells: int)
 
 
 def _beyond(executor: Executor, robot: Robot, inputs: LaneInputs) -> Bool[np.ndarray, "n"]:
-    """Return True for targets that are farther away than the arm is long."""
+    """Return True for targets farther away from the base than the length of the arm."""
     task = executor.task
     away = np.linalg.norm(task.tcp_place(inputs.target) - np.asarray(robot.T_parent_joint)[0, :3, 3], axis=1)
     return away > kinematics.max_reach(robot) + inputs.tool_extension_m + task.tolerance_m

@@ -1,11 +1,11 @@
 """Joint paths from home to the start that are proven clear, for many scenarios at once.
 
     problem, from_home = leave_home(problem)           # before planning: chooses starts, and refuses scenarios
-    plans = begin_at_home(problem, plans, from_home)   # afterwards: the plans begin at home
+    plans = begin_at_home(problem, plans, from_home)   # after planning: the plans begin at home
 
-Any method plans from the start, so all of them can begin at home. A start that is not given is chosen among the
-clearest configurations sampled at the path's first point: of four at a time, the one joined to home in the fewest
-rounds of queries; without a home, the clearest.
+Every method plans from the start, so these paths can be added to the plans of every method. If no start is given, it is
+chosen among configurations sampled at the first target, the clearest first. Four configurations at a time are joined to
+home; the start is the one joined in the fewest rounds of queries. Without a home, it is the clearest configuration.
 """
 
 from dataclasses import replace
@@ -25,19 +25,19 @@ from htcp_jax.motion.transfers import other_configurations
 from htcp_jax.motion.via_points import ViaPoints
 from htcp_jax.status import Status
 
-ROUNDS, FIRST_ROUND = 4, 100  # rounds of sampled starts, and the first one's number, beyond those of transfers
-TOGETHER, MOST_TRIED = 4, 16  # starts of a round to join at a time, and in total
-PAIR = 500_000  # first number of pairs that begin at home; smaller ones belong to transfers
+ROUNDS, FIRST_ROUND = 4, 100  # number of rounds of sampled starts; number of the first one, unused by transfers
+TOGETHER, MOST_TRIED = 4, 16  # sampled starts that are joined at a time, and per round
+PAIR = 500_000  # number of the first pair that begins at home; transfers use smaller numbers
 
-ViaPointsFromHome = dict[int, Float[np.ndarray, "_ N"]]  # by scenario: the via points from home to the start
+ViaPointsFromHome = dict[int, Float[np.ndarray, "_ N"]]  # scenario -> via points from home to the start [rad or m]
 
 
 class Trial(NamedTuple):
-    """A candidate for the start of a scenario."""
+    """A configuration that may become the start of a scenario."""
 
     scenario: int
-    pair: int
-    x: Float[np.ndarray, "N"]
+    pair: int  # number of the pair of home and x, which seeds random numbers
+    x: Float[np.ndarray, "N"]  # [rad or m]
 
 
 class Start(NamedTuple):
@@ -51,7 +51,8 @@ class Start(NamedTuple):
 def leave_home(problem: Problem) -> tuple[Problem, ViaPointsFromHome]:
     """Return the problem with all starts chosen, and the via points from home to the start.
 
-    Scenarios that cannot begin are refused. There are via points for every other scenario whose start is not home.
+    Scenarios that cannot begin are marked as refused. All other scenarios whose start is not home get via points, which
+    may be an empty array.
     """
     scenarios = problem.scenarios
     apart = scenarios.auto_start | (scenarios.x_home != scenarios.x_start).any(axis=1)
@@ -69,7 +70,7 @@ def leave_home(problem: Problem) -> tuple[Problem, ViaPointsFromHome]:
 
 
 class HomeConnector:
-    """Join home to the start for many scenarios together."""
+    """Search that joins home to the start for many scenarios together."""
 
     def __init__(self, problem: Problem, checker: CollisionChecker):
         self._problem, self._checker = problem, checker
@@ -97,27 +98,27 @@ class HomeConnector:
         return self._problem.scenarios
 
     def _without_home(self, s: int) -> Start:
-        """Return the clearest configuration of the first round that finds a valid one."""
+        """Return the start of a scenario without a home: the clearest one of the first round with a valid start."""
         for round_ in range(ROUNDS):
             if found := self._drawn(s, round_):
                 return Start(found[0].x)
         return Start(self._scenarios.x_start[s], Status.NO_START)
 
     def _clear(self, rows: list[int], x: Float[np.ndarray, "S N"]) -> list[int]:
-        """Return the scenarios that are clear at their x."""
+        """Return the scenarios whose configuration in x is clear."""
         if not rows:
             return []
         inputs = lane_inputs(self._scenarios, np.array(rows), np.zeros(len(rows), int))
         return np.array(rows)[self._checker.states(inputs, x[rows]).clearance > 0].tolist()
 
     def _drawn(self, s: int, round_: int) -> list[Trial]:
-        """Return configurations at the first target, the clearest first."""
+        """Return one round of trials: valid configurations at the first target, the clearest first."""
         found = other_configurations(self._problem, self._checker, s, FIRST_ROUND + round_)
         clearest = found.x[np.argsort(-found.clearance, kind="stable")[:MOST_TRIED]]
         return [Trial(s, PAIR + round_ * MOST_TRIED + k, x) for k, x in enumerate(clearest)]
 
     def _joined(self, trials: dict[int, list[Trial]]) -> dict[int, Start]:
-        """Return each scenario's start: the candidate joined in the fewest rounds of queries, with the path there."""
+        """Return each scenario's start: the trial joined in the fewest rounds of queries, with its via points."""
         scenarios, settings = self._scenarios, self._problem.settings
         starts = {s: Start(scenarios.x_start[s], Status.HOME_NOT_JOINED) for s in trials}
         for first in range(0, MOST_TRIED, TOGETHER):
@@ -137,12 +138,14 @@ class HomeConnector:
 
 
 def begin_at_home(problem: Problem, plans: Plans, from_home: ViaPointsFromHome) -> Plans:
-    """Return the plans with the paths from home prepended: starts become via points on the segment to the first target.
+    """Return the plans with the paths from home prepended.
+
+    Each start becomes a via point on the segment from home to the first target.
 
     Args:
-        problem: The problem as returned by `leave_home`.
-        plans: Its plans, from the starts.
-        from_home: The via points as returned by `leave_home`.
+        problem: The problem from `leave_home`.
+        plans: The problem's plans, which begin at the starts.
+        from_home: The via points from `leave_home`.
     """
     scenarios, plans = problem.scenarios, plans.with_own("start", "joint_step")
     mine = (plans.start == scenarios.x_start).all(axis=1) & ~scenarios.begins_anywhere

@@ -1,20 +1,20 @@
 """Joining two configurations of an arm by a joint path that is proven clear, for many pairs at once.
 
-The task is not enforced: the TCP may be anywhere. Per pair two trees of configurations grow, one from either end, until
-they meet:
+The task is not enforced: the TCP may be anywhere. For each pair two trees of configurations grow, one from each end,
+until they meet:
 
-    straight   the joint path from end to end; if it is proven, the search is done
-    grow       the smaller tree: from random nodes in random directions, in steps, as far as these are proven
-    meet       from the other tree's nearest node towards each end of the new branches, in the same way
-    shorten    the path found, by straight joint paths between random points on it
+    straight   prove the straight joint path between the ends; if this succeeds, the search is done
+    grow       extend the smaller tree from random nodes in random directions, step by step while steps are proven
+    meet       extend the other tree from its nearest node towards the end of each new branch, in the same way
+    shorten    replace parts of the path found by straight joint paths between random points on it
 
 These are expansive trees (Hsu, Latombe and Motwani, 1997), joined as in RRT-Connect (Kuffner and LaValle, 2000).
-Samples are drawn around the tree instead of in the complete joint range, and only the smaller tree, the confined one,
-grows: for configurations inside a part this joins more pairs than RRT-Connect, with far fewer proofs.
+Samples are drawn around the tree instead of in the complete joint range, and only the smaller, more confined tree
+grows. For configurations inside a part this joins more pairs than RRT-Connect, with far fewer proofs.
 
-A search is a generator: it yields straight joint paths, and is sent which of them are proven clear. Searches are
-independent, and their random numbers come from the seed and the numbers of scenario and pair, so a result does not
-depend on which pairs are joined together. The queries of all searches go to the device in one batch.
+A search is a generator: it yields straight joint paths, and receives True for each path that is proven clear. The
+queries of all searches go to the device in one batch. Searches are independent, and their random numbers come from the
+seed and the numbers of scenario and pair: a result does not depend on which pairs are joined together.
 """
 
 from collections.abc import Generator
@@ -32,22 +32,22 @@ from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus
 
-IN_FLIGHT = 4  # pairs joined together: the number of lanes divided by this
-DRAWS = 16  # samples per round, and shortcuts per round
+IN_FLIGHT = 4  # the number of pairs joined together is the number of lanes / IN_FLIGHT
+DRAWS = 16  # number of samples per round, and of shortcuts per round
 LONGEST_RAD, SHORTEST_RAD = 4.0, 0.125  # range of sampled lengths, log-uniform
 FINEST_RAD = 0.02  # finest subdivision of a shortcut's proof
-LEAST_RAD = 1e-6  # least saving of a shortcut; more than rounding
+LEAST_RAD = 1e-6  # minimum saving of a shortcut, which is more than rounding
 
 
 class QueriedPaths(NamedTuple):
-    """Straight joint paths that a search queries."""
+    """Straight joint paths from a to b that a search wants to be proven."""
 
     a: Float[np.ndarray, "m N"]  # [rad or m]
-    b: Float[np.ndarray, "m N"]
-    deepest: Int[np.ndarray, "m"]  # maximum number of halvings in their proof
+    b: Float[np.ndarray, "m N"]  # [rad or m]
+    deepest: Int[np.ndarray, "m"]  # maximum number of halvings in each proof
 
 
-Joining = Generator[QueriedPaths, Bool[np.ndarray, "m"], Any]  # yields queries, is sent which are proven
+Joining = Generator[QueriedPaths, Bool[np.ndarray, "m"], Any]  # yields queries, receives True for proven paths
 Limits = tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]
 
 
@@ -61,24 +61,24 @@ def join(
     settings: Settings,
     soonest: bool = False,
 ) -> list[Float[np.ndarray, "_ N"] | None]:
-    """Return the via points strictly between the two configurations of each pair.
+    """Return via points between the two configurations of each pair, without these configurations.
 
-    Every straight joint path from a through them to b is proven clear.
+    Every straight joint path from a through the via points to b is proven clear.
 
     Args:
         checker: Collision checker of the scene.
         scenarios: Stacked scenarios (numpy).
-        scenario: Each pair's scenario, by its row.
-        pair: Its number within the scenario, 0 or more, which seeds its random numbers.
+        scenario: Row of each pair's scenario.
+        pair: Number of each pair within its scenario, 0 or more, which seeds the pair's random numbers.
         a: First configurations, within the joint limits [rad or m].
-        b: Second configurations, likewise.
+        b: Second configurations, within the joint limits [rad or m].
         settings: Settings of the search.
-        soonest: True: of each scenario's pairs, return only the one joined in the fewest rounds of queries, the first
-            if several are; the others are abandoned.
+        soonest: True to join only one pair per scenario: the one joined in the fewest rounds of queries, the first of
+            several. The other pairs are abandoned.
 
     Returns:
-        The via points of each pair, empty if the straight joint path is clear. None if an end is not clear, or if
-            nothing was found in `settings.search_rounds`.
+        The via points of each pair [rad or m]; an empty array if the straight joint path is clear. None if an end is
+            not clear, if no path was found in `settings.search_rounds`, or if the pair was abandoned.
     """
     found: list[np.ndarray | None] = [None] * len(a)
     waiting, limits = iter(range(len(a))), checker.executor.limits
@@ -114,7 +114,7 @@ def join(
 def _answers(
     checker: CollisionChecker, scenarios: Scenario, scenario: np.ndarray, requested: dict[int, QueriedPaths]
 ) -> dict[int, np.ndarray]:
-    """Return, for each search, True for the queried joint paths that are proven."""
+    """Return, for each search, True for the requested joint paths that are proven."""
     counts = [len(paths.a) for paths in requested.values()]
     own = np.repeat(scenario[list(requested)], counts)
     a, b, deepest = (np.concatenate(column) for column in zip(*requested.values(), strict=True))
@@ -126,7 +126,7 @@ def _answers(
 
 
 def _join_pair(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
-    """Join one pair; returns the same as `join`."""
+    """Join one pair, and return its via points or None, see `join`."""
     ends_clear = yield _full_queries(np.stack([a, b]), np.stack([a, b]))
     if not ends_clear.all():
         return None
@@ -137,14 +137,14 @@ def _join_pair(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Gene
 
 
 class _Nodes(NamedTuple):
-    """Configurations, and the row of each one's parent."""
+    """Nodes of a tree."""
 
-    x: Float[np.ndarray, "n N"]
-    parent: Int[np.ndarray, "n"]
+    x: Float[np.ndarray, "n N"]  # configurations [rad or m]
+    parent: Int[np.ndarray, "n"]  # row of each node's parent
 
 
 class _JointTree(Tree):
-    """Configurations connected to a root by proven steps, which lead away from it, in a `backwards` tree towards it."""
+    """Tree of configurations connected to a root by proven steps: away from the root, or towards it if `backwards`."""
 
     def __init__(self, root: Float[np.ndarray, "N"], backwards: bool):
         super().__init__(_Nodes(root[None], np.array([NO_PARENT])))
@@ -156,7 +156,7 @@ class _JointTree(Tree):
         return self._table.x[: self._count]
 
     def nearest(self, x: Float[np.ndarray, "m N"]) -> Int[np.ndarray, "m"]:
-        """Return the node nearest to each configuration; the first if several are."""
+        """Return the node nearest to each configuration; the first of several equally near ones."""
         apart = self.x[None] - x[:, None]
         return np.argmin((apart * apart).sum(axis=2), axis=1)
 
@@ -166,7 +166,7 @@ class _JointTree(Tree):
         return self.x[path[::-1] if self.backwards else path]
 
     def extend(self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float) -> Joining:
-        """Step from each node straight towards its goal, as far as steps are proven; return the last nodes."""
+        """Extend each node towards its goal, step by step while steps are proven; return the last nodes."""
         node, going = node.copy(), np.arange(len(node))
         while len(going):
             x, to = self.x[node[going]], goal[going]
@@ -179,7 +179,7 @@ class _JointTree(Tree):
 
 
 def _grown(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
-    """Return a path from a to b, in steps; None if the rounds are spent."""
+    """Return a path of proven steps from a to b; None if no path is found in the maximum number of rounds."""
     trees, step = (_JointTree(a, False), _JointTree(b, True)), settings.search_step_rad
     for _ in range(settings.search_rounds):
         small, other = sorted(trees, key=len)
@@ -196,17 +196,17 @@ def _grown(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generato
 
 
 def _sampled_goals(x: np.ndarray, limits: Limits, rng: np.random.Generator) -> np.ndarray:
-    """Sample a goal for each configuration: a random direction and length, within the limits."""
+    """Return a random goal for each configuration: in a random direction, at a random distance, within the limits."""
     directions = rng.standard_normal(x.shape)
     lengths = LONGEST_RAD * (SHORTEST_RAD / LONGEST_RAD) ** rng.random((len(x), 1))
     return np.clip(x + directions * (lengths / np.linalg.norm(directions, axis=1, keepdims=True)), *limits)
 
 
 def _shortened(path: np.ndarray, rng: np.random.Generator, rounds: int) -> Joining:
-    """Return the path shortened by straight joint paths: in each round the shortcut that saves most."""
+    """Return the path shortened by straight joint paths; each round takes the shortcut that saves most."""
     for _ in range(rounds):
         cuts = np.sort(rng.random((DRAWS, 2)) * (len(path) - 1), axis=1)
-        cuts[::2] = np.rint(cuts[::2])  # between via points, so that there are fewer of them
+        cuts[::2] = np.rint(cuts[::2])  # from via point to via point, which reduces the number of via points
         before, after = np.floor(cuts[:, 0]).astype(int), np.ceil(cuts[:, 1]).astype(int)
         p, q = (_configurations_at(path, cut) for cut in cuts.T)
         legs = np.stack([path[before], p, q, path[after]], axis=1)
@@ -225,7 +225,7 @@ def _full_queries(a: np.ndarray, b: np.ndarray) -> QueriedPaths:
 
 
 def _shallow_queries(a: np.ndarray, b: np.ndarray) -> QueriedPaths:
-    """Return joint paths with a limited proof: the shortest path grazes the walls, which is not desired."""
+    """Return queries with few halvings per proof, as shortcuts that graze walls are not wanted."""
     parts = np.linalg.norm(b - a, axis=1) / FINEST_RAD
     return QueriedPaths(
         a, b, np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, motion_proof.DEEPEST).astype(np.int32)
@@ -233,12 +233,12 @@ def _shallow_queries(a: np.ndarray, b: np.ndarray) -> QueriedPaths:
 
 
 def _configurations_at(path: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return configurations on a path; a place is a via point's number plus the fraction of the segment to the next."""
+    """Return configurations at places on a path: a via point's number plus the fraction of the way to the next one."""
     via_point = np.minimum(place.astype(int), len(path) - 2)
     return _interpolated(path[via_point], path[via_point + 1], place - via_point)
 
 
 def _interpolated(a: np.ndarray, b: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Interpolate from each a to its b by a fraction; never outside of both, and exactly b for 1."""
+    """Interpolate from a to b by a fraction: the result is exactly b for 1, and between a and b despite rounding."""
     x = np.clip(a + part[:, None] * (b - a), np.minimum(a, b), np.maximum(a, b))
     return np.where(part[:, None] == 1, b, x)

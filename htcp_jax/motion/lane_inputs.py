@@ -1,4 +1,4 @@
-"""Inputs of a lane that every lane function takes."""
+"""Inputs of the lane functions: data of one lane, which is one row of a batch on the device."""
 
 from typing import NamedTuple
 
@@ -15,17 +15,17 @@ class LaneInputs(NamedTuple):
     Each lane carries its own copy, so executables do not depend on the number of scenarios.
     """
 
-    T_world_workpiece: jax.Array
+    T_world_workpiece: jax.Array  # this and the next four: see `Scenario`
     interior_plane: jax.Array
     margin_m: jax.Array
     tool_extension_m: jax.Array
     number: jax.Array
-    target: jax.Array  # the task's goal there [m]
-    row: jax.Array  # of the target
-    round: jax.Array  # of draws
-    seed: jax.Array
-    obstacle_numbers: jax.Array | None = None  # of kinds of obstacles, see `Scenario`
-    max_joint_step: jax.Array | None = None  # longest travel of each joint to the target, see `longest_joint_steps`
+    target: jax.Array  # the task's goal at the target [m]
+    row: jax.Array  # index of the target
+    round: jax.Array  # number of the round of random draws
+    seed: jax.Array  # random seed
+    obstacle_numbers: jax.Array | None = None  # see `Scenario`
+    max_joint_step: jax.Array | None = None  # maximum travel of each joint, see `longest_joint_steps`
 
 
 def lane_inputs(
@@ -35,10 +35,10 @@ def lane_inputs(
 
     Args:
         scenarios: Stacked scenarios (S, ...), numpy.
-        scenario: Each lane's scenario (n,), by its row.
-        row: Each lane's target (n,).
-        seed: For functions that draw.
-        round_: Round of draws, one for all lanes or one each (n,).
+        scenario: Row of each lane's scenario (n,).
+        row: Index of each lane's target (n,).
+        seed: Random seed.
+        round_: Number of the round of random draws: one for all lanes, or one per lane (n,).
     """
     row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
     return LaneInputs(
@@ -57,15 +57,15 @@ def lane_inputs(
 
 
 def longest_joint_steps(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray) -> Float[np.ndarray, "n N"] | None:
-    """Return the longest travel of each joint from the row before [rad or m]; None: any.
+    """Return the maximum travel of each joint from the previous target [rad or m]; None if it is unlimited.
 
-    On a segment with inserted goals that is each part's share of the bound. A search that adds up the travel on a
-    segment may use more of it, see `planning.beam.joint_steps`.
+    Each part of a segment with inserted goals gets its share of the maximum. A search that adds up the travel on a
+    segment may allow more, see `planning.beam.joint_steps`.
 
     Args:
         scenarios: Stacked scenarios.
-        scenario: Each lane's scenario (n,), by its row.
-        row: Each lane's target (n,).
+        scenario: Row of each lane's scenario (n,).
+        row: Index of each lane's target (n,).
     """
     most, place = scenarios.max_joint_step, scenarios.place
     if most is None:

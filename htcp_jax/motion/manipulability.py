@@ -1,7 +1,7 @@
-"""Manipulability along plans: the smallest singular value of the task's Jacobian, which is 0 where it is singular.
+"""Manipulability along plans: the smallest singular value of the task's Jacobian, which is 0 at singularities.
 
-It is the slowest motion of the task for a joint velocity of length 1: to move at the feed v in the worst direction, the
-joints need |dx/dt| >= v / manipulability. Unlike Yoshikawa's product of all singular values it has a unit that does not
+It is the task's speed in the worst direction for a joint velocity of length 1: for a feed rate v in this direction, the
+joints need |dx/dt| >= v / manipulability. Unlike that of Yoshikawa's product of all singular values, its unit does not
 depend on the number of rows. Source: Klein and Blaho, Dexterity measures for the design and control of kinematically
 redundant manipulators, International Journal of Robotics Research 6(2), 1987, section 2.3.
 """
@@ -22,7 +22,7 @@ class _AtTarget(NamedTuple):
     """Inputs of a lane."""
 
     target: jax.Array  # the task's goal
-    tool_extension_m: jax.Array
+    tool_extension_m: jax.Array  # extension of the robot's tool
 
 
 def manipulability(
@@ -32,19 +32,20 @@ def manipulability(
     goals: Float[np.ndarray, "n G"],
     tool_extension_m: Float[np.ndarray, "n"] | float = 0.0,
 ) -> Float[np.ndarray, "n"]:
-    """Return the smallest singular value of the task's Jacobian at configurations [m/rad, or 1 along slides].
+    """Return the smallest singular value of the task's Jacobian at configurations [m/rad; for slides without a unit].
 
-    Angles that the task constrains count as lengths, as in its residual: `tolerance_rad` as `tolerance_m`.
+    Angles that the task constrains are scaled to lengths: `tolerance_rad` corresponds to `tolerance_m`, as in the
+    residual.
 
     Args:
         robot: The robot.
         task: The task.
         x: Configurations [rad or m]; NaN where there are none.
-        goals: The task's goals at each of them [m].
-        tool_extension_m: Of the robot's tool.
+        goals: The task's goal at each configuration [m].
+        tool_extension_m: Extension of the robot's tool: one for all configurations, or one per configuration.
 
     Returns:
-        The values; NaN where x is, and for a task without equations.
+        The values; NaN where x is NaN, and for a task without equations.
     """
     found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
     if task.rows and known.any():
@@ -55,7 +56,7 @@ def manipulability(
 
 
 def _jacobian(settings, scene: Scene, lane: _AtTarget, x):
-    """Return the Jacobian of the task's equations at x."""
+    """Return the Jacobian of the task's equations at x [m/rad or m/m]."""
     return scene.task.linear_at(scene.robot, x, lane.target).jacobian
 
 

@@ -1,13 +1,13 @@
-"""The rows of a motion: the configurations that an arm passes from a plan's start on, joined by straight joint paths.
+"""Motions: the configurations that an arm passes from a plan's start, joined by straight joint paths.
 
-    motion(plans, 12, on_path)                       # of one scenario
-    cost(motions(plans, on_path), len(plans.x))      # of all of them at once
+    motion(plans, 12, on_path)                       # motion of scenario 12
+    cost(motions(plans, on_path), len(plans.x))      # motion costs of all scenarios
 
 A motion has only the executable part of a plan.
 
 This module also computes a motion's figures: number of dwells, smoothness, guaranteed clearance. Equation (3) of the
-paper minimises ||x||_Q^2 with Q = V'V, where V takes finite differences of consecutive configurations: the sum of
-|x_{t+1} - x_t|^2, unweighted.
+paper minimises ||x||_Q^2 with Q = V'V, where V takes finite differences of consecutive configurations. This is the
+unweighted sum of |x_{t+1} - x_t|^2.
 """
 
 from typing import NamedTuple
@@ -18,18 +18,18 @@ from jaxtyping import Bool, Float, Int, Int8
 from htcp_jax.motion.plans import Plans
 from htcp_jax.status import Kind, Status
 
-ONE_POINT_M = 1e-5  # targets closer to each other count as one point of the path
-OnPath = int | Int[np.ndarray, "S"]  # the first target that is a point of the path, see `Scenario`
+ONE_POINT_M = 1e-5  # targets closer to each other than this are one point of the path
+OnPath = int | Int[np.ndarray, "S"]  # index of the first target that is a point of the path, see `Scenario`
 
 
 class Motion(NamedTuple):
-    """Motion of one scenario; the start comes first. Empty if no target is executable."""
+    """Motion of one scenario, one row per configuration, beginning at the start; empty if no target is executable."""
 
     x: Float[np.ndarray, "n N"]  # [rad or m]
-    target: Int[np.ndarray, "n"]  # to which the row leads; for a dwell, the one that the tool stays at
-    kind: Int8[np.ndarray, "n"]  # `status.Kind`: kind of motion to this row from the one before
-    # Shares of the way between two targets at which the motion to this row begins and ends, 0 and 1 without via points
-    span: Float[np.ndarray, "n 2"] | None = None  # [1]; None: there are no via points but dwells at targets
+    target: Int[np.ndarray, "n"]  # target that the row leads to; for a dwell, the target at which the tool stays
+    kind: Int8[np.ndarray, "n"]  # `status.Kind` of the motion from the previous row to this row
+    # Shares of the segment at which the motion to this row begins and ends; 0 and 1 without via points
+    span: Float[np.ndarray, "n 2"] | None = None  # [1]; None: all via points, if any, are dwells at targets
 
 
 class Motions(NamedTuple):
@@ -42,12 +42,12 @@ class Motions(NamedTuple):
     span: Float[np.ndarray, "n 2"]  # [1]
 
     def of(self, scenario: int) -> Motion:
-        """Return the motion of one scenario, by its row."""
+        """Return the motion of one scenario, given by its row."""
         return Motion(*(column[self.scenario == scenario] for column in self[1:]))
 
     @property
     def steps(self) -> Float[np.ndarray, "n"]:
-        """|x_k - x_{k-1}| from the row before [rad]; 0 at the starts."""
+        """Length |x_k - x_{k-1}| of each joint step from the previous row [rad]; 0 at the starts."""
         first = np.diff(self.scenario, prepend=-1) != 0
         return np.where(first, 0.0, np.linalg.norm(np.diff(self.x, axis=0, prepend=self.x[:1]), axis=1))
 
@@ -58,9 +58,8 @@ def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) 
     Args:
         plans: The plans.
         scenario: Row of the scenario.
-        on_path: The first target that is a point of the path, `Scenario.on_path`.
-        retract: True: return to the beginning, too, through the same configurations, which are clear in both
-            directions.
+        on_path: Index of the first target that is a point of the path, `Scenario.on_path`.
+        retract: True to append the motion back to the start, through the same configurations.
     """
     there = motions(plans.rows([scenario]), on_path).of(0)
     if not retract:
@@ -75,8 +74,8 @@ def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None 
 
     Args:
         plans: The plans.
-        on_path: The first target that is a point of the path, of each scenario or of all.
-        rows: The targets to include, instead of the executable ones.
+        on_path: Index of the first target that is a point of the path: one for all scenarios, or one per scenario.
+        rows: True for the targets to include; None: the executable targets.
     """
     rows = plans.executable if rows is None else rows
     begun, (s, t) = np.flatnonzero(rows.any(axis=1)), np.nonzero(rows)
@@ -98,16 +97,16 @@ def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None 
 
 
 def _motion_kinds(target: np.ndarray, stays: np.ndarray, on_path: np.ndarray) -> Int8[np.ndarray, "n"]:
-    """Return the kind of motion that leads to each configuration, without transfers."""
+    """Return the `status.Kind` of the motion to each configuration; transfers are not marked."""
     kind = np.where(target > on_path, np.where(stays, Kind.DWELL, Kind.PROCESS), Kind.APPROACH)
     return kind.astype(np.int8)
 
 
 def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
-    """Return True for scenarios whose arm first moves to another configuration.
+    """Return True for scenarios whose arm first moves from the start to another configuration.
 
-    The segment to the first target has via points, or that target was tracked after a recovery, as in a plan that
-    begins in another configuration than the start.
+    This is the case if the segment to the first target has via points, or if the first target was tracked by a
+    recovery.
     """
     found = (plans.status[:, :1] == Status.TRACKED_AFTER_RECOVERY).any(axis=1)
     found[plans.via_points.scenario[plans.via_points.target == 0]] = True
@@ -115,19 +114,19 @@ def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
 
 
 class LargestJointSteps(NamedTuple):
-    """Largest travel of a joint between two targets of the path, of S scenarios."""
+    """Largest travel of a joint between two targets of the path, for each of S scenarios."""
 
-    step: Float[np.ndarray, "S"]  # [rad, of a slide m]; NaN if the motion does not reach the path's second point
-    target: Int[np.ndarray, "S"]  # at the end of the segment; -1 for none, as the next
-    joint: Int[np.ndarray, "S"]  # number of the joint
+    step: Float[np.ndarray, "S"]  # [rad; m for a slide]; NaN if the motion does not reach the path's second point
+    target: Int[np.ndarray, "S"]  # target at the end of the segment; -1 if `step` is NaN
+    joint: Int[np.ndarray, "S"]  # index of the joint; -1 if `step` is NaN
 
 
 def largest_joint_steps(plans: Plans, on_path: OnPath) -> LargestJointSteps:
-    """Return the largest travel of a joint between two targets, summed over the segment's via points.
+    """Return the largest travel of a joint between two targets of the path, summed over the segment's via points.
 
     Args:
         plans: The plans.
-        on_path: The first target that is a point of the path, of each scenario or of all.
+        on_path: Index of the first target that is a point of the path: one for all scenarios, or one per scenario.
     """
     found, travel = motions(plans, on_path), np.full(plans.x.shape, np.nan)
     segment = found.target + (found.kind == Kind.DWELL)
@@ -136,7 +135,7 @@ def largest_joint_steps(plans: Plans, on_path: OnPath) -> LargestJointSteps:
     travel[own] = 0.0
     np.add.at(travel, own, np.abs(found.x[rows] - found.x[rows - 1]))
     count, targets, joints = travel.shape
-    flat = np.full((count, 1 + targets * joints), -1.0)  # the first column: none
+    flat = np.full((count, 1 + targets * joints), -1.0)  # the first column is the maximum if there is no step
     flat[:, 1:] = np.where(np.isnan(travel), -1.0, travel).reshape(count, targets * joints)
     best = flat.argmax(axis=1)
     target, joint = np.divmod(best - 1, max(1, joints))
@@ -149,7 +148,7 @@ def largest_joint_steps(plans: Plans, on_path: OnPath) -> LargestJointSteps:
 class MotionFigures(NamedTuple):
     """Figures of S scenarios, one column each; NaN if undefined."""
 
-    dwells: Float[np.ndarray, "S"]  # number [1]
+    dwells: Float[np.ndarray, "S"]  # number of dwells [1]
     motion_cost_rad2: Float[np.ndarray, "S"]  # equation (3), see `cost` [rad^2]
     path_step_max_rad: Float[np.ndarray, "S"]  # see `largest_step`
     curvature_max_rad_m2: Float[np.ndarray, "S"]  # see `curvature`
@@ -157,11 +156,11 @@ class MotionFigures(NamedTuple):
 
 
 def motion_figures(plans: Plans, on_path: OnPath) -> MotionFigures:
-    """Return all figures.
+    """Return all figures of the scenarios' motions.
 
     Args:
         plans: The plans.
-        on_path: The first target that is a point of the path, of each scenario or of all.
+        on_path: Index of the first target that is a point of the path: one for all scenarios, or one per scenario.
     """
     found, count = motions(plans, on_path), len(plans.status)
     begun = plans.executable.any(axis=1)
@@ -175,7 +174,10 @@ def motion_figures(plans: Plans, on_path: OnPath) -> MotionFigures:
 
 
 def dwells(plans: Plans, on_path: OnPath) -> Bool[np.ndarray, "S T"]:
-    """Return True for targets on the path at which the arm changes its configuration and the next is executable."""
+    """Return True for targets of the path at which the arm dwells: the tool stays while the arm reconfigures.
+
+    The arm then moves on to the next target, which must be executable.
+    """
     found = np.zeros_like(plans.tracked)
     turns = _turns(plans) & (np.arange(found.shape[1]) > np.reshape(on_path, (-1, 1)))
     found[:, :-1] = turns[:, 1:]
@@ -185,8 +187,8 @@ def dwells(plans: Plans, on_path: OnPath) -> Bool[np.ndarray, "S T"]:
 def cost(found: Motions, count: int) -> Float[np.ndarray, "S"]:
     """Return the cost of equation (3), ||x||_Q^2 with Q = V'V [rad^2].
 
-    It is the sum of |x_{k+1} - x_k|^2 over all configurations from the start to the last executable target. Of two
-    motions along the same path the smoother costs less.
+    It is the sum of |x_{k+1} - x_k|^2 over all configurations from the start to the last executable target. A smoother
+    motion along the same path costs less.
 
     Args:
         found: The motions.
@@ -198,7 +200,7 @@ def cost(found: Motions, count: int) -> Float[np.ndarray, "S"]:
 def largest_step(found: Motions, count: int) -> Float[np.ndarray, "S"]:
     """Return the largest |x_{k+1} - x_k| on the path, dwells included [rad].
 
-    NaN if the motion does not reach the path's second point. Equation (3) sums the squares of these.
+    It is NaN if the motion does not reach the path's second point. Equation (3) sums the squares of such steps.
 
     Args:
         found: The motions.
@@ -214,11 +216,11 @@ def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
     """Return |q''|, the curvature of the joint path at the points of the path [rad/m2].
 
     It is computed by central differences over the path's arc length, and is proportional to the joint accelerations at
-    a constant feed rate. It is the second difference, equation (3) sums the first.
+    a constant feed rate. Equation (3), in contrast, sums squared first differences.
 
-    Points closer than ONE_POINT_M count as one, with the last one's configuration. The arc length does not grow during
-    a dwell, so |q''| is undefined at a target where the arm dwells and at the next one: NaN, as at both ends of the
-    path and everywhere else.
+    Points closer than ONE_POINT_M are one point, with the configuration of the last of them. The arc length does not
+    grow during a dwell, so |q''| is undefined at a target where the arm dwells and at the next target. The result is
+    NaN there, at both ends of the path and everywhere off the path.
     """
     path = plans.executable & (np.arange(plans.x.shape[1]) >= np.reshape(on_path, (-1, 1)))
     ahead = np.linalg.norm(np.diff(plans.target, axis=1), axis=2)
@@ -226,7 +228,7 @@ def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
     points[:, :-1] &= ~(path[:, 1:] & (ahead < ONE_POINT_M))
     s, t = np.nonzero(points)
     x, place, turned = plans.x[s, t], plans.target[s, t], np.cumsum(_turns(plans), axis=1)[s, t]
-    straight = (np.diff(s) == 0) & (np.diff(turned) == 0)  # to the next point
+    straight = (np.diff(s) == 0) & (np.diff(turned) == 0)  # True: no dwell before the next point
     length = np.where(straight, np.linalg.norm(np.diff(place, axis=0), axis=1), 1.0)
     slope = np.diff(x, axis=0) / length[:, None]
     bend = 2 * np.linalg.norm(np.diff(slope, axis=0), axis=1) / (length[:-1] + length[1:])
@@ -235,18 +237,26 @@ def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
     return found
 
 
-def narrowest_segment(plans: Plans) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"]]:
-    """Return the target whose segment has the least guaranteed clearance, and that D [m].
+def narrowest_segment(
+    plans: Plans, without_transfer: bool = False
+) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"]]:
+    """Return each scenario's target whose segment has the least guaranteed clearance, and this clearance [m].
 
-    They are -1 and NaN if no target is executable.
+    The result is -1 and NaN if no target is executable.
+
+    Args:
+        plans: The plans.
+        without_transfer: True excludes the segment to the first target in scenarios with a transfer.
     """
     clear = np.where(plans.executable, plans.segment_clearance, np.inf)
+    if without_transfer:
+        clear[transfers(plans), 0] = np.inf
     target, least = clear.argmin(axis=1), clear.min(axis=1)
     return np.where(np.isinf(least), -1, target), np.where(np.isinf(least), np.nan, least)
 
 
 def _turns(plans: Plans) -> Bool[np.ndarray, "S T"]:
-    """Return True for executable targets on whose segment the arm changes its configuration at one place."""
+    """Return True for executable targets on whose segment the arm changes its configuration while the tool stays."""
     found, via_points = np.zeros_like(plans.tracked), plans.via_points
     found[via_points.scenario[via_points.stays], via_points.target[via_points.stays]] = True
     return found & plans.executable

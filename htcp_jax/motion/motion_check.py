@@ -1,8 +1,9 @@
-"""Verification that plans are motions: from the given start, with the arm proven clear and the tool on its path.
+"""Verification that plans are motions: they begin at the given start, the arm is proven clear, the tool is on its path.
 
-On the segment to a target on the path the TCP stays within `Settings.path_tolerance_m` of the line from the previous
-target, and advances along it; if the arm changes its configuration on the segment, the TCP stays that close to the
-previous target. Segments before the path may leave their lines. Targets closer than `ONE_POINT_M` count as one.
+On the segment to a target of the path, the TCP must stay within `Settings.path_tolerance_m` of the line from the
+previous target, and advance along this line. If the arm changes its configuration on the segment, the TCP must stay
+within this distance of the previous target. On segments of the approach the TCP may leave the lines. Targets closer
+than `ONE_POINT_M` are one point.
 """
 
 from typing import NamedTuple
@@ -20,31 +21,31 @@ from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
 from htcp_jax.status import SegmentStatus
 
-KEPT = 0.5  # share of the clearance that the recorded bound of a segment keeps
-TIGHT = 0.99  # the share for a smoothed motion, where its clearance is least
-ROWS_AT_ONCE = 16  # per scenario: rows beyond the end of a motion need no proof
+KEPT = 0.5  # share of the clearance that must be proven on a segment
+TIGHT = 0.99  # this share for segments whose bound is tightened, see `tighten`
+ROWS_AT_ONCE = 16  # rows of a scenario that are verified at a time; rows after the end of a motion need no proof
 
 
 class StraightPaths(NamedTuple):
-    """Straight joint paths that the segments between rows consist of."""
+    """Straight joint paths that a plan's segments consist of."""
 
-    scenario: Int[np.ndarray, "n"]
-    target: Int[np.ndarray, "n"]  # end of the segment
-    a: Float[np.ndarray, "n N"]
-    b: Float[np.ndarray, "n N"]
-    turns: Bool[np.ndarray, "n"]  # True if the arm changes its configuration at the target before
+    scenario: Int[np.ndarray, "n"]  # row of the scenario
+    target: Int[np.ndarray, "n"]  # target at the end of the segment
+    a: Float[np.ndarray, "n N"]  # starts of the paths [rad or m]
+    b: Float[np.ndarray, "n N"]  # ends of the paths [rad or m]
+    turns: Bool[np.ndarray, "n"]  # True if the arm changes its configuration while the TCP stays at the previous target
 
 
 def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray) -> motion_proof.Tube:
-    """Return the tubes that the TCP has to stay in on the segments to targets, and the task's goals on the path.
+    """Return the tubes in which the TCP must stay on some segments, with the task's goals on the path.
 
-    Tubes are unbounded before the path, and if the task does not constrain the TCP's position.
+    A tube is unbounded on the approach, and if the task does not constrain the TCP's position.
 
     Args:
         problem: The problem.
         scenario: Row of each segment's scenario (n,).
         target: Target at each segment's end (n,).
-        turns: See `StraightPaths` (n,).
+        turns: True if the arm changes its configuration on the segment while the TCP stays (n,).
     """
     scenarios, task = problem.scenarios, problem.task
     free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
@@ -53,7 +54,7 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
         return motion_proof.Tube(
             np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows
         )
-    ends = np.maximum(target - 1, 0), np.minimum(target, scenarios.goals.shape[1] - 1)  # after the last one no segment
+    ends = np.maximum(target - 1, 0), np.minimum(target, scenarios.goals.shape[1] - 1)  # the last target ends the path
     a, b = (task.tcp_place(scenarios.goals[scenario, row]) for row in ends)
     a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
     return motion_proof.Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, problem.settings.tube_m), *rows)
@@ -62,9 +63,9 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
 def _goals_at_ends(
     problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
 ) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[()]:
-    """Return the task's goals at the previous target and at this one, and True if they are required on the segment.
+    """Return the task's goals at both ends of each segment, and True if they are required on the segment.
 
-    They are required on the path. The result is empty for the paper's task, which the tube alone enforces.
+    Goals are required on the path. The result is empty for the paper's task, which the tube alone enforces.
     """
     if problem.task.parts == tasks.TCP_POSITION.parts:
         return ()
@@ -74,7 +75,7 @@ def _goals_at_ends(
 
 
 def check_remaining_paths(problem: Problem, plans: Plans) -> Plans:
-    """Return the plans with `path_clear` of all tracked targets whose path was not checked while planning."""
+    """Return the plans with `path_clear` set at all tracked targets whose joint path was not checked by the method."""
     s, t = np.nonzero(plans.tracked & (plans.path_clear < 0))
     plans = plans.with_own("path_clear")
 
@@ -89,7 +90,7 @@ def check_remaining_paths(problem: Problem, plans: Plans) -> Plans:
 
 
 def verify_motions(problem: Problem, plans: Plans) -> Plans:
-    """Return the plans with `segment_status` and `segment_clearance` of every scenario, up to the end of its motion."""
+    """Return the plans with `segment_status` and `segment_clearance` set, up to the end of each scenario's motion."""
     scenarios, plans = problem.scenarios, plans.with_own("segment_status", "segment_clearance")
     elsewhere = plans.tracked[:, 0] & np.any(plans.start != scenarios.x_home, axis=1) & ~scenarios.begins_anywhere
     plans.segment_status[elsewhere, 0] = SegmentStatus.WRONG_START
@@ -113,9 +114,9 @@ def verify_motions(problem: Problem, plans: Plans) -> Plans:
 
 
 def tighten(problem: Problem, plans: Plans) -> Plans:
-    """Return the plans with a tighter bound on segments whose bound is below the clearance at every target.
+    """Return the plans with tighter bounds on segments whose bound is below the minimum clearance at the targets.
 
-    Only executable segments are considered: the minimum `segment_clearance` of a scenario is reported as its guaranteed
+    Only executable segments are considered: their minimum `segment_clearance` is reported as the scenario's guaranteed
     clearance.
     """
     clear = np.where(plans.executable, plans.clearance, np.inf).min(axis=1)
@@ -132,13 +133,13 @@ def tighten(problem: Problem, plans: Plans) -> Plans:
 
 
 def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> StraightPaths:
-    """Return the straight joint paths that lead to some rows: between via points, and from the last one to the row."""
+    """Return the straight joint paths of the segments to some targets, through the via points."""
     s, t = np.nonzero(rows)
     via_points = tables.gather(plans.via_points, rows[plans.via_points.scenario, plans.via_points.target])
     turns = np.arange(len(via_points.x) + len(s)) < len(via_points.x)
     columns = (via_points.scenario, s), (via_points.target, t), (via_points.x, plans.x[s, t])
     scenario, target, b = (np.concatenate(both) for both in columns)
-    order = np.lexsort((~turns, target, scenario))  # via points as they are passed, then the row
+    order = np.lexsort((~turns, target, scenario))  # via points in the order of the motion, then the target
     scenario, target, b, turns = tables.gather((scenario, target, b, turns), order)
     a = plans.before(scenario, target)
     a[1:][turns[:-1]] = b[:-1][turns[:-1]]
@@ -148,13 +149,13 @@ def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> StraightPaths:
 def prove_segments(
     problem: Problem, checker: CollisionChecker, segments: StraightPaths, kept: float = 0.0
 ) -> bisection.Proof:
-    """Return one proof per segment.
+    """Return one proof per straight joint path.
 
     Args:
         problem: The problem.
         checker: Collision checker of the scene.
-        segments: The segments.
-        kept: Share of D that must remain, see `CollisionChecker.edges`.
+        segments: The joint paths.
+        kept: Share of the clearance that must be proven, see `CollisionChecker.edges`.
     """
     inputs = lane_inputs(problem.scenarios, segments.scenario, segments.target)
     tube = tubes(problem, segments.scenario, segments.target, segments.turns)
@@ -162,7 +163,7 @@ def prove_segments(
 
 
 def _proofs(problem: Problem, segments: StraightPaths, kept: float = KEPT) -> bisection.Proof:
-    """Return one proof per segment, computed by all threads."""
+    """Return one proof per straight joint path, computed by all threads of the problem."""
 
     def prove(checker: CollisionChecker, share: slice) -> bisection.Proof:
         return tables.concatenate(
@@ -173,7 +174,7 @@ def _proofs(problem: Problem, segments: StraightPaths, kept: float = KEPT) -> bi
 
 
 def _write_verdicts(plans: Plans, segments: StraightPaths, proofs: bisection.Proof) -> None:
-    """Record for each row the verdict of its first joint path that is not proven, and the least clearance of all."""
+    """Write into the plans, per segment, the verdict of the first path not proven, and the least clearance of all."""
     s, t = segments.scenario, segments.target
     plans.segment_status[s, t], plans.segment_clearance[s, t] = SegmentStatus.VALID, np.inf
     for k in np.flatnonzero(proofs.verdict != SegmentStatus.VALID)[::-1]:

@@ -1,14 +1,14 @@
-"""Result of planning, and its evaluation: existing targets, tracked targets, and the outcome of each scenario.
+"""Results of planning: the configuration and status at every target, and the outcome of each scenario.
 
     plans.tracked                     # (S, T) True where a target is tracked
-    plans.outcomes.complete           # (S,)   True where all targets of a scenario are
-    plans.outcome(12).failed          # the first target of scenario 12 that is not; None where all are
+    plans.outcomes.complete           # (S,)   True where all targets of a scenario are tracked
+    plans.outcome(12).failed          # the first target of scenario 12 that is not tracked; None if all are
 
-A method fills in the arrays of `problem.empty_plans()`, and adds via points by `_replace`. The plans that it returns
-are final: each later step (`check_remaining_paths`, `begin_at_home`, `verify_motions`, `smooth`, `tighten`) returns new
-ones, with copies of the columns that it changes.
+A method fills in the arrays of `problem.empty_plans()`, and adds via points by `_replace`. The returned plans are
+final: each later step (`check_remaining_paths`, `begin_at_home`, `verify_motions`, `smooth`, `tighten`) returns new
+plans, with copies of the columns that it changes.
 
-Only this module derives a scenario's end from the statuses: charts and viewers that have only statuses use `outcomes`.
+Only this module derives a scenario's end from the statuses. Charts and viewers that have only statuses use `outcomes`.
 """
 
 import math
@@ -23,20 +23,20 @@ from htcp_jax.motion.via_points import ViaPoints
 from htcp_jax.status import MOTION, SegmentStatus, Status
 
 NO_TARGET = -1  # status: the scenario has no such target, or is not planned yet
-PATH_UNKNOWN = -1  # of path_clear
+PATH_UNKNOWN = -1  # value of path_clear: not checked
 
 
 class Outcome(NamedTuple):
     """Outcome of one scenario."""
 
-    scenario: int  # its row
-    targets: int  # number of targets; 0 if it is not planned
-    tracked: int  # of them
-    executable: int  # number of those, from the first on, that a proven motion leads to
-    failed: int | None  # the first target that is not tracked
-    status: Status | None  # status of that target
-    blocked_paths: int  # tracked targets whose joint path from the row before is known to collide
-    # of the segment behind the last executable target; VALID, or SAMPLED, if that leads to no tracked one
+    scenario: int  # row of the scenario
+    targets: int  # number of targets; 0 if the scenario is not planned
+    tracked: int  # number of tracked targets
+    executable: int  # number of targets, from the first on, that a proven motion leads to
+    failed: int | None  # index of the first target that is not tracked; None if all are
+    status: Status | None  # status of the failed target; None if there is none
+    blocked_paths: int  # number of tracked targets whose joint path from the previous row is known to collide
+    # status of the segment after the last executable target; VALID or SAMPLED if no tracked target follows
     segment_status: SegmentStatus
 
     @property
@@ -46,14 +46,14 @@ class Outcome(NamedTuple):
 
     @property
     def can_be_driven(self) -> bool:
-        """True if a proven motion leads to its last target."""
+        """True if a proven motion leads to the scenario's last target."""
         return 0 < self.targets == self.executable
 
     @property
     def reason(self) -> str:
-        """The reason why its motion ended: the result of the segment to a tracked target, or of the search.
+        """Reason why the motion ended: the status of the segment to a tracked target, or that of the failed target.
 
-        "complete" if there is none.
+        "complete" if it did not end early.
         """
         if self.executable < self.tracked:
             return self.segment_status.words
@@ -66,8 +66,8 @@ class Outcomes(NamedTuple):
     targets: Int[np.ndarray, "S"]
     tracked: Int[np.ndarray, "S"]
     executable: Int[np.ndarray, "S"]
-    failed: Int[np.ndarray, "S"]  # -1 for none
-    status: Int8[np.ndarray, "S"]  # NO_TARGET if none failed
+    failed: Int[np.ndarray, "S"]  # -1 if all targets are tracked
+    status: Int8[np.ndarray, "S"]  # NO_TARGET if all targets are tracked
     blocked_paths: Int[np.ndarray, "S"]
     segment_status: Int8[np.ndarray, "S"]  # `status.SegmentStatus`
 
@@ -78,7 +78,7 @@ class Outcomes(NamedTuple):
 
     @property
     def complete(self) -> Bool[np.ndarray, "S"]:
-        """True for scenarios that are planned with every target tracked."""
+        """True for scenarios that are planned and have every target tracked."""
         return self.planned & (self.failed < 0)
 
     @property
@@ -87,7 +87,7 @@ class Outcomes(NamedTuple):
         return self.planned & (self.executable == self.targets)
 
     def of(self, scenario: int) -> Outcome:
-        """Return the outcome in one row."""
+        """Return the outcome of the scenario in one row."""
         targets, tracked, executable, failed, status, blocked, segment_status = (
             int(column[scenario]) for column in self
         )
@@ -100,29 +100,29 @@ class Outcomes(NamedTuple):
 class Plans(NamedTuple):
     """The plans of S scenarios with up to T targets each, for a robot of N joints; numpy arrays on the host.
 
-    Targets that are not tracked have NaN in `x`, `tcp`, `clearance`, `residual`, `orientation_error` and `joint_step`;
-    those that a scenario does not have, also the status NO_TARGET.
+    Targets that are not tracked have NaN in `x`, `tcp`, `clearance`, `residual`, `orientation_error` and `joint_step`.
+    If a scenario has fewer than T targets, the remaining ones have the status NO_TARGET.
     """
 
     start: Float[np.ndarray, "S N"]  # the configuration that the plan starts from [rad or m]
     x: Float[np.ndarray, "S T N"]  # configurations [rad or m]
     tcp: Float[np.ndarray, "S T 3"]  # tool centre point, world [m]
-    # The targets as planned, of an approach that leaves its lines the path's first point; NaN if there is none
-    target: Float[np.ndarray, "S T M"]  # goal of the task's rows, the TCP's xyz [m]
+    # Goal of the task's rows at each target; for an approach that leaves its lines, the path's first point
+    target: Float[np.ndarray, "S T M"]  # the TCP's xyz for the paper's task [m]; NaN where there is no target
     clearance: Float[np.ndarray, "S T"]  # D(x, O), smallest over all rows [m]
     residual: Float[np.ndarray, "S T"]  # error of the task's points: |tcp - target| [m]
-    orientation_error: Float[np.ndarray, "S T"]  # largest angle error of the task [rad]; NaN if it holds no angle
+    orientation_error: Float[np.ndarray, "S T"]  # largest angle error of the task [rad]; NaN if it has no angles
     status: Int8[np.ndarray, "S T"]  # htcp_jax.status.Status, or NO_TARGET
-    iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target; 0 where one was pushed there
-    joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, the start being x_{-1} [rad]
-    recovery: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's recovery, one more: planned backwards
-    path_clear: Int8[np.ndarray, "S T"]  # joint path from the row before: 1 clear, 0 blocked, -1 unknown
-    segment_status: Int8[np.ndarray, "S T"]  # `status.SegmentStatus`: verification of the segment from the row before
-    segment_clearance: Float[np.ndarray, "S T"]  # lower bound on D along that segment [m]; NaN if it is not proven
+    iterations: Int[np.ndarray, "S T"]  # number of step QPs solved for the target; 0 if planned backwards without any
+    joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, where x_{-1} is the start [rad]
+    recovery: Int[np.ndarray, "S T"]  # 0: none; k: stage k of the method's recovery; last stage + 1: planned backwards
+    path_clear: Int8[np.ndarray, "S T"]  # joint path from the previous row: 1 clear, 0 blocked, -1 unknown
+    segment_status: Int8[np.ndarray, "S T"]  # `status.SegmentStatus` of the segment from the previous row
+    segment_clearance: Float[np.ndarray, "S T"]  # lower bound on D along this segment [m]; NaN if it is not proven
     via_points: ViaPoints  # via points of segments that are not straight joint paths
     compile_s: float  # wall time spent waiting for compilation, or for processes to start [s]
-    run_s: float  # wall time spent planning, compilation apart [s]
-    dead_ends: DeadEnds = DeadEnds.of({})  # dead ends of the search, and what was tried after them
+    run_s: float  # wall time spent planning, without compilation [s]
+    dead_ends: DeadEnds = DeadEnds.of({})  # dead ends of the search, and the attempts after them
 
     @classmethod
     def empty(
@@ -131,12 +131,12 @@ class Plans(NamedTuple):
         target: Float[np.ndarray, "S T M"],
         count: Int[np.ndarray, "S"] | int | None = None,
     ) -> "Plans":
-        """Return plans in which nothing is attempted yet, with arrays of their own to write into.
+        """Return plans without any attempted target, with new arrays to write into.
 
         Args:
             start: The configurations that the plans start from [rad or m].
             target: The targets [m].
-            count: Number of targets of each scenario, the first of its row; None: all of them.
+            count: Number of targets of each scenario, which are the first ones of its row; None: T.
         """
         shape, joints = target.shape[:2], start.shape[1]
         count = np.broadcast_to(shape[1] if count is None else count, shape[:1])
@@ -150,7 +150,7 @@ class Plans(NamedTuple):
 
     @classmethod
     def concatenate(cls, parts: "Sequence[Plans]") -> "Plans":
-        """Concatenate the rows of all parts and add up their seconds; T may differ."""
+        """Return the plans of all parts in one table; their T may differ. `compile_s` and `run_s` are added up."""
         longest = max(part.status.shape[1] for part in parts)
         wide = [part.widened(longest).arrays() for part in parts]
         rows = [len(part.status) for part in parts]
@@ -164,7 +164,7 @@ class Plans(NamedTuple):
 
     @property
     def exists(self) -> Bool[np.ndarray, "S T"]:
-        """True for existing targets; in an unfinished run, only those of planned scenarios."""
+        """True for existing targets; in an unfinished run, only for those of planned scenarios."""
         return self.status != NO_TARGET
 
     @property
@@ -174,20 +174,20 @@ class Plans(NamedTuple):
 
     @property
     def attempted(self) -> Bool[np.ndarray, "S T"]:
-        """True for attempted targets: the tracked ones, and those at which a scenario ended."""
+        """True for attempted targets: tracked targets, and targets at which a scenario ended."""
         return self.exists & (self.status != Status.NOT_ATTEMPTED)
 
     @property
     def blocked(self) -> Bool[np.ndarray, "S T"]:
-        """True for tracked targets whose joint path from the row before is known to collide."""
+        """True for tracked targets whose joint path from the previous row is known to collide."""
         return self.tracked & (self.path_clear == 0)
 
     @property
     def executable(self) -> Bool[np.ndarray, "S T"]:
         """True for targets that a proven motion leads to.
 
-        This one and all before it are tracked, and on every segment, the first from the scenario's start, the arm is
-        clear and the TCP keeps to its path.
+        Such a target and all earlier targets are tracked. On every segment from the start to the target, the arm is
+        proven to be clear and the TCP to stay on its path.
         """
         return np.logical_and.accumulate(self.tracked & np.isin(self.segment_status, MOTION), axis=1)
 
@@ -210,37 +210,37 @@ class Plans(NamedTuple):
         )
 
     def before(self, scenario: int | np.ndarray, target: int | np.ndarray) -> Float[np.ndarray, "*n N"]:
-        """Return the configurations at which the joint paths to targets begin: the row before, or the start."""
+        """Return the configuration before each target: that of the previous row, or the start [rad or m]."""
         first = np.asarray(target) == 0
         return np.where(first[..., None], self.start[scenario], self.x[scenario, np.maximum(target, 1) - 1])
 
     def rows(self, which: slice | np.ndarray | Sequence[int]) -> "Plans":
-        """Return the plans of some scenarios; the seconds remain those of all."""
+        """Return the plans of some scenarios; `compile_s` and `run_s` remain those of all scenarios."""
         numbers = np.arange(len(self.status))[which]
         kept: dict[str, Any] = {name: array[which] for name, array in self.arrays().items()}
         return self._replace(**kept, via_points=self.via_points.rows(numbers), dead_ends=self.dead_ends.rows(numbers))
 
     def widened(self, targets: int) -> "Plans":
-        """Return the plans with columns for this many targets, T or more; the new ones do not exist."""
+        """Return the plans with columns for `targets` targets, T or more; in new columns no target exists."""
         more = targets - self.status.shape[1]
         wider: dict[str, Any] = {name: self._padded(name, more) for name in (*_KINDS, "target", "tcp")}
         return self._replace(**wider)
 
     def narrowed(self) -> "Plans":
-        """Return the plans without the last columns, in which no scenario has a target."""
+        """Return the plans without those last columns in which no scenario has a target."""
         longest = int(np.flatnonzero(self.exists.any(axis=0)).max(initial=-1)) + 1
         return self._replace(**{name: getattr(self, name)[:, :longest] for name in (*_KINDS, "target", "tcp")})
 
     def without_configurations(self) -> "Plans":
-        """Return the plans with only what a summary needs, to save memory.
+        """Return the plans with only the data for a summary, to save memory.
 
-        `start`, `x`, `tcp` and `target` lose their last axis' columns, and there are no via points.
+        The last axis of `start`, `x`, `tcp` and `target` becomes empty, and via points are removed.
         """
         bare: dict[str, Any] = {name: getattr(self, name)[..., :0].copy() for name in ("start", "x", "tcp", "target")}
         return self._replace(**bare, via_points=ViaPoints.none(0))
 
     def with_own(self, *names: str) -> "Plans":
-        """Return the plans with copies of some fields, to write into."""
+        """Return the plans with writable copies of the named fields."""
         return self._replace(**{name: getattr(self, name).copy() for name in names})
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -254,7 +254,7 @@ class Plans(NamedTuple):
 
 ARRAYS = tuple(name for name in Plans._fields if name not in ("via_points", "compile_s", "run_s", "dead_ends"))
 
-# Values for targets that a scenario does not have; targets not attempted differ in their status.
+# Values of targets that a scenario does not have; targets that were not attempted differ only in their status.
 EMPTY = {
     "x": np.nan, "tcp": np.nan, "target": np.nan, "clearance": np.nan, "residual": np.nan, "orientation_error": np.nan,
     "status": NO_TARGET, "iterations": 0, "joint_step": np.nan, "recovery": 0, "path_clear": PATH_UNKNOWN,
@@ -271,8 +271,8 @@ def consecutive(parts: Sequence[Any], rows: Sequence[int]) -> Any:
     """Concatenate the via points, or the dead ends, of consecutive plans.
 
     Args:
-        parts: Those of each plan.
-        rows: Number of scenarios in each.
+        parts: Via points, or dead ends, of each plan.
+        rows: Number of scenarios in each plan.
     """
     first = np.concatenate([[0], np.cumsum(rows)[:-1]]).astype(np.int32)
     moved = [part._replace(scenario=part.scenario + before) for part, before in zip(parts, first, strict=True)]
@@ -280,7 +280,7 @@ def consecutive(parts: Sequence[Any], rows: Sequence[int]) -> Any:
 
 
 def is_tracked(status: np.ndarray) -> np.ndarray:
-    """Return True where `status` is a tracked one; any shape."""
+    """Return True where `status` is that of a tracked target; any shape."""
     return (status >= 0) & (status <= Status.TRACKED_AFTER_RECOVERY)
 
 
@@ -289,7 +289,7 @@ def outcomes(
     path_clear: Int8[np.ndarray, "S T"] | None = None,
     segment_status: Int8[np.ndarray, "S T"] | None = None,
 ) -> Outcomes:
-    """Return the outcomes of scenarios with these statuses.
+    """Return the outcomes of scenarios from their statuses.
 
     Args:
         status: As in `Plans`.

@@ -31,20 +31,21 @@ def ignore(tracked: int, finished: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """S scenarios of up to T targets for one arm at one workpiece, and the devices and threads to plan them with.
+    """Input of a method: S scenarios with up to T targets, arm, workpiece and obstacles, devices and threads.
 
-    A problem is final: starts are chosen and scenarios refused before a method gets it, and its arrays are read-only.
-    progress(targets newly tracked, scenarios newly finished) may be called at any time, on any thread; an exception in
-    it ends the work. After a method's `plan`, joint paths that it did not check are checked if `check_paths` is set.
+    A problem is final: before a method gets it, starts are chosen and scenarios are refused. Its arrays are read-only.
+    `progress` has two arguments: the numbers of newly tracked targets and of newly finished scenarios. It may be called
+    at any time, on any thread; an exception in it ends planning. If `check_paths` is True, joint paths that the method
+    did not check are checked after its `plan`.
     """
 
     robot: Robot  # without the scenarios' own tool extensions, see `model.robot.lengthen_tool`
     workpiece: Workpiece
     scenarios: Scenario  # stacked: a leading axis of S on every leaf, numpy
     settings: Settings
-    task: Task  # to be fulfilled at every target
-    obstacles: Obstacles  # the workpiece's, and all others
-    devices: Sequence[jax.Device]  # of one kind
+    task: Task  # constraints at every target
+    obstacles: Obstacles  # all obstacles, including the workpiece's
+    devices: Sequence[jax.Device]  # all CPUs or all GPUs
     threads: int  # 1 or more
     check_paths: bool = True
     progress: Callable[[int, int], None] = ignore
@@ -56,39 +57,40 @@ class Problem:
     def checkers(self) -> tuple[CollisionChecker, ...]:
         """Collision checkers of this scene, one for each device."""
         scene, guard = Scene(self.robot, self.obstacles, self.task), tip_guard.make_tip_guard(self.workpiece)
-        extra = max(1, self.threads // max(1, len(self.to_plan)))  # threads without a scenario of their own
+        extra = max(1, self.threads // max(1, len(self.to_plan)))  # threads per scenario
         each = (Executor(scene, self.settings, device, threads=extra) for device in self.devices)
         return tuple(CollisionChecker(executor, self.settings, guard) for executor in each)
 
     @cached_property
     def begins_anywhere(self) -> Bool[np.ndarray, "S"]:
-        """`Scenario.begins_anywhere` of all scenarios, computed once for lookups scenario by scenario."""
+        """`Scenario.begins_anywhere` of all scenarios, computed once."""
         return _read_only(self.scenarios.begins_anywhere)
 
     @property
     def to_plan(self) -> Int[np.ndarray, "_"]:
-        """Indices of the scenarios to plan: those that were not refused beforehand."""
+        """Indices of the scenarios to plan: those that are not refused."""
         return np.flatnonzero(self.scenarios.refused == scenario_functions.NOT_REFUSED)
 
     def empty_plans(self) -> Plans:
-        """Return plans in which nothing is attempted yet, to be filled in; refused scenarios have their status."""
+        """Return plans without any attempted target, to be filled in; refused scenarios already have their status."""
         plans = Plans.empty(*map(np.asarray, (self.scenarios.x_start, self.scenarios.targets, self.scenarios.count)))
         refused = self.scenarios.refused != scenario_functions.NOT_REFUSED
         plans.status[refused, 0] = self.scenarios.refused[refused]
         return plans
 
     def inputs(self, scenario: int, target: int, count: int = 1) -> LaneInputs:
-        """Return what a checker needs of one target, in `count` equal rows."""
+        """Return the inputs of a `CollisionChecker` for one target of a scenario, in `count` equal rows."""
         return lane_inputs(self.scenarios, np.full(count, scenario), np.full(count, target))
 
     def in_threads(
         self, work: Callable[[CollisionChecker, slice], FoundInThread], threads: int | None = None
     ) -> list[FoundInThread]:
-        """Return the results of work(checker, share), one per thread, each with the checker of its device.
+        """Call work(checker, share) in every thread, and return the results.
 
         Args:
-            work: The function; `share` are the thread's rows of any table, every so many.
-            threads: Number of threads; by default all of the problem's.
+            work: Function of the checker of the thread's device, and of a slice that selects the thread's share of the
+                rows of any table.
+            threads: Number of threads; None: `self.threads`.
         """
         checkers, threads = self.checkers, threads or self.threads  # checkers are made before there are threads
 
@@ -100,7 +102,7 @@ class Problem:
         if threads == 1:
             return [run(0)]
         with ThreadPoolExecutor(threads) as pool:
-            # Not `map`: if one fails it cancels those that have not begun, for which others may wait.
+            # Not `map`: if a call fails, `map` cancels calls that have not begun, for which other calls may wait.
             return [each.result() for each in [pool.submit(run, number) for number in range(threads)]]
 
     def with_scenarios(self, scenarios: Scenario, progress: Callable[[int, int], None] | None = None) -> "Problem":
@@ -110,10 +112,10 @@ class Problem:
         return other
 
     def as_planned(self, plans: Plans) -> "Problem":
-        """Return the problem with the targets that a method's plans have.
+        """Return the problem with the targets of a method's plans.
 
-        Plans may replace targets of an approach by the path's first point: from the first such target on, all targets
-        of the approach have its goals.
+        Plans may replace targets of the approach by the path's first point. From the first such target on, all targets
+        of the approach get the goals of the path's first point.
         """
         before = np.arange(plans.target.shape[1]) < self.scenarios.on_path[:, None]
         left = np.logical_or.accumulate((plans.target != self.scenarios.targets).any(axis=2), axis=1) & before
@@ -121,7 +123,7 @@ class Problem:
 
 
 def _read_only(array: Anywhere) -> np.ndarray:
-    """Return a view of an array that cannot be written into."""
+    """Return a read-only view of an array."""
     view = np.asarray(array).view()
     view.flags.writeable = False
     return view

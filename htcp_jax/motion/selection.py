@@ -1,4 +1,4 @@
-"""Selection of configurations that lie apart: the best of close ones, and those far from each other.
+"""Selection of configurations that are far apart: among configurations close to each other, only the best is selected.
 
 `dispersed` works on many searches at once: rows with the same number belong to one search, and searches do not
 influence each other.
@@ -17,15 +17,15 @@ def dispersed(
 ) -> Int[np.ndarray, "k"]:
     """Return the indices of up to `most` configurations per search, all at least `apart` from each other.
 
-    Of close ones the first is kept, and none that is close to a known one. If more than `most` remain, those far from
-    each other are (farthest-point selection).
+    Among configurations close to each other, the first is selected. Configurations close to a known one are not
+    selected. If more than `most` remain, farthest-point selection selects among them.
 
     Args:
         x: Configurations [rad], search by search, best first.
         search: Number of each row's search, 0 or more.
-        most: Largest number of configurations per search.
-        apart: Least distance [rad].
-        known: Configurations that are kept already, and their searches.
+        most: Maximum number of configurations per search.
+        apart: Minimum distance [rad].
+        known: Configurations that are already selected, and the numbers of their searches.
 
     Returns:
         The indices in the order of the rows.
@@ -33,7 +33,7 @@ def dispersed(
     count, every, number = 0, x, search
     if known is not None:
         count, every, number = len(known[1]), np.concatenate([known[0], x]), np.concatenate([known[1], search])
-    order = np.argsort(number, kind="stable")  # per search the known ones first
+    order = np.argsort(number, kind="stable")  # in each search, known configurations come first
     kept = np.empty(len(every), bool)
     kept[order] = _kept_apart(every[order], number[order], order < count, apart)
     places = order[kept[order] & (order >= count)] - count
@@ -48,9 +48,9 @@ def dispersed(
 def _kept_apart(
     x: Float[np.ndarray, "n N"], search: Int[np.ndarray, "n"], known: np.ndarray, apart: float
 ) -> np.ndarray:
-    """Return True for the rows, sorted by search, to keep: the known ones, and those near no row kept before them.
+    """Return True for the rows to keep: the known ones, and those that are not near an earlier kept row.
 
-    The k-th rows of all searches are compared at once; searches with many rows come first.
+    Rows must be sorted by search. The k-th rows of all searches are compared at once.
     """
     first = np.flatnonzero(np.diff(search, prepend=-1))
     count = np.diff(np.append(first, len(x)))
@@ -70,13 +70,13 @@ def _kept_apart(
 
 
 def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: float) -> list[int]:
-    """Return up to `most` rows of x, starting from `first`, always the one farthest from those chosen.
+    """Return the indices of up to `most` rows of x by farthest-point selection, starting with row `first`.
 
     Args:
         x: Configurations [rad].
-        first: The first row.
-        most: Largest number of rows.
-        apart: Least distance [rad].
+        first: Index of the first row.
+        most: Maximum number of rows.
+        apart: Minimum distance [rad].
     """
     kept, distance = [first], np.linalg.norm(x - x[first], axis=1)
     while len(kept) < most and distance.max() >= apart:
@@ -86,12 +86,12 @@ def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: fl
 
 
 def first_apart(x: Float[np.ndarray, "n N"], most: int, apart: float, norm: float = 2) -> Int[np.ndarray, "k"]:
-    """Return up to `most` rows of x, in their order: each that is at least `apart` from the rows kept before it.
+    """Return the indices of up to `most` rows of x: in order, each row at least `apart` from all rows kept so far.
 
     Args:
         x: Configurations [rad].
-        most: Largest number of rows.
-        apart: Least distance [rad].
+        most: Maximum number of rows.
+        apart: Minimum distance [rad].
         norm: Order of the norm, as in `numpy.linalg.norm`.
     """
     kept: list[int] = []

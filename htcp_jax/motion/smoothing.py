@@ -1,11 +1,11 @@
-"""Equation (3): a complete motion shortened as far as its constraints allow.
+"""Smoothing: reduce the cost (3) of a motion as far as its constraints allow.
 
-Sequential quadratic programming. Each round solves one sparse QP per path about the current iterate
-(`solvers.path_qp`), moves the configurations back onto their targets, and accepts the result where it is shorter and
-still proven to be a motion. If part of it is not, the trust region of the adjacent configurations shrinks, and the
-other ones move without them. So every accepted iterate is a motion, and smoothing can stop at any round.
+The method is sequential quadratic programming. Each round solves one sparse QP per path about the current iterate
+(`solvers.path_qp`), and moves the configurations back onto their targets. The result is accepted if it is shorter and
+still proven to be a motion. If parts of it are not proven, the adjacent configurations stay and their trust region
+shrinks, while the other configurations move. Every accepted iterate is a motion, so smoothing can stop at any round.
 
-Via points, at which the tool dwells, take part; they are dropped if the straight segment is a motion, too.
+Via points are smoothed, too. They are dropped if the straight segment without them is a motion.
 """
 
 from collections.abc import Sequence
@@ -28,10 +28,10 @@ from htcp_jax.solvers import path_qp
 from htcp_jax.status import SegmentStatus
 
 TRUST = 0.2  # maximum step of a joint per round [rad or m]
-NEIGHBOURS = 4  # configurations over which a step grows to its full length, next to a fixed one
-GAIN, SLOW, MOST_ROUNDS = 2e-3, 3, 40  # a path is done after SLOW rounds in a row that gain less than GAIN of its cost
-TOGETHER = 64  # paths smoothed at a time per thread; the linearisation of each takes a third of a megabyte
-GRAZES = 64  # maximum queries of a proof; with more, the segment is too close to an obstacle
+NEIGHBOURS = 4  # number of configurations next to a fixed one over which steps increase to their full length
+GAIN, SLOW, MOST_ROUNDS = 2e-3, 3, 40  # a path is done after SLOW consecutive rounds that save less than GAIN
+TOGETHER = 64  # paths per thread that are smoothed at a time; the linearisation of a path takes a third of a megabyte
+GRAZES = 64  # maximum number of clearance queries per proof; a segment that needs more is too close to an obstacle
 
 
 @dataclass(eq=False)
@@ -40,21 +40,21 @@ class SmoothedPath:
 
     scenario: int
     x: Float[np.ndarray, "P1 N"]  # the start, then the configurations
-    target: Int[np.ndarray, "P"]  # end of the segment that a configuration is on
+    target: Int[np.ndarray, "P"]  # target at the end of the segment that a configuration is on
     is_via_point: Bool[np.ndarray, "P"]  # True for via points
     on_path: int  # see `Scenario`
-    radius: Float[np.ndarray, "P"]  # of the trust region; 0 for a fixed configuration
-    begins_anywhere: bool  # True if the start is the first target's configuration
-    seen: linearisation.Linearisation | None = None  # at the configurations, and half way to each: (P, 2, ...)
-    slow: int = field(default=0)  # consecutive rounds with almost no gain
-    rounds: int = 0
+    radius: Float[np.ndarray, "P"]  # radius of each trust region; 0 for a fixed configuration
+    begins_anywhere: bool  # True if the start may move, as it is the configuration at the first target
+    seen: linearisation.Linearisation | None = None  # at each configuration and half way to it: (P, 2, ...)
+    slow: int = field(default=0)  # number of consecutive rounds with almost no saving
+    rounds: int = 0  # number of rounds so far
 
     @classmethod
     def of(cls, problem: Problem, plans: Plans, end: Outcome) -> "SmoothedPath":
-        """Return the executable part of a scenario.
+        """Return the path of a scenario: its executable motion.
 
-        Its last configuration is fixed if tracked targets follow, and so is a given start between home and the first
-        target.
+        The last configuration is fixed if tracked targets follow. A given start between home and the first target is
+        fixed, too.
         """
         s = end.scenario
         edges = [(t, [*plans.via_points.on_segment(s, t), plans.x[s, t]]) for t in range(end.executable)]
@@ -70,17 +70,17 @@ class SmoothedPath:
 
     @property
     def constrained(self) -> Bool[np.ndarray, "P"]:
-        """True for configurations at which the task is required: before the path only those at targets."""
+        """True for configurations at which the task is required: all except the approach's via points."""
         return ~self.is_via_point | (self.target > self.on_path)
 
     @property
     def may_drop(self) -> Bool[np.ndarray, "P"]:
-        """True for via points that may be dropped: those on segments without a fixed one."""
+        """True for via points that may be dropped: via points on segments without a fixed configuration."""
         return self.is_via_point & ~np.isin(self.target, self.target[self.is_via_point & (self.radius == 0)])
 
     @property
     def row(self) -> Int[np.ndarray, "P"]:
-        """Target that a configuration is at; for a via point the previous one."""
+        """Index of the target at each configuration; for a via point, of the previous target."""
         return np.maximum(self.target - self.is_via_point, 0)
 
     @property
@@ -89,11 +89,11 @@ class SmoothedPath:
         return self.slow >= SLOW or self.rounds >= MOST_ROUNDS
 
     def segments(self, x: Float[np.ndarray, "P1 N"]) -> StraightPaths:
-        """Return the straight joint paths between configurations x, the start's first."""
+        """Return the straight joint paths between consecutive configurations x, beginning at the start."""
         return StraightPaths(np.full(len(self.target), self.scenario), self.target, x[:-1], x[1:], self.is_via_point)
 
     def without(self, dropped: Bool[np.ndarray, "P"]) -> None:
-        """Remove some configurations, and the linearisations."""
+        """Remove some configurations, and discard the linearisations."""
         self.x = self.x[np.append(True, ~dropped)]
         self.target, self.is_via_point, self.radius = (
             a[~dropped] for a in (self.target, self.is_via_point, self.radius)
@@ -102,8 +102,8 @@ class SmoothedPath:
 
 
 def smooth(problem: Problem, plans: Plans) -> Plans:
-    """Return the plans with their executable motions smoothed; the segments must be verified again."""
-    ends = plans.outcomes  # of all scenarios at once
+    """Return the plans with their executable motions smoothed; call `verify_motions` again afterwards."""
+    ends = plans.outcomes  # computed once for all scenarios
     going = np.flatnonzero(ends.executable).tolist()
     paths = [SmoothedPath.of(problem, plans, ends.of(s)) for s in going]
 
@@ -117,7 +117,7 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
 
 
 class Smoothing:
-    """Smooth paths together, round by round."""
+    """Smoothing of several paths together, round by round."""
 
     def __init__(self, problem: Problem, checker: CollisionChecker):
         self._problem, self._checker = problem, checker
@@ -140,7 +140,7 @@ class Smoothing:
         return path_qp.path_cost(x, self._weights)
 
     def _drop(self, paths: list[SmoothedPath]) -> None:
-        """Drop via points if the straight segment is a motion."""
+        """Drop via points if the straight segment without them is a motion."""
         edges = [(path, target) for path in paths for target in np.unique(path.target[path.may_drop])]
         if not edges:
             return
@@ -154,7 +154,7 @@ class Smoothing:
             path.without(path.is_via_point & np.isin(path.target, free))
 
     def _round(self, paths: list[SmoothedPath]) -> None:
-        """Solve one QP per path, and take as much of its step as is accepted."""
+        """Solve one QP per path, and apply the part of its step that is accepted."""
         tries = [(path, self._step(path), np.ones(len(path.target))) for path in paths]
         for attempt in range(3):
             again, candidates = [], self._candidates([(path, share[:, None] * y) for path, y, share in tries])
@@ -172,7 +172,7 @@ class Smoothing:
                 return
 
     def _step(self, path: SmoothedPath) -> Float[np.ndarray, "P N"]:
-        """Return the step of the QP about the path's current iterate."""
+        """Return the step that the QP about the path's current iterate yields [rad or m]."""
         settings, rows = self._problem.settings, path.seen.clearance
         aim = self._problem.scenarios.margin_m[path.scenario] + settings.aim_above_m
         left = np.maximum(rows.distance - aim, 0.0)
@@ -190,9 +190,9 @@ class Smoothing:
     def _task_limits(
         self, path: SmoothedPath, G: np.ndarray, left: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the task's equations at the configurations, and the rows that limit a step, bands and cones included.
+        """Return the QP's equations of the task, and its inequality rows extended by the task's bands and cones.
 
-        Bands and cones limit it at configurations at which the task is required, and at midpoints before those beyond
+        Bands and cones are added at configurations at which the task is required, and half way to configurations after
         the path's first point.
         """
         task, linear = self._problem.task, path.seen.task
@@ -210,9 +210,9 @@ class Smoothing:
     def _candidates(
         self, steps: list[tuple[SmoothedPath, np.ndarray]]
     ) -> list[tuple[np.ndarray, linearisation.Linearisation, np.ndarray]]:
-        """Return each path's configurations after a step, their linearisations, and True for those not in a motion.
+        """Return each path's configurations after a step, their linearisations, and True for rejected configurations.
 
-        Configurations that did not move remain part of one.
+        Only configurations that moved can be rejected.
         """
         paths = [path for path, _ in steps]
         x = self._settled(steps)
@@ -236,7 +236,7 @@ class Smoothing:
                 path.seen = seen
 
     def _settled(self, steps: list[tuple[SmoothedPath, np.ndarray]]) -> list[np.ndarray]:
-        """Return the paths after a step, starts included.
+        """Return the configurations of the paths after a step, including starts.
 
         Configurations that moved and at which the task is required are moved back onto their targets.
         """
@@ -253,7 +253,7 @@ class Smoothing:
     def _measured(
         self, paths: list[SmoothedPath], x: list[np.ndarray]
     ) -> tuple[list[linearisation.Linearisation], list[np.ndarray]]:
-        """Return the linearisations at configurations and the midpoints before them, and True for valid ones."""
+        """Return the linearisations at configurations and half way to each one, and True for valid configurations."""
         inputs = self._inputs(paths)
         places = np.concatenate([np.stack([at[1:], 0.5 * (at[1:] + at[:-1])], axis=1) for at in x])
         flat = places.reshape(-1, places.shape[-1])
@@ -265,13 +265,13 @@ class Smoothing:
         return linear, _split_by_path(good, paths)
 
     def _motions(self, segments: StraightPaths, most_queries: int | None = None) -> Bool[np.ndarray, "n"]:
-        """Return True for each joint path that is proven, with at most `most_queries`."""
+        """Return True for joint paths that are proven in at most `most_queries` clearance queries."""
         proofs = prove_segments(self._problem, self._checker, segments)
         few = True if most_queries is None else proofs.queries <= most_queries
         return (proofs.verdict == SegmentStatus.VALID) & few
 
     def _keeps_steps(self, path: SmoothedPath, x: Float[np.ndarray, "P1 N"]) -> Bool[np.ndarray, "P"]:
-        """Return True for joint paths on segments on which no joint moves too far."""
+        """Return True for joint paths on segments that satisfy `Scenario.max_joint_step`."""
         scenarios = self._problem.scenarios
         segment, most = (t[path.scenario, path.target] for t in (scenarios.segments, scenarios.max_joint_step))
         travel = np.zeros((segment.max(initial=0) + 1, x.shape[1]))
@@ -293,7 +293,7 @@ def _split_by_path(table: np.ndarray, paths: list[SmoothedPath]) -> list[np.ndar
 
 
 def _written(problem: Problem, plans: Plans, paths: list[SmoothedPath]) -> Plans:
-    """Return the plans with these paths written into them."""
+    """Return the plans with the configurations of the smoothed paths."""
     s = np.concatenate([np.full((~path.is_via_point).sum(), path.scenario) for path in paths] or [np.zeros(0, int)])
     if not len(s):
         return plans

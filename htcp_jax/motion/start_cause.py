@@ -1,7 +1,7 @@
-"""Reason why a scenario cannot begin: bodies that overlap, or a first point that no clear configuration was found for.
+"""Reason why a scenario cannot begin: bodies that overlap, or no clear configuration found at the path's first point.
 
-A pair overlaps in every configuration if neither of its bodies moves, such as the arm's base inside the workpiece. Of
-other pairs the random configurations decide, in which a start was looked for.
+Bodies that do not move, such as the arm's base and the workpiece, overlap in every configuration or in none. Other
+pairs are measured at the random configurations that were sampled to find a start.
 """
 
 from collections import Counter
@@ -26,20 +26,34 @@ from htcp_jax.settings import Settings
 from htcp_jax.status import AT_HOME, Status
 
 CAUSES = Status.START_IN_COLLISION, Status.HOME_IN_COLLISION, Status.NO_START  # statuses with a cause
-NAMED = 3  # pairs of bodies in a description
+NAMED = 3  # maximum number of pairs of bodies in a description
+
+
+class Attempt(NamedTuple):
+    """The sampled configuration at the first target with the least overlap."""
+
+    x: Float[np.ndarray, "N"]  # [rad or m]
+    body: str  # name of the capsule with the deepest overlap at x
+    other: str  # name of the obstacle that it overlaps
+    point: Float[np.ndarray, "3"]  # nearest point of this obstacle, world [m]
+    depth_m: float  # depth of the overlap
 
 
 class StartCause(NamedTuple):
     """Reason why a scenario cannot begin."""
 
     description: str
-    body: str | None = None  # the capsule that overlaps; None if none is known to
-    other: str | None = None  # the obstacle
-    depth_m: float = float("nan")  # of the overlap; its least depth where several configurations were measured
+    body: str | None = None  # name of the capsule that overlaps; None if unknown
+    other: str | None = None  # name of the obstacle
+    depth_m: float = float("nan")  # depth of the overlap; the least depth if several configurations were measured
     always: bool = False  # True if the pair overlaps in every configuration
+    attempt: Attempt | None = None  # the attempt with the least overlap, if all attempts collide
 
     def place(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> str:
-        """Beginning of the message if the workpiece has no pose, unless other bodies overlap; else empty."""
+        """Return the beginning of the message: a hint if the workpiece has no given pose, else an empty text.
+
+        The text is also empty if other bodies than the workpiece overlap.
+        """
         is_part = self.other is None or "workpiece" in self.other
         return scenario_functions.without_pose(T_world_workpiece) if is_part else ""
 
@@ -54,17 +68,17 @@ def start_causes(
     obstacles: Obstacles,
     rounds: int = ROUNDS,
 ) -> dict[int, StartCause]:
-    """Return the reasons why scenarios cannot begin, by their rows; none for rows with another status.
+    """Return the reasons why scenarios cannot begin: row -> reason, for rows with a status of `CAUSES`.
 
     Args:
         robot: The arm with its tool.
         workpiece: The part.
-        scenarios: Stacked.
-        status: The statuses of their first targets.
-        settings: The settings that they were planned with.
+        scenarios: Stacked scenarios.
+        status: Statuses of the scenarios' first targets.
+        settings: The settings that the scenarios were planned with.
         task: The task.
-        obstacles: In addition to the workpiece.
-        rounds: Rounds of draws for a start that are looked at.
+        obstacles: Obstacles in addition to the workpiece.
+        rounds: Maximum number of rounds of sampled starts to measure.
     """
     rows = np.flatnonzero(np.isin(status, CAUSES)).tolist()
     if not rows:
@@ -82,8 +96,8 @@ def start_cause(problem: Problem, s: int, status: Status, rounds: int = ROUNDS) 
     Args:
         problem: The problem.
         s: Row of the scenario.
-        status: Its result, one of `CAUSES`.
-        rounds: Rounds of draws for a start that are looked at.
+        status: The scenario's status, one of `CAUSES`.
+        rounds: Maximum number of rounds of sampled starts to measure.
     """
     scenarios = problem.scenarios
     if status == Status.NO_START:
@@ -98,12 +112,39 @@ def start_cause(problem: Problem, s: int, status: Status, rounds: int = ROUNDS) 
 
 
 def standing_overlap(problem: Problem, s: int) -> StartCause | None:
-    """Return the deepest overlap in a scenario that every configuration has; None without one."""
+    """Return the deepest overlap that exists in every configuration of a scenario; None if there is none."""
     x = drawn_configurations(problem, problem.checkers[0], s, FIRST_ROUND)
     found = _Measured(problem, s, x)
     always = np.where(found.distance.max(axis=0) <= 0, -found.distance.max(axis=0), -np.inf)
     row = int(always.argmax())
     return found.cause(row, int(found.distance[:, row].argmax()), always=True) if always[row] >= 0 else None
+
+
+def nearest_bodies(
+    robot: Robot,
+    workpiece: Workpiece,
+    scenario: Scenario,
+    x: Float[np.ndarray, "N"],
+    settings: Settings,
+    task: Task,
+    obstacles: Obstacles,
+) -> tuple[str, str]:
+    """Return the label of the capsule with the minimum clearance at x, and the name of the obstacle nearest to it.
+
+    Args:
+        robot: The arm with its tool.
+        workpiece: The part.
+        scenario: The scenario.
+        x: The configuration [rad or m].
+        settings: The settings that the scenario was planned with.
+        task: The task.
+        obstacles: Obstacles in addition to the workpiece.
+    """
+    known, scenarios = of_workpiece.all_obstacles(workpiece, obstacles), scenario_functions.stack([scenario])
+    problem = Problem(robot, workpiece, scenarios, settings, task, known, devices.choose(None)[:1], 1)
+    found = _Measured(problem, 0, x[None])
+    name, other = found.pair(int(found.distance[0].argmin()), 0)
+    return robots.capsule_label(robot, name), other
 
 
 class _Measured:
@@ -114,19 +155,21 @@ class _Measured:
         scenarios = problem.scenarios
         self._scene = Scene(problem.robot, problem.obstacles, problem.task)
         inputs = lane_inputs(scenarios, np.full(len(x), s), np.zeros(len(x), int))
-        self.distance: Float[np.ndarray, "n R"] = problem.checkers[0].executor(MEASURE, inputs, x)
+        self.distance: Float[np.ndarray, "n R"]
+        self.points: Float[np.ndarray, "n R 3"]
+        self.distance, self.points = problem.checkers[0].executor(MEASURE, inputs, x)
         links = np.array(problem.robot.capsule_link)
         self.stands: Bool[np.ndarray, "R"] = links[np.array(self._scene.rows.body)] < 0
 
     def pair(self, row: int, k: int) -> tuple[str, str]:
-        """Return the body of a row, and the obstacle nearest to it at configuration k, by their names."""
+        """Return the name of a row's body, and the name of the obstacle nearest to it at configuration k."""
         here = jax.tree.map(lambda leaf: jnp.asarray(leaf[self._s]), self._problem.scenarios)
         own = robots.lengthen_tool(self._problem.robot, here.tool_extension_m)
         other = nearest_to(own, self._problem.obstacles, here, jnp.asarray(self.x[k]), row)
         return own.capsule_names[self._scene.rows.body[row]], other
 
     def cause(self, row: int, k: int, always: bool) -> StartCause:
-        """Return the overlap of a row at configuration k."""
+        """Return a `StartCause` for the overlap of a row at configuration k."""
         name, other = self.pair(row, k)
         depth_m, body = -float(self.distance[k, row]), robots.capsule_label(self._problem.robot, name)
         text = f"{body} is {_mm(depth_m)} inside {other}"
@@ -138,7 +181,7 @@ class _Measured:
 
 
 def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
-    """Return the reason why no start was found at the first target, from the configurations that were tried."""
+    """Return the reason why none of the sampled configurations at the first target is a start."""
     checker, scenarios, task = problem.checkers[0], problem.scenarios, problem.task
     drawn = np.concatenate([drawn_configurations(problem, checker, s, FIRST_ROUND + k) for k in range(rounds)])
     inputs = lane_inputs(scenarios, np.full(len(drawn), s), np.zeros(len(drawn), int))
@@ -149,27 +192,34 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
         robot = robots.lengthen_tool(problem.robot, float(scenarios.tool_extension_m[s]))
         off, angle = map(float, task.errors(robot, jnp.asarray(at.x[best]), jnp.asarray(inputs.target[best])))
         turned = f" and {np.rad2deg(angle):.3g} deg" if angle else ""
-        return StartCause(f"out of reach: in {attempts} the arm came only to within {_mm(off)}{turned} of it")
+        return StartCause(f"out of reach: in {attempts} the arm came only to within {_mm(off)}{turned} of the point")
     found = _Measured(problem, s, at.x[reached])
     least = found.distance.min(axis=1)
     if clear := int((least > 0).sum()):
         valid = checker.valid(tables.gather(inputs, reached), tables.gather(at, reached))
         if valid.any():
-            return StartCause(f"nothing was found in {attempts}")
+            return StartCause(f"no start was found in {attempts}")
         margin = f"the margin of {_mm(float(scenarios.margin_m[s]))}, or with the tool's bare tip in a wall"
-        return StartCause(f"in {clear} of {attempts} the arm reached it without collision, but with less than {margin}")
+        return StartCause(
+            f"in {clear} of {attempts} the arm reached the point without collision, but with less than {margin}"
+        )
     deepest = found.distance.argmin(axis=1)
     tried = Counter(deepest.tolist()).most_common(NAMED)
     pairs = [(*found.pair(row, int(np.argmax(deepest == row))), count) for row, count in tried]
     named = [f"{robots.capsule_label(problem.robot, a)} with {b} ({count})" for a, b, count in pairs]
     body, other, _ = pairs[0]
-    best = _mm(-float(least.max()))
-    text = f"{len(least)} of {attempts} reached it, all in collision, the least by {best}: {', '.join(named)}"
-    return StartCause(text, body, other, -float(least.max()))
+    k, depth_m = int(least.argmax()), -float(least.max())
+    text = (
+        f"{len(least)} of {attempts} reached the point, all in collision, the least by {_mm(depth_m)}: "
+        f"{', '.join(named)}"
+    )
+    row = int(deepest[k])
+    attempt = Attempt(found.x[k], *found.pair(row, k), found.points[k, row], depth_m)
+    return StartCause(text, body, other, depth_m, attempt=attempt)
 
 
 def _excluded_overlap(problem: Problem, x: Float[np.ndarray, "N"]) -> StartCause | None:
-    """Return an overlap of capsules that self-collision excludes; None without one."""
+    """Return an overlap of a pair of capsules that self-collision excludes; None if there is none."""
     robot: Robot = problem.robot
     for own in (each for each in problem.obstacles if isinstance(each, self_collision.SelfCollision)):
         if (found := self_collision.refused_pair(own, robot, x)) is not None:
@@ -179,8 +229,9 @@ def _excluded_overlap(problem: Problem, x: Float[np.ndarray, "N"]) -> StartCause
 
 
 def _row_distances(settings, scene: Scene, where, x):
-    """Return the distance of every row at x."""
-    return contacts(scene.robot, scene.obstacles, where, x).distance
+    """Return the distance of every row at x [m], and the nearest point of the row's obstacle, world [m]."""
+    found = contacts(scene.robot, scene.obstacles, where, x)
+    return found.distance, found.witness
 
 
 MEASURE = lane_function.LaneFunction("measure_rows", _row_distances, lane_function.DEEP)

@@ -1,7 +1,7 @@
-"""Device functions of the engine: pure functions of one lane.
+"""Pure functions of one lane that run on the device: step QPs, measurement, proofs.
 
-Each takes the settings and the scene, which all lanes share, and the inputs of its own lane; `device.executor` runs it
-over tables of lanes.
+A lane is a row of a batch. Each function takes the settings and the scene, which all lanes share, and the inputs of its
+own lane. `device.executor` runs the functions over tables of lanes.
 """
 
 from collections.abc import Callable
@@ -21,18 +21,18 @@ from htcp_jax.settings import Settings
 from htcp_jax.solvers import active_set, step_qp
 from htcp_jax.types import Anywhere, Float, Int, Joints
 
-STEP_ROUNDING = 1e-6  # share of the longest joint step that a QP solver may miss
+STEP_ROUNDING = 1e-6  # tolerance of QP solvers, relative to the longest joint step
 STEPS_PER_CHUNK = 5  # step QPs, or null-space steps, per call
 
 
 class State(NamedTuple):
-    """A configuration at its target, with its measurements, or many of them, one per row; None if not measured."""
+    """A configuration at a target with its measurements, or a table of n such states; not measured fields are None."""
 
     x: Float[Anywhere, "*n N"]  # configuration [rad or m]
     linear: linearisation.Linearisation | None = None  # task and clearance to first order
-    clearance: Float[Anywhere, "*n"] | None = None  # D, the smallest [m]
-    residual: Float[Anywhere, "*n"] | None = None  # of the task [m]
-    tcp: Float[Anywhere, "*n 3"] | None = None  # world [m]
+    clearance: Float[Anywhere, "*n"] | None = None  # D, the smallest distance of all rows [m]
+    residual: Float[Anywhere, "*n"] | None = None  # residual of the task [m]
+    tcp: Float[Anywhere, "*n 3"] | None = None  # position of the TCP, world [m]
 
 
 def prepare(
@@ -43,7 +43,7 @@ def prepare(
     Args:
         settings: Settings of the planner.
         scene: The scene.
-        lane: Scenario and target.
+        lane: Scenario and target of the lane.
         x_ref (Joints): The current configuration [rad or m].
         x_previous (Joints): The configuration at the previous target [rad or m].
         linear: Task and clearance at x_ref to first order.
@@ -67,7 +67,7 @@ def prepare(
 
 
 def joint_box(scene: Scene, lane: LaneInputs, x: Joints) -> tuple[Joints, Joints]:
-    """Return the joint limits that a step from the previous target keeps: the arm's, and the lane's longest step.
+    """Return the joint limits at the lane's target: the arm's limits, narrowed by the maximum travel from x.
 
     Args:
         scene: The scene.
@@ -84,15 +84,15 @@ def joint_box(scene: Scene, lane: LaneInputs, x: Joints) -> tuple[Joints, Joints
 def advance(
     settings: Settings, scene: Scene, lane: LaneInputs, x_ref: Joints, y: Joints, smallest: bool = False
 ) -> State:
-    """Return the lane after a step y: linearised by equations (6) to (8), and measured against its target.
+    """Return the lane's state after a step y, linearised by equations (6) to (8) and measured at the lane's target.
 
     Args:
         settings: Settings of the planner.
         scene: The scene.
         lane: Scenario and target.
         x_ref: The configuration before the step [rad or m].
-        y: The step [rad or m]; x_ref + y is clipped to the limits exactly.
-        smallest: See `linearise`.
+        y: The step [rad or m]; x_ref + y is clipped to the joint limits.
+        smallest: True to linearise only the smallest clearance, see `linearise`.
     """
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
     linear = linearisation.linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
@@ -101,26 +101,26 @@ def advance(
 
 
 def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> State:
-    """Return `advance` for step QPs that use the smallest clearance only."""
+    """Return the lane's state after a step, linearised with only the smallest clearance."""
     return advance(settings, scene, lane, x_ref, y, smallest=True)
 
 
 def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
-    """Return the lane at x, linearised for its step QP."""
+    """Return the lane's state at x, linearised for the step QP."""
     return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
 
 
 def empty_result(look: Callable, *arguments) -> Any:
-    """Return zeros in the structure and shapes that `look` would return for these arguments."""
+    """Return zeros with the structure and shapes of the result of look(*arguments)."""
     return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, *arguments))
 
 
 class TrackingState(NamedTuple):
-    """A lane after a chunk of step QPs: its state, the number of step QPs at this target, and the last one's status."""
+    """A lane after a chunk of step QPs."""
 
     now: State
-    iteration: jax.Array
-    verdict: jax.Array
+    iteration: jax.Array  # number of step QPs solved for this target
+    verdict: jax.Array  # status of the last step QP
 
 
 def track(
@@ -134,7 +134,7 @@ def track(
 ) -> Loop:
     """Solve step QPs (9) on the device, one after the other: Algorithm 1, line 7.
 
-    They end when the target is reached, the lane is stuck, or the chunk of steps is over.
+    The loop ends when the target is reached, the lane is stuck, or the chunk of steps is complete.
 
     Args:
         settings: Settings of the planner.
@@ -143,7 +143,7 @@ def track(
         x_ref: The current configuration [rad or m].
         x_previous: The configuration at the previous target [rad or m].
         linear: Task and clearance at x_ref to first order.
-        iteration: Number of step QPs solved for this target before.
+        iteration: Number of step QPs already solved for this target.
 
     Returns:
         A loop whose state is `TrackingState`.
@@ -161,8 +161,8 @@ def track(
         now = advance(settings, scene, lane, tracked.now.x, found.y, settings.clearance_rows == "smallest")
         return TrackingState(now, tracked.iteration + 1, found.status)
 
-    # At a new target, and in a candidate's first chunk, nothing is reached before the first step QP.
-    nowhere = jnp.zeros(3)  # the TCP is not recorded before
+    # At a new target, and in a candidate's first chunk, the target is not reached before the first step QP.
+    nowhere = jnp.zeros(3)  # the TCP is not recorded before the first step QP
     known = State(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf), nowhere)
     return Loop(TrackingState(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32)), going, step)
 
@@ -173,21 +173,21 @@ def is_path_clear(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
 
 
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
-    """Move x onto its target, to a tenth of the tolerance that inverse kinematics has elsewhere."""
+    """Move x onto the lane's target by inverse kinematics, with a tenth of the usual tolerance."""
     return inverse_kinematics.reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
 
 
 def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
-    """Return the tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
+    """Return both ends of the tool's bare tip at x, first the end at the last body, in the workpiece's frame [m]."""
     return in_workpiece(lane, kinematics.tip_segment(scene.robot, x))
 
 
 class ProofResolution(NamedTuple):
     """Resolution of a proof, see `clearance.proof.motion_proof.prove`."""
 
-    kept: Float[jax.Array, ""]
-    resolution_m: Float[jax.Array, ""]  # [m]
-    deepest: Int[jax.Array, ""]
+    kept: Float[jax.Array, ""]  # share of D to prove [1]
+    resolution_m: Float[jax.Array, ""]  # the proof is D > -resolution_m [m]
+    deepest: Int[jax.Array, ""]  # maximum number of halvings
 
 
 def prove_path(
@@ -195,7 +195,7 @@ def prove_path(
 ) -> Loop:
     """Prove or refute that the straight joint path from a to b is a motion.
 
-    The conditions on it are data, so that one executable serves all callers.
+    Tube and resolution are arguments, so that one executable serves all callers.
 
     Args:
         settings: Settings of the planner.
@@ -217,13 +217,13 @@ def prove_path(
 def task_rows(
     settings: Settings, scene: Scene, lane: LaneInputs, linear: linearisation.Linearisation
 ) -> tasks.TaskLinear:
-    """Return the task's rows at the lane's target, from the linearisation."""
+    """Return the task's rows at the lane's target to first order, from the linearisation."""
     return scene.task.linear(*linear.task, lane.target)
 
 
 # Lane functions by name, each with the settings that it reads
 
-MEASURED: tuple[str, ...] = ("clearance_rows",)  # by `measured`
+MEASURED: tuple[str, ...] = ("clearance_rows",)  # settings that `measured` reads
 _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
 
 PREPARE = lane_function.LaneFunction("prepare", prepare, lane_function.STEP, _STEP_QP)
@@ -240,5 +240,5 @@ PROVE = lane_function.LaneFunction("prove", prove_path, lane_function.TRACKED, r
 
 
 def advance_of(settings: Settings) -> lane_function.LaneFunction:
-    """Return the lane function with which an engine measures its lanes."""
+    """Return the lane function that advances and measures lanes with the rows of `settings.clearance_rows`."""
     return ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE

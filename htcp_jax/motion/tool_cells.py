@@ -1,13 +1,18 @@
-"""Orientations that the tool can have with its tip on a target: a cover by cells.
+"""Tool orientations that may be clear with the tip on a target, as a cover of cells.
 
-Cells that certainly collide, or violate a row of the task about the tool's orientation, are excluded. Unit quaternions,
-q and -q identified, are projected onto four faces of a cube in four dimensions: on each face one component is 1, and
-the others are between -1 and 1. A face is subdivided into cubes, which are halved. The projection does not lengthen
-anything, so a cube of half side h covers rotations within 2 sqrt(3) h of its centre's.
+Cells that certainly collide, or violate a row of the task about the tool's orientation, are excluded. Orientations are
+unit quaternions; q and -q are the same rotation. They are projected onto four faces of a cube in four dimensions: on
+each face one component is 1, and the others are between -1 and 1. A face is subdivided into cubes, which are halved.
+The projection from a face back to unit quaternions does not increase distances, so the rotations in a cube of half side
+h are within 2 sqrt(3) h of the rotation at its centre.
 
-The joints before the wrist have a second cover, of boxes. The cover with fewer cells is halved. Both lose the cells
-that certainly collide, and those that cannot meet any cell of the other cover at the wrist (`arm_exclusion`). A proof
-that no configuration exists needs both; an arm without a wrist has only the first.
+A proof that a target has no clear configuration also uses the arm behind the tool. For an arm with an elbow and a
+spherical wrist, a cell of orientations has up to eight branches of configurations. A branch is excluded if it certainly
+collides or violates a joint limit; a cell is excluded if it has no branch left (`branch_exclusion`).
+
+For other arms with a wrist there is a second cover: boxes of values of the joints before the wrist. At each step the
+cells of the smaller cover are halved. A cell is removed if it certainly collides, or if its wrist position cannot
+coincide with that of any cell in the other cover (`arm_exclusion`). An arm without a wrist has only the first cover.
 """
 
 from typing import NamedTuple
@@ -18,7 +23,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from htcp_jax.clearance import Scene
-from htcp_jax.clearance.proof import arm_exclusion, exclusion
+from htcp_jax.clearance.proof import arm_exclusion, branch_exclusion, exclusion
 from htcp_jax.device import Executor, lane_function, tables
 from htcp_jax.model import Robot, rotations
 from htcp_jax.motion.lane_inputs import LaneInputs
@@ -33,14 +38,15 @@ ROUNDING_RAD = 1e-8  # upper bound on the rounding error of any angle
 
 
 class Cells(NamedTuple):
-    """Cubes of a cover, and the wrist's position in each."""
+    """Cells of a cover: cubes, and bounds on the wrist's position in each."""
 
     lane: Int[np.ndarray, "n"]  # index of the target
-    face: Int[np.ndarray, "n"]  # 0 if there is only one
+    face: Int[np.ndarray, "n"]  # index of the face; 0 in the second cover
     cube: Float[np.ndarray, "n d"]  # centres, each coordinate between -1 and 1
     half: Float[np.ndarray, "n"]  # half side
-    wrist: Float[np.ndarray, "n 3"]  # position in one configuration of the cell, world [m]
-    moves: Float[np.ndarray, "n"]  # maximum distance from there [m]
+    wrist: Float[np.ndarray, "n 3"]  # position of the wrist in one configuration of the cell, world [m]
+    moves: Float[np.ndarray, "n"]  # maximum distance of the wrist from this position [m]
+    branches: Int[np.ndarray, "n"]  # bit k is set if branch k is not excluded, see `branch_exclusion`
 
     @property
     def quaternion(self) -> Float[np.ndarray, "n 4"]:
@@ -52,11 +58,11 @@ class Cells(NamedTuple):
 
     @property
     def radius_rad(self) -> Float[np.ndarray, "n"]:
-        """Largest angle between a cube's rotations and its centre's."""
+        """Largest angle between the rotation at a cube's centre and any other rotation in the cube."""
         return 2 * np.sqrt(3) * self.half
 
     def halves(self) -> "Cells":
-        """Return all cubes cut into 2^d; their wrist positions are not known yet."""
+        """Return the 2^d halves of every cube; their wrist positions are not set yet."""
         d = self.cube.shape[1]
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
         cube = (self.cube[:, None] + 0.5 * self.half[:, None, None] * signs[None]).reshape(-1, d)
@@ -76,7 +82,7 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bo
         lane: The lane's inputs.
         quaternion: Orientation of the last link (4,), w first.
         rho: Radius [rad].
-        bodies: The `Bodies` to use.
+        bodies: The bodies that the proof may use, see `exclusion.Bodies`.
     """
     robot, task = scene.robot, scene.task
     cell = arm_exclusion.tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho, bodies)
@@ -95,8 +101,8 @@ def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, 
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
         cube: Centre of the cube (d,), no unit.
-        half: Half of its side, no unit.
-        bodies: The `Bodies` to use.
+        half: Half of the cube's side, no unit.
+        bodies: The bodies that the proof may use, see `exclusion.Bodies`.
     """
     robot = scene.robot
     lower = jnp.where(jnp.isfinite(robot.lower), robot.lower, -jnp.pi)
@@ -107,7 +113,24 @@ def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, 
     return arm_exclusion.arm_cell(scene, lane, lane.margin_m, place, x, turns, bodies)
 
 
+def branch(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, number, bodies):
+    """Return True if a branch is excluded, for all tool orientations within `rho` of a quaternion.
+
+    Args:
+        settings: Not used.
+        scene: Arm, obstacles and task.
+        lane: The lane's inputs.
+        quaternion: Orientation of the last link (4,), w first.
+        rho: Radius [rad].
+        number: Index of the branch.
+        bodies: The bodies that the proof may use, see `exclusion.Bodies`.
+    """
+    place = scene.task.tcp_place(lane.target)
+    return branch_exclusion.branch_collides(scene, lane, lane.margin_m, place, quaternion, rho, number, bodies)
+
+
 TOOL, ARM = lane_function.LaneFunction("tool", tool, MANY), lane_function.LaneFunction("arm", cell_bounds, MANY)
+BRANCH = lane_function.LaneFunction("branch", branch, MANY)
 
 
 def tool_cells(
@@ -115,28 +138,33 @@ def tool_cells(
     inputs: LaneInputs,
     resolution_rad: float,
     most: int,
-    before_wrist: int = 0,
+    robot: Robot | None = None,
     bodies: exclusion.Bodies = exclusion.Bodies.ARM,
 ) -> Cells:
     """Return the cells in which the tool may be clear, for n targets.
 
-    Cells are halved down to the resolution, or until a cover would have more than `most` at a target; then the larger
-    ones are returned. A target without any cell has no configuration that keeps the margin.
+    Cells are halved down to the resolution, or as long as a target's cover has at most `most` cells. A target without
+    cells has no configuration that satisfies the margin.
 
     Args:
         executor: Compiled functions of the scene.
         inputs: The lanes' inputs, one row per target.
         resolution_rad: Radius of a cell below which it is not halved.
         most: Maximum number of cells in either cover at a target.
-        before_wrist: Number of joints in the second cover; 0: none.
+        robot: The arm, to use the joints behind the tool as well; None: only the tool.
         bodies: The bodies that may exclude a cell.
     """
     lanes = len(inputs.row)
-    covers = [_complete_cover(lanes, FACES, 3)] + ([_complete_cover(lanes, 1, before_wrist)] if before_wrist else [])
+    by_branch = robot is not None and branch_exclusion.has_branches(robot)
+    covers = [_complete_cover(lanes, FACES, 3)]
+    if robot is not None and not by_branch and arm_exclusion.has_wrist(robot):
+        covers.append(_complete_cover(lanes, 1, len(robot.slides) - arm_exclusion.WRIST))
     going, done = np.ones(lanes, bool), []
     while going.any():
         turn = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)
         halved = [_halved_cells(executor, number, inputs, cells, turn, bodies) for number, cells in enumerate(covers)]
+        if by_branch:
+            halved = [_with_branches(executor, inputs, halved[0], bodies)]
         halved = [tables.gather(own, _meets(own, other)) for own, other in zip(halved, halved[::-1], strict=True)]
         left = np.array([np.bincount(cells.lane, minlength=lanes) for cells in halved])
         too_many = (left > most).any(axis=0)
@@ -157,7 +185,7 @@ def excluded(
     most: int,
     bodies: exclusion.Bodies = exclusion.Bodies.ARM,
 ) -> Bool[np.ndarray, "n"]:
-    """Return True for each of n targets that is proven to have no configuration that keeps the margin.
+    """Return True for each of n targets that is proven to have no configuration that satisfies the margin.
 
     Args:
         executor: Compiled functions of the scene.
@@ -166,20 +194,20 @@ def excluded(
         most: Maximum number of cells in either cover at a target.
         bodies: The bodies that the proof uses.
     """
-    before_wrist = len(robot.slides) - arm_exclusion.WRIST if arm_exclusion.has_wrist(robot) else 0
-    left = tool_cells(executor, inputs, 0.0, most, before_wrist, bodies)
+    left = tool_cells(executor, inputs, 0.0, most, robot, bodies)
     return ~np.isin(np.arange(len(inputs.row)), left.lane)
 
 
 def _complete_cover(lanes: int, faces: int, numbers: int) -> Cells:
-    """Return a complete cover, in which the wrist's position is unbounded."""
+    """Return the initial cover of each target: all cells, with unbounded wrist positions."""
     lane, face = np.repeat(np.arange(lanes), faces), np.tile(np.arange(faces), lanes)
     n = len(lane)
-    return Cells(lane, face, np.zeros((n, numbers)), np.ones(n), np.zeros((n, 3)), np.full(n, np.inf))
+    every = np.full(n, 2**branch_exclusion.BRANCHES - 1)
+    return Cells(lane, face, np.zeros((n, numbers)), np.ones(n), np.zeros((n, 3)), np.full(n, np.inf), every)
 
 
 def _largest(cells: Cells, column: np.ndarray, lanes: int) -> np.ndarray:
-    """Return the maximum of a column over each target's cells; 0 if it has none."""
+    """Return the maximum of a column over each target's cells; 0 for a target without cells."""
     largest = np.zeros(lanes)
     np.maximum.at(largest, cells.lane, column)
     return largest
@@ -193,7 +221,10 @@ def _halved_cells(
     turn: Int[np.ndarray, "lanes"],
     bodies: exclusion.Bodies,
 ) -> Cells:
-    """Return a cover after halving the cells of the targets with `turn` equal to `number`, without colliding halves."""
+    """Return a cover after halving its cells at some targets, without halves that certainly collide.
+
+    Cells are halved at targets whose `turn` is `number`, the number of the cover.
+    """
     now = turn[cells.lane] == number
     fresh = tables.gather(cells, now).halves()
     if not len(fresh.lane):
@@ -203,6 +234,18 @@ def _halved_cells(
     found = executor(lane_function, tables.gather(inputs, fresh.lane), *where, use)
     fresh = tables.gather(fresh._replace(wrist=found.wrist, moves=found.moves), ~found.collides)
     return tables.concatenate([tables.gather(cells, ~now), fresh])
+
+
+def _with_branches(executor: Executor, inputs: LaneInputs, cells: Cells, bodies: exclusion.Bodies) -> Cells:
+    """Return the cells that have a branch left, after excluding branches."""
+    row, number = np.nonzero(cells.branches[:, None] >> np.arange(branch_exclusion.BRANCHES) & 1)
+    if not len(row):
+        return cells
+    some = tables.gather(cells, row)
+    where, use = (some.quaternion, some.radius_rad, number), np.full(len(row), int(bodies))
+    out = executor(BRANCH, tables.gather(inputs, some.lane), *where, use)
+    branches = cells.branches - np.bincount(row, (1 << number) * out, minlength=len(cells.lane)).astype(int)
+    return tables.gather(cells._replace(branches=branches), branches > 0)
 
 
 def _meets(own: Cells, other: Cells) -> Bool[np.ndarray, "n"]:

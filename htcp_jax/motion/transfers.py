@@ -1,8 +1,9 @@
-"""Transfers and approaches: from the start to other configurations at the first target, or at the path's first point.
+"""Transfers and approaches: motions from the start to another configuration.
 
-The start may be in a component of the configuration space from which no motion along the path reaches its end; and the
-straight lines to the path may lead through a wall. Before the path the tool is free, so the arm may move to another
-configuration there by any joint path that is proven clear.
+A transfer leads to another configuration at the first target, an approach to a configuration at the path's first point.
+They are needed if no motion from the start's configuration reaches the path's end, or if the straight lines to the path
+lead through a wall. On the approach the task is not required, so the arm may move to another configuration by any joint
+path that is proven clear.
 """
 
 import numpy as np
@@ -21,17 +22,17 @@ MOST_ROOTS = 16  # maximum number of configurations to join
 
 
 def other_configurations(problem: Problem, checker: CollisionChecker, s: int, round_: int, target: int = 0) -> State:
-    """Return valid configurations of one scenario at a target, far apart, and new ones in every round.
+    """Return valid configurations of one scenario at a target, far apart from each other; new ones in every round.
 
-    They are sampled uniformly within the joint limits, and not yet joined to the start. Of equivalent joint turns,
-    those nearest to home are returned.
+    They are sampled uniformly within the joint limits, and not yet joined to the start. Among configurations that
+    differ by multiples of 2 pi in a hinge, the one nearest to home is returned.
 
     Args:
         problem: The problem.
         checker: Collision checker of the scene.
         s: Row of the scenario.
         round_: Number of the round.
-        target: The target.
+        target: Index of the target.
     """
     settings, drawn = problem.settings, drawn_configurations(problem, checker, s, round_)
     here = projected(problem, checker, s, target, drawn)
@@ -41,7 +42,9 @@ def other_configurations(problem: Problem, checker: CollisionChecker, s: int, ro
 
 
 def projected(problem: Problem, checker: CollisionChecker, s: int, target: int, x: Float[np.ndarray, "n N"]) -> State:
-    """Return configurations of one scenario brought onto a target, as far as inverse kinematics gets, and measured.
+    """Return the states of configurations after inverse kinematics onto a target of one scenario.
+
+    If inverse kinematics does not converge, the residual is above the tolerance.
 
     Args:
         problem: The problem.
@@ -78,7 +81,7 @@ def _about(problem: Problem, s: int) -> Float[np.ndarray, "N"]:
 def _sampled_configurations(
     slides: tuple[bool, ...], limits: Limits, about: Float[np.ndarray, "N"], rng: np.random.Generator
 ) -> Float[np.ndarray, "DRAWS N"]:
-    """Sample configurations within the limits; unlimited joints within half a turn of `about`."""
+    """Return random configurations within the limits; unlimited joints are sampled within pi [rad or m] of `about`."""
     lower, upper = limits
     ends = np.where(np.isfinite(lower), lower, about - np.pi), np.where(np.isfinite(upper), upper, about + np.pi)
     drawn = rng.uniform(*ends, (DRAWS, len(lower)))
@@ -87,7 +90,7 @@ def _sampled_configurations(
 
 
 def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarray, "N"]) -> Float[np.ndarray, "n N"]:
-    """Return the same configurations with unlimited joints within half a turn of those of `about`."""
+    """Return the configurations with multiples of 2 pi added to unlimited hinges: within pi of `about`."""
     endless = np.isinf(limits[0]) & np.isinf(limits[1])
     return np.where(endless, x - 2 * np.pi * np.rint((x - about) / (2 * np.pi)), x) if endless.any() else x
 
@@ -95,17 +98,17 @@ def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarra
 def joined(
     problem: Problem, checker: CollisionChecker, s: int, start: np.ndarray, to: Float[np.ndarray, "n N"]
 ) -> list[Float[np.ndarray, "_ N"] | None]:
-    """Return the via points from one configuration to the one of `to` that is joined in the fewest rounds of queries.
+    """Return the via points from `start` to the configuration in `to` that is joined in the fewest rounds of queries.
 
     Args:
         problem: The problem.
         checker: Collision checker of the scene.
         s: Row of the scenario.
-        start: The configuration (N,) [rad or m].
-        to: The other ends [rad or m]; only the first MOST_ROOTS are tried.
+        start: The configuration to begin at (N,) [rad or m].
+        to: Configurations to join to it [rad or m]; only the first MOST_ROOTS are tried.
 
     Returns:
-        Via points for that one, None for the others, and for all if none can be joined.
+        A list with one entry per configuration in `to`: via points for the joined one, None for all others.
     """
     to = to[:MOST_ROOTS]
     scenario, pair = np.full(len(to), s), np.arange(len(to))

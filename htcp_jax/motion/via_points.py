@@ -1,7 +1,8 @@
-"""Via points: configurations between two rows of a plan that are not joined by a straight joint path.
+"""Via points: configurations on a segment between two rows of a plan that is not one straight joint path.
 
-On the path the tool is at a share of the way from the target before to the one at the segment's end. While it stays at
-one place, the arm changes its configuration; else it moves along the line, see `planning.inserted_goals`.
+On the path, the tool is at a share of the way from the previous target to the segment's target at each via point.
+Between via points with equal shares the tool stays at one place while the arm changes its configuration. Otherwise the
+tool moves along the line, see `planning.inserted_goals`.
 """
 
 from collections.abc import Sequence
@@ -12,12 +13,12 @@ from jaxtyping import Bool, Float, Int
 
 
 class ViaPoints(NamedTuple):
-    """Via points of S scenarios, in the order in which they are passed, sorted by scenario and target."""
+    """Table of n via points, sorted by scenario and target, on each segment in the order of the motion."""
 
-    scenario: Int[np.ndarray, "n"]  # its row in the plans
-    target: Int[np.ndarray, "n"]  # end of the segment
+    scenario: Int[np.ndarray, "n"]  # the scenario's row in the plans
+    target: Int[np.ndarray, "n"]  # target at the end of the segment
     x: Float[np.ndarray, "n N"]  # [rad or m]
-    share: Float[np.ndarray, "n"]  # of the way from the target before to `target` [1]; 0: at the target before
+    share: Float[np.ndarray, "n"]  # share of the way from the previous target [1]; 0: at the previous target
 
     @property
     def stays(self) -> Bool[np.ndarray, "n"]:
@@ -27,14 +28,14 @@ class ViaPoints(NamedTuple):
 
     @classmethod
     def none(cls, joints: int) -> "ViaPoints":
-        """Return no via points: every segment is a straight joint path."""
+        """Return an empty table: every segment is a straight joint path."""
         return cls(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, joints)), np.zeros(0))
 
     @classmethod
     def of(cls, segments: Sequence[tuple], joints: int) -> "ViaPoints":
-        """Return via points from (scenario, target, configurations), in any order.
+        """Return the table for segments (scenario, target, configurations), given in any order.
 
-        A fourth entry holds their shares, see `ViaPoints`; by default the tool stays at the target before.
+        A fourth entry of such a tuple has the shares; by default the tool stays at the previous target.
         """
         if not segments:
             return cls.none(joints)
@@ -47,7 +48,7 @@ class ViaPoints(NamedTuple):
         return cls(scenario.astype(np.int32), target.astype(np.int32), x, np.concatenate(share))
 
     def rows(self, which: Int[np.ndarray, "R"]) -> "ViaPoints":
-        """Select scenarios by their rows, renumbered in the order of `which`."""
+        """Return the via points of some scenarios, which are renumbered in the order of `which`."""
         if not len(self.scenario) or not len(which):
             return ViaPoints.none(self.x.shape[1])
         found = [(new, np.flatnonzero(self.scenario == old)) for new, old in enumerate(which.tolist())]

@@ -1,13 +1,13 @@
 """Placement optimisation: ranges of a job's parameters, and the mountings in them that complete the path, ranked.
 
-`place` runs a search: it reads a file of ranges, proposes mountings, plans each of them, and plans the best ones again
-under perturbation. While it runs it reports a `PlaceProgress`; its result, which is also its folder on disk, is
-`PlacementResult`.
+A mounting is a value for each parameter that varies, such as the workpiece's pose. `place` runs a search: it reads a
+file of ranges, proposes mountings, plans each of them, and plans the best ones again under perturbation. It reports its
+progress as `PlaceProgress`, writes its results into a folder, and returns them as a `PlacementResult`.
 
-`ranges` are the parameters that vary, with their bounds and units. `mounting` has one mounting with its score and
-tolerance, and what a search may maximise. `tolerance` has the levels of perturbation that are tried.
+`ranges` contains the parameters that vary, with bounds and units; `mounting` a mounting with its objectives and
+tolerance; `tolerance` the tested levels of perturbation.
 
-A search plans by `runs.sweep`, so an interrupted one continues where it stopped.
+A search plans by `runs.sweep`, so an interrupted search can be resumed.
 """
 
 import lazy_loader

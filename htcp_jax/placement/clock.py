@@ -1,7 +1,7 @@
-"""Elapsed time of a search that is limited in seconds, kept across interruptions.
+"""Elapsed time of a search with a time limit, across interruptions.
 
-The next round depends on the elapsed time, so the time at the end of every round is stored next to the rounds: a
-resumed search repeats the finished rounds and adds to them.
+Each round depends on the time elapsed before it. The time at the end of every round is therefore saved in the search's
+folder, and a resumed search reads it with the finished rounds.
 """
 
 import time
@@ -18,8 +18,8 @@ class Clock:
     """Timer of a search.
 
     Args:
-        folder: The folder that stores the elapsed time.
-        seconds: Limit of the search [s]; None: no limit, and no time is stored.
+        folder: The folder in which the elapsed time is saved.
+        seconds: Time limit of the search [s]; None: no limit, and no time is saved.
     """
 
     def __init__(self, folder: Path, seconds: float | None):
@@ -27,14 +27,14 @@ class Clock:
         self._ends = [] if seconds is None else _read_times(self._file)
 
     def used(self, rounds: int) -> float:
-        """Share of the time that was used after `rounds` rounds."""
+        """Return the share of the time limit that is used after `rounds` rounds."""
         return 0.0 if self._seconds is None or not rounds else self._ends[rounds - 1] / self._seconds
 
     def finished(self, rounds: int) -> None:
-        """Record the end time of the last of `rounds` rounds.
+        """Save the elapsed time at the end of round number `rounds`.
 
         Raises:
-            InputError: If it cannot be written.
+            InputError: If the file cannot be written.
         """
         now = time.monotonic()
         if self._seconds is not None and rounds > len(self._ends):

@@ -1,12 +1,13 @@
 """Placement search: ranges of mountings in, ranked mountings out.
 
     found = htcp_jax.place("place.yaml", out="out/place")
-    found.mountings[0].objective, found.motions      # ranked, best first; and the run that holds their motions
+    found.mountings[0].objective, found.motions      # the best mounting; the run folder with the motions
 
-Every stage is one or more sweeps, in folders of their own: `rounds` and `raised` evaluate mountings by quick plans,
-first evenly and then near the best, `confirmed` plans the best of them as proven motions with as large a clearance as
-possible, `perturbed` and `tolerance` plan these again under perturbation, and `ranked` holds the motions in their
-order. A first ranking is written before mountings are perturbed. A second call resumes from there.
+Every stage is one or more sweeps, in a folder with the stage's name. `rounds` and `raised` evaluate mountings by quick
+plans, first evenly over the ranges, then near the best ones. `confirmed` plans the best mountings as proven motions
+with the largest possible margin. `perturbed` and `tolerance` plan the confirmed mountings again under perturbation.
+`ranked` contains the motions in the order of the ranking. A first ranking is written before mountings are perturbed.
+Calling `place` again resumes an interrupted search.
 """
 
 import shutil
@@ -47,8 +48,8 @@ from htcp_jax.runs import sweep as sweeps
 from htcp_jax.status import AT_HOME, Status
 from htcp_jax.trajectory import time_run
 
-MARGINS = 1.7, 1.4, 1.2, 1.05, 0.95, 0.8, 0.5  # margins of a confirmed motion, in shares of the quick plan's clearance
-LOWERED = 0.8, 0.4  # margins of a perturbed mounting, in shares of its own, tried before the job's
+MARGINS = 1.7, 1.4, 1.2, 1.05, 0.95, 0.8, 0.5  # margins tried for a confirmed motion / the quick plan's clearance
+LOWERED = 0.8, 0.4  # margins tried for a perturbed mounting / the mounting's own, before the job's margin
 TOLERANCES = 3  # number of mountings whose tolerances are determined
 STAGES = {
     "rounds": "search",
@@ -62,12 +63,12 @@ STAGES = {
 class PlaceProgress(NamedTuple):
     """Progress of a search."""
 
-    stage: str  # of STAGES
+    stage: str  # one of STAGES
     scenarios: int  # plans of this stage so far
-    of: int | None  # the most that the stage makes; None: as many as time allows
-    complete: int  # mountings that the search has found complete
+    of: int | None  # maximum number of plans of this stage; None: limited by time only
+    complete: int  # number of complete mountings found so far
     best: float  # first objective's best value so far; -inf: none
-    sweep: sweeps.SweepProgress | None = None  # the current one
+    sweep: sweeps.SweepProgress | None = None  # progress of the current sweep
     most: dict[str, int | None] | None = None  # see `most_plans`
 
 
@@ -87,22 +88,22 @@ def place(
 
     Args:
         spec: The search, see `load_search`.
-        out: The folder of the results; a folder that holds a part of the same search is resumed.
+        out: The folder of the results; an interrupted search in it is resumed.
         config: The job, in place of the search's own, see `load_search`.
-        overrides: Changes of the job, "dotted.key=value" each.
-        changes: Changes of the search, key -> value.
+        overrides: Changes to the job, each "dotted.key=value".
+        changes: Changes to the search, value by key.
         on: The machines that plan, see `runs.sweep.sweep`; results do not depend on it.
         device: The device of this process, see `runs.sweep.sweep`; results do not depend on it.
         threads: The number of engines in this process, see `runs.sweep.sweep`; results do not depend on it.
-        progress: Called with the progress of the search.
+        progress: Function that is called with the progress of the search.
 
     Returns:
-        The mountings, ranked, and the run that holds their motions.
+        The ranked mountings, and the run folder with their motions.
 
     Raises:
-        InputError: For bad input, including ranges whose ends the job refuses, for a folder that holds another search
-            or is in use, and if every start collides.
-        Interrupted: As `runs.sweep.sweep`; finished plans are kept in the folder.
+        InputError: If the input is invalid, or the ends of the ranges are invalid in the job; if the folder contains
+            another search or is in use; if every start collides.
+        Interrupted: On SIGINT and SIGTERM; finished plans are kept in the folder.
         Lost: As `runs.sweep.sweep`; finished plans are kept in the folder.
     """
     search, folder = load_search(spec, config, overrides, changes), Path(out)
@@ -134,10 +135,10 @@ def place(
 
 
 def _targets(search: Search) -> int:
-    """Return the largest number of targets of a scenario at the ranges' ends.
+    """Return the maximum number of targets of a scenario, over the lower and upper ends of the ranges.
 
     Raises:
-        InputError: Before planning starts, for an invalid feed, or for ranges whose ends the job refuses.
+        InputError: If the feed rate is invalid, or if the ends of the ranges are invalid in the job.
     """
     feed.feed_of(search.file.feed)
     ends = np.repeat([[0.0], [1.0]], len(search.ranges.axes), axis=1)
@@ -145,11 +146,11 @@ def _targets(search: Search) -> int:
 
 
 def most_plans(search: Search) -> dict[str, int | None]:
-    """Largest number of plans that each stage makes; None if time decides."""
+    """Return the maximum number of plans of each stage; None if only the time is limited."""
     file, k = search.file, max(1, len(search.seams))
     is_raised = CLEARANCE in file.objective
     scenarios, objectives = file.within.scenarios, len(file.objective)
-    best = objectives * -(-file.best // objectives)  # as many by each objective
+    best = objectives * -(-file.best // objectives)  # the same number for each objective
     return {
         "search": None if scenarios is None else scenarios // k * k * (1 + RAISED * is_raised),
         "confirm": k * best * (len(MARGINS) if is_raised else 1),
@@ -159,23 +160,23 @@ def most_plans(search: Search) -> dict[str, int | None]:
 
 
 class _ProgressReporter:
-    """Progress reporter of the stages."""
+    """Counter of the plans and complete mountings of the current stage, which reports them as progress."""
 
     def __init__(self, search: Search, progress: Callable[[PlaceProgress], None] | None):
         self._stage, self._progress, self._most = "search", progress, most_plans(search)
         self._scenarios, self._complete, self._best = 0, 0, -np.inf
 
     def begin(self, stage: str) -> None:
-        """Count from 0 if the stage is a new one."""
+        """Begin a stage: if it is a new one, reset its counts."""
         if stage != self._stage:
             self._stage, self._scenarios = stage, 0
 
     def planned(self, run: Run) -> None:
-        """Add the plans of a finished sweep."""
+        """Add the number of plans in a finished sweep."""
         self._scenarios += run.manifest.count
 
     def evaluated(self, found: MountingScores) -> None:
-        """Add the mountings of a finished round."""
+        """Add a finished round's complete mountings, and update the best objective."""
         self._complete += int(found.complete.sum())
         self._best = max(self._best, float(found.objective[:, 0].max(initial=-np.inf)))
 
@@ -188,7 +189,7 @@ class _ProgressReporter:
 
 
 def _rounds(search: Search, folder: Path, plan: Planner, report: _ProgressReporter) -> Iterator[MountingScores]:
-    """Plan the mountings of all rounds, round by round."""
+    """Propose and plan mountings round by round, and yield the scores of each round."""
     known, number = None, 0
     budget, clock = search.file.within.scenarios, Clock(folder, search.file.within.seconds)
     mountings = None if budget is None else max(1, budget // max(1, len(search.seams)))
@@ -219,7 +220,7 @@ def _rounds(search: Search, folder: Path, plan: Planner, report: _ProgressReport
 
 
 def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> None:
-    """Raise InputError if every start of the first round collides, naming the body; the round is then removed."""
+    """Raise InputError with the colliding body if every start of the first round collides; remove that round."""
     first = found.plans.status[:, 0]
     if not np.isin(first, (Status.START_IN_COLLISION, *AT_HOME)).all():
         return
@@ -230,11 +231,11 @@ def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> No
         depth, body, other = start_clearance(cell.robot, cell.workpiece, scenario, scenario.x_home, cell.obstacles)
         why = f"{body} is {-1e3 * depth:.3g} mm inside {other} in the first of them" if depth <= 0 else why
     shutil.rmtree(folder)
-    raise InputError(f"{search.name}: no motion can begin in any of {len(found.values):,} mountings: {why}")
+    raise InputError(f"{search.name}: no motion can start in any of {len(found.values):,} mountings: {why}")
 
 
 def _confirmed(search: Search, scores: Sequence[MountingScores], folder: Path, plan: Planner) -> MountingScores:
-    """Plan the best mountings by each objective, APART from each other, with several margins each."""
+    """Plan the best mountings by each objective, at least APART from each other, each with all of MARGINS."""
     values = np.concatenate([each.values for each in scores])
     known = SearchResults(
         (values - search.ranges.low) / search.ranges.width,
@@ -262,10 +263,10 @@ def _confirmed(search: Search, scores: Sequence[MountingScores], folder: Path, p
 def _rankings(
     search: Search, confirmed: MountingScores, folder: Path, plan: Planner
 ) -> Iterator[tuple[list[Mounting], bool]]:
-    """Rank each mounting's best plan, and yield the mountings, with True if the ranking is final.
+    """Yield rankings of the confirmed mountings, each with True if it is final.
 
-    The first ranking is by the objective, the final one by the results under perturbation, with the tolerances of the
-    first few.
+    The first ranking is by the objective of each mounting's best plan. The final one is by the results under
+    perturbation; its first TOLERANCES mountings have tolerances.
     """
     rows = _best_rows(confirmed)
     if not rows:
@@ -305,27 +306,32 @@ def _anew(
     values: Float[np.ndarray, "n d"],
     folder: Path,
 ) -> MountingResults:
-    """Results of quick plans of n perturbed mountings, n / m around each of m mountings.
+    """Return the results of quick plans for n perturbed mountings, n / m around each of m mountings.
 
-    If clearance is an objective, they are planned with shares of the m mountings' margins first (margin_m). With None
-    only the job's margin is tried.
+    Args:
+        search: The search.
+        plan: The planner of the sweeps.
+        margin_m: Margins of the m mountings. If clearance is an objective, the shares LOWERED of these are tried before
+            the job's margin. None: only the job's margin is tried.
+        values: Parameters of the n perturbed mountings, each in the job's unit.
+        folder: The folder of the plans.
     """
     with_clearance = margin_m is not None and CLEARANCE in search.file.objective
     shares = LOWERED if with_clearance else ()
     margins = [] if margin_m is None else [s * np.repeat(margin_m, len(values) // len(margin_m)) for s in shares]
     quick = evaluate_lowered(search, plan, values, folder, margins)
-    # not quick: the guaranteed clearance
+    # not marked as quick, so that the objective is the guaranteed clearance
     proven = MountingScores(search, quick.run, quick.method, values, plans=quick.plans)
     return MountingResults(proven.complete, proven.objective)
 
 
 def _planned_margins(scores: MountingScores) -> Float[np.ndarray, "n"]:
-    """Margin that each mounting was planned with [m]."""
+    """Return the margin with which each mounting was planned [m]."""
     return scores.run.scenarios(scores.method)[MARGIN].to_numpy()[:: scores.seams]
 
 
 def _best_rows(confirmed: MountingScores) -> list[int]:
-    """Row of each mounting's complete plan with the largest first objective."""
+    """Return the row of the plan with the largest first objective, for each mounting with a complete plan."""
     best: dict[bytes, int] = {}
     for row in np.flatnonzero(confirmed.complete).tolist():
         key = confirmed.values[row].tobytes()
@@ -335,7 +341,7 @@ def _best_rows(confirmed: MountingScores) -> list[int]:
 
 
 def is_on_pareto_front(objective: Float[np.ndarray, "n A"]) -> np.ndarray:
-    """Mask of the Pareto front: rows that no other row dominates."""
+    """Return the mask (n,) of the Pareto front: rows that no other row dominates."""
     beaten = (objective[None] >= objective[:, None]).all(axis=2) & (objective[None] > objective[:, None]).any(axis=2)
     return ~beaten.any(axis=1)
 
@@ -343,7 +349,7 @@ def is_on_pareto_front(objective: Float[np.ndarray, "n A"]) -> np.ndarray:
 def _save_motions(
     search: Search, confirmed: MountingScores, mountings: Sequence[Mounting], folder: Path
 ) -> Path | None:
-    """Save the ranked mountings' motions as a run, in their order."""
+    """Save the motions of the ranked mountings as a run, in the order of the ranking, and return the run's folder."""
     if not mountings:
         return None
     rows = np.array([one.row for one in mountings])

@@ -1,10 +1,10 @@
 """PLACE.yaml: search variables, objective and budget of a placement search.
 
-config: ../configs/duct.yaml                    # the job; without it the default one
+config: ../configs/duct.yaml                    # the job; without this key the default job
 place:                                          # ranges, see `ranges`
   workpiece.rotation_y_rad: [0.0, 1.0]
   workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], [0.0, 0.1]]
-seams: [weld.csv, left.csv]                     # all of them, in one mounting; by default the job's own path
+seams: [weld.csv, left.csv]                     # each is planned at every mounting; default: the job's path
 objective: clearance                                # or cycle time, joint motion; a list of two gives a Pareto front
 within: {scenarios: 2000}                       # or {seconds: 60}
 """
@@ -26,7 +26,7 @@ OBJECTIVES = CLEARANCE, CYCLE_TIME, "joint motion"
 
 
 class Budget(strict_model.FileSection):
-    """Budget of the search: a number of scenarios, or a time [s]."""
+    """Budget of a search: a maximum number of scenarios, or a time limit in seconds."""
 
     scenarios: Annotated[int, Field(gt=0, le=1_000_000)] | None = None
     seconds: Annotated[float, Field(gt=0)] | None = None
@@ -34,12 +34,12 @@ class Budget(strict_model.FileSection):
     @model_validator(mode="after")
     def _one_of_them(self) -> "Budget":
         if (self.scenarios is None) == (self.seconds is None):
-            raise InputError("within is {scenarios: N} or {seconds: S}, one of them")
+            raise InputError("within must be either {scenarios: N} or {seconds: S}")
         return self
 
 
 class Perturbation(strict_model.FileSection):
-    """Bounds of the perturbation, which applies to every parameter of a mounting at once."""
+    """Bounds of a perturbation [mm, degrees]; a perturbation changes all parameters of a mounting at once."""
 
     mm: float = Field(3.0, gt=0, le=1000)
     deg: float = Field(0.5, gt=0, le=90)
@@ -52,12 +52,12 @@ class PlaceFile(strict_model.FileSection):
     place: dict[str, Any] = Field(default_factory=dict)
     seams: tuple[str, ...] = ()
     objective: tuple[str, ...] = ("clearance",)
-    feed: str = "20mm/s"  # of the tool, if the cycle time is an objective
+    feed: str = "20mm/s"  # feed rate of the tool, if the cycle time is an objective
     within: Budget = Budget(scenarios=2000)
     perturbation: Perturbation = Perturbation()
-    best: int = Field(20, ge=1, le=1000)  # mountings that are confirmed as motions
-    screen: str = "beam"  # the planner of the quick plans, with the settings of `scores.QUICK`
-    confirm: str = "beam"  # the planner that confirms
+    best: int = Field(20, ge=1, le=1000)  # maximum number of mountings that are confirmed as proven motions
+    screen: str = "beam"  # planning method of the quick plans, with the settings `scores.QUICK`
+    confirm: str = "beam"  # planning method of the confirmed motions
     seed: int = Field(0, ge=0)
 
     @field_validator("objective", mode="before")
@@ -65,7 +65,9 @@ class PlaceFile(strict_model.FileSection):
     def _one_or_two(cls, value: Any) -> Any:
         names = [value] if isinstance(value, str) else value
         if not isinstance(names, list | tuple) or not 1 <= len(names) <= 2 or len(set(map(str, names))) < len(names):
-            raise InputError(f"objective is {value!r}; it is one objective, or a list of two: {', '.join(OBJECTIVES)}")
+            raise InputError(
+                f"objective is {value!r}; it must be one objective or a list of two: {', '.join(OBJECTIVES)}"
+            )
         for name in names:
             if name not in OBJECTIVES:
                 raise InputError(f"unknown objective {name!r}; valid: {', '.join(OBJECTIVES)}")
@@ -80,15 +82,15 @@ class PlaceFile(strict_model.FileSection):
 
 
 class Search(NamedTuple):
-    """A PLACE.yaml, read and checked."""
+    """Contents of a PLACE.yaml, read and checked, with its job."""
 
     name: str
     file: PlaceFile
-    config: dict[str, Any] | str | None  # of the job, as `load_sweep` takes it
+    config: dict[str, Any] | str | None  # the job, in a form that `load_sweep` accepts
     overrides: tuple[str, ...]
     job: PlanConfig
     ranges: Ranges
-    seams: tuple[str, ...]  # words, or absolute names of files
+    seams: tuple[str, ...]  # names of built-in seams, and absolute file names of others
 
 
 def load_search(
@@ -103,26 +105,26 @@ def load_search(
         spec: The path of a PLACE.yaml, the name of an example, or a mapping with the same keys. Files in a mapping are
             relative to the working folder.
         config: The job, in place of the search's own.
-        overrides: Changes of the job, "dotted.key=value" each.
-        changes: Changes of the search, key -> value.
+        overrides: Changes to the job, each "dotted.key=value".
+        changes: Changes to the search, value by key.
 
     Raises:
-        InputError: For errors in either file, and for a seam that is missing.
+        InputError: If the search or the job is invalid, or if a seam is missing.
     """
     path, raw = examples.read_mapping(spec, "place")
     file: PlaceFile = strict_model.validate_model({**raw, **(changes or {})}, PlaceFile, str(path))
     if config is None and file.config is not None:
-        config = path.parent / file.config
+        config = examples.example_or_path(file.config, path.parent)
     job = load_config(config, overrides)
-    robot = build.robot_of(job.robot)
+    robot = build.robot_of(job.robot, tree=job.tree)
     ranges = read_ranges(f"{path}: place", file.place, robot.joint_names, job.model_dump())
     words = grid_axes.FILE_KEYS["workpiece.path"]
     seams = tuple(grid_axes.absolute(name if name in words else str(path.parent / name), words) for name in file.seams)
     for name, seam in zip(file.seams, seams, strict=True):
         if seam not in words and not Path(seam).is_file():
-            raise InputError(f"{path}: seams: there is no file {name}")
+            raise InputError(f"{path}: seams: no such file or seam of the duct: {name}")
     if len(set(seams)) < len(seams):
-        raise InputError(f"{path}: seams: one is repeated")
+        raise InputError(f"{path}: seams: a seam is repeated")
     if file.within.scenarios is not None and file.within.scenarios < len(seams):
-        raise InputError(f"{path}: within: {file.within.scenarios} scenarios are fewer than the {len(seams)} seams")
+        raise InputError(f"{path}: within: scenarios must be at least {len(seams)}, the number of seams")
     return Search(path.stem, file, None if config is None else str(config), tuple(overrides), job, ranges, seams)

@@ -1,11 +1,10 @@
-"""Results of a search, and its folder.
+"""Results of a placement search, and the files in its folder.
 
 place.json            the search
-ranked.json           the mountings in their order, see `Mounting`
-mountings.parquet     every mounting that was planned: parameters, share of the targets, objectives, reason of failure
-ranked/               a run: the motions of the ranked mountings, scenario by scenario
-best-1.yaml           a job of each ranked mounting, of several seams best-1-1.yaml and on, from which `htcp plan` gives
-                      its motion
+ranked.json           the ranked mountings, see `Mounting`
+mountings.parquet     every planned mounting: parameters, completed share of the targets, objectives, reason of failure
+ranked/               a run with the motions of the ranked mountings
+best-1.yaml           the job of the best mounting, for `htcp plan`, and so on; with several seams best-1-1.yaml, ...
 """
 
 import contextlib
@@ -34,17 +33,17 @@ from htcp_jax.runs import open as plan_sets
 if TYPE_CHECKING:
     from htcp_jax.placement.scores import MountingScores
 
-NOTHING = "no plan was finished, and no file was written"
+NOTHING = "no plan was finished and no file was written"
 
 
 class PlacementResult(NamedTuple):
-    """A finished search."""
+    """Results of a placement search."""
 
     folder: Path
     search: Search
     scores: Sequence["MountingScores"]
-    mountings: Sequence[Mounting]  # ranked
-    motions: Path | None  # the run
+    mountings: Sequence[Mounting]  # best first
+    motions: Path | None  # folder of the run with the mountings' motions; None if no mounting is ranked
     is_final: bool = True  # False until perturbed mountings are planned and tolerances determined
 
     @property
@@ -54,11 +53,11 @@ class PlacementResult(NamedTuple):
 
     @property
     def complete(self) -> int:
-        """Number of mountings in which a quick plan is a motion to the end of every seam."""
+        """Number of mountings at which quick plans lead to the end of every seam."""
         return sum(int(each.complete.sum()) for each in self.scores)
 
     def seams(self) -> dict[str, tuple[int, float]]:
-        """Return the number of mountings that complete each seam, and its completed share in the best mounting."""
+        """Return, for each seam, the number of mountings that complete it, and its completed share at the best one."""
         names = self.search.seams or (self.search.job.workpiece.path,)
         done = np.concatenate([each.done for each in self.scores])
         best = done[np.lexsort((done.mean(axis=1), (done == 1).sum(axis=1)))[-1]]
@@ -69,11 +68,11 @@ class PlacementResult(NamedTuple):
         }
 
     def record(self) -> dict[str, Any]:
-        """The result as a mapping for JSON."""
+        """Return the result as a mapping for JSON."""
         return {
             "name": self.search.name,
             "finished": self.is_final,
-            "margin_m": self.search.job.margin_m,  # of the quick plans, and of the tolerances
+            "margin_m": self.search.job.margin_m,  # margin of quick plans and of tolerances
             "scenarios": self.scenarios,
             "mountings": sum(len(each.values) for each in self.scores),
             "complete": self.complete,
@@ -84,7 +83,7 @@ class PlacementResult(NamedTuple):
 
     @property
     def jobs(self) -> list[list[str]]:
-        """Names of the ranked mountings' job files in the folder, one list per mounting, with one name per seam."""
+        """Return the names of the ranked mountings' job files, one list per mounting, with one name per seam."""
         k = len(self.search.seams)
         return [
             [f"best-{rank}-{seam}.yaml" for seam in range(1, k + 1)] if k > 1 else [f"best-{rank}.yaml"]
@@ -120,13 +119,13 @@ def locked_search(folder: Path, search: Search) -> Iterator[None]:
     """Lock the search's folder, and restore it at the end if no plan was finished.
 
     Raises:
-        InputError: If the folder holds another search, is in use or cannot be written.
-        Interrupted: In place of KeyboardInterrupt.
+        InputError: If the folder contains another search, is in use or cannot be written.
+        Interrupted: On Ctrl-C, instead of KeyboardInterrupt.
     """
     with plan_folder.made_folder(folder) as is_new, lock.locked(folder):
         for place, stages, _ in os.walk(folder):
             for stage in stages:
-                files.resolved_inside(Path(place, stage), folder)  # no stage writes through a link
+                files.resolved_inside(Path(place, stage), folder)  # refuses links that leave the folder
         _begin_search(folder, search)
         try:
             with stop_message(lambda: _stop_search(folder, is_new)):
@@ -139,9 +138,9 @@ def locked_search(folder: Path, search: Search) -> Iterator[None]:
 
 
 def _stop_search(folder: Path, is_new: bool) -> str:
-    """Remove a search without finished plans, and return the message on how to resume."""
+    """Remove a new search without finished plans; return the message on how to resume."""
     if _holds_any(folder):
-        return f"stopped; finished plans are in {folder}; the same command resumes"
+        return f"stopped; finished plans are in {folder}; run the same command to resume"
     (folder / plan_sets.SEARCH).unlink(missing_ok=True)
     if is_new:
         shutil.rmtree(folder, ignore_errors=True)
@@ -153,7 +152,11 @@ def _holds_any(folder: Path) -> bool:
 
 
 def _begin_search(folder: Path, search: Search) -> None:
-    """Write down the search. Raises InputError if the folder holds another search."""
+    """Write place.json.
+
+    Raises:
+        InputError: If the folder contains another search.
+    """
     requested = {
         **search.file.model_dump(mode="json"),
         "config": search.config,
@@ -172,8 +175,8 @@ def _begin_search(folder: Path, search: Search) -> None:
     differing = [key for key in {**there, **requested} if there.get(key) != requested.get(key) and key != "config"]
     if differing:
         key = differing[0]
-        words = f"{key} is {there.get(key)} there, {requested.get(key)} here"
-        raise InputError(f"{folder} holds another search: {words}; choose another --out")
+        words = f"{key} is {there.get(key)} in the folder, {requested.get(key)} in this command"
+        raise InputError(f"{folder} contains another search: {words}; choose another --out")
 
 
 def write_result(
@@ -184,14 +187,14 @@ def write_result(
     motions: Path | None,
     is_final: bool,
 ) -> PlacementResult:
-    """Write the tables and the job files.
+    """Write the tables and the job files, and return the result.
 
     Args:
         folder: The search's folder.
         search: The search.
         scores: The results of every round.
-        mountings: The mountings, ranked.
-        motions: The run of the ranked mountings' motions; None if there are none.
+        mountings: The ranked mountings, best first.
+        motions: The folder of the run with the mountings' motions; None if no mounting is ranked.
         is_final: True if the ranking is final.
     """
     found = PlacementResult(folder, search, scores, mountings, motions, is_final)
@@ -203,7 +206,7 @@ def write_result(
 
 
 def _write_jobs(found: PlacementResult, configs: Sequence[PlanConfig]) -> None:
-    """Write a job file for every ranked mounting and seam: the search's job and its changes."""
+    """Write a job file for every ranked mounting and seam, with the search's job and the keys that differ from it."""
     search, names = found.search, [name for own in found.jobs for name in own]
     for old in found.folder.glob("best-*.yaml"):
         old.unlink()
@@ -216,7 +219,7 @@ def _write_jobs(found: PlacementResult, configs: Sequence[PlanConfig]) -> None:
 
 
 def _changed_keys(config: dict[str, Any], plain: dict[str, Any]) -> dict[str, Any]:
-    """Keys of a configuration whose values differ from the plain one, section by section."""
+    """Return the keys of a job whose values differ from those in `plain`, by section."""
     found = {}
     for key, value in config.items():
         if isinstance(value, dict) and isinstance(plain.get(key), dict):

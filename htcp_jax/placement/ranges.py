@@ -1,10 +1,10 @@
 """Ranges of the job parameters that a search varies.
 
     workpiece.rotation_y_rad: [0.0, 1.0]                          # a number
-    workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], 0.0]            # a vector, element by element; a number stays
+    workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], 0.0]            # a vector: elements vary or are fixed
 
-A mounting is a point of the unit cube, an axis a number that varies; `Ranges.columns` turns points into the axis of a
-grid, see `jobs.grid`.
+Each number that varies is an axis of the unit cube; a mounting is a point in the cube. `Ranges.columns` converts
+mountings to an axis of a grid, see `jobs.grid`.
 """
 
 import difflib
@@ -24,7 +24,7 @@ UNITS = {"_m": ("mm", 1e3), "_rad": ("°", 180 / math.pi), "_deg": ("°", 1.0)}
 
 
 class Range(NamedTuple):
-    """A number that varies: the value of a key, or one element of it."""
+    """Range of a number that varies: the value of a job's key, or one element of a vector."""
 
     key: str
     element: int | None
@@ -38,18 +38,18 @@ class Range(NamedTuple):
 
     @property
     def unit(self) -> tuple[str, float]:
-        """Unit for display, and the factor that converts to it."""
+        """Display unit, and the factor from the job's unit to the display unit."""
         return next((unit for ending, unit in UNITS.items() if self.key.endswith(ending)), ("", 1.0))
 
     @property
     def is_angle(self) -> bool:
-        """True if it is an angle, in any unit."""
+        """True if the parameter is an angle, in any unit."""
         return self.unit[0] == "°"
 
     def perturbed(self, off_m: float, off_deg: float) -> float:
-        """Half the width of the box of perturbations, in the parameter's own unit.
+        """Return the largest perturbation of the parameter, in its unit in the job.
 
-        It is off_m for a length, off_deg for an angle, and 0 for parameters of the task, which are never perturbed.
+        The result is `off_m` for a length, `off_deg` for an angle, and 0 for a parameter of the task.
         """
         if self.key.startswith("task."):
             return 0.0
@@ -57,27 +57,35 @@ class Range(NamedTuple):
 
 
 class Ranges(NamedTuple):
-    """d numbers that vary, and the fixed elements of their vectors."""
+    """Ranges of d numbers that vary, and the fixed elements of vectors."""
 
     axes: tuple[Range, ...]
-    fixed: dict[str, tuple[float | None, ...]]  # of a key with elements: values of the fixed ones
+    fixed: dict[str, tuple[float | None, ...]]  # by key: values of a vector's elements, None if varied
 
     @property
     def low(self) -> Float[np.ndarray, "d"]:
-        """Smallest values, in the job's own units."""
+        """Lower ends of the ranges, in the units in the job."""
         return np.array([axis.low for axis in self.axes])
 
     @property
     def width(self) -> Float[np.ndarray, "d"]:
-        """Largest minus smallest values."""
+        """Widths of the ranges, in the units in the job."""
         return np.array([axis.high - axis.low for axis in self.axes])
 
     def values(self, u: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
-        """Mountings in the job's own units."""
-        return np.clip(self.low + u * self.width, self.low, [axis.high for axis in self.axes])  # rounding stays inside
+        """Return the parameters of n mountings in the job's units.
+
+        Args:
+            u: Mountings in the unit cube.
+        """
+        return np.clip(self.low + u * self.width, self.low, [axis.high for axis in self.axes])  # clips rounding errors
 
     def columns(self, values: Float[np.ndarray, "n d"]) -> dict[str, list]:
-        """Values of every key, mounting by mounting: one axis of a grid."""
+        """Return n values for each key, for use as one axis of a grid.
+
+        Args:
+            values: Parameters of n mountings, in the units in the job.
+        """
         found: dict[str, list] = {key: [list(row) for _ in values] for key, row in self.fixed.items()}
         for k, axis in enumerate(self.axes):
             if axis.element is None:
@@ -93,13 +101,12 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
 
     Args:
         where: The file and section, for messages.
-        raw: Key -> range.
+        raw: Ranges as in the file, by key.
         joints: Names of the arm's joints.
         base: The job that the ranges vary, as a mapping.
 
     Raises:
-        InputError: If there is no range, for an unknown key, one that cannot vary, and a range that is empty or
-            reversed.
+        InputError: If there is no range, if a key is unknown or cannot vary, or if a range is empty or reversed.
     """
     if not raw:
         raise InputError(f"{where} is empty; it needs at least one range")
@@ -114,7 +121,7 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
         default = _default(key, base)
         if element is None and isinstance(default, tuple):
             if not isinstance(value, list | tuple) or len(value) != len(default):
-                raise InputError(f"{where}: {name} has {len(default)} elements; each is a range or a number")
+                raise InputError(f"{where}: {name} has {len(default)} elements; each must be a range or a number")
             fixed[key] = tuple(float(item) if _is_finite_number(item) else None for item in value)
             axes += [_read_range(where, key, k, item) for k, item in enumerate(value) if not _is_finite_number(item)]
         elif element is None:
@@ -122,39 +129,35 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
         else:
             old = _of(base, key)
             if old is None or isinstance(old, str) or element >= len(old):
-                raise InputError(f"{where}: {name}: {key} of the job has no such element")
+                raise InputError(f"{where}: {name}: the job's {key} has no such element")
             fixed.setdefault(key, tuple(old))
             axes.append(_read_range(where, key, element, value))
     if len({axis.name for axis in axes}) < len(axes):
         raise InputError(f"{where}: a parameter is repeated")
     if not axes:
-        raise InputError(f"{where} has no range, only numbers")
+        raise InputError(f"{where} has only numbers; at least one range [smallest, largest] is needed")
     return Ranges(tuple(axes), fixed)
 
 
 def _refuse_key(where: str, name: str, known: Mapping[str, Any], base: Mapping[str, Any]) -> None:
     """Raise InputError for a key that is unknown or cannot vary."""
     if name.partition(".")[0] in grid_axes.NO_AXIS or name.startswith(PLANNERS_OWN):
-        kinds = "the workpiece's pose, the arm's, its tool, the start, the task and the cell can"
+        kinds = "valid: keys of the workpiece's pose, the arm's pose, its tool, the start, the task and the cell"
         raise InputError(f"{where}: {name} cannot vary in a search; {kinds}")
     if name not in known:
         close = difflib.get_close_matches(name, known, n=2, cutoff=0.6)
-        hint = (
-            f"did you mean {' or '.join(close)}?" if close else "valid: keys of the job, workpiece.shift_m for example"
-        )
+        hint = f"did you mean {' or '.join(close)}?" if close else "valid: keys of the job, such as workpiece.shift_m"
         raise InputError(f"{where}: unknown parameter {name}; {hint}")
     default = _default(known[name].key, base)
     is_vector = isinstance(default, tuple) and all(map(_is_finite_number, default))
     if not (isinstance(default, float) or is_vector) or (name == "start_rad" and known[name].element is None):
-        raise InputError(
-            f"{where}: {name} cannot vary in a search: it is not a number that could lie between two others"
-        )
+        raise InputError(f"{where}: {name} cannot vary in a search, because it is not a number")
 
 
 def _read_range(where: str, key: str, element: int | None, value: Any) -> Range:
     name = Range(key, element, 0.0, 0.0).name
     if not isinstance(value, list | tuple) or len(value) != 2 or not all(map(_is_finite_number, value)):
-        raise InputError(f"{where}: {name} is {value!r}; a range is [smallest, largest]")
+        raise InputError(f"{where}: {name} is {value!r}; a range must be [smallest, largest]")
     low, high = map(float, value)
     if not low < high:
         kind = "empty" if low == high else "reversed"
@@ -177,7 +180,7 @@ def _of(base: Mapping[str, Any], key: str) -> Any:
 
 
 def _default(key: str, base: Mapping[str, Any]) -> Any:
-    """Return the default of a key; of a kind of another package the job's own value, None if it has none."""
+    """Return the default value of a key; for a kind of another package, the value in the job or None."""
     if key in grid_axes.KEYS:
         return grid_axes.KEYS[key]
     try:

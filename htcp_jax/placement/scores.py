@@ -1,11 +1,11 @@
-"""Evaluation of mountings: each is planned with every seam, by one planner, as the scenarios of a sweep.
+"""Evaluation of mountings: a sweep plans every seam at every mounting by one method.
 
-A mounting is complete if a proven motion leads to the end of every seam. A planner only keeps the margin that it is
-given and does not maximise clearance. So a complete mounting is planned again with a larger margin, as long as that
-succeeds (`evaluate_raised`).
+A mounting is complete if a proven motion leads to the end of every seam. A planning method does not maximise clearance,
+it only satisfies the margin. Complete mountings are therefore planned again with larger margins, as long as they stay
+complete (`evaluate_raised`).
 
-Results are on disk like those of any sweep, shard by shard, and are read if they exist. So a killed search resumes from
-there, and results do not depend on the machine that plans them.
+Results are saved shard by shard, as in any sweep, and are read if they exist, so an interrupted search can be resumed.
+They do not depend on the machine that plans them.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,10 +23,10 @@ from htcp_jax.placement.place_file import CLEARANCE, Search
 from htcp_jax.runs import Run
 
 MARGIN = "margin_m"
-# Settings of the quick plans: fewer configurations at a target, no smoothing.
+# Settings of the quick plans: a narrower beam, no smoothing.
 QUICK = ("settings.smooth=false", "settings.beam_width=16", "settings.min_beam_width=4", "settings.self_motions=8")
-RAISED, FACTOR = 3, 3.0  # largest number of raises of a margin, and the next margin over the guaranteed clearance
-# Plans a grid by a method into a folder, or resumes it, and times it if the cycle time is an objective.
+RAISED, FACTOR = 3, 3.0  # maximum number of larger margins; next margin / guaranteed clearance
+# Function (sweep, method, folder) that plans or resumes a sweep, and times it if the cycle time is an objective.
 Planner = Callable[[grids.Sweep, str, Path], Run]
 
 
@@ -35,11 +35,11 @@ class MountingScores:
 
     Args:
         search: The search.
-        run: The run that holds the plans.
+        run: The run with the plans.
         method: The method.
         values: Parameters of the mountings, each in its unit in the job.
         quick: True for quick plans, whose proofs of clearance are coarse.
-        plans: The plans, in place of the run's.
+        plans: Plans that replace the run's; None: the run's.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class MountingScores:
 
     @cached_property
     def plans(self) -> Plans:
-        """Plans, one row per mounting and seam, the seam moving fastest."""
+        """Plans of all mountings, n k rows; the rows of a mounting's seams are consecutive."""
         return self.run.plans(self.method)
 
     @cached_property
@@ -75,7 +75,7 @@ class MountingScores:
 
     @cached_property
     def objective(self) -> Float[np.ndarray, "n A"]:
-        """Each objective's value in the worst seam; -inf if the mounting is not complete or the value is unknown."""
+        """Each objective's value at the worst seam; -inf if the mounting is not complete or the value is unknown."""
         found = np.stack(
             [OBJECTIVE_VALUES[name](self).reshape(-1, self.seams).min(axis=1) for name in self.search.file.objective], 1
         )
@@ -92,7 +92,7 @@ class MountingScores:
         return _minimum_along(self.plans).reshape(-1, self.seams).min(axis=1)
 
     def lost(self) -> list[str]:
-        """Reason why each mounting is not complete, by its worst seam; empty if it is complete."""
+        """Return the reason why each mounting is not complete, taken from its worst seam; empty if it is complete."""
         ends, worst = self.plans.outcomes, self.done.argmin(axis=1)
         rows = np.arange(len(self.values)) * self.seams + worst
         found = [ends.of(row) for row in rows.tolist()]
@@ -105,9 +105,9 @@ def sweep_of(
     margin_m: Float[np.ndarray, "n"] | None = None,
     settings: Sequence[str] = (),
 ) -> grids.Sweep:
-    """Build a sweep over mountings and seams.
+    """Return a sweep over mountings and seams.
 
-    Each scenario draws the same random numbers as a job that is planned alone.
+    Each scenario uses the same random numbers as if its job were planned alone.
 
     Args:
         search: The search.
@@ -116,7 +116,7 @@ def sweep_of(
         settings: Overrides of the job, applied before the search's own.
 
     Raises:
-        InputError: For values that the job refuses.
+        InputError: If a value is invalid in the job.
     """
     first: dict[str, Any] = search.ranges.columns(values)
     if margin_m is not None:
@@ -134,7 +134,7 @@ def evaluate(
     margin_m: Float[np.ndarray, "n"] | None = None,
     settings: Sequence[str] = (),
 ) -> MountingScores:
-    """Plan mountings, resume planning them, or read their plans from the folder.
+    """Plan mountings, or read existing plans from the folder, and return their scores.
 
     Args:
         search: The search.
@@ -143,7 +143,7 @@ def evaluate(
         method: The method.
         folder: The run folder.
         margin_m: Margin of each mounting; None: the job's.
-        settings: Overrides of the job that make the plans quick; empty: none.
+        settings: Overrides of the job that make planning quicker; empty: none.
 
     Raises:
         InputError: As `runs.sweep.sweep`.
@@ -186,7 +186,7 @@ def evaluate_lowered(
     folder: Path,
     margins: Sequence[Float[np.ndarray, "n"]],
 ) -> MountingScores:
-    """Plan mountings quickly with smaller and smaller margins until they are complete.
+    """Return scores of quick plans, in which smaller and smaller margins are tried until a mounting is complete.
 
     Args:
         search: The search.
@@ -210,7 +210,13 @@ def evaluate_lowered(
 def _with_better(
     found: MountingScores, again: MountingScores, which: Bool[np.ndarray, "n"]
 ) -> tuple[MountingScores, Bool[np.ndarray, "n"]]:
-    """Put complete results of `again`, which planned the mask `which`, into `found`; return it and their mask."""
+    """Return `found` with results replaced by complete ones in `again`, and the mask of the replaced mountings.
+
+    Args:
+        found: Scores of n mountings.
+        again: Scores of the mountings in `which`, planned with other margins.
+        which: Mask of the mountings in `again`.
+    """
     new = which.copy()
     new[which] = again.complete
     row = np.arange(len(which) * found.seams).reshape(-1, found.seams)
@@ -220,22 +226,22 @@ def _with_better(
 
 
 def _clearance_objective(scores: MountingScores) -> np.ndarray:
-    """Guaranteed clearance along the motions [m]; of quick plans, whose proofs are coarse, that at the targets."""
+    """Return the guaranteed clearance along the motions [m]; for quick plans, the clearance at the targets."""
     return _at_targets(scores.plans) if scores.quick else _minimum_along(scores.plans)
 
 
 def _minimum_along(plans: Plans) -> np.ndarray:
-    """Minimum guaranteed clearance over the segments to executable targets of each plan [m]; inf if there are none."""
+    """Return each plan's minimum guaranteed clearance over the segments to executable targets [m]; inf if none."""
     return np.where(plans.executable, plans.segment_clearance, np.inf).min(axis=1)
 
 
 def _at_targets(plans: Plans) -> np.ndarray:
-    """Minimum clearance of each plan at a tracked target [m]; inf if there are none."""
+    """Return each plan's minimum clearance at its tracked targets [m]; inf if there are none."""
     return np.where(plans.tracked, plans.clearance, np.inf).min(axis=1)
 
 
 def _cycle_time(scores: MountingScores) -> np.ndarray:
-    """Negative cycle time [s]; -inf if there is no motion to time."""
+    """Return the negated cycle time [s]; -inf if there is no motion to time."""
     rows = scores.run.timing(scores.method).timed
     times = np.full(len(scores.plans.status), -np.inf)
     times[rows["scenario"].to_numpy()] = -rows["cycle_time_s"].to_numpy()
@@ -243,7 +249,7 @@ def _cycle_time(scores: MountingScores) -> np.ndarray:
 
 
 def _joint_motion(scores: MountingScores) -> np.ndarray:
-    """Negative joint motion along the path [rad]."""
+    """Return the negated joint motion along the path [rad]."""
     plans = scores.plans
     return -np.nansum(np.where(plans.tracked, plans.joint_step, 0.0), axis=1)
 

@@ -1,7 +1,6 @@
-"""Sampling of mountings: first a Halton sequence over the ranges, then CMA-ES from several of the best so far.
+"""Sampling of mountings: first a Halton sequence over the ranges, then CMA-ES runs from the best mountings so far.
 
-A round depends only on the results of earlier rounds and on the seed: repeated with the same results, it proposes the
-same mountings.
+The proposed mountings depend only on the results of earlier rounds and on the seed.
 """
 
 from typing import NamedTuple
@@ -14,23 +13,23 @@ from scipy.stats import qmc
 from htcp_jax.motion import selection
 
 EVEN = 0.5  # share of the budget for the Halton sequence
-ROUND = 512  # mountings of an even round
-FROM, POPULATION = 4, 24  # number of parallel CMA-ES runs, and mountings of each per round
-SIGMA, ENDED = 0.08, 0.004  # in shares of the ranges: initial step size, and the one at which a run restarts
-APART = 0.1  # smallest difference of distinct mountings in at least one parameter, in shares of its range
+ROUND = 512  # mountings per round of the Halton sequence
+FROM, POPULATION = 4, 24  # number of parallel CMA-ES runs, and of mountings per run and round
+SIGMA, ENDED = 0.08, 0.004  # initial step size, and step size at which a run restarts, relative to the ranges
+APART = 0.1  # minimum difference in at least one parameter, relative to its range
 
 
 class SearchResults(NamedTuple):
     """Results of n mountings."""
 
-    u: Float[np.ndarray, "n d"]  # in the unit cube
-    done: Float[np.ndarray, "n"]  # share of the targets
+    u: Float[np.ndarray, "n d"]  # mountings in the unit cube
+    done: Float[np.ndarray, "n"]  # completed share of the targets
     complete: Bool[np.ndarray, "n"]
     objective: Float[np.ndarray, "n A"]  # larger is better; -inf if the mounting is not complete
 
 
 def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray, "n d"]:
-    """Mountings of a scrambled Halton sequence, in the unit cube.
+    """Return n mountings of a scrambled Halton sequence, in the unit cube.
 
     Args:
         dimensions: The number of parameters, d.
@@ -45,10 +44,15 @@ def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray
 
 
 def score(known: SearchResults, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n"]:
-    """Cost that CMA-ES minimises.
+    """Return the cost of each mounting, which CMA-ES minimises.
 
-    It is below 0 for a complete mounting, the lower the better, else the share of targets without a motion. Objectives
-    are scaled to their range so far; an unknown one is taken for the worst.
+    If the arm completes all paths, the cost is negative: minus the weighted sum of the objectives, each scaled to its
+    range so far. An objective that was not computed counts as the worst value. Otherwise the cost is the share of
+    targets without a motion.
+
+    Args:
+        known: Results of n mountings.
+        weights: Weights of the objectives.
     """
     reported = np.isfinite(known.objective)
     low, high = (np.where(reported, known.objective, none) for none in (np.inf, -np.inf))
@@ -61,18 +65,18 @@ def score(known: SearchResults, weights: Float[np.ndarray, "A"]) -> Float[np.nda
 
 
 def best_apart(u: Float[np.ndarray, "n d"], order: np.ndarray, count: int) -> list[int]:
-    """Indices of the first `count` mountings in an order, each at least APART from all before it.
+    """Return the indices of up to `count` mountings in the given order, each at least APART from all chosen before it.
 
     Args:
         u: Mountings in the unit cube.
         order: Indices of the mountings, best first, (n,).
-        count: The number of mountings; fewer are returned if no more are apart.
+        count: Maximum number of mountings.
     """
     return order[selection.first_apart(u[order], count, APART, np.inf)].tolist()
 
 
 class Evolution:
-    """CMA-ES from several starts at a time; a run that has converged restarts elsewhere."""
+    """Several parallel CMA-ES runs; a run that has converged restarts from another mounting."""
 
     def __init__(self, known: SearchResults, objectives: int, seed: int):
         self._rng, self._known, self._begun = np.random.default_rng([seed, 1]), known, []
@@ -95,7 +99,7 @@ class Evolution:
                 self._runs[k] = self._begin(self._weights[k])
 
     def _begin(self, weights: np.ndarray) -> cma.CMAEvolutionStrategy:
-        """Start a run at the best mounting that is apart from all earlier starts, or at random if there is none."""
+        """Return a new run that starts at the best mounting apart from all earlier starts, or at random without one."""
         order = np.argsort(score(self._known, weights), kind="stable")
         u = np.concatenate([np.array(self._begun).reshape(-1, self._known.u.shape[1]), self._known.u])
         taken = len(self._begun)
@@ -121,7 +125,7 @@ class Evolution:
 
 
 def _weights(k: int, objectives: int) -> np.ndarray:
-    """Weights of the objectives in the k-th run; with several objectives each run uses another mixture."""
+    """Return the weights of the objectives in the k-th run; with several objectives they differ from run to run."""
     if objectives == 1:
         return np.ones(1)
     share = k / (FROM - 1)

@@ -1,8 +1,8 @@
 """Tolerance of a mounting to placement error: perturbed mountings, each planned anew.
 
-A perturbation changes all parameters at once: lengths by up to so many millimetres, angles by up to so many degrees. A
-tolerance is stated if every perturbed mounting that was tried in a box a fifth wider is complete: a proven motion leads
-to the end of every seam.
+A perturbation changes all parameters at once, within a box of millimetres for lengths and degrees for angles. A
+mounting tolerates a box if every perturbed mounting that is tested, in a box a fifth wider, is complete: a proven
+motion leads to the end of every seam.
 """
 
 from collections.abc import Callable
@@ -15,16 +15,16 @@ from htcp_jax.placement.mounting import MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import Search
 from htcp_jax.placement.search import even
 
-TRIED = 16  # perturbations of each confirmed mounting
-LEVELS = 0.5, 1.0, 2.0, 4.0  # perturbations tried, in multiples of `perturbation`
-FEW, MORE = 16, 64  # perturbed mountings of every level, and at most of the one that is stated
-WIDER = 1.2  # factor on the stated box
+TRIED = 16  # number of perturbations of each confirmed mounting
+LEVELS = 0.5, 1.0, 2.0, 4.0  # tested levels of perturbation, in multiples of `perturbation`
+FEW, MORE = 16, 64  # number of perturbed mountings per level, and maximum number at the reported level
+WIDER = 1.2  # width of the tested box / the reported box
 
-Evaluate = Callable[[Float[np.ndarray, "n d"], Path], MountingResults]  # plans mountings anew into a folder
+Evaluate = Callable[[Float[np.ndarray, "n d"], Path], MountingResults]  # function that plans mountings into a folder
 
 
 def box(search: Search) -> Float[np.ndarray, "d"]:
-    """Half the width of the box of perturbations, in the units of the parameters."""
+    """Return the largest perturbation of each parameter, in its unit in the job."""
     perturbation = search.file.perturbation
     return np.array([axis.perturbed(1e-3 * perturbation.mm, perturbation.deg) for axis in search.ranges.axes])
 
@@ -32,13 +32,13 @@ def box(search: Search) -> Float[np.ndarray, "d"]:
 def perturbed(
     search: Search, values: Float[np.ndarray, "n d"], folder: Path, evaluate: Evaluate
 ) -> list[MountingResults]:
-    """Results of each mounting under perturbations of up to `perturbation`.
+    """Return the results of each mounting under TRIED perturbations within `perturbation`.
 
     Args:
         search: The search.
         values: Parameters of the mountings, each in its unit in the job.
         folder: The folder of the plans.
-        evaluate: Plans the perturbed mountings.
+        evaluate: Function that plans the perturbed mountings.
     """
     shifts = _shifts(search, TRIED, 1) * box(search)
     return _scores_of(search, values, shifts, folder, evaluate)
@@ -47,15 +47,15 @@ def perturbed(
 def tolerances(
     search: Search, values: Float[np.ndarray, "n d"], folder: Path, evaluate: Evaluate
 ) -> list[PlacementTolerance]:
-    """Tolerance of each mounting.
+    """Return the tolerance of each mounting.
 
-    Perturbations are tried from the smallest level; a mounting that fails one is not tried at the next.
+    Levels of perturbation are tried in increasing order; a mounting that fails at one is not tried at the next.
 
     Args:
         search: The search.
         values: Parameters of the mountings, each in its unit in the job.
         folder: The folder of the plans, one sweep per level.
-        evaluate: Plans the perturbed mountings.
+        evaluate: Function that plans the perturbed mountings.
     """
     half, shifts = box(search), WIDER * box(search) * _shifts(search, MORE, 2)
     together, going = np.zeros(len(values)), np.arange(len(values))
@@ -81,12 +81,12 @@ def tolerances(
 
 
 def most_tried(dimensions: int) -> int:
-    """Largest number of perturbed mountings that the tolerances of one mounting need."""
+    """Return the maximum number of perturbed mountings for the tolerances of one mounting."""
     return len(LEVELS) * (MORE + 2 * dimensions)
 
 
 def _shifts(search: Search, count: int, key: int) -> Float[np.ndarray, "n d"]:
-    """Shifts in the cube from -1 to 1: every second one is a corner, where mountings fail first."""
+    """Return `count` shifts in the cube [-1, 1]^d; every second one is a corner, where mountings fail first."""
     shifts = 2 * even(len(search.ranges.axes), 0, count, search.file.seed + key) - 1
     shifts[::2] = np.where(shifts[::2] < 0, -1.0, 1.0)
     return shifts
@@ -95,7 +95,7 @@ def _shifts(search: Search, count: int, key: int) -> Float[np.ndarray, "n d"]:
 def _scores_of(
     search: Search, values: Float[np.ndarray, "n d"], shifts: Float[np.ndarray, "m d"], folder: Path, evaluate: Evaluate
 ) -> list[MountingResults]:
-    """Plan each mounting with every shift, all in one sweep."""
+    """Return the results of each mounting under every shift, all planned in one sweep."""
     every = (values[:, None] + shifts).reshape(-1, values.shape[1])
     parts = (np.split(part, len(values)) for part in evaluate(every, folder))
     return [MountingResults(*part) for part in zip(*parts, strict=True)]

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -29,9 +30,14 @@ from htcp_jax.planning.registry import find
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.status import Status
 
+INTERIOR_RULE = (  # after the name of the part, where not its points but the rule decides
+    ", by the interior rule: deeper than workpiece.interior_depth_m behind the inlet a body must be in the part's "
+    "hull; move it, or set workpiece.interior: none"
+)
+
 
 class Progress(NamedTuple):
-    """Progress of a plan: all counts are totals."""
+    """Progress of planning: the numbers of finished scenarios and tracked targets so far, and of all of them."""
 
     scenarios_done: int
     scenarios: int
@@ -63,28 +69,31 @@ def plan(
     Args:
         robot: The arm with its tool.
         workpiece: The part that the scenarios place.
-        scenarios: From `make_scenario`: one, several, or already stacked.
-        method: Its name, see `registry`, or the method itself.
-        settings: A mapping such as {"alpha_rad": 0.05} changes the defaults.
-        progress: Called with the totals when they change.
-        device: See `devices.choose`.
-        targets_in_all: Number of targets of all calls that belong together, as a sweep's shards do; by default this
-            call's. Processes are used if they pay for all of them.
-        threads: Engines per process; None: one, or one per core if there are no other processes.
+        scenarios: One or several scenarios from `make_scenario`, or stacked scenarios.
+        method: Name of the method, see `registry`, or the method itself.
+        settings: Settings, or a mapping such as {"alpha_rad": 0.05} that changes the defaults.
+        progress: Function that is called with the `Progress` when it changes.
+        device: `cpu`, `gpu` or `gpu:2`; None: all GPUs if there are any, else the CPU.
+        targets_in_all: Number of targets of all calls that belong together, such as the shards of a sweep; None: of
+            this call. It determines whether several processes are used.
+        threads: Number of engines per process; None: one, or one per core if there is only one process.
         check_paths: Afterwards check the straight joint path (`Plans.path_clear`) of every accepted step that the
             method did not check itself, verify the motion of every segment, and smooth the motions if `settings.smooth`
             or the method requires it.
         task: The constraints at every target; None: the TCP's position within `tolerance_m`.
-        obstacles: In addition to the workpiece, see `obstacle.Obstacle`.
-        check_starts: Refuse a start in collision, which otherwise is a status.
+        obstacles: Obstacles in addition to the workpiece, see `obstacle.Obstacle`.
+        check_starts: True to raise an error for a start in collision, which otherwise gets a status.
         processes: Number of processes that share the scenarios on a CPU; None: see
             `processes.profitable_count`. Work that other processes cannot import, for example a method or an obstacle
             defined in a notebook, is planned in this one.
 
+    Returns:
+        The plans, one row per scenario.
+
     Raises:
         InputError: For an unknown method, device or setting, weights of the wrong length, no scenarios, a task with
-            more rows than joints or with other rows than the targets, fewer than one process, and, with `check_starts`,
-            a start in collision.
+            more rows than joints or that does not match the columns of the targets, fewer than one process, and, with
+            `check_starts`, a start in collision.
         Lost: If a process is ended from outside.
     """
     chosen, settings = method if isinstance(method, Method) else find(method), settings_of(settings)
@@ -93,7 +102,7 @@ def plan(
     for name in ("q_weights", "path_weights", "max_joint_step_rad"):
         weights = getattr(settings, name)
         if isinstance(weights, tuple) and len(weights) != joints:
-            raise InputError(f"{name} has {len(weights)} values, the robot {robot.name} has {joints} joints")
+            raise InputError(f"{name} has {len(weights)} values, but the robot {robot.name} has {joints} joints")
     if settings.qp.startswith("qpsolvers:"):  # refuse one that is not installed, even if the method does not use it
         from htcp_jax.solvers import QPSolversSolver
 
@@ -141,14 +150,14 @@ def plan(
 
 
 def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obstacles, check_starts: bool) -> Plans:
-    """Return `plan`'s result, except for the times, on the problem's devices."""
+    """Return the result of `plan`, planned on the problem's devices in this process, without times."""
     # Imported here, as methods are: no lane functions are loaded before a method is looked up.
     from htcp_jax.motion import home as home_motion
     from htcp_jax.planning import inserted_goals
 
-    with _preparing(problem, chosen):
+    with _preparing(problem, chosen) as compilations:
         if check_starts:
-            _check_starts(problem, obstacles)
+            _check_starts(problem, obstacles, compilations)
         problem, from_home = home_motion.leave_home(problem)
         if check_starts:
             _refuse_standing_overlaps(problem)
@@ -187,7 +196,7 @@ def _with_proofs(problem: Problem, chosen: Method, method: str, from_home: Mappi
 
 
 def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progress: Callable | None) -> Plans:
-    """Plan in other processes; `compile_s` is the time until they were ready, plus their mean compilation time."""
+    """Return plans from other processes; `compile_s` is the time to start these plus their mean compilation time."""
     began = time.perf_counter()
     rows = worker_processes.shares(len(scenarios.number), processes)
     parts = [tables.gather(scenarios, own) for own in rows]
@@ -228,7 +237,7 @@ def start_clearance(
         robot: The arm with its tool.
         workpiece: The part.
         scenario: Start, pose of the workpiece, and tool extension.
-        x: Another configuration than the start [rad or m].
+        x: Configuration to measure instead of the start [rad or m].
         obstacles: In addition to the workpiece.
     """
     return _start_contact(robot, workpiece, scenario, x, obstacles)[:3]
@@ -242,9 +251,10 @@ def _start_contact(
     obstacles: Obstacles,
     fixed_first: bool = False,
 ) -> tuple[float, str, str, bool]:
-    """Return `start_clearance`, and True if the body is fixed in the world.
+    """Return the result of `start_clearance`, and True if the body is fixed in the world.
 
-    With `fixed_first` it is that of the deepest such body, if any of them overlaps.
+    With `fixed_first`, if any fixed body overlaps an obstacle, the result is for the fixed body with the deepest
+    overlap.
     """
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
@@ -260,6 +270,7 @@ def _start_contact(
     surface = surface_points(scene.robot, scene.rows, touch)[row]
     by_piece = bool(by_pieces(scene.robot, scene.rows, touch)[row])
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
+    other += INTERIOR_RULE if bool(touch.by_interior_rule[row]) else ""
     note = robots.mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface), by_piece)
     label = robots.capsule_label(robot, robot.capsule_names[body])
     return float(touch.distance[row]), label, other + note, bool(fixed[row])
@@ -275,18 +286,18 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacle
         obstacles: In addition to the workpiece.
 
     Raises:
-        InputError: If one is in collision; names the body, the obstacle and the depth.
+        InputError: If the home or the start is in collision; the message names the body, the obstacle and the depth.
     """
     for what, x in _begins_at(scenario).items():
         D, body, other, fixed = _start_contact(robot, workpiece, scenario, x, obstacles, fixed_first=True)
         if D <= 0:
-            always = ", in every configuration, as neither moves" if fixed else ""
+            always = ", in every configuration, because neither moves" if fixed else ""
             place = scenario_functions.without_pose(scenario.T_world_workpiece) if "workpiece" in other else ""
             raise InputError(f"{place}{what} is in collision: {body} is {-1e3 * D:.3f} mm inside {other}{always}")
 
 
 def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
-    """Configurations that must be clear before planning, by name."""
+    """Return the configurations that must be clear before planning (home, start), by name."""
     if scenario.begins_anywhere:
         return {}
     start = {"start": scenario.x_start}
@@ -296,22 +307,26 @@ def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
 
 
 @contextmanager
-def _preparing(problem: Problem, method: Method) -> Iterator[None]:
-    """Compile the calls that a method announces, while the context is open."""
+def _preparing(problem: Problem, method: Method) -> Iterator[list[Future]]:
+    """Compile a method's `first_calls` while the context is open; its value is the compilations."""
     calls = method.first_calls(problem) if len(problem.to_plan) else ()
     with ExitStack() as stack:
-        for each in problem.checkers if calls else ():
-            stack.enter_context(each.executor.preparing(calls))
-        yield
+        begun = [stack.enter_context(each.executor.preparing(calls)) for each in (problem.checkers if calls else ())]
+        yield [compilation for own in begun for compilation in own]
 
 
-def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
-    """Apply `check_start` to every scenario whose start collides, found by an executable that planning needs anyway."""
+def _check_starts(problem: Problem, obstacles: Obstacles, compilations: Sequence[Future]) -> None:
+    """Call `check_start` for every scenario whose start collides, after cancelling the compilations.
+
+    These scenarios are found by an executable that planning needs anyway.
+    """
     for s in problem.to_plan.tolist():
         one = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
         inputs = lane_inputs.lane_inputs(problem.scenarios, np.array([s]), np.zeros(1, int))
         for x in _begins_at(one).values():
             if problem.checkers[0].states(inputs, x[None]).clearance[0] <= 0:
+                for each in compilations:
+                    each.cancel()
                 check_start(problem.robot, problem.workpiece, one, obstacles)
 
 
@@ -319,19 +334,19 @@ def _refuse_standing_overlaps(problem: Problem) -> None:
     """Check that no scenario without a start has an overlap in every configuration.
 
     Raises:
-        InputError: If one has; names the bodies and the depth.
+        InputError: If a scenario has such an overlap; the message names the bodies and the depth.
     """
     for s in np.flatnonzero(problem.scenarios.refused == Status.NO_START).tolist():
         if (found := start_cause.standing_overlap(problem, s)) is not None:
             place = found.place(problem.scenarios.T_world_workpiece[s])
-            raise InputError(f"{place}there is no start: {found.description}")
+            raise InputError(f"{place}no start exists: {found.description}")
 
 
 def _with_refused(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raises: bool) -> Scenario:
-    """Mark the scenarios that begin with an overlap of capsules that self-collision excludes, see `refused_pair`.
+    """Return the scenarios with those refused that begin with an overlap of excluded capsules, see `refused_pair`.
 
     Raises:
-        InputError: If there is one and `raises` is set.
+        InputError: If there is such a scenario and `raises` is True.
     """
     refused = scenarios.refused.copy()
     for own in (each for each in obstacles if isinstance(each, self_collision.SelfCollision)):
@@ -352,13 +367,16 @@ def _with_refused(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raise
 def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:
     task.freedom(robot)
     if scenarios.task_goals is None and (given := scenarios.targets.shape[-1]) != task.rows:
-        raise InputError(f"the task has {task.rows} rows, the targets have {given}")
+        raise InputError(f"the task has {task.rows} equations, but the targets have {given} numbers")
     if scenarios.task_goals is not None and (given := scenarios.task_goals.shape[-1]) != task.numbers:
-        raise InputError(f"the task has {task.numbers} numbers at a target, the goals have {given}")
+        raise InputError(f"the task needs {task.numbers} numbers at each target, but the goals have {given}")
 
 
 def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -> Callable[[int, int], None]:
-    """Return a function that adds newly tracked and finished counts, on any thread, and reports the totals."""
+    """Return a function that adds counts of newly tracked targets and finished scenarios, and reports the totals.
+
+    It may be called on any thread.
+    """
     if progress is None:
         return lambda tracked, finished: None
     lock = threading.Lock()
@@ -389,12 +407,12 @@ def _of_these(plans: Any, problem: Problem, method: str) -> Plans:
     expected = problem.scenarios.targets.shape[:2]
     shapes = {each.shape[:2] for each in (plans.status, plans.x, plans.target)} if isinstance(plans, Plans) else set()
     if shapes != {expected}:
-        raise InputError(f"method {method!r} returned no Plans of {expected[0]} scenarios with {expected[1]} targets")
+        raise InputError(f"method {method!r} must return Plans of {expected[0]} scenarios with {expected[1]} targets")
     for column in ("x", "tcp", "clearance", "residual"):
         if np.isnan(getattr(plans, column)[plans.tracked]).any():
-            raise InputError(f"method {method!r} left {column} of a tracked target empty")
+            raise InputError(f"method {method!r} returned NaN in {column} of a tracked target")
     if (plans.status[problem.to_plan, 0] == Status.NOT_ATTEMPTED).any():
-        raise InputError(f"method {method!r} left the status of target 0 empty; it is TRACKED or a reason")
+        raise InputError(f"method {method!r} did not set the status of target 0; it must be TRACKED or a failure")
     return plans
 
 

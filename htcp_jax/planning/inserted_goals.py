@@ -1,14 +1,15 @@
-"""Goals inserted on long segments of a path, so that planners work on short ones; their results become via points.
+"""Goals inserted on long segments of a path, which cut them into short parts; their configurations become via points.
 
-Between two configurations joints move straight, so the TCP bows: along a segment of length L, at a distance r from the
-joint that turns, by L^2 / (8 r). A segment on which that is more than a SHARE of the allowed distance even at the arm's
-full reach, or along which the task's orientation turns by more than TURN_RAD, is cut into equal parts. Jobs that do not
-require motions between targets (`settings.path_check`) have none.
+Between two configurations the arm interpolates in joint space, so the TCP deviates from the straight line. On a segment
+of length L, at a distance r from the rotating joint, the deviation is L^2 / (8 r). A segment is cut into equal parts if
+this exceeds SHARE of the allowed distance even at the arm's full reach, or if the task's orientation rotates by more
+than TURN_RAD. Without `settings.path_check` no goals are inserted.
 
-An inserted goal lies on the line between its targets, with directions and frames turned evenly. Methods, proofs and
-smoothing see it as a target. Afterwards each of the file's targets has one row again, and configurations at inserted
-goals are via points of its segment. A segment that fails at an inserted goal fails at its target; its via points lead
-as far as it was followed. Where joints cannot follow one of the parts, the segment is cut into twice as many.
+An inserted goal lies on the line between the segment's targets, with interpolated directions and frames. Methods,
+proofs and smoothing treat it as a target. After planning, the plans have one row per target of the file again, and the
+configurations at inserted goals are via points. If planning fails at an inserted goal, the segment's target fails, and
+the via points lead to the last goal that was reached. If the joints cannot follow one of the parts, the number of parts
+is doubled.
 """
 
 import threading
@@ -28,23 +29,23 @@ from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.settings import Settings
 from htcp_jax.status import MOTION, SegmentStatus, Status
 
-SHARE = 0.125  # of the allowed distance from the line; on shorter segments nothing is inserted
-TURN_RAD = 0.8  # nor on those that turn by less
-FINER = 4  # parts of a segment that is just too long, or turns just too much
-MOST_PARTS = 10_000  # of one segment
-HALVINGS = 2  # times that the parts of a segment are halved where joints cannot follow them
+SHARE = 0.125  # share of the allowed distance from the line up to which no goals are inserted
+TURN_RAD = 0.8  # rotation of the task's orientation up to which no goals are inserted
+FINER = 4  # number of parts of a segment that just exceeds SHARE or TURN_RAD
+MOST_PARTS = 10_000  # maximum number of parts of a segment
+HALVINGS = 2  # maximum number of times that a segment's parts are halved because joints cannot follow them
 
-PlanRows = Callable[[Problem, Int[np.ndarray, "_"]], Plans]  # plans of a problem, and the rows of its scenarios
+PlanRows = Callable[[Problem, Int[np.ndarray, "_"]], Plans]  # (problem, original rows of its scenarios) -> plans
 
 
 @dataclass(frozen=True, eq=False)
 class PathParts:
-    """Parts of the segments of S scenarios: T targets of the file, and R rows with the inserted goals."""
+    """Parts of the segments of S scenarios: T targets in the file, and R rows including inserted goals."""
 
-    row: Int[np.ndarray, "S T"]  # of each target
-    target: Int[np.ndarray, "S R"]  # at the end of the segment that a row is on
-    begin: Float[np.ndarray, "S R"]  # share of the way from the target before, at the row before
-    end: Float[np.ndarray, "S R"]  # at this row; 1 at a target
+    row: Int[np.ndarray, "S T"]  # row of each target
+    target: Int[np.ndarray, "S R"]  # target at the end of each row's segment
+    begin: Float[np.ndarray, "S R"]  # share of the segment at which the part to each row begins
+    end: Float[np.ndarray, "S R"]  # share of the segment at which the part ends; 1 for a target's row
 
     @classmethod
     def of(cls, pieces: Int[np.ndarray, "S T"], count: Int[np.ndarray, "S"]) -> "PathParts":
@@ -56,7 +57,7 @@ class PathParts:
         """
         pieces = np.where(np.arange(pieces.shape[1]) < count[:, None], pieces, 0)
         last = np.cumsum(pieces, axis=1)
-        row = np.minimum(np.arange(last.max(initial=0)), last[:, -1:] - 1)  # the last one pads
+        row = np.minimum(np.arange(last.max(initial=0)), last[:, -1:] - 1)  # padded with the last row
         target = (row[:, :, None] >= last[:, None]).sum(axis=2)
         of_segment = np.take_along_axis(pieces, target, axis=1)
         nth = row - (np.take_along_axis(last, target, axis=1) - of_segment)
@@ -66,7 +67,7 @@ class PathParts:
 def pieces_of(robot: Robot, task: Task, scenarios: Scenario, settings: Settings) -> Int[np.ndarray, "S T"]:
     """Return the number of equal parts into which the segment to each target is cut.
 
-    It is 1 before the path, and without `settings.path_check`.
+    The number is 1 on the approach, and everywhere without `settings.path_check`.
 
     Args:
         robot: The arm.
@@ -92,7 +93,8 @@ def planned(plan: PlanRows, problem: Problem, pieces: Int[np.ndarray, "S T"]) ->
     """Return the plans of a problem, planned with goals inserted on its segments.
 
     Args:
-        plan: Plans a problem, with all proofs; its second argument are the rows of the scenarios in `problem`.
+        plan: Function that plans some scenarios with all proofs. Its arguments are their problem with inserted goals,
+            and their rows in `problem`.
         problem: The problem without inserted goals.
         pieces: Number of parts of the segment to each target, see `pieces_of`.
     """
@@ -116,24 +118,24 @@ def planned(plan: PlanRows, problem: Problem, pieces: Int[np.ndarray, "S T"]) ->
 
 
 class LostPlace(NamedTuple):
-    """Place at which a segment with inserted goals was lost."""
+    """Place on a segment with inserted goals at which planning failed."""
 
-    share: float  # of the way from the target before
+    share: float  # share of the segment
     x_last: Float[np.ndarray, "N"]  # the last configuration that was reached [rad or m]
-    scenario: Scenario  # with that place instead of the target
+    scenario: Scenario  # the scenario with this place in place of the target
 
 
 def lost_place(
     robot: Robot, task: Task, scenario: Scenario, settings: Settings, plans: Plans, target: int
 ) -> LostPlace | None:
-    """Return the place at which a plan lost a segment; None for a segment without inserted goals.
+    """Return the place on a segment at which a plan failed; None for a segment without inserted goals.
 
     Args:
         robot: The arm.
         task: The constraints at every target.
         scenario: The plan's scenario.
         settings: Settings of the planner.
-        plans: The plan, in row 0.
+        plans: Plans with the scenario in row 0.
         target: The target at the segment's end.
     """
     stacked = scenario_functions.stack([scenario])
@@ -162,7 +164,7 @@ def inserted(task: Task, scenarios: Scenario, parts: PathParts) -> Scenario:
     Args:
         task: The constraints at every target.
         scenarios: The scenarios.
-        parts: Parts of their segments.
+        parts: Parts of the scenarios' segments.
     """
     s = np.arange(len(parts.target))[:, None]
     targets, goals = scenarios.targets[s, parts.target], scenarios.goals[s, parts.target]
@@ -227,7 +229,10 @@ class _Progress:
 
 
 def _not_followed(plans: Plans) -> Int[np.ndarray, "S"]:
-    """Return the first target that joints could not follow the line to, or -1: none, or another one was lost before."""
+    """Return the first target of each scenario to which the joints could not follow the line.
+
+    It is -1 if there is no such target, or if an earlier target failed for another reason.
+    """
     off = np.isin(plans.segment_status, (SegmentStatus.OFF_PATH, SegmentStatus.REVERSES))
     lost = ~plans.tracked | off
     first = lost.argmax(axis=1)
@@ -254,17 +259,17 @@ def _fold(plans: Plans, found: Plans, s: int, t: int, own: slice) -> None:
 
 
 def _via_points(plans: Plans, parts: PathParts) -> ViaPoints:
-    """Return the via points, in addition those at tracked inserted goals."""
+    """Return the via points of plans, including the configurations at tracked inserted goals."""
     known = plans.via_points
     s, row = np.nonzero(plans.tracked & (parts.end < 1.0))
     scenario, rows = np.append(known.scenario, s), np.append(known.target, row)
     x = np.concatenate([known.x, plans.x[s, row]])
     share = np.append(parts.begin[known.scenario, known.target], parts.end[s, row])
-    order = np.lexsort((np.repeat([0, 1], [len(known.x), len(s)]), rows, scenario))  # a part's dwell, then its end
+    order = np.lexsort((np.repeat([0, 1], [len(known.x), len(s)]), rows, scenario))  # a part's dwell, then its goal
     scenario, rows, x, share = tables.gather((scenario, rows, x, share), order)
     return ViaPoints(scenario.astype(np.int32), parts.target[scenario, rows].astype(np.int32), x, share)
 
 
 def _ends(table: Float[np.ndarray, "S T G"], s: np.ndarray, t: np.ndarray) -> Float[np.ndarray, "n 2 G"]:
-    """Return the rows at both ends of the segments to targets."""
+    """Return the rows of a table at the targets t - 1 and t of scenarios s, the ends of segments."""
     return np.stack([table[s, np.maximum(t - 1, 0)], table[s, t]], axis=1)

@@ -8,10 +8,13 @@ if TYPE_CHECKING:
 
 
 class Method:
-    """A planner: derive from it, and define `name`, `title`, `description` and `plan`.
+    """Base class of a planning method: derive from it, and define `name`, `title`, `description` and `plan`.
 
-    name: on the command line and in file names; small letters, digits and hyphens. title: column heading in tables.
-    description: a few words. smooth: True if its motions are smoothed unless the settings disable that.
+    Attributes:
+        name: Name on the command line and in file names: lower-case letters, digits and hyphens.
+        title: Column heading in tables.
+        description: A few words for lists of methods.
+        smooth: True if the method's motions are smoothed, unless the settings disable it.
     """
 
     name: str
@@ -20,10 +23,10 @@ class Method:
     smooth: ClassVar[bool] = False
 
     def plan(self, problem: "Problem") -> "Plans":
-        """Plan every scenario of the problem; begin with `problem.empty_plans()`.
+        """Plan every scenario of the problem, and return the plans; begin with `problem.empty_plans()`.
 
-        A target that is not tracked ends its scenario, and its status gives the reason. Results may depend only on the
-        problem, and on `problem.settings.seed` if they are random.
+        A target that is not tracked ends its scenario; set its status to the reason. Results may depend only on the
+        problem; take the seed of random numbers from `problem.settings.seed`.
 
         Raises:
             InputError: For a problem that the method cannot plan.
@@ -31,5 +34,5 @@ class Method:
         raise NotImplementedError
 
     def first_calls(self, problem: "Problem") -> Sequence[tuple]:
-        """Return the first calls of compiled functions, to be compiled in parallel, see `Executor.preparing`."""
+        """Return calls that `plan` will make, to compile their functions in parallel, see `Executor.preparing`."""
         return ()

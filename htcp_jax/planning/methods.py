@@ -1,4 +1,4 @@
-"""The built-in methods: step QPs with different recoveries and steps between targets; and the beam search, `beam`."""
+"""The built-in methods: path tracking by step QPs with different recoveries, and the beam search, `beam`."""
 
 import jax
 
@@ -17,7 +17,7 @@ def _named(name: str) -> tuple[str, str, str]:
 
 
 def _start_key(settings: Settings, key: jax.Array, cmaes: bool = False) -> jax.Array | None:
-    """Return the key of a random first direction; None for the best of 64."""
+    """Return the random key for a minimiser's initial direction; None to use the best of 64 fixed directions."""
     random = settings.first_direction == "random" or (cmaes and settings.first_direction == "random_for_cmaes")
     return jax.random.split(key)[1] if random else None
 

@@ -1,4 +1,4 @@
-"""Registry of planning methods; see `htcp_jax.registry`."""
+"""Registry of planning methods by name; see `htcp_jax.registry` for registries in general."""
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module
@@ -10,10 +10,10 @@ from htcp_jax.registry import Registry
 
 def _fault(method: Any) -> str:
     if isinstance(method, type):
-        return "it is a class, not an instance of one"
+        return "it must be an instance, not a class"
     for key in ("name", "title", "description"):
         if not (isinstance(getattr(method, key, None), str) and getattr(method, key)):
-            return f"it has no {key}"
+            return f"its attribute {key} is missing"
     if not isinstance(method, Method) or type(method).plan is Method.plan:
         return "its class must derive from htcp_jax.Method and define plan(problem)"
     return ""
@@ -61,32 +61,37 @@ METHODS = Registry("htcp_jax.methods", "method", _fault, _BuiltIn)
 def descriptions() -> dict[str, tuple[str, str]]:
     """Return the title and the description of every method, by name; built-in ones are not imported.
 
-    A method of another package that cannot be imported is excluded, with a UserWarning.
+    A method of another package that cannot be imported is omitted, with a UserWarning.
     """
     others = {name: (each.title, each.description) for name, each in METHODS.all(without=DESCRIPTIONS).items()}
     return DESCRIPTIONS | others
 
 
 def find(name: str) -> Method:
-    """Return the method with that name.
+    """Return the method with the given name.
 
     Raises:
-        InputError: For an unknown name, and for a method that cannot be imported; names its entry point and package.
+        InputError: If the name is unknown, or the method cannot be imported. In the second case the message names the
+            method's entry point and package.
     """
     return METHODS.find(name)
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of all methods: built-in ones in order, then those of packages, then those of this process."""
+    """Return the names of all methods: built-in ones, then those of packages, then those registered in this process."""
     return METHODS.names()
 
 
 def register(value: Any) -> Any:
-    """Make a planning method, a kind of obstacle or a kind of task row known to this process, and return it.
+    """Register a planning method, a kind of obstacle or a kind of task row in this process, and return it.
 
-    value: an instance of a `Method`, or a class that derives from `ObstacleKind` or `TaskRowKind`. `htcp_jax.plan`,
-    `sweep` and job files know it then by its name; Ray's workers know only those of installed packages. Raises
-    InputError for one that is incomplete, and for a name that is not valid in file names or is taken.
+    `htcp_jax.plan`, `sweep` and job files then accept its name. Ray's workers find only those of installed packages.
+
+    Args:
+        value: An instance of a `Method`, or a class that derives from `ObstacleKind` or `TaskRowKind`.
+
+    Raises:
+        InputError: If the value is incomplete, or if its name is already taken or not valid in file names.
     """
     from htcp_jax.clearance.obstacles import obstacle_kind
     from htcp_jax.model import task_row_kind

@@ -1,14 +1,14 @@
-"""Reachable targets, and proofs that others are not: lower and upper bounds on what any planner can do.
+"""Reachability analysis: lower and upper bounds on the number of consecutive targets that any planner can reach.
 
-`reachable_prefixes` searches configurations at each target and proves cells of tool orientations unreachable. Its
-`Reachability` has two numbers for each scenario: leading targets that are known to be reachable, and the number beyond
-which no plan can come. `PROOF_CELLS` and `RESOLUTION_RAD` limit the work of the proof; `SearchStopped` is raised when
-the user interrupts it, and `initial_reachability` is the result without any search.
+`reachable_prefixes` searches for configurations at each target, and proves targets unreachable by cells of tool
+orientations. It returns a `Reachability` with both bounds for each scenario. `RESOLUTION_RAD` is the default resolution
+of the search, `PROOF_CELLS` the default limit of a proof. `SearchStopped` is raised if the user interrupts the search;
+`initial_reachability` returns the result before any search.
 
-`obstruction` finds the colliding body at the target where a plan ended: an `Obstruction` names the capsule of the arm
-and the body that it would touch there.
+`obstruction` finds the colliding body at the target where a plan ended: an `Obstruction` names the arm's capsule and
+the obstacle that this capsule penetrates.
 
-This package uses the planner's own collision checker and null-space steps, but none of its methods.
+This package uses the planner's collision checker and null-space steps, but none of the planning methods.
 """
 
 import lazy_loader

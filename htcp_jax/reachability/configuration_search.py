@@ -1,14 +1,14 @@
-"""Search for any clear configuration at a target, complete at a stated resolution of the null space.
+"""Search for a collision-free configuration at a target, complete at a given resolution of tool orientations.
 
-With its tip on the target, an arm with six joints has as many degrees of freedom left as its tool has orientations. All
-of these are covered by cells of a stated radius (`motion.tool_cells`), except those in which the tool certainly
-collides. Each cell's centre is the goal of Newton's method from several seeds, the nearest of many configurations with
-known poses, so that all branches of the inverse kinematics (elbow up or down and so on) are found. The results are
-brought onto the target, and the clearest that are far apart are pushed clear. An arm with more joints has further
-redundancy, which only the seeds cover.
+With its tip on the target, an arm with six joints has three degrees of freedom left: the tool's orientation. Cells of a
+given radius (`motion.tool_cells`) cover all orientations, except those in which the tool certainly collides. For each
+cell, Newton's method solves for the orientation at the cell's centre. It starts from several seeds, those of many
+configurations with known poses that are nearest, to find all IK branches (elbow up or down and so on). The results are
+moved onto the target. The clearest ones that are far apart are then pushed clear by null-space steps. An arm with more
+joints has further redundancy, which only the seeds cover.
 
-If a task does not fix the tip's position there are no cells: configurations spread over the joint limits are brought
-onto the target, and the search is not complete.
+If a task does not constrain the tip's position, there are no cells: configurations spread over the joint limits are
+moved onto the target, and the search is not complete.
 """
 
 from typing import NamedTuple
@@ -30,18 +30,18 @@ from htcp_jax.numerics import product
 from htcp_jax.planning.tracking import stages
 from htcp_jax.settings import Settings
 
-CELLS = 20_000  # maximum per target; with more, the resolution is coarser and is reported
-SEEDS, KNOWN = 12, 2**15  # seeds of Newton's method per cell, and known configurations to choose from
-SPREAD = 2**13  # known configurations tried if there are no cells
-STEPS, DAMPING = 12, 1e-5  # of Newton's method [m2/rad2]
-PUSHED = 64  # configurations pushed clear at a target
-APART_RAD = 0.2  # closer configurations count as one
-CARRIED = 6  # configurations carried from a target to the next
-HOPS, HOPPED = 2, 8  # rounds of random moves, and how many of the clearest are moved and pushed again
+CELLS = 20_000  # maximum number of cells per target; the resolution is coarsened if there would be more
+SEEDS, KNOWN = 12, 2**15  # numbers of seeds of Newton's method per cell, and of known configurations to select from
+SPREAD = 2**13  # number of known configurations that are tried if there are no cells
+STEPS, DAMPING = 12, 1e-5  # iterations of Newton's method, and its damping [m2/rad2]
+PUSHED = 64  # maximum number of configurations pushed clear at a target
+APART_RAD = 0.2  # configurations closer than this are treated as one
+CARRIED = 6  # maximum number of configurations carried from a target to the next
+HOPS, HOPPED = 2, 8  # rounds of random moves, and number of the clearest configurations moved in each
 HOP = 0.15  # standard deviation of the moves in the first round [rad or m]
-LENGTH_M = 0.3  # weight of tool rotation: 1 rad counts as this distance of its tip
-TURN_M = LENGTH_M / np.sqrt(2)  # for rotation matrices, whose distance is sqrt(2) times the angle
-# by tool extension: configurations, and a tree of their poses
+LENGTH_M = 0.3  # distance of the tool's tip that is equivalent to a rotation of the tool by 1 rad
+TURN_M = LENGTH_M / np.sqrt(2)  # the same for rotation matrices, whose distance is sqrt(2) times the angle
+# Tool extension [m] -> configurations, and a tree of their poses
 KnownConfigurations = dict[float, tuple[np.ndarray, cKDTree]]
 
 
@@ -49,16 +49,16 @@ OnTarget = tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m N"]]  # indices of t
 
 
 class SearchResult(NamedTuple):
-    """Result of a search at n targets."""
+    """Result of a search at n targets, each by itself."""
 
-    at: step_functions.State  # (n, PUSHED, ...): pushed configurations, clearest first; a clearance of -inf for none
+    at: step_functions.State  # (n, PUSHED, ...): pushed configurations, clearest first; unused rows have clearance -inf
     resolution_rad: Float[np.ndarray, "n"]  # radius of the cells; 0 where the tool collides in every orientation
 
 
 def aim(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, quaternion) -> step_functions.State:
-    """Move x near the target, with the last link in a given orientation if it can be reached, then onto the target.
+    """Return a configuration on the target, with the last link as close as possible to a given orientation.
 
-    Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7).
+    The method is damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7).
 
     Args:
         settings: Not used.
@@ -94,10 +94,10 @@ MEASURE = lane_function.LaneFunction("measure", measure, tool_cells.MANY)
 
 
 def known_configurations(robot: Robot, extensions_m: np.ndarray) -> KnownConfigurations:
-    """Return configurations spread evenly within the joint limits (Halton), with a tree of their poses per tool.
+    """Return configurations spread evenly within the joint limits (Halton), with a tree of their poses per extension.
 
     Args:
-        robot: The arm, its tool not extended.
+        robot: The arm, without the scenarios' tool extensions.
         extensions_m: Tool extensions of the scenarios (S,).
     """
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
@@ -117,11 +117,11 @@ def _scaled_pose(robot: Robot, x):
 def search(
     checker: CollisionChecker, known: KnownConfigurations, inputs: lane_inputs.LaneInputs, resolution_rad: float
 ) -> SearchResult:
-    """Return clear configurations at n targets, each searched independently.
+    """Return collision-free configurations at n targets, each searched independently.
 
     Args:
         checker: Collision checker of the scene.
-        known: From `known_configurations`.
+        known: Result of `known_configurations`.
         inputs: The lanes' inputs, one row per target.
         resolution_rad: Radius of the cells of tool orientations.
     """
@@ -140,21 +140,19 @@ def search(
         _push(checker, inputs, x, best, np.repeat(lost, PUSHED), np.concatenate([np.empty((0, joints)), *aside]))
     coarsest = np.zeros(lanes)
     np.maximum.at(coarsest, lane, radius_rad)
-    residual = np.where(best > -np.inf, 0.0, np.inf)  # excludes empty rows
+    residual = np.where(best > -np.inf, 0.0, np.inf)  # infinite for empty rows
     return SearchResult(step_functions.State(x, clearance=best, residual=residual), coarsest)
 
 
 def carried(checker: CollisionChecker, inputs: lane_inputs.LaneInputs, beam: list[np.ndarray]) -> list[np.ndarray]:
-    """Return, for each target, the configurations of its `beam` that are clear there, far apart, clearest first."""
+    """Push each target's `beam` clear at the target; return the clear and distinct configurations, clearest first."""
     lane = np.repeat(np.arange(len(beam)), [len(own) for own in beam])
     here = checker.executor(stages.PUSH, tables.gather(inputs, lane), np.concatenate(beam))
     return _clear(checker, tables.gather(inputs, lane), lane, len(beam), here)
 
 
-def searched(
-    checker: CollisionChecker, inputs: lane_inputs.LaneInputs, here: step_functions.State
-) -> list[np.ndarray]:
-    """Return, for each target, the configurations found by a search that are clear, far apart, clearest first."""
+def searched(checker: CollisionChecker, inputs: lane_inputs.LaneInputs, here: step_functions.State) -> list[np.ndarray]:
+    """Return, for each target, the clear and distinct configurations found by a search, clearest first."""
     lanes = len(here.x)
     lane = np.repeat(np.arange(lanes), PUSHED)
     at = jax.tree.map(lambda table: table.reshape(len(lane), *table.shape[2:]), here)
@@ -169,7 +167,7 @@ def _clear(
 
 
 def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
-    """Return up to CARRIED configurations: the clearest, then always the one farthest from those chosen."""
+    """Return up to CARRIED configurations: the clearest, then each time the one farthest from those selected so far."""
     if not len(x):
         return x
     return x[selection.farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]
@@ -183,7 +181,7 @@ def _push(
     lane: np.ndarray,
     start: np.ndarray,
 ):
-    """Push configurations clear, and merge the clearest of each target into `x` and `best`."""
+    """Push the configurations `start` clear, and merge the clearest of each target into `x` and `best`."""
     if not len(lane):
         return
     pushed = checker.executor(stages.PUSH, tables.gather(inputs, lane), start)
@@ -196,7 +194,7 @@ def _push(
 
 
 def _random_moves(inputs: lane_inputs.LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
-    """Return random moves of one target, independent of the other targets."""
+    """Return random joint displacements for target k [rad or m], independent of other targets."""
     own = np.random.default_rng([inputs.seed[k], inputs.number[k], inputs.row[k], round_])
     return HOP * 0.6**round_ * own.normal(size=(PUSHED, joints))
 
@@ -204,7 +202,7 @@ def _random_moves(inputs: lane_inputs.LaneInputs, k: int, round_: int, joints: i
 def _aimed(
     checker: CollisionChecker, known: KnownConfigurations, inputs: lane_inputs.LaneInputs, cells: tool_cells.Cells
 ) -> OnTarget:
-    """Return configurations on the target in all cells."""
+    """Return configurations on the targets, found by Newton's method for all cells of tool orientations."""
     which, seeds = _seeds(checker.task, known, inputs, cells)
     lane = cells.lane[which]
     if not len(lane):
@@ -215,7 +213,7 @@ def _aimed(
 
 
 def _settled(checker: CollisionChecker, known: KnownConfigurations, inputs: lane_inputs.LaneInputs) -> OnTarget:
-    """Return configurations on the targets, from seeds spread over the joint limits."""
+    """Return configurations on the targets, found by inverse kinematics from seeds spread over the joint limits."""
     lane = np.repeat(np.arange(len(inputs.row)), SPREAD)
     seeds = np.concatenate([known[own_m][0][:SPREAD] for own_m in inputs.tool_extension_m.tolist()])
     x = checker.project(tables.gather(inputs, lane), seeds)
@@ -226,7 +224,7 @@ def _settled(checker: CollisionChecker, known: KnownConfigurations, inputs: lane
 def _clearest_apart(
     checker: CollisionChecker, inputs: lane_inputs.LaneInputs, lane: np.ndarray, x: np.ndarray
 ) -> OnTarget:
-    """Return the clearest configurations that are far apart."""
+    """Return up to PUSHED configurations per target, the clearest first, at least APART_RAD apart."""
     kept: list[np.ndarray] = [np.empty(0, int)]
     for k in np.unique(lane):
         own = np.flatnonzero(lane == k)
@@ -238,7 +236,7 @@ def _clearest_apart(
 
 
 def _seeds(task: Task, known: KnownConfigurations, inputs: lane_inputs.LaneInputs, cells: tool_cells.Cells):
-    """Return the known configurations whose poses are nearest to each cell: the cell's index, and the configuration."""
+    """Return the known configurations whose poses are nearest to each cell, and the index of each one's cell."""
     which, seeds = [], []
     extension, place = inputs.tool_extension_m[cells.lane], task.tcp_place(inputs.target)
     R = Rotation.from_quat(cells.quaternion, scalar_first=True).as_matrix().reshape(-1, 9)
@@ -251,7 +249,7 @@ def _seeds(task: Task, known: KnownConfigurations, inputs: lane_inputs.LaneInput
 
 
 def _angular_velocity(robot: Robot, x):
-    """Return the last link's angular velocity per unit velocity of each joint, 3 x N."""
+    """Return the last link's angular velocity per unit velocity of each joint, (3, N)."""
     poses = kinematics.link_poses(robot, x)
     axes = product(poses[:, :3, :3], robot.axis[:, :, None])[..., 0]
     return jnp.where(jnp.array(robot.slides)[:, None], 0.0, axes).T

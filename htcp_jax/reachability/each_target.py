@@ -1,12 +1,13 @@
-"""Reach of each target by itself, in any order and behind gaps: reachable, excluded with the reason, or undecided.
+"""Reach of each target by itself, independent of other targets: reachable, excluded with a reason, or undecided.
 
-A target is reachable if a clear configuration was found there. Configurations of the nearest targets that are reachable
-are carried over, re-anchored and pushed clear; where that fails, the target is searched at a coarse resolution, then
-proofs of exclusion are tried, and what they leave is searched at the requested resolution (`configuration_search`).
+A target is reachable if a collision-free configuration was found at it. First, configurations are carried over from the
+nearest reachable targets, re-anchored and pushed clear. If this fails, the target is searched at a coarse resolution
+(`configuration_search`). Then proofs of exclusion are tried. Targets that are still undecided are searched at the
+requested resolution.
 
-An excluded target has a proof that no configuration is clear there (`motion.tool_cells`). Its reason is the smallest
-set of bodies that the proof needs (`motion.exclusions`): none (out of reach), the tool, the link before it (wrist), or
-the arm.
+At an excluded target every configuration is proven to collide (`motion.tool_cells`). The reason is the smallest set of
+bodies that the proof needs (`motion.exclusions`): none (out of reach), the tool, the link before it (wrist), or the
+arm.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,15 +24,15 @@ from htcp_jax.motion import CollisionChecker, exclusions, lane_inputs
 from htcp_jax.reachability.configuration_search import CARRIED, KnownConfigurations, carried, search, searched
 from htcp_jax.status import Exclusion
 
-TOGETHER, SEARCHED = 64, 4  # targets in one call, carried over or proven, and searched
-COARSER = 4  # first search resolution, as a multiple of the requested one
+TOGETHER, SEARCHED = 64, 4  # numbers of targets per call, for carrying over and for searches
+COARSER = 4  # resolution of the first search, as a multiple of the requested resolution
 
-Pairs = Int[np.ndarray, "n 2"]  # scenarios and targets
-Mapped = Callable[[Callable[[Pairs], tuple], Sequence[Pairs]], list[tuple]]  # map over chunks, which threads share
+Pairs = Int[np.ndarray, "n 2"]  # rows of scenarios, and indices of targets
+Mapped = Callable[[Callable[[Pairs], tuple], Sequence[Pairs]], list[tuple]]  # map over chunks, by threads
 
 
 class Reach(IntEnum):
-    """Result for one target; stored as int8, NOT_JUDGED for targets that are not on the path."""
+    """Result for one target; stored as int8. Targets that are not on the path are NOT_JUDGED."""
 
     NOT_JUDGED = -1
     REACHABLE = 0
@@ -54,27 +55,27 @@ class Reach(IntEnum):
 
     @property
     def message(self) -> str:
-        """Description in a few words."""
+        """One-line description of the result."""
         return _MESSAGES[self] if self in _MESSAGES else f"excluded: {Exclusion(self).message}"
 
 
 _MESSAGES = {
     Reach.NOT_JUDGED: "not on the path",
     Reach.REACHABLE: "a clear configuration was found",
-    Reach.UNDECIDED: "no clear configuration was found, and none excluded",
+    Reach.UNDECIDED: "no clear configuration was found, and no proof excludes one",
 }
 
 
 class EachTarget(NamedTuple):
-    """Result for each of T targets in S scenarios."""
+    """Results for each of T targets in S scenarios."""
 
     reach: Int[np.ndarray, "S T"]  # numbers of `Reach`
-    clearance_m: Float[np.ndarray, "S T"]  # largest that was found where undecided; -inf: no configuration, else NaN
-    x: Float[np.ndarray, "S T N"]  # a clear configuration, or where undecided that one [rad or m]; NaN: none
+    clearance_m: Float[np.ndarray, "S T"]  # largest clearance found at an undecided target, -inf if none; else NaN
+    x: Float[np.ndarray, "S T N"]  # clear configuration, or the clearest if undecided [rad or m]; NaN: none found
 
     @property
     def first_excluded(self) -> Int[np.ndarray, "S"]:
-        """The first excluded target in each scenario; T if there is none."""
+        """Index of the first excluded target in each scenario; T if there is none."""
         is_excluded = (self.reach > Reach.REACHABLE) & (self.reach < Reach.UNDECIDED)
         return np.where(is_excluded.any(axis=1), is_excluded.argmax(axis=1), self.reach.shape[1])
 
@@ -92,19 +93,19 @@ def judge_each(
     mapped: Mapped,
     progress: Callable[[int, int], None],
 ) -> EachTarget:
-    """Judge every target on the path by itself.
+    """Classify every target on the path by itself.
 
     Args:
         checker: Collision checker of the scene.
-        known: From `known_configurations`.
-        robot: The arm, its tool not extended.
+        known: Result of `known_configurations`.
+        robot: The arm, without the scenarios' tool extensions.
         scenarios: S stacked scenarios.
-        x: Clear configurations that are known already [rad or m]; NaN elsewhere.
-        seed: For random moves.
+        x: Known collision-free configurations [rad or m]; NaN elsewhere.
+        seed: Seed of the random moves.
         resolution_rad: Resolution of the tool's orientations.
-        proof_cells: See `motion.tool_cells.excluded`; 0: no proofs.
-        mapped: Maps a function over chunks of targets.
-        progress: Called with the number of targets that are settled, and of all.
+        proof_cells: Maximum number of cells per proof, see `motion.tool_cells.excluded`; 0: no proofs.
+        mapped: Function that maps a function over chunks of targets.
+        progress: Function that is called with the numbers of decided targets and of all targets.
     """
     judge = _Judge(checker, scenarios, x, seed, mapped, progress)
     judge.carry_over()
@@ -122,7 +123,7 @@ def judge_each(
 
 
 class _Judge:
-    """State of `judge_each`. Its arguments are those; a target's result does not depend on the chunk that it is in."""
+    """State of `judge_each`, with the same arguments. A target's result does not depend on the chunk that it is in."""
 
     def __init__(
         self,
@@ -156,18 +157,18 @@ class _Judge:
                 return
 
     def search(self, known: KnownConfigurations, resolution_rad: float) -> None:
-        """Search the open targets at a resolution of the tool's orientations."""
+        """Search the undecided targets at a resolution of the tool's orientations."""
         self._each(partial(self._searched, known, resolution_rad), self._open(), SEARCHED)
 
     def exclude(self, robot: Robot, cells: int) -> None:
-        """Try to exclude the open targets by proof, with covers of at most `cells` cells."""
+        """Try to exclude the undecided targets by proof, with at most `cells` cells per target."""
         self._each(partial(self._excluded, robot, cells), self._open(), TOGETHER // 4)
 
     def _open(self) -> Pairs:
         return np.argwhere(self.reach == Reach.UNDECIDED)
 
     def _each(self, function: Callable[[Pairs], tuple], pairs: Pairs, together: int) -> None:
-        """Store what a function finds at pairs: the reach, and where it has any, a configuration and its clearance."""
+        """Store the results of a function at pairs: the reach and, if clearer, a configuration and its clearance."""
         chunks = [pairs[first : first + together] for first in range(0, len(pairs), together)]
 
         def work(own: Pairs) -> None:
@@ -184,7 +185,7 @@ class _Judge:
         return lane_inputs.lane_inputs(self._scenarios, *pairs.T, seed=self._seed)
 
     def _nearest(self) -> dict[tuple[int, int], tuple[int, ...]]:
-        """Return the nearest reachable targets of each open pair in a scenario that has any."""
+        """Return undecided pair -> nearest reachable targets, for scenarios with reachable targets."""
         found = {}
         for s in np.unique(self._open()[:, 0]).tolist():
             reached, left = (np.flatnonzero(self.reach[s] == one) for one in (Reach.REACHABLE, Reach.UNDECIDED))

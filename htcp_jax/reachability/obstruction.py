@@ -1,9 +1,9 @@
-"""The colliding body at a target that a plan did not reach: which body, where, and how deep.
+"""The colliding body at a target that a plan did not reach: its name, the point of contact, and the depth.
 
-From the last tracked configuration, inverse kinematics brings the tool onto the failed target inside the joint limits,
-ignoring collisions, equation (5b). The body with the smallest clearance there is the colliding one; if that clearance
-is above 0, no body collides and the search ended for another reason. This is one configuration of many: a recovery may
-have tried others and found none that is clear.
+From the last tracked configuration, inverse kinematics (5b) moves the tool onto the failed target within the joint
+limits, ignoring collisions. The colliding body is the body with the smallest clearance in the resulting configuration.
+If this clearance is above 0, no body collides, and the search ended for another reason. This is only one of many
+configurations at the target; the plan may have failed in others.
 """
 
 from typing import Any, NamedTuple
@@ -23,45 +23,45 @@ from htcp_jax.motion import Plans, lane_inputs
 from htcp_jax.settings import Settings
 from htcp_jax.status import AT_HOME, Status
 
-NO_BODY = Status.NOT_ATTEMPTED, Status.OUT_OF_REACH, Status.TIP_BLOCKED, *AT_HOME  # ends without a colliding body
+NO_BODY = Status.NOT_ATTEMPTED, Status.OUT_OF_REACH, Status.TIP_BLOCKED, *AT_HOME  # results without a colliding body
 
 
 class Obstruction(NamedTuple):
-    """The arm brought onto a target that failed."""
+    """The arm, moved onto a failed target, and the body with the smallest clearance there."""
 
-    body: str  # the capsule with the smallest clearance there
+    body: str  # name of the capsule with the smallest clearance
     point: Float[np.ndarray, "3"]  # nearest point of the obstacle, world [m]
     depth_m: float  # penetration of the body [m]; negative: its clearance
     residual_m: float  # distance from the TCP to the target
-    reached: bool  # True if that is within the tolerance
+    reached: bool  # True if residual and angle are within the tolerance
     x: Float[np.ndarray, "N"]  # the configuration [rad or m]
     other: str = "the workpiece"  # the obstacle nearest to the body
-    from_mesh: str = ""  # distance from the capsule to its mesh there, if the arm's file refers to meshes
-    body_label: str = ""  # the body with its link, for messages
-    angle_rad: float = 0.0  # from the orientation that the task requires; 0 if it requires none
+    from_mesh: str = ""  # text about the distance from the capsule to the link's mesh; empty without meshes
+    body_label: str = ""  # name of the body with its link, for messages
+    angle_rad: float = 0.0  # deviation from the required orientation; 0 if no orientation is required
     within_bands: bool = True  # False if a cone or band of the task is violated
 
     @property
     def collides(self) -> bool:
-        """True if the tool is on the target there and the body penetrates the nearest object."""
+        """True if the tool is on the target and the body penetrates an obstacle."""
         return self.reached and self.depth_m > 0
 
     def cause(self, otherwise: str) -> str:
-        """Return the colliding body, "out of reach", or, if no body collides, `otherwise`."""
-        return self.body if self.collides else otherwise if self.reached else "out of reach"
+        """Return the name of the colliding body, "out of reach", or `otherwise` if no body collides."""
+        return (self.body_label or self.body) if self.collides else otherwise if self.reached else "out of reach"
 
     @property
     def heading(self) -> str:
-        """Label of the description."""
+        """Label for `description` in a list of facts."""
         return "colliding body" if self.collides else "closest approach" if self.reached else "reach"
 
     @property
     def description(self) -> str:
-        """Message that names the colliding body, or says that there is none."""
+        """Message that names the colliding body, or describes how close the arm comes."""
         if not self.reached:
             angle = f" and {np.rad2deg(self.angle_rad):.3g} deg" if self.angle_rad else ""
             outside = "" if self.within_bands else ", outside of the task's cones and bands"
-            return f"the arm comes only to within {_mm(self.residual_m)}{angle} of it{outside}"
+            return f"the arm comes only to within {_mm(self.residual_m)}{angle} of the target{outside}"
         body = self.body_label or self.body
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
         if self.depth_m > 0:
@@ -69,7 +69,7 @@ class Obstruction(NamedTuple):
         return f"no body collides; {body} comes within {_mm(-self.depth_m)} of {self.other} {where}"
 
     def record(self) -> dict[str, Any]:
-        """Return the entry of a result file, as JSON values."""
+        """Return the obstruction as a mapping for JSON."""
         found = {"body": self.body, "other": self.other, "point_m": self.point.tolist(), "depth_mm": 1e3 * self.depth_m}
         return {**found, "residual_mm": 1e3 * self.residual_m, "x": self.x.tolist(), "description": self.description}
 
@@ -84,17 +84,17 @@ def obstruction(
     obstacles: Obstacles = (),
     task: Task | None = None,
 ) -> Obstruction:
-    """Return the colliding body at a target of a scenario.
+    """Return the obstruction at a target of a scenario: the body with the smallest clearance.
 
     Args:
         robot: The arm with its tool.
         workpiece: The part.
         scenario: Pose, targets and tool extension.
-        x_last: The last tracked configuration, else the start (N,) [rad or m].
+        x_last: The last tracked configuration, or the start if there is none, (N,) [rad or m].
         target: Index of the target.
-        settings: `tolerance_m`, for the default task.
-        obstacles: In addition to the workpiece.
-        task: None: the TCP's position.
+        settings: Settings; `tolerance_m` is used.
+        obstacles: Obstacles in addition to the workpiece.
+        task: The constraints at the target; None: the TCP's position.
     """
     inputs = lane_inputs.lane_inputs(scenarios.stack([scenario]), np.zeros(1, int), np.array([target]))
     known = of_workpiece.all_obstacles(workpiece, obstacles)
@@ -111,16 +111,16 @@ def obstructions(
     settings: Settings,
     task: Task | None = None,
 ) -> list[Obstruction]:
-    """Return the colliding body for each of S scenarios.
+    """Return the obstruction for each of S scenarios.
 
     Args:
         robot: The arm with its tool.
-        obstacles: All obstacles, with the workpiece.
-        where: Stacked, the fields of `HasWorkpiecePose` and `tool_extension_m`.
+        obstacles: All obstacles, including the workpiece.
+        where: Stacked scenarios: the fields of `HasWorkpiecePose`, and `tool_extension_m`.
         x_last: The last tracked configurations [rad or m].
-        goals: The task's goals; for the TCP's position the targets, world [m].
-        settings: `tolerance_m`, for the default task.
-        task: None: the TCP's position.
+        goals: The task's goals; for the default task the targets, world [m].
+        settings: Settings; `tolerance_m` is used.
+        task: The constraints at the targets; None: the TCP's position.
     """
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     scene = Scene(robot, obstacles, task)
@@ -153,26 +153,27 @@ def obstructions(
 
 
 def _distance_from_goal(robot: Robot, task: Task, x: jax.Array, goal: jax.Array) -> tuple[float, float, bool]:
-    """Return the distance [m] and the angle [rad] from a goal, and False if a cone or band is violated."""
+    """Return the distance [m] and the angle [rad] from a goal, and False if a cone or band of the task is violated."""
     distance, angle = map(float, task.errors(robot, x, goal))
     return distance, angle, bool(task.slack(task.value(robot, x), goal) >= 0)
 
 
 def blocked_target(plans: Plans, scenario: int) -> int | None:
-    """Return the first target that is not tracked, if a body of the arm may be colliding there.
+    """Return the first target that is not tracked, if a body of the arm may have blocked it.
 
-    None if all are tracked, nothing was attempted, or the tool's tip is what collides.
+    None if all targets are tracked, and for statuses in NO_BODY: for example, no target was attempted, the target is
+    out of reach, or the tool's tip is blocked.
     """
     end = plans.outcome(scenario)
     return None if end.status in (None, *NO_BODY) else end.failed
 
 
 def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
-    """Bring one scenario onto its goal, and measure it there.
+    """Move one scenario's arm onto its goal, and measure the clearance in the resulting configuration.
 
     Returns:
-        Row of the smallest clearance, nearest points on the obstacle and on the body's surface, True if a piece
-            decided, depth [m], TCP error [m], and configuration.
+        Row of the smallest clearance, nearest points on the obstacle and on the body's surface [m], True if the
+            distance is that of a convex piece, depth [m], TCP error [m], and configuration [rad or m].
     """
     robot, obstacles, task = scene
     x, residual = inverse_kinematics.reanchor(robot, x_last, goal, task.fine_m, task=task)

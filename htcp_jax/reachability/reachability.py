@@ -1,14 +1,13 @@
-"""Reachable prefix per scenario: the number of consecutive targets that have any clear configuration.
+"""Reachable prefix per scenario: the number of consecutive targets that have a collision-free configuration.
 
-A planner follows a continuous path; this checks every target independently. A few configurations of the last target,
-far apart, are carried over, re-anchored and pushed clear in the null space; if none succeeds, the target is searched at
-a stated resolution of the null space (`configuration_search`). The first target at which nothing is found ends the
-prefix.
+A planner needs a continuous motion. Here, a target only needs some collision-free configuration. A few distinct
+configurations at the previous target are carried over, re-anchored and pushed clear in the null space. If this fails,
+the target is searched at a given resolution of tool orientations (`configuration_search`). The prefix ends at the first
+target at which no configuration was found.
 
-A clear configuration that is found proves that one exists: the prefix is a lower bound on the reachable targets. "Not
-found" does not imply unreachable. But if at some target every configuration certainly has the tool, or the arm behind
-it, in collision, or violates a row of the task (`motion.tool_cells`), no configuration is clear there, and any path
-ends before it: an upper bound. Targets between the two bounds are undecided.
+The prefix is a lower bound on the number of reachable targets; "not found" does not imply unreachable. An upper bound
+comes from proofs (`motion.tool_cells`): if every configuration at a target collides with the tool or the arm, or
+violates a row of the task, every plan ends before this target. Targets between the two bounds are undecided.
 """
 
 import threading
@@ -36,26 +35,26 @@ from htcp_jax.reachability.each_target import EachTarget, judge_each
 from htcp_jax.settings import Settings
 
 RESOLUTION_RAD = 0.11
-PROOF_CELLS = 2048
-FIRST_AHEAD = 4  # targets from the last one found to the first one tried by a proof; then twice as many, and so on
-COARSE_FIRST = (4, 1)  # successive search resolutions, as multiples of the requested one
+PROOF_CELLS = 4096
+FIRST_AHEAD = 4  # number of targets from the last found one to the first proof; doubled for each further proof
+COARSE_FIRST = (4, 1)  # resolutions of successive searches, as multiples of the requested resolution
 
 
 class Reachability(NamedTuple):
-    """Result for S scenarios of T targets."""
+    """Reachability of S scenarios with T targets each."""
 
-    prefix: np.ndarray  # (S,) consecutive targets, from the first, with a clear configuration; see `_off_lines`
-    most: np.ndarray  # (S,) targets before one that is proven to have none
-    best: np.ndarray  # (S,) best clearance found at the first target without one [m]; NaN where all have one
-    x: np.ndarray  # (S, T, N) the configurations found, NaN beyond the prefix
-    # (S,) of the search there; 0 if all are found, or the tool alone collides, or it cannot satisfy the rows about its
-    # orientation; pi if the task does not constrain the TCP's position, and only spread configurations are tried
+    prefix: np.ndarray  # (S,) number of consecutive targets, from the first on, with a clear configuration
+    most: np.ndarray  # (S,) number of targets before the first one proven to have no clear configuration
+    best: np.ndarray  # (S,) largest clearance found at the target after the prefix [m]; NaN if there is no such target
+    x: np.ndarray  # (S, T, N) the configurations found [rad or m]; NaN after the prefix
+    # (S,) resolution of the search at the target after the prefix. 0: there is no such target, the tool alone collides,
+    # or it cannot satisfy the rows about its orientation. pi: the task does not constrain the TCP's position
     resolution_rad: np.ndarray
-    each: EachTarget | None = None  # every target on the path by itself; None if that was not required
+    each: EachTarget | None = None  # results for every target by itself; None if not requested
 
 
 class SearchStopped(KeyboardInterrupt):
-    """Interruption of a search, in place of KeyboardInterrupt; `found` is its result so far, with looser bounds."""
+    """Interruption of a search, raised in place of KeyboardInterrupt; `found` is the result so far."""
 
     def __init__(self, found: Reachability):
         super().__init__()
@@ -75,24 +74,24 @@ def reachable_prefixes(
     each: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
-    """Return the reachable prefixes of stacked scenarios, which one thread per core share.
+    """Return the reachability of stacked scenarios, computed by one thread per core.
 
     Args:
-        robot: The arm, its tool not extended.
+        robot: The arm, without the scenarios' tool extensions.
         workpiece: The part.
-        scenarios: Stacked.
-        settings: `alpha_rad`, `tolerance_m` and the seed are used; None: the defaults.
-        task: The constraints at every target; None: the TCP's position. Without the TCP's position among them there are
-            no proofs.
-        obstacles: In addition to the workpiece; proofs ignore them.
+        scenarios: The stacked scenarios.
+        settings: Settings; `alpha_rad`, `tolerance_m` and the seed are used. None: the defaults.
+        task: The constraints at every target; None: the TCP's position. There are no proofs if the TCP's position is
+            not constrained.
+        obstacles: Obstacles in addition to the workpiece; proofs ignore them.
         resolution_rad: Resolution of the tool's orientations at a target where carrying over fails.
-        proof_cells: See `motion.tool_cells.excluded`; 0: no proofs.
-        each: True judges every target on the path by itself, too.
-        progress: Called with (target, targets) after each target; then, with `each`, with the number of targets that
-            are settled, and of all.
+        proof_cells: Maximum number of cells per proof, see `motion.tool_cells.excluded`; 0: no proofs.
+        each: True to also classify every target on the path by itself.
+        progress: Function that is called with (target, targets) after each target; with `each`, it is also called with
+            the numbers of decided targets and of all targets.
 
     Raises:
-        SearchStopped: On Ctrl-C.
+        SearchStopped: If Ctrl-C is pressed.
     """
     settings = settings or Settings()
     scenarios = jax.tree.map(np.asarray, scenarios)
@@ -145,7 +144,7 @@ def reachable_prefixes(
 
 
 def initial_reachability(scenarios: Scenario) -> Reachability:
-    """Return the initial result for S stacked scenarios, with its own arrays."""
+    """Return the result for S stacked scenarios before any search, in new arrays."""
     count, rows = scenarios.targets.shape[:2]
     return Reachability(
         np.zeros(count, int), np.array(scenarios.count), np.full(count, np.nan),
@@ -162,10 +161,10 @@ def _prefixes(
     found: Reachability,
     progress: Callable,
 ) -> Scenario:
-    """Search, and write the result into `found`, except `most`.
+    """Search the prefixes, and write the results into `found`, except `most`.
 
     Returns:
-        The scenarios as they were searched, see `_off_lines`.
+        The scenarios with the targets that were searched, see `_off_lines`.
     """
     count, rows = scenarios.targets.shape[:2]
     beam = [x[None] for x in scenarios.x_start]
@@ -203,7 +202,8 @@ def _clear_configurations(
 ) -> tuple[list[np.ndarray], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Return the clear configurations at n targets, carried over from each `beam` or else searched for.
 
-    Also, at targets without any, the best clearance [m] and the resolution [rad], elsewhere NaN and 0.
+    Also return the largest clearance [m] and the resolution [rad] at targets without a clear configuration; NaN and 0
+    at other targets.
     """
     clear = carried(checker, inputs, beam)
     best, coarsest = np.full(len(beam), np.nan), np.zeros(len(beam))
@@ -220,10 +220,15 @@ def _clear_configurations(
 
 
 def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> Bool[np.ndarray, "S T"]:
-    """Return the targets at which approaches leave their lines, as a planner's may.
+    """Return True for targets at which an approach may leave its straight lines, as it may in a plan.
 
-    For scenarios that have not reached a target before the path these are that target and the following ones up to the
-    path's first point.
+    If a target of the approach was not reached, these are this target and the following ones up to the path's first
+    point.
+
+    Args:
+        scenarios: Stacked scenarios.
+        rows: Rows of the scenarios that have not reached the target.
+        target: Index of the target.
     """
     goals, on_path = scenarios.goals, scenarios.on_path[rows]
     leave = (0 < target) & (target < on_path) & (goals[rows, target] != goals[rows, on_path]).any(axis=1)
@@ -233,12 +238,12 @@ def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> 
 
 
 def _upper_bounds(executor: Executor, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
-    """Return the number of targets (S,) before one that is proven out of reach: the smaller result of two searches.
+    """Return the number of targets (S,) before one that is proven unreachable: the smaller result of two searches.
 
-    Both bisect between a target that is not excluded and one that is. The first begins at targets 4, 8, 16, ... behind
-    the last one found: on a path that comes back into the open its end is not excluded. The second begins at the path's
-    end: a later target is usually excluded more easily. If another one is excluded earlier, the bound is larger than it
-    could be.
+    Both bisect between a target that is not excluded and one that is. The first search begins at 4, 8, 16, ... targets
+    after the last one found; it is for paths that leave the part again, as their end cannot be excluded. The second
+    search bisects the whole path, as later targets are usually easier to exclude. The bound is not tight if an earlier
+    target could be excluded.
     """
     ahead = _excluded_first(executor, robot, scenarios, found, cells, FIRST_AHEAD)
     return np.minimum(ahead, _excluded_first(executor, robot, scenarios, found, cells, 0))
@@ -247,7 +252,16 @@ def _upper_bounds(executor: Executor, robot: Robot, scenarios: Scenario, found: 
 def _excluded_first(
     executor: Executor, robot: Robot, scenarios: Scenario, found: Reachability, cells: int, ahead: int
 ) -> np.ndarray:
-    """Return the first target (S,) found to be excluded, trying those `ahead` first; 0: bisection of the whole path."""
+    """Return the earliest target of each scenario (S,) that was found to be excluded; the number of targets if none.
+
+    Args:
+        executor: Runs compiled functions.
+        robot: The arm.
+        scenarios: Stacked scenarios.
+        found: Result of the search, with the prefixes.
+        cells: Maximum number of cells in a proof; 0: no proofs.
+        ahead: Number of targets from the last found one to the first proof; 0: bisection of the whole path.
+    """
     short, no_cell = found.prefix < scenarios.count, found.resolution_rad == 0
     low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
     is_bounded = (short & no_cell) | (ahead == 0)

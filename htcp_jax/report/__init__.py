@@ -1,12 +1,12 @@
-"""Reports of sweeps: the paper's tables, charts, and the document that holds them (HTML, Markdown, CSV).
+"""Reports of sweeps: tables, charts, and the document that contains them (HTML, Markdown, CSV).
 
-`make_report` reads runs and makes all tables and figures, a `Report`; `write_report` writes it into a folder, and
-`record` is its JSON. `charts` are the figures, each a function of a frame or of runs, for use by themselves. A `Table`
-has `Column`s, and the command line prints the same tables.
+`make_report` reads runs and returns a `Report` with all tables and figures. `write_report` writes it into a folder, and
+`report_record` converts it for JSON. `charts` draws single figures from arrays, also without a report. A `Table` has
+`Column`s; the command line prints the same tables.
 
-`chapter` describes one run: job, choices, scenarios. `tables` has the tables of results, `timing` of execution times,
-`validation` of the independent validation, and `gate` those of a comparison with a baseline, for a person and for CI.
-`draw_search` draws a search for placements.
+`chapter` makes the chapter on one part of a run. `tables` contains the tables of results, `timing` the tables of
+cycle times and feed rates, `validation` the tables of the independent validation, and `gate` the verdict of a
+comparison with a baseline, for CI. `draw_search` draws the results of a placement search.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Best scenarios of every method: the most executable targets first, then the largest minimum clearance."""
+"""Table and picture of each method's best scenarios."""
 
 import numpy as np
 
@@ -8,15 +8,15 @@ from htcp_jax.runs import labels
 
 BEST = 3  # number of scenarios per method
 RANKED = (
-    "The best scenarios of each method: those with the most executable targets first, then by the minimum clearance, "
-    "then by the joint motion."
+    "The best scenarios of each method, sorted by executable targets, then by minimum clearance, then by joint motion."
 )
 
 
 def best_scenarios(part: Part) -> Table:
-    """Table of up to BEST scenarios per method, with the parameters that vary.
+    """Return the table of each method's best scenarios, at most BEST per method, with the parameters that vary.
 
-    Most executable targets come first, then largest minimum clearance, then least joint motion.
+    Scenarios are sorted by the share of executable targets (largest first), then by minimum clearance (largest first),
+    then by joint motion (smallest first).
     """
     own = labels.varying(part.parameters)
     columns = (
@@ -37,11 +37,11 @@ def best_scenarios(part: Part) -> Table:
 
 
 def ranked(part: Part, method: str) -> list[tuple[int, int, int, float, float]]:
-    """Rank the scenarios that a method has planned and that have an executable target, the best first.
+    """Return the scenarios in which a method has executable targets, best first.
 
     Returns:
-        For each its row, the numbers of executable targets and of targets, the minimum clearance [mm], and the joint
-        motion [rad].
+        For each scenario: its row in the part, the number of executable targets, the number of all targets, the
+        minimum clearance [mm], and the joint motion [rad].
     """
     plans = part.plans[method]
     good, targets = plans.executable, plans.outcomes.targets
@@ -53,12 +53,12 @@ def ranked(part: Part, method: str) -> list[tuple[int, int, int, float, float]]:
 
 
 def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
-    """Section on the best scenarios: the table, and a picture of the best one.
+    """Return the section on the best scenarios: the table, and a picture of the best one.
 
     Args:
         part: The part of the run.
-        table: The table, see `best_scenarios`.
-        prefix: Start of the picture's name.
+        table: The part's table from `best_scenarios`.
+        prefix: Prefix of the picture's name.
     """
     found = [(rows[0], method) for method in part.plans if (rows := ranked(part, method))]
     if not found:
@@ -69,7 +69,9 @@ def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
     figure = part.scene.picture(number, method, what)
     if figure is None:
         return [RANKED, table, f"There is no picture of the cell: {part.scene.problem}."]
-    alt = f"{what}; {count} of {targets} targets executable, {least:.3g} mm clear at least; the workpiece cut open"
+    alt = (
+        f"{what}; {count} of {targets} targets executable, minimum clearance {least:.3g} mm; the workpiece is cut open"
+    )
     return [RANKED, table, f"{alt}.", Picture(f"{prefix}cell", figure, alt)]
 
 

@@ -1,6 +1,7 @@
-"""Robot and workpiece of a run, for the report: colliding bodies at failed targets, and a picture.
+"""Robot and workpiece of a run, for the report: colliding bodies at failed targets, and pictures.
 
-They are read at first use. If their files have changed or are missing, the report omits them and gives the reason.
+The robot's and the workpiece's files are read at first use. If one has changed or is missing, the report has no
+colliding bodies and no pictures, and gives the reason.
 """
 
 import warnings
@@ -21,11 +22,11 @@ from htcp_jax.viewer import replay as recordings
 
 
 class OpenedScene:
-    """Scene of one run.
+    """Robot, workpiece and obstacles of one run, opened at first use.
 
     Args:
         run: The run.
-        plans: Plans of every method that has finished a shard, by its name.
+        plans: Plans by method, for every method with at least one finished shard.
     """
 
     def __init__(self, run: Run, plans: Mapping[str, Plans]):
@@ -35,7 +36,7 @@ class OpenedScene:
     @cached_property
     def _opened(self) -> tuple[recordings.Replays | None, str]:
         try:
-            with warnings.catch_warnings():  # on the cloud and its units: the sweep has shown them
+            with warnings.catch_warnings():  # the sweep has already shown the warnings on the cloud and its units
                 warnings.simplefilter("ignore")
                 return recordings.recorded_replays(plan_sets.plans_of_run(self._run), self._plans.__getitem__), ""
         except InputError as error:
@@ -43,21 +44,21 @@ class OpenedScene:
 
     @property
     def problem(self) -> str:
-        """Reason why there is no scene; empty if there is one."""
+        """Reason why the scene cannot be read; empty if it can."""
         return self._opened[1]
 
     def colliding_bodies(self, method: str) -> dict[int, Obstruction]:
-        """Colliding bodies in the scenarios that a method failed, by their numbers."""
+        """Return the colliding body by scenario, for the scenarios in which a method failed."""
         replays, _ = self._opened
         if method not in self._colliding_bodies:
             self._colliding_bodies[method] = {} if replays is None else replays.obstructions(method)
         return self._colliding_bodies[method]
 
     def picture(self, number: int, method: str, title: str) -> Figure | None:
-        """Draw the arm in the workpiece of a scenario; None if there is no scene.
+        """Draw a scenario's arm in its workpiece; return None if the scene cannot be read.
 
         Args:
-            number: The scenario.
+            number: The number of the scenario.
             method: The method.
             title: The title of the figure.
         """
@@ -69,12 +70,12 @@ class OpenedScene:
         return draw_cell(replay.robot, replay.cloud, replay.x[:1], plans, title, replay.fixtures)
 
     def reach_picture(self, numbers: Int[np.ndarray, "S"], reach: Int[np.ndarray, "S T"], name: str) -> Figure | None:
-        """Draw the part with the targets by their reach; None if there is no scene.
+        """Draw the workpiece with its targets coloured by reach; return None if the scene cannot be read.
 
         Args:
-            numbers: The scenarios.
-            reach: Numbers of `Reach`.
-            name: Name of the scenarios.
+            numbers: The numbers of the scenarios.
+            reach: Values of `Reach`, a row per scenario.
+            name: Name of the group of scenarios, for the title.
         """
         replays, _ = self._opened
         if replays is None:

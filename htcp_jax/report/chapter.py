@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from htcp_jax.jobs import PlanConfig, config_file, examples, load_config
-from htcp_jax.motion import Plans
+from htcp_jax.motion import Plans, motion
 from htcp_jax.report import charts, paper, tables
 from htcp_jax.report.best import best_of_all, best_scenarios
 from htcp_jax.report.document import Block, Heading, Picture, Table
@@ -19,22 +20,28 @@ from htcp_jax.report.timing import feed_targets, timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
 from htcp_jax.status import SegmentStatus
 
-MOST_SLICES = 9  # maps in a row
+MOST_SLICES = 9  # maximum number of maps side by side
 UNITS = "rad", "m"
-OF_TASK = "task."  # parameters of the task, over which success is drawn next to reachability
+OF_TASK = "task."  # prefix of task parameters; the report draws success and reachability over each of them
 BLOCKED = (
-    "A joint step is blocked when the straight joint path from the configuration before collides; not every planner "
-    "checks that. Tracked before it: the targets of each scenario up to its first blocked step."
+    "A joint step is blocked if the straight joint path from the previous configuration collides; not every planner "
+    "checks this. Tracked before it: the tracked targets before each scenario's first blocked step."
+)
+PAIRED = (
+    "Number of scenarios in which a method has more, fewer or equally many executable targets as the best method. "
+    "p: probability of a split at least as uneven if neither method is better (sign test). The test takes scenarios as "
+    "independent. Neighbours in a fine grid are not: confirm a small difference with other seeds and poses."
 )
 MANIPULABILITY = (
-    "Manipulability is the smallest singular value of the task's Jacobian: the slowest motion of the tool for a joint "
-    "velocity of length 1. It is 0 where the arm is singular; where it is low, joints have to be fast to hold the feed."
+    "Manipulability is the smallest singular value of the task's Jacobian: the lowest tool speed at a joint velocity "
+    "of norm 1. It is 0 where the arm is singular; where it is low, joints must move fast to hold the feed."
 )
 BUILT_IN = {config_file.BUILT_IN_ARM: "GP50", config_file.DUCT: "the generated duct", "weld": "its weld"}
 
 
 TABLES = (
     tables.results,
+    tables.pairs,
     tables.paper,
     best_scenarios,
     tables.reachability_table,
@@ -50,17 +57,17 @@ TABLES = (
 
 
 def tables_of(part: Part) -> dict[str, Table]:
-    """All tables of a part by their names, each made once."""
+    """Return a part's tables by name."""
     return {table.name: table for table in (make(part) for make in TABLES)}
 
 
 def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list[Block]:
-    """Write the chapter on one part of a run.
+    """Return the chapter on one part of a run.
 
     Args:
         part: The part.
-        made: Its tables, see `tables_of`.
-        prefix: Start of the pictures' names.
+        made: The part's tables by name, see `tables_of`.
+        prefix: Prefix of the pictures' names.
         level: Level of the headings.
     """
     return [
@@ -69,6 +76,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         Heading(level, "Results"),
         made["results"],
         *_notes_on_results(part),
+        *_next_to_the_best(made["pairs"]),
         *_next_to_the_paper(part, made["paper"], level + 1),
         *_reachability_blocks(part, made["reachability"]),
         *_reach_blocks(part, made["reach"], prefix),
@@ -97,13 +105,18 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
 
 
 def answer(part: Part) -> str:
-    """State in how many scenarios a proven motion leads to the last target, with its clearance; best method first."""
+    """Return a sentence with the number of scenarios in which a proven motion leads to the last target, by method."""
     found = []
     for method, plans in part.plans.items():
         done = plans.outcomes.can_be_driven
         known = part.motions[method].segment_clearance_min_m[done]
         known = known[~np.isnan(known)]
-        found.append((int(done.sum()), method, f"{1e3 * known.min():.3g} mm" if known.size else None))
+        least = f"{1e3 * known.min():.3g} mm" if known.size else None
+        after = motion.narrowest_segment(plans, without_transfer=True)[1][done]
+        after = after[~np.isnan(after)]
+        if known.size and after.size and after.min() > known.min():
+            least = f"{1e3 * after.min():.3g} mm, in transfers {least}"
+        found.append((int(done.sum()), method, least))
     found.sort(key=lambda each: -each[0])
     planned = int(part.plans[found[0][1]].outcomes.planned.sum())
     of, at_least = f" of {planned:,} scenarios", "guaranteed clearance at least "
@@ -115,7 +128,7 @@ def answer(part: Part) -> str:
 
 
 def part_facts(part: Part) -> list[str]:
-    """Describe the part: scenarios, robot, workpiece, configuration."""
+    """Return paragraphs on the part: scenarios, robot, workpiece, job."""
     manifest = part.run.manifest
     grid = " x ".join(f"{len(values)}" for values in part.axes.values())
     varied = ", ".join(f"{label(name).split(' [')[0]}{_axis_range(name, values)}" for name, values in part.axes.items())
@@ -140,9 +153,9 @@ def part_facts(part: Part) -> list[str]:
 
 
 def _axis_range(name: str, values: np.ndarray) -> str:
-    """First and last value of an axis, with its unit; angles in degrees, too."""
+    """Return an axis's range as text, with the unit, angles also in degrees; empty if the values are not numbers."""
     unit = name.rpartition("_")[2]
-    if unit not in UNITS or values.dtype.kind not in "if":  # texts and lists
+    if unit not in UNITS or values.dtype.kind not in "if":  # the values are texts or lists
         return ""
     low, high = float(values[0]), float(values[-1])
     degrees = f", {np.degrees(low):.3g} to {np.degrees(high):.3g} degrees" if unit == "rad" else ""
@@ -150,9 +163,9 @@ def _axis_range(name: str, values: np.ndarray) -> str:
 
 
 def choice(part: Part) -> str:
-    """Describe the configuration by the nearest shipped one, and every key that differs from it.
+    """Return the job as text: the most similar shipped configuration, and every key that differs from it.
 
-    For a job with its own scene these are only the margin and the settings that are not the default.
+    For a job with its own scene, the text contains only the margin and the settings that are not defaults.
     """
     ran = part.run.config
     if not fits_presets(part):
@@ -166,7 +179,10 @@ def choice(part: Part) -> str:
 
 
 def fits_presets(part: Part) -> bool:
-    """True if the shipped configurations describe the same scene: the built-in one, or the paper's own grid."""
+    """Return True if the part can be compared with the shipped configurations.
+
+    This requires the built-in scene, or the grid of one of the paper's tables.
+    """
     scene = part.run.config
     names = scene.robot.model, scene.workpiece.cloud, scene.workpiece.path
     return all(name in BUILT_IN for name in names) or part.paper_table is not None
@@ -174,12 +190,12 @@ def fits_presets(part: Part) -> bool:
 
 @cache
 def presets() -> dict[str, PlanConfig]:
-    """Shipped configurations of the default scene, by name."""
+    """Return the shipped configurations for the default scene, by name."""
     return {f"{name}.yaml": load_config(examples.examples()[name]) for name in ("duct", "paper", "port")}
 
 
 def label(name: str) -> str:
-    """Label of a parameter's axis, with its unit."""
+    """Return the label of a parameter's axis, with the unit."""
     stem, _, unit = name.rpartition("_")
     if unit not in UNITS:
         return name
@@ -201,10 +217,10 @@ def _success(part: Part, made: dict[str, Table]) -> Figure:
 
 
 def _maps(part: Part, prefix: str) -> list[Block]:
-    """Charts of the scenarios over their grid.
+    """Return charts of the results over the grid of parameters.
 
-    They are a line for one axis, maps for two, slices for three, else maps of means; and a line for every parameter of
-    the task.
+    One parameter is drawn as a line, two as a map, three as a map for each value of the first, and more as maps of
+    means. Each parameter of the task is also drawn as a line.
     """
     counts = {method: _count_or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
     open_ = {method: _count_or_nan(plans, plans.outcomes.executable) for method, plans in part.plans.items()}
@@ -236,9 +252,9 @@ def _maps(part: Part, prefix: str) -> list[Block]:
 
     if not names:
         return ["The scenarios do not differ in any parameter."]
-    along = [line(name) for name in names if name.startswith(OF_TASK)]
+    along = [*_full_names(axes.values()), *(line(name) for name in names if name.startswith(OF_TASK))]
     if len(names) == 1:
-        return along or [line(names[0])]
+        return along if names[0].startswith(OF_TASK) else [*along, line(names[0])]
     elif len(names) == 2:
         figure = charts.success_map(over(*names), *axes.values(), part.targets, executable=executable_of(*names))
     elif len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
@@ -248,10 +264,20 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     return [*along, Picture(f"{prefix}map", figure, alt)]
 
 
+def _full_names(axes: Iterable[charts.Axis]) -> list[str]:
+    """Return sentences with the values that the charts number; empty if there are none."""
+    return [
+        f"In the charts, {axis.label} {', '.join(f'{name}: {value}' for name, value in axis.numbered.items())}."
+        for axis in axes
+        if axis.numbered
+    ]
+
+
 def _end_blocks(part: Part, table: Table, prefix: str) -> list[Block]:
     statuses = {method: plans.status for method, plans in part.plans.items()}
-    figure = charts.survival(statuses, reachability=part.reachability)
-    survival = Picture(f"{prefix}survival", figure, "Number of scenarios that track each target, by method")
+    executable = {method: plans.executable for method, plans in part.plans.items()}
+    figure = charts.survival(statuses, executable=executable, reachability=part.reachability)
+    survival = Picture(f"{prefix}survival", figure, "Number of scenarios that execute each target, by method")
     if not table.rows:
         return [survival, "No scenario failed."]
     found = sorted({reason for plans in part.plans.values() for reason in tables.reasons(plans)})
@@ -266,7 +292,7 @@ def _end_blocks(part: Part, table: Table, prefix: str) -> list[Block]:
 
 
 def _motion_ends(table: Table) -> list[Block]:
-    """Reasons why tracked targets are not executable; empty if all of them are."""
+    """Return the section on tracked targets that are not executable; empty if there are none."""
     if not table.rows:
         return []
     shown = [status for status in SegmentStatus if any(row["reason"] == status.words for row in table.records())]
@@ -281,7 +307,7 @@ def _clearance_picture(part: Part, prefix: str) -> Picture:
 
 
 def _manipulability_blocks(part: Part, prefix: str) -> list[Block]:
-    """Picture of the manipulability with its meaning; empty for runs of older versions, which do not know it."""
+    """Return a picture of the manipulability with its explanation; empty for runs of older versions."""
     known = {method: values for method, values in part.manipulability.items() if np.isfinite(values).any()}
     if not known:
         return []
@@ -303,44 +329,48 @@ def _motion_pictures(part: Part, prefix: str) -> list[Picture]:
 
 def _notes_on_results(part: Part) -> list[str]:
     names = ", ".join(dict.fromkeys(row.name for row in part.run.config.task if row.sampled))
-    sampled = f"The task row {names} states no rate: along the path, motions called proven in this report are sampled."
+    sampled = f"The task row {names} has no rate, so proven motions in this report are only sampled along the path."
     return [
         *([sampled] if names else []),
-        "Executable are the targets to which a proven motion leads: from the given start, the arm clear all "
-        "along and the tool on its path. Targets beyond them are tracked, but not executable. "
+        "A target is executable if a proven motion leads to it from the given start, with the arm clear of "
+        "collisions and the tool on its path. Tracked targets after the end of this motion are not executable. "
         + _unchecked_sentence(part),
-        "Means and the minimum clearance are over the tracked targets: a method that gets further also passes "
-        "narrower places. Time is run time by attempted targets, over the complete run.",
+        "Means and the minimum clearance are over the tracked targets: a method that tracks more targets "
+        "also passes narrower places. Time per step: planning time / attempted targets, over the complete run.",
     ]
 
 
+def _next_to_the_best(table: Table) -> list[Block]:
+    """Return the table that compares each method with the best one, and its explanation; empty for a single method."""
+    return [table, PAIRED] if table.rows else []
+
+
 def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
-    """Section with the paper's table next to ours, and its definitions; empty if the grid is not the paper's."""
+    """Return the section that compares our results with the paper's table; empty if the grid is not the paper's."""
     if not table.rows:
         return []
     return [
         Heading(level, f"Next to the paper, table {part.paper_table.number}"),
         table,
-        f"Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time per step: run time by attempted "
-        "targets. TCP distance: mean over the tracked targets. Safe distance: here the mean of D over the tracked "
-        "targets. The paper does not state over what it averages, and leaves the start configuration and the "
-        "workpiece's pose "
-        "open; benchmarks/PAPER.md compares other definitions.",
+        f"Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time per step: planning time / attempted "
+        "targets. TCP distance: mean over the tracked targets. Safe distance: the mean clearance D over the tracked "
+        "targets. The paper does not specify its averages, the start configuration or the workpiece's pose; "
+        "benchmarks/PAPER.md compares other definitions.",
     ]
 
 
 def _unchecked_sentence(part: Part) -> str:
-    """Sentence with the number of joint paths that were not checked; empty if there are none."""
+    """Return a sentence with the number of unchecked joint paths; empty if there are none."""
     count = sum(int((plans.tracked & (plans.path_clear < 0)).sum()) for plans in part.plans.values())
-    return f"Of {count:,} steps the joint path was not checked; they count as clear." if count else ""
+    return f"The joint paths of {count:,} steps were not checked; they count as clear." if count else ""
 
 
 def _reachability_blocks(part: Part, table: Table) -> list[Block]:
     if part.reachability is None:
         return []
     what = (
-        "Reachable are the targets in a row for which a search found any clear configuration: a lower bound. "
-        "Not excluded are those that are not proven to have none: an upper bound."
+        "Reachable: number of consecutive targets with a clear configuration, as found by a search (a lower bound). "
+        "Not excluded: number of consecutive targets without a proof that none exists (an upper bound)."
     )
     return [table, " ".join([what, *_beaten_sentences(part)])]
 
@@ -348,15 +378,15 @@ def _reachability_blocks(part: Part, table: Table) -> list[Block]:
 def _reach_blocks(part: Part, table: Table, prefix: str) -> list[Block]:
     if part.reach is None:
         return []
-    what = "Every target on the path by itself, whatever lies before it; excluded are those with a proof."
+    what = "Every target on the path is classified by itself. Excluded: a proof shows that no configuration reaches it."
     figure = part.scene.reach_picture(part.numbers, part.reach, part.name)
     if figure is None:
         return [what, table]
-    return [what, table, Picture(f"{prefix}reach", figure, f"The part with the targets of {part.name}, by their reach")]
+    return [what, table, Picture(f"{prefix}reach", figure, f"The workpiece of {part.name}; targets coloured by reach")]
 
 
 def _beaten_sentences(part: Part) -> list[str]:
-    """Sentence on the scenarios in which a planner got further than the search."""
+    """Return a sentence on scenarios in which a method tracked more targets than the search; [] if there are none."""
     beaten = []
     for method, plans in part.plans.items():
         further = part.numbers[plans.outcomes.tracked > part.reachability]
@@ -364,11 +394,11 @@ def _beaten_sentences(part: Part) -> list[str]:
             beaten.append(
                 f"{method} in {further.size} ({', '.join(map(str, further[:8]))}{', ...' * (further.size > 8)})"
             )
-    return [f"Got further than the search: {'; '.join(beaten)}."] if beaten else []
+    return [f"Scenarios with more tracked than reachable targets: {'; '.join(beaten)}."] if beaten else []
 
 
 def _count_or_nan(plans: Plans, count: np.ndarray) -> np.ndarray:
-    """Count of each scenario; NaN if it is not planned."""
+    """Return `count` (S,) with NaN for the scenarios that are not planned."""
     return np.where(plans.outcomes.planned, count, np.nan)
 
 

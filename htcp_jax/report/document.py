@@ -1,4 +1,4 @@
-"""Document of blocks, written as Markdown, as one HTML file, as CSV and as plain records."""
+"""Document of headings, paragraphs, tables and pictures, with output as Markdown, HTML, CSV and mappings."""
 
 import base64
 import csv
@@ -19,33 +19,33 @@ NOTHING = "-"
 
 
 def unknown(value: Any) -> bool:
-    """True if a cell holds no value: None or NaN."""
+    """Return True if a cell's value is None or NaN."""
     return value is None or (isinstance(value, float) and math.isnan(value))
 
 
 class Column(NamedTuple):
     """Column of a table."""
 
-    key: str  # its name in CSV and JSON, with its unit
+    key: str  # name in CSV and JSON, including the unit
     head: str
     unit: str = ""
-    form: str = ""  # of numbers; a column without one holds text and is aligned left
-    quiet: bool = False  # True for figures from elsewhere, as a reference
+    form: str = ""  # format of numbers; empty for a column of text, which is aligned left
+    quiet: bool = False  # True for reference values, displayed in grey
 
     @property
     def title(self) -> str:
-        """Heading of the column, with its unit."""
+        """Heading with the unit, such as "clearance [mm]"."""
         return f"{self.head} [{self.unit}]" if self.unit else self.head
 
     def text(self, value: Any) -> str:
-        """Format a cell; an unknown value is a dash."""
+        """Return a cell's value as text; a dash if it is unknown."""
         if unknown(value):
             return NOTHING
         return format(value, self.form) if self.form else str(value)
 
 
 class Table(NamedTuple):
-    """Rows of values under columns. `name` is the stem of its CSV file."""
+    """Table with columns and rows of values; `name` is the stem of its CSV file."""
 
     name: str
     columns: tuple[Column, ...]
@@ -53,7 +53,7 @@ class Table(NamedTuple):
     title: str = ""
 
     def records(self) -> list[dict]:
-        """The rows as mappings from the columns' keys to values; unknown values are None."""
+        """Return the rows as mappings of values by column key; unknown values are None."""
         keys = [column.key for column in self.columns]
         return [
             {key: None if unknown(cell) else cell for key, cell in zip(keys, row, strict=True)} for row in self.rows
@@ -61,7 +61,7 @@ class Table(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A figure. `name` is the stem of its file, `alt` its alternative text."""
+    """Figure in a document; `name` is the stem of its file, `alt` its alternative text."""
 
     name: str
     figure: "Figure"
@@ -79,7 +79,7 @@ Block = Heading | Table | Picture | str  # a string is a paragraph
 
 
 def markdown(blocks: Sequence[Block]) -> str:
-    """Return the blocks as Markdown, which refers to pictures as files next to it."""
+    """Return the blocks as Markdown, with pictures as links to files in the same folder."""
     return "\n\n".join(map(_markdown, blocks)) + "\n"
 
 
@@ -94,7 +94,7 @@ def literal(block: Block) -> Block:
         case Table():
             return block._replace(title=escaped(block.title))
         case Picture():
-            return block._replace(alt=escaped(block.alt.replace("[", "(").replace("]", ")")))  # within brackets itself
+            return block._replace(alt=escaped(block.alt.replace("[", "(").replace("]", ")")))  # no brackets in "alt"
     return escaped(block)
 
 
@@ -103,7 +103,7 @@ def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
 
     Args:
         blocks: The blocks.
-        pictures: Contents of the PNG files by name.
+        pictures: Contents of the PNG files, by the pictures' names.
     """
     title = next((block.text for block in blocks if isinstance(block, Heading)), "Report")
     body = "\n".join(_html(block, pictures) for block in blocks)
@@ -111,7 +111,7 @@ def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
 
 
 def write_csv(file: Path, table: Table) -> None:
-    """Write the table with numbers that read back exactly; an unknown value is an empty cell."""
+    """Write the table as CSV, with numbers in full precision; unknown values are empty cells."""
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([column.key for column in table.columns])
@@ -121,7 +121,7 @@ def write_csv(file: Path, table: Table) -> None:
 
 
 def png(figure: "Figure") -> bytes:
-    """Return the contents of a PNG file with the figure."""
+    """Return the figure as the bytes of a PNG file."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()
@@ -139,7 +139,7 @@ def _markdown(block: Block) -> str:
 
 
 def _markdown_table(table: Table) -> str:
-    """A table in Markdown, with its source aligned for reading in an editor."""
+    """Return the table in Markdown, with columns aligned in the source."""
     lines = [[column.title for column in table.columns], *_texts(table)]
     lines = [[escaped(cell) for cell in line] for line in lines]
     widths = [max(3, *map(len, cells)) for cells in zip(*lines, strict=True)]
@@ -218,9 +218,11 @@ td { border-bottom: 1px solid #e6e9ec; }
 th:first-child, td:first-child { padding-left: 0; }
 td:not(:last-child) { white-space: nowrap; }
 .number { text-align: right; white-space: nowrap; }
+@media screen and (max-width: 60rem) { td:nth-child(n + 3):last-child:not(.number) { min-width: 14rem; } }
 .quiet { color: #5d6b77; }
 tbody tr:hover { background: #f5f7f8; }
-@media print { body { max-width: none; margin: 0; } h2 { break-before: page; } img { break-inside: avoid; }
+@media print { body { max-width: none; margin: 0; } h2, h3 { break-after: avoid; }
+  .picture, tr { break-inside: avoid; } th.number { white-space: normal; }
   .wide { overflow: visible; max-width: none; width: auto; } table { font-size: .7rem; }
   .picture img { width: 100%; } }
 """

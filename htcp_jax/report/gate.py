@@ -1,7 +1,4 @@
-"""Verdict of the regression gate for CI: JUnit XML, Markdown, and annotations of GitHub Actions.
-
-JUnit is written by the standard library; another library would add a reader, which is not needed.
-"""
+"""Verdict of the regression gate for CI, as JUnit XML, Markdown, and annotations for GitHub Actions."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -12,8 +9,8 @@ from htcp_jax.report.document import Block, Column, Heading, Table, markdown
 from htcp_jax.runs import labels
 from htcp_jax.validation import gate
 
-LISTED = 100  # scenarios, and failures; a job summary holds 1 MiB
-FIGURES = (  # fields of a Row, after "was_" in the baseline; with a name, a unit and a form
+LISTED = 100  # maximum number of listed scenarios and failures, as a job summary is limited to 1 MiB
+FIGURES = (  # field of a GateRow (the baseline's has the prefix "was_"), name, unit and format
     ("share", "reachable targets tracked", "%", ".2f"),
     ("tcp_error_max_mm", "largest TCP error", "mm", ".3f"),
     ("clearance_min_mm", "minimum clearance", "mm", ".3f"),
@@ -46,7 +43,7 @@ CHANGED = (
 
 
 def junit(verdict: gate.GateVerdict) -> str:
-    """Return JUnit XML with one test case per method and check; skipped if there is no value to compare."""
+    """Return JUnit XML with a test case per method and check; a check without values to compare counts as skipped."""
     checks = verdict.checks
     failed, skipped = sum(bool(check.failures) for check in checks), sum(not check.compared for check in checks)
     counts = {"tests": len(checks), "failures": failed, "errors": 0, "skipped": skipped}
@@ -61,18 +58,18 @@ def junit(verdict: gate.GateVerdict) -> str:
             failure = _xml_element(case, "failure", type="regression", message="; ".join(check.failures))
             failure.text = printable("\n".join((*check.failures, *_scenarios(verdict, check))))
         elif not check.compared:
-            _xml_element(case, "skipped", message="the baseline or the run has nothing to compare")
+            _xml_element(case, "skipped", message="the baseline or the run has no values to compare")
     ET.indent(root)
     return ET.tostring(root, "utf-8", xml_declaration=True).decode() + "\n"
 
 
 def gate_summary(verdict: gate.GateVerdict) -> str:
-    """Return Markdown for a job summary: counts of each method, figures and scenarios that differ, and failures."""
+    """Return Markdown for a job summary: counts by method, changed figures and scenarios, failures and improvements."""
     return markdown([*_blocks(verdict)])
 
 
 def annotations(verdict: gate.GateVerdict) -> list[str]:
-    """Return commands of GitHub Actions, with an error for each method that fails."""
+    """Return one error command for GitHub Actions per method that fails."""
     lines: dict[str, list[str]] = {}
     for check in verdict.checks:
         lines.setdefault(check.method, []).extend(check.failures)
@@ -84,7 +81,12 @@ def annotations(verdict: gate.GateVerdict) -> list[str]:
 
 
 def _escaped(text: str, more: str = "") -> str:
-    """Escape text for a command of GitHub Actions (%0A for a newline), and `more` characters, which end a property."""
+    """Escape text for a command of GitHub Actions, for example a newline as %0A.
+
+    Args:
+        text: The text.
+        more: More characters to escape, such as ":," in a property.
+    """
     return re.sub(f"[%\r\n{more}]", lambda found: f"%{ord(found[0]):02X}", printable(text))
 
 
@@ -102,7 +104,7 @@ def _properties(verdict: gate.GateVerdict) -> Iterator[tuple[str, str]]:
 
 
 def named_origins(verdict: gate.GateVerdict) -> list[tuple[str, gate.Origin]]:
-    """Origins of the baseline and of each part of the run, by name."""
+    """Return name and origin (commit, device, versions) of the baseline and of each part of the run."""
     parts = [f"run part {number}" for number in range(1, len(verdict.run) + 1)]
     return [("baseline", verdict.baseline), *zip(parts if parts[1:] else ["run"], verdict.run, strict=False)]
 
@@ -115,7 +117,7 @@ def _blocks(verdict: gate.GateVerdict) -> Iterator[Block]:
     yield Heading(2, f"htcp gate: {escaped(verdict.sweep)} {'passed' if verdict.passed else 'FAILED'}")
     yield "\n".join(f"- {name}: {escaped(str(origin))}" for name, origin in named_origins(verdict))
     if verdict.elsewhere:
-        yield "On another device or with other versions than the baseline: `allow.elsewhere` holds."
+        yield "The device or the versions differ from the baseline's, so the limits in `allow.elsewhere` apply."
     counts = tuple(tuple(_count(row, column.key) for column in COUNTS) for row in verdict.rows)
     yield Table("counts", COUNTS, counts, "Tracked targets")
     if differing := tuple(line for row in verdict.rows for line in _shown_differences(row)):
@@ -147,7 +149,7 @@ def _count(row: gate.GateRow, key: str) -> str | int | None:
 
 
 def _shown_differences(row: gate.GateRow) -> Iterator[tuple[str, str, str, str, str]]:
-    """Figures of a method that differ as displayed."""
+    """Yield the rows of the table DIFFERENCES: a method's figures whose displayed values differ."""
     for key, name, unit, form in FIGURES:
         column = Column(key, name, unit, form)
         was, now = getattr(row, f"was_{key}"), getattr(row, key)

@@ -1,4 +1,4 @@
-"""Parts of a run for the report, one for every group of its sweep, with the plans of each method as arrays."""
+"""Parts of a run for the report: one part for each group of scenarios in the sweep."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -21,55 +21,55 @@ from htcp_jax.runs import tables as scenario_tables
 
 @runtime_checkable
 class SceneOfRun(Protocol):
-    """Interface to a run's robot and workpiece, see `cell.OpenedScene`."""
+    """Interface of `cell.OpenedScene`: a run's robot and workpiece."""
 
     @property
     def problem(self) -> str:
-        """Reason why there is no scene; empty if there is one."""
+        """Reason why the scene cannot be read; empty if it can."""
 
     def colliding_bodies(self, method: str) -> dict[int, Any]:
-        """Colliding bodies in the scenarios that a method failed, by their numbers."""
+        """Return the colliding body by scenario, for the scenarios in which a method failed."""
 
     def picture(self, number: int, method: str, title: str) -> Figure | None:
-        """Draw the arm in the workpiece of a scenario; None if there is no scene.
+        """Draw a scenario's arm in its workpiece; return None if the scene cannot be read.
 
         Args:
-            number: The scenario.
+            number: The number of the scenario.
             method: The method.
             title: The title of the figure.
         """
 
     def reach_picture(self, numbers: Int[np.ndarray, "S"], reach: Int[np.ndarray, "S T"], name: str) -> Figure | None:
-        """Draw the part with the targets by their reach; None if there is no scene.
+        """Draw the workpiece with its targets coloured by reach; return None if the scene cannot be read.
 
         Args:
-            numbers: The scenarios.
-            reach: Numbers of `Reach`.
-            name: Name of the scenarios.
+            numbers: The numbers of the scenarios.
+            reach: Values of `Reach`, a row per scenario.
+            name: Name of the group of scenarios, for the title.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Group of S scenarios that at least one method has planned, with up to T targets each."""
+    """Group of S scenarios, with up to T targets each, that at least one method has planned."""
 
     run_name: str
-    name: str  # the run's, and the group's if there is one
-    numbers: np.ndarray  # (S,) of the scenarios in the run
-    parameters: dict[str, np.ndarray]  # columns of the scenario table that a grid may vary, (S,) each
-    plans: dict[str, Plans]  # by method with a finished shard; the status is -1 for scenarios not planned yet
-    motions: dict[str, motion.MotionFigures]  # by method; NaN if unknown
-    timing: dict[str, pa.Table | None]  # by method, rows of its scenarios as in `timing_file`; None if not timed
-    timed_with: dict[str, str]  # by method that is timed: description of its feed and limits
+    name: str  # name of the run, and of the group if there is one
+    numbers: np.ndarray  # (S,) numbers of the scenarios in the run
+    parameters: dict[str, np.ndarray]  # values (S,) by parameter: columns of the scenario table that a grid may vary
+    plans: dict[str, Plans]  # by method with a finished shard; status -1: the scenario is not planned yet
+    motions: dict[str, motion.MotionFigures]  # by method; unknown values are NaN
+    timing: dict[str, pa.Table | None]  # by method: a row per scenario, see `timing_file`; None: not timed
+    timed_with: dict[str, str]  # by timed method: feed rate and limits as text
     manipulability: dict[str, np.ndarray]  # by method, (S, T) [m/rad], see `motion.manipulability`; NaN if unknown
-    reachability: np.ndarray | None  # (S,) reachable targets in a row, a lower bound
-    not_excluded: np.ndarray | None  # (S,) not proven unreachable, an upper bound
-    reach: np.ndarray | None  # (S, T) numbers of `Reach`, every target by itself
-    step_s: dict[str, float]  # run time by attempted targets, over the complete run
+    reachability: np.ndarray | None  # (S,) lower bound on consecutive reachable targets; None if unknown
+    not_excluded: np.ndarray | None  # (S,) upper bound on consecutive reachable targets; None if unknown
+    reach: np.ndarray | None  # (S, T) values of `Reach`, each target by itself; None if unknown
+    step_s: dict[str, float]  # by method: planning time / number of attempted targets, over the complete run
     joints: tuple[str, ...]
     run: Run
-    run_labels: dict[int, str]  # varied parameters of each scenario of the run, by its number
-    validation: dict[str, Any] | None  # of the complete run, as in validation.json
+    run_labels: dict[int, str]  # varied parameters as text, by scenario of the run
+    validation: dict[str, Any] | None  # contents of validation.json, for the complete run
     scene: SceneOfRun
 
     @property
@@ -79,17 +79,17 @@ class Part:
 
     @cached_property
     def axes(self) -> dict[str, np.ndarray]:
-        """Parameters that vary, each with its values in order, without those that another one determines."""
+        """Sorted values of each parameter that varies, without parameters that another one determines."""
         return {name: np.unique(values) for name, values in scenario_labels.varying(self.parameters).items()}
 
     def causes(self, method: str) -> dict[int, dict[str, str | None]]:
-        """Columns `tables.CAUSE` of the scenarios that could not begin, by their numbers."""
+        """Return the columns `runs.tables.CAUSE` by scenario, for the scenarios with an unusable start."""
         rows = self.run.scenarios(method).select(["scenario", *scenario_tables.CAUSE]).to_pylist()
         return {row["scenario"]: row for row in rows if row["cause"] is not None}
 
     @cached_property
     def labels(self) -> dict[int, str]:
-        """Varied parameters of each scenario, by its number."""
+        """Varied parameters as text, by scenario."""
         own = scenario_labels.varying(self.parameters)
         texts = [
             ", ".join(scenario_labels.part(name, values[s]) for name, values in own.items())
@@ -99,7 +99,7 @@ class Part:
 
     @cached_property
     def paper_table(self) -> paper.PaperTable | None:
-        """The paper's table of the same grid about the same start, if there is one."""
+        """The paper's table whose grid and start the part has; None if there is no such table."""
         middle = [np.median(self.parameters[f"start_{joint}"]) for joint in self.joints]
         if len(middle) != len(paper.START) or not np.allclose(middle, paper.START) or self.targets != paper.TARGETS:
             return None
@@ -110,7 +110,15 @@ class Part:
         return None
 
     def cells(self, values: np.ndarray, axes: Sequence[str]) -> np.ndarray:
-        """Mean of values (S,) over the scenarios of each cell of these axes; NaN where there are none."""
+        """Return the mean of the values in each cell of a grid over some parameters.
+
+        Args:
+            values: A value per scenario, (S,); NaN if unknown.
+            axes: Names of the grid's parameters.
+
+        Returns:
+            The means, one dimension per parameter; NaN in cells without known values.
+        """
         levels = [np.unique(self.parameters[name], return_inverse=True) for name in axes]
         shape = tuple(len(found) for found, _ in levels)
         where = np.ravel_multi_index([index for _, index in levels], shape)
@@ -126,10 +134,10 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
     Args:
         run: The run.
         name: The run's name in the report.
-        scene_of: Function for the scene of the run and its plans.
+        scene_of: Function that returns the scene for a run and its plans by method.
 
     Raises:
-        InputError: For a run without a finished shard, and for a file that is missing or damaged.
+        InputError: If the run has no finished shard, or if a file is missing or damaged.
     """
     methods = [method for method in run.methods if any(shard.method == method for shard in run.manifest.shards)]
     whole = run.scenarios(*methods)
@@ -181,12 +189,12 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
 
 
 def _rows_of_scenarios(rows: pa.Table, numbers: np.ndarray) -> pa.Table:
-    """Select the rows of some scenarios."""
+    """Return the rows whose scenario is one of `numbers`."""
     return rows.filter(pa.array(np.isin(rows["scenario"].to_numpy(), numbers)))
 
 
 def _manipulability_of_method(run: Run, method: str, targets: int) -> np.ndarray:
-    """Manipulability of a method's scenarios at their targets, row s of scenario s."""
+    """Return the manipulability along a method's plans [m/rad], scenarios by targets; NaN if unknown."""
     table = run.targets(method).select(["scenario", "target", scenario_tables.MANIPULABILITY])
     found = np.full((run.manifest.count, targets), np.nan)
     rows = table["scenario"].to_numpy(), table["target"].to_numpy()
@@ -195,7 +203,7 @@ def _manipulability_of_method(run: Run, method: str, targets: int) -> np.ndarray
 
 
 def _figures_of_method(run: Run, method: str) -> motion.MotionFigures:
-    """Figures of a method's motions, row s of scenario s."""
+    """Return the figures of a method's motions, a row per scenario; NaN if unknown."""
     table = run.scenarios(method)
     found = np.full((len(motion.MotionFigures._fields), run.manifest.count), np.nan)
     for row, name in zip(found, motion.MotionFigures._fields, strict=True):

@@ -1,4 +1,4 @@
-"""Executable targets and smoothness of a part's motions, as a table."""
+"""Table of executable targets, dwells, cost and smoothness of a part's motions."""
 
 import math
 
@@ -21,30 +21,30 @@ MOTIONS = (
     Column("curvature_max_rad_m2", "largest", "rad/m2", ",.0f"),
 )
 MEANING = (
-    "For the executable part only. Dwells are targets of the path at which the arm changes its configuration while the "
-    "tool is at rest. Cost is that of equation (3), the sum of the squared joint steps over all configurations: its "
-    "median over the scenarios whose motion leads to the end, and its geometric mean over {common}. The longest step "
-    "is between two configurations on the path. Curvature is the largest |q''| of a scenario, over the arc length of "
-    "the path, where the arm does not dwell."
+    "Values are for the executable part of each plan. Dwells are targets of the path at which the arm changes its "
+    "configuration while the tool is at rest. Cost is the sum of the squared joint steps, equation (3): its median "
+    "over the scenarios whose motion leads to the last target, and its geometric mean over {common}. Longest step: "
+    "between two configurations on the path. Curvature: a scenario's largest second derivative |q''| of the "
+    "configuration by the path's arc length, except at dwells."
 )
 
 
 def motion_table(part: Part) -> Table:
-    """Return executable targets, dwells, cost, largest joint step and curvature of every method."""
+    """Return the table of executable targets, dwells, cost, longest step and curvature by method."""
     common = common_scenarios(part)
     rows = [_motion_row(part, method, common) for method in part.plans]
     return Table("motions", MOTIONS, tuple(tuple(row[column.key] for column in MOTIONS) for row in rows))
 
 
 def meaning(part: Part) -> str:
-    """Explanation of the columns."""
+    """Return an explanation of the columns of `motion_table`."""
     count = int(common_scenarios(part).sum())
-    scenarios = f"the {count:,}" if count else "those, of which there are none,"
+    scenarios = f"the {count:,} scenarios" if count else "the scenarios (there are none)"
     return MEANING.format(common=f"{scenarios} in which every method's motion does")
 
 
 def common_scenarios(part: Part) -> np.ndarray:
-    """Mask (S,) of the scenarios in which every method's motion leads to the last target."""
+    """Return the mask (S,) of the scenarios in which every method's motion leads to the last target."""
     return np.logical_and.reduce([_can_be_driven(part, method) for method in part.plans])
 
 
@@ -75,6 +75,6 @@ def _geometric_mean(values: np.ndarray) -> float:
 
 
 def _reduced(reduce, values: np.ndarray) -> float:
-    """Reduce the known values; NaN if there are none."""
+    """Apply `reduce` to the values that are not NaN; return NaN if there are none."""
     known = values[~np.isnan(values)]
     return float(reduce(known)) if known.size else math.nan

@@ -1,7 +1,7 @@
-"""Data of the paper's two result tables, and the grids of their scenarios.
+"""Data of the paper's tables 1 and 2, and the grids of their scenarios.
 
-Source: Y. Sun, W. Zhao, C. Liu, "Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment",
-tables 1 and 2. Its times are of MATLAB 2022 on a 2.5 GHz Intel Core i9.
+Source: Y. Sun, W. Zhao, C. Liu, "Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment".
+The paper's times were measured with MATLAB 2022 on a 2.5 GHz Intel Core i9.
 """
 
 from collections.abc import Sequence
@@ -9,38 +9,36 @@ from typing import NamedTuple
 
 SOURCE = "Sun, Zhao, Liu: Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment"
 MACHINE = "MATLAB 2022, 2.5 GHz Intel Core i9"
-TARGETS = 105  # of one scenario
-START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # middle of the starts, our reading of the paper, which does not state it
+TARGETS = 105  # number of targets in a scenario
+START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # centre of the grid of starts; assumed, as the paper does not specify it
 
 
 class PaperRow(NamedTuple):
-    """Row of a table of the paper."""
+    """Row of one of the paper's tables: one method's results."""
 
     success_percent: float
-    step_s: float  # "computation time", average of a step
+    step_s: float  # "computation time": mean time per step
     tcp_distance_mm: float
-    safe_distance_mm: (
-        float  # "closest distance between robot and obstacle": minimum or mean, the paper does not state which
-    )
+    safe_distance_mm: float  # "closest distance between robot and obstacle"; the paper does not specify minimum or mean
 
 
 class PaperTable(NamedTuple):
-    """Table of the paper: a sweep planned by six methods, under our names."""
+    """One of the paper's tables: a sweep by six methods, which have their names in this package."""
 
     number: int
     sweep: str
     scenarios: int
-    grid: tuple[str, ...]  # varied parameters, as in `groups.Part.axes` for a robot with these joints
-    offsets: tuple[float, ...]  # the same on every axis, about its middle value
+    grid: tuple[str, ...]  # names of the varied parameters, as in `groups.Part.axes`
+    offsets: tuple[float, ...]  # values of every axis, relative to its middle value
     rows: dict[str, PaperRow]
 
     @property
     def source(self) -> str:
-        """Reference of the figures."""
+        """Reference to the table in the paper, as text."""
         return f"{SOURCE}, table {self.number}"
 
     def is_axis(self, values: Sequence[float]) -> bool:
-        """True if the values of an axis are the paper's, about any middle."""
+        """Return True if the values, relative to their middle value, are equal to `offsets`."""
         middle = sum(values) / len(values)
         offsets = [value - middle for value in values]
         return len(values) == len(self.offsets) and all(
@@ -48,7 +46,7 @@ class PaperTable(NamedTuple):
         )
 
     def tracked(self, method: str) -> int:
-        """Number of tracked targets behind the method's percentage."""
+        """Return the number of tracked targets that corresponds to a method's success percentage."""
         return round(self.rows[method].success_percent / 100 * self.scenarios * TARGETS)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a search, drawn into its folder: map.png, pareto_front.png for two objectives, the best as best-1.png.
+"""Pictures of a placement search in its folder: map.png, best-1.png to best-3.png, and pareto_front.png.
 
 draw_search("out/duct")
 """
@@ -26,10 +26,12 @@ SAMPLE = 64  # number of failed mountings whose colliding bodies are determined
 
 
 def draw_search(folder: str | Path) -> list[Path]:
-    """Draw the results of a search into its folder, and return the files.
+    """Draw the results of a placement search into its folder, and return the pictures' files.
+
+    There is a pareto_front.png only for two objectives.
 
     Raises:
-        InputError: As `read_search`, and for damaged runs.
+        InputError: If the folder contains no finished search, or if a file is damaged.
     """
     folder = Path(folder)
     found = read_search(folder)
@@ -41,10 +43,10 @@ def draw_search(folder: str | Path) -> list[Path]:
 
 
 def best_pictures(folder: Path, found: SearchTable) -> dict[int, Figure]:
-    """Draw the first mountings, each at the seam with the least guaranteed clearance.
+    """Draw the best mountings, each at its seam with the smallest guaranteed clearance.
 
     Returns:
-        The pictures by rank; empty if no mounting is ranked, or if the files of the job have changed.
+        The figures by rank; empty if no mounting is ranked, or if the job's files have changed.
     """
     if not len(found.ranked):
         return {}
@@ -64,7 +66,7 @@ def best_pictures(folder: Path, found: SearchTable) -> dict[int, Figure]:
 
 
 def colliding_bodies(folder: Path, found: SearchTable) -> dict[str, int]:
-    """Colliding bodies in an even sample of the failed mountings, with their counts, the most frequent first."""
+    """Return the colliding bodies in an even sample of the failed mountings, with counts, most frequent first."""
     lost = np.flatnonzero(~found.complete)
     picked = lost[np.linspace(0, len(lost) - 1, min(SAMPLE, len(lost))).round().astype(int)]
     k, first, counts = len(found.seams), 0, Counter[str]()
@@ -79,7 +81,13 @@ def colliding_bodies(folder: Path, found: SearchTable) -> dict[str, int]:
 
 
 def _blocking(run: Run, mountings: Int[np.ndarray, "m"], k: int) -> list[str]:
-    """Colliding bodies in some mountings of a round, each at its first failed seam."""
+    """Return the colliding body of each failed mounting in `mountings`, at its first failed seam.
+
+    Args:
+        run: The run of the round.
+        mountings: Indices of the mountings in the round.
+        k: The number of seams.
+    """
     (method,) = run.methods
     plans = run.plans(method)
     whole = plans.outcomes.can_be_driven.reshape(-1, k)

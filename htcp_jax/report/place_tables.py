@@ -1,4 +1,4 @@
-"""Tables of a placement search, read from its folder only: every planned mounting, and the ranked ones.
+"""Results of a placement search, read from its folder: all planned mountings, and the ranked ones.
 
 found = read_search("out/duct")
 found.values, found.done, found.lost         # one row per mounting
@@ -18,63 +18,63 @@ from htcp_jax.runs import open as plan_sets
 
 
 class ShownParameter(NamedTuple):
-    """A parameter that varies, for display."""
+    """Display name and unit of a varied parameter."""
 
-    column: str  # of mountings.parquet
-    name: str  # shift x
+    column: str  # name of its column in mountings.parquet
+    name: str  # for display, such as "shift x"
     unit: str  # mm, °, or empty
-    scale: float  # factor on the column's numbers
+    scale: float  # factor from the column's values to displayed values
 
     @property
     def label(self) -> str:
-        """Label of an axis, with the unit."""
+        """Label of the parameter's axis, with the unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 class SearchTable(NamedTuple):
-    """Search with n mountings of d parameters and A objectives, of which r are ranked, the best first."""
+    """Results of a search: n mountings with d parameters and A objectives; r mountings are ranked, best first."""
 
     name: str
     scenarios: int
     parameters: tuple[ShownParameter, ...]
-    values: Float[np.ndarray, "n d"]  # in the units of the parameters
-    done: Float[np.ndarray, "n"]  # share of the targets, over all seams
+    values: Float[np.ndarray, "n d"]  # parameters of all mountings, in display units
+    done: Float[np.ndarray, "n"]  # share of targets that a proven motion reaches, over all seams
     complete: Bool[np.ndarray, "n"]
-    lost: tuple[str, ...]  # reason why it is not complete
+    lost: tuple[str, ...]  # reason why a mounting is not complete; empty if it is
     objectives: tuple[str, ...]
-    left: Float[np.ndarray, "n A"]  # objectives in the units of `OBJECTIVES`; NaN if unknown
+    left: Float[np.ndarray, "n A"]  # objectives by the quick plans, in display units; NaN if unknown
     ranked: Float[np.ndarray, "r d"]
-    objective: Float[np.ndarray, "r A"]  # like `left`, of the proven motions
-    worst: Float[np.ndarray, "r A"]  # its worst case under perturbation; NaN if one fails
+    objective: Float[np.ndarray, "r A"]  # of the ranked mountings by proven motions, in display units; NaN: unknown
+    worst: Float[np.ndarray, "r A"]  # worst objectives under perturbation; NaN if a perturbed mounting fails
     pareto_front: Bool[np.ndarray, "r"]
-    seams: dict[str, int]  # number of mountings in which each is complete
-    perturbed: str  # bounds of the perturbation: 3 mm and 0.5°
-    margin: Float[np.ndarray, "r"]  # of the ranked ones [mm]; NaN if unknown
-    is_final: bool  # False for a ranking that was written before mountings were perturbed
+    seams: dict[str, int]  # number of mountings that complete each seam
+    perturbed: str  # bounds of the perturbation as text, such as "3 mm and 0.5°"
+    margin: Float[np.ndarray, "r"]  # margins of the ranked mountings [mm]; NaN if unknown
+    is_final: bool  # False before the mountings have been perturbed
 
     def objective_name(self, k: int) -> str:
-        """Label of an objective's axis, with its unit."""
+        """Return the label of the k-th objective's axis, with the unit."""
         return f"{self.objectives[k]} [{mounting.UNITS[self.objectives[k]][0]}]"
 
 
 def read_search(folder: str | Path) -> SearchTable:
-    """Read the search in `folder`.
+    """Read the results of a placement search from its folder.
 
     Raises:
-        InputError: For a folder without a search, for a search that is not finished, and for damaged files.
+        InputError: If the folder contains no search, if the search is not finished, or if a file is damaged.
     """
     folder = Path(folder)
     if not (folder / plan_sets.SEARCH).exists():
-        raise InputError(f"{folder} holds no search of htcp place ({plan_sets.SEARCH})")
+        raise InputError(f"{folder} contains no search of htcp place ({plan_sets.SEARCH})")
     if not (folder / mounting.RANKED).exists():
-        raise InputError(f"{folder}: the search is not finished; the same htcp place command resumes it")
+        raise InputError(f"{folder}: the search is not finished; run the same htcp place command to resume it")
     try:
         requested, reported = (files.read_json(folder / name, folder) for name in (plan_sets.SEARCH, mounting.RANKED))
         with files.opened(folder / mounting.MOUNTINGS, folder, files.LARGEST) as stream:
             return _search_table(requested, reported, files.read_parquet(stream, folder / mounting.MOUNTINGS))
     except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError, pa.ArrowException) as error:
         raise InputError(
-            f"{folder} holds a damaged search: {error if isinstance(error, InputError) else repr(error)}"
+            f"{folder} contains a damaged search: {error if isinstance(error, InputError) else repr(error)}"
         ) from None
 
 
@@ -117,7 +117,7 @@ def _objectives(rows: list[dict[str, Any]], which: str, objectives: tuple[str, .
 
 
 def parameter(column: str) -> ShownParameter:
-    """Parse the name of a column, such as workpiece.shift_m.x: shift x, in mm."""
+    """Return display name and unit of a column: "shift x" in mm for workpiece.shift_m.x."""
     parts, (unit, scale) = column.split("."), ("", 1.0)
     for k, part in enumerate(parts):
         for ending, reported in ranges.UNITS.items():

@@ -1,6 +1,6 @@
-"""Reach study: what is reachable of every target of a job or a sweep, as a table and a picture of the part.
+"""Reach study: each target of a job or a sweep classified by itself, with a table and a picture.
 
-`htcp reachability --each` is this, a progress bar and files.
+`htcp reachability --each` runs it with a progress bar and writes its files.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     import pandas
 
 
-TABLE, PICTURE = "reach.csv", "reach.png"  # files next to reachability_file.REACHABILITY
-LISTED = 12  # ranges of targets in a row of the table
+TABLE, PICTURE = "reach.csv", "reach.png"  # files in addition to reachability_file.REACHABILITY
+LISTED = 12  # maximum number of ranges of targets in a row of the table
 SUMMARY = (
     Column("reach", "reach"),
     Column("targets", "targets", "", ",d"),
@@ -53,18 +53,18 @@ SUMMARY = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReachStudy:
-    """Reach of every target on the path of a job, or of a sweep's scenarios."""
+    """Reach (reachable, excluded or undecided) of every target on the path, for a job or a sweep's scenarios."""
 
     name: str
     batch: grid.Batch
     found: Reachability
-    requested_rad: float  # resolution of the tool's orientations
+    requested_rad: float  # requested angular resolution of the tool orientations
     proof_cells: int
     seed: int
 
     @property
     def each(self) -> EachTarget:
-        """Result for every target; the path begins at the scenario's `on_path`."""
+        """Results for every target; targets before the path's first one are not classified."""
         return self.found.each
 
     @cached_property
@@ -74,7 +74,7 @@ class ReachStudy:
 
     @cached_property
     def reasons(self) -> dict[tuple[int, int], str]:
-        """Reason in words for every target that is not reachable, by scenario and target."""
+        """Reason as text by (scenario, target), for every target that is not reachable."""
         reach = self.each.reach
         found = {(s, t): Reach(int(reach[s, t])).message for s, t in np.argwhere(reach > Reach.REACHABLE).tolist()}
         for number, cell in enumerate(self.batch.cells):
@@ -92,7 +92,13 @@ class ReachStudy:
         return found
 
     def _closest(self, s: int, t: int, at: obstruction.Obstruction) -> str:
-        """Describe the clearest configuration that was found at an undecided target."""
+        """Return a description of the configuration with the largest clearance found at an undecided target.
+
+        Args:
+            s: The scenario's row.
+            t: The target.
+            at: The obstruction in this configuration.
+        """
         clearance_m, margin_m = self.each.clearance_m[s, t], self.batch.scenarios.margin_m[s]
         if clearance_m >= margin_m:
             return "undecided: in every clear configuration found, the bare tip passes through a wall"
@@ -101,7 +107,7 @@ class ReachStudy:
         return f"undecided: in the clearest configuration found, {at.body_label or at.body} is {how} {at.other}"
 
     def summary(self) -> Table:
-        """Table of the number of targets by reach; of a single scenario with the targets."""
+        """Return the table of the number of targets by reach; for a single scenario it also lists the targets."""
         total, rows = sum(self.counts.values()), []
         for reach, count in self.counts.items():
             if count:
@@ -111,7 +117,10 @@ class ReachStudy:
         return Table("reach-summary", columns, tuple(row[: len(columns)] for row in rows))
 
     def table(self) -> Table:
-        """Table of every target on the path: place in the world, reach, reason, and a configuration."""
+        """Return the table of all targets on the path: position in the world, reach, reason, and a configuration.
+
+        Only reachable targets have a configuration; only the others have a reason.
+        """
         joints = tables.joint_columns(self.batch.robot)
         columns = (
             *(Column(key, key, "", "d") for key in ("scenario", "target", "waypoint")),
@@ -134,12 +143,12 @@ class ReachStudy:
         """Return `table` as a pandas frame.
 
         Raises:
-            InputError: Without pandas.
+            InputError: If pandas is not installed.
         """
         return tables.table_frame(pa.Table.from_pylist(self.table().records()))
 
     def figure(self) -> Figure:
-        """Draw the part with every target coloured by its reach."""
+        """Draw the workpiece with every target coloured by reach."""
         panels = []
         for s, point in enumerate(self.batch.points):
             cell, T = self.batch.cells[self.batch.cell[s]], np.asarray(self.batch.scenarios.T_world_workpiece[s])
@@ -170,10 +179,10 @@ class ReachStudy:
         files.write_atomically(folder, PICTURE, png(self.figure()))
 
     def save(self, folder: str | Path) -> None:
-        """Write the three files into `folder`, see `write`, all of them or none.
+        """Write reachability.json, reach.csv and reach.png into `folder`: all of them or none.
 
         Raises:
-            InputError: If that fails.
+            InputError: If the files cannot be written.
         """
         with plan_folder.written_whole(Path(folder)) as scratch:
             self.write(scratch)
@@ -194,18 +203,18 @@ def reach_study(
     proof_cells: int = PROOF_CELLS,
     progress: Callable[[int, int], None] | None = None,
 ) -> ReachStudy:
-    """Test every target of a job, or of a sweep, by itself.
+    """Classify every target of a job or a sweep by itself as reachable, excluded or undecided.
 
     Args:
-        config: A job's or a sweep's file or example, or a mapping of its keys.
+        config: A job or a sweep: its file, the name of an example, or a mapping of its keys.
         overrides: Changes to the job, as for `plan`.
-        limit: The number of scenarios of a sweep; None: all.
-        resolution_rad: Angular resolution of the tool orientations searched.
-        proof_cells: Size of a proof that a target is unreachable; 0: no proofs.
-        progress: Called with the number of targets that are done, and of all.
+        limit: Maximum number of scenarios of a sweep; None: all.
+        resolution_rad: Angular resolution of the searched tool orientations [rad].
+        proof_cells: Maximum number of cells in a proof that a target is unreachable; 0: no proofs.
+        progress: Function that is called with the number of finished targets and the number of all targets.
 
     Raises:
-        InputError: For bad input.
+        InputError: If the input is invalid.
     """
     spec = grid.load_sweep_or_job(config, None, overrides)
     batch = spec.batch(limit)
@@ -221,14 +230,15 @@ def search_batch(
     each: bool,
     progress: Callable[[int, int, int], None],
 ) -> Reachability:
-    """Return the reachability of a batch.
+    """Return the reachability of a batch's scenarios, in their order.
 
     Args:
         batch: The scenarios.
-        resolution_rad: Angular resolution of the tool orientations searched.
-        proof_cells: Size of a proof; 0: no proofs.
-        each: True judges every target on the path by itself, too.
-        progress: Called with the number of the cell, and as in `reachable_prefixes`.
+        resolution_rad: Angular resolution of the searched tool orientations [rad].
+        proof_cells: Maximum number of cells in a proof that a target is unreachable; 0: no proofs.
+        each: True to also classify every target on the path by itself.
+        progress: Function that is called with the number of the batch's cell (robot and scene), and then with the
+            arguments of the function `progress` of `reachable_prefixes`.
 
     Raises:
         SearchStopped: On Ctrl-C.
@@ -264,14 +274,14 @@ def _in_order(parts: Sequence[tuple[np.ndarray, Reachability]]) -> Reachability:
 
 
 def record_of(batch: grid.Batch, found: Reachability, requested_rad: float, proof_cells: int, seed: int) -> dict:
-    """Return the contents of reachability.json, except for the methods of a run that get further.
+    """Return the contents of reachability.json, without the comparison with a run's methods.
 
     Args:
         batch: The scenarios.
-        found: Their reachability.
-        requested_rad: Angular resolution that was required.
-        proof_cells: Size of a proof.
-        seed: Seed of the search, an identity without a unit.
+        found: The scenarios' reachability.
+        requested_rad: Requested angular resolution of the tool orientations [rad].
+        proof_cells: Maximum number of cells in a proof; 0: no proofs.
+        seed: Seed of the search.
     """
     record = {
         "prefix": found.prefix.tolist(),
@@ -288,14 +298,14 @@ def record_of(batch: grid.Batch, found: Reachability, requested_rad: float, proo
 
 
 def _resolution(batch: grid.Batch, found: Reachability, requested_rad: float) -> float | None:
-    """Coarsest angular resolution of the search [rad]; None if a task does not hold the TCP."""
+    """Return the coarsest angular resolution that the search used [rad]; None if a task does not constrain the TCP."""
     if not all(cell.task.holds_tcp for cell in batch.cells):
         return None
     return max(requested_rad, float(found.resolution_rad.max()))
 
 
 def _ranges(numbers: np.ndarray) -> str:
-    """Return numbers as ranges, "3-17, 22", shortened after LISTED of them."""
+    """Return numbers as text in ranges, such as "3-17, 22", with at most LISTED ranges."""
     parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
     words = [f"{own[0]}-{own[-1]}" if len(own) > 1 else f"{own[0]}" for own in parts]
     return ", ".join(words[:LISTED]) + (", ..." if len(words) > LISTED else "")

@@ -1,7 +1,7 @@
 """Report of one or several runs: chapters, common sections, and files.
 
-Every part of a run (see `groups`) is a chapter with the same sections. Pictures are named after their content, and
-after the part if there are several; a CSV file holds one table of all parts.
+Every part of a run (see `groups`) has a chapter, all with the same sections. A picture's name is its content, preceded
+by the part's name if there are several parts. A CSV file contains one table for all parts.
 """
 
 import re
@@ -30,23 +30,23 @@ if TYPE_CHECKING:
 
 
 class Report(NamedTuple):
-    """A report ready to be written."""
+    """Report of one or several runs, in memory."""
 
     parts: tuple[Part, ...]
-    part_tables: tuple[dict[str, Table], ...]  # of each part, by name
+    part_tables: tuple[dict[str, Table], ...]  # tables by name, for each part
     blocks: tuple[Block, ...]
-    tables: tuple[Table, ...]  # for CSV; the first column names the part
+    tables: tuple[Table, ...]  # of all parts, for CSV; the first column is the part
 
     @property
     def figures(self) -> dict[str, Figure]:
-        """Charts of the report, by the names of their files."""
+        """Charts of the report, by the stems of their file names."""
         return {block.name: block.figure for block in self.blocks if isinstance(block, Picture)}
 
     def frame(self, table: str = "results") -> "pandas.DataFrame":
-        """Return a table as a pandas frame, with the names of its columns in CSV.
+        """Return one of the report's tables as a pandas frame, with the column names of its CSV file.
 
         Raises:
-            InputError: For an unknown name.
+            InputError: If the report has no table of that name.
         """
         names = [each.name for each in self.tables]
         if table not in names:
@@ -59,10 +59,13 @@ class Report(NamedTuple):
 
 
 def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
-    """Make the report of runs, or of the runs in these folders.
+    """Make a report of runs.
+
+    Args:
+        runs: One or several runs, or their folders.
 
     Raises:
-        InputError: For a folder without a run, and for a file that is missing or damaged.
+        InputError: If a folder contains no run, or if a file is missing or damaged.
     """
     listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
     opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
@@ -72,7 +75,7 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:
         results = {part.name: tables["results"] for part, tables in zip(parts, made, strict=True)}
-        blocks += ["Success in percent of all targets, by method and run.", overview(results)]
+        blocks += ["Executable targets in percent of all, by method and run.", overview(results)]
         for part, tables in zip(parts, made, strict=True):
             blocks += [Heading(2, part.name), *chapter(part, tables, f"{slug(part.name)}-", 3)]
     else:
@@ -82,7 +85,7 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
 
 
 def write_report(report: Report, folder: Path) -> None:
-    """Write report.md with its pictures, report.html with everything in one file, and one CSV file per table."""
+    """Write report.md and its pictures, a self-contained report.html, and a CSV file per table."""
     pictures = {block.name: png(block.figure) for block in report.blocks if isinstance(block, Picture)}
     for name, data in pictures.items():
         files.write_atomically(folder, f"{name}.png", data)
@@ -93,7 +96,7 @@ def write_report(report: Report, folder: Path) -> None:
 
 
 def report_record(report: Report) -> dict:
-    """Return the report as a mapping for JSON: the runs, and all tables except the long one of scenarios."""
+    """Return the report as a mapping for JSON: the runs, and all tables except `scenarios`."""
     return {
         "runs": [
             {
@@ -108,16 +111,20 @@ def report_record(report: Report) -> dict:
 
 
 def overview(results: Mapping[str, Table]) -> Table:
-    """Table of every method's success in every part, from the parts' tables "results"."""
+    """Return the table of executable targets in percent, by method and part.
+
+    Args:
+        results: Each part's table "results", by the part's name.
+    """
     found = {name: {row["method"]: row for row in table.records()} for name, table in results.items()}
     methods = dict.fromkeys(method for rows in found.values() for method in rows)
     columns = [Column("method", "method"), *(Column(name, name, "%", ".2f") for name in found)]
-    rows = [(m, *(rows[m]["success_percent"] if m in rows else None for rows in found.values())) for m in methods]
+    rows = [(m, *(rows[m]["executable_percent"] if m in rows else None for rows in found.values())) for m in methods]
     return Table("overview", tuple(columns), tuple(rows))
 
 
 def slug(name: str) -> str:
-    """Convert a name to a part of a file's name."""
+    """Convert a name for use in file names."""
     return re.sub(r"[^A-Za-z0-9.]+", "-", name).strip("-.") or "run"
 
 
@@ -140,12 +147,17 @@ def _appendix(parts: Sequence[Part]) -> list[Block]:
 
 
 def _compared(ran: dict[str, PlanConfig], presets_shown: dict[str, PlanConfig]) -> list[Block]:
-    """The runs' configurations next to each other, and next to the shipped ones if these have the same scene."""
+    """Return a table that compares the runs' configurations with each other and with the shipped ones.
+
+    Args:
+        ran: The runs' configurations, by name.
+        presets_shown: The shipped configurations, by name; empty if they are for another scene.
+    """
     if not presets_shown and len(ran) < 2:
         return []
     others = f" and {', '.join(presets_shown)}" if presets_shown else ""
     return [
-        f"Keys of the configuration in which the runs{others} are not all the same.",
+        f"Keys of the configuration that differ between the runs{others}.",
         configuration_table(ran, presets_shown),
     ]
 
@@ -179,10 +191,10 @@ def _provenance(run: Run) -> str:
 
 
 def _run_name(run: Run | str | Path) -> str:
-    """Name of a run: its sweep's, or its folder's."""
+    """Return the name of a run: the name of its sweep, or of its folder."""
     return run.manifest.name if isinstance(run, Run) else Path(run).resolve().name
 
 
 def _numbered(own: Sequence[str]) -> list[str]:
-    """Names, numbered where two are the same."""
+    """Return the names, with a number added to each repeated name."""
     return [name if own.count(name) == 1 else f"{name} ({own[: k + 1].count(name)})" for k, name in enumerate(own)]

@@ -1,4 +1,4 @@
-"""Tables of one or several parts of a run."""
+"""Tables of a part's results, and of the runs' configurations."""
 
 import dataclasses
 import math
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Int
+from scipy import stats
 
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.motion import Plans, motion
@@ -33,6 +34,14 @@ RESULTS = (
     Column("orientation_error_mean_deg", "orientation error", "deg", ".4f"),
     Column("clearance_min_mm", "clearance min", "mm", ".2g"),
     Column("clearance_mean_mm", "mean", "mm", ".2f"),
+)
+PAIRS = (
+    Column("method", "method"),
+    Column("other", "compared with"),
+    Column("more", "more", "scenarios", ",d"),
+    Column("fewer", "fewer", "scenarios", ",d"),
+    Column("equal", "equal", "scenarios", ",d"),
+    Column("p", "sign test", "p", ".2g"),
 )
 PAPER = (
     Column("method", "method"),
@@ -98,12 +107,32 @@ TIMES = (
 
 
 def results(part: Part) -> Table:
-    """Table of the results: counts and percentages, time per step, TCP distance and clearance."""
+    """Return the table of results by method: counts, percentages, time per step, errors and clearance."""
     return without_empty(_table_of_rows("results", RESULTS, [_result(part, method) for method in part.plans]))
 
 
+def pairs(part: Part) -> Table:
+    """Return the table that compares every other method with the best one, which has the most executable targets.
+
+    It counts the scenarios in which a method has more, fewer or equally many executable targets. The p-value is of
+    the exact two-sided sign test over the scenarios that both have planned and in which they differ; None without any.
+    """
+    counts = {method: plans.executable.sum(axis=1) for method, plans in part.plans.items()}
+    planned = {method: plans.outcomes.planned for method, plans in part.plans.items()}
+    best = max(counts, key=lambda method: int(counts[method].sum()))
+    rows = []
+    for method in counts.keys() - {best}:
+        apart = (counts[method] - counts[best])[planned[method] & planned[best]]
+        more, fewer = int((apart > 0).sum()), int((apart < 0).sum())
+        p = float(stats.binomtest(more, more + fewer).pvalue) if more + fewer else None
+        equal = len(apart) - more - fewer
+        rows.append({"method": method, "other": best, "more": more, "fewer": fewer, "equal": equal, "p": p})
+    rows.sort(key=lambda row: list(counts).index(row["method"]))
+    return _table_of_rows("pairs", PAIRS, rows)
+
+
 def paper(part: Part) -> Table:
-    """Table of the paper's four columns next to ours, for its six methods; no rows if its grid differs."""
+    """Return the table of our results and the paper's by method; no rows if the part's grid is not the paper's."""
     table = part.paper_table
     if table is None:
         return Table("paper", PAPER, ())
@@ -145,7 +174,7 @@ def _result(part: Part, method: str) -> dict:
 
 
 def reachability_table(part: Part) -> Table:
-    """Table of tracked and reachable targets; no rows if reachability is unknown."""
+    """Return the table of tracked and reachable targets by method; no rows if reachability is unknown."""
     rows = []
     for method, plans in part.plans.items() if part.reachability is not None else ():
         ends = plans.outcomes
@@ -165,7 +194,7 @@ def reachability_table(part: Part) -> Table:
 
 
 def reach_table(part: Part) -> Table:
-    """Table of the targets on the paths by their reach, each target by itself; no rows if that is unknown."""
+    """Return the table of the number of targets by reach; no rows if `htcp reachability --each` was not run."""
     judged = np.empty(0, int) if part.reach is None else part.reach[part.reach != Reach.NOT_JUDGED]
     counts = {reach: int((judged == reach).sum()) for reach in Reach}
     rows = [
@@ -177,7 +206,7 @@ def reach_table(part: Part) -> Table:
 
 
 def steps(part: Part) -> Table:
-    """Table of the accepted steps: blocked joint paths, and lengths."""
+    """Return the table of accepted joint steps by method: number, blocked joint paths, and lengths."""
     return _table_of_rows("joint-steps", STEPS, [_step(part, method) for method in part.plans])
 
 
@@ -201,7 +230,7 @@ def _step(part: Part, method: str) -> dict:
 
 
 def stop_table(part: Part) -> Table:
-    """Table of the reasons of the failed scenarios, with their targets and the colliding bodies there."""
+    """Return the table of reasons why scenarios failed, by method, with the failed targets and the colliding bodies."""
     rows = []
     for method, plans in part.plans.items():
         ends = plans.outcomes
@@ -224,9 +253,15 @@ def stop_table(part: Part) -> Table:
 
 
 def _colliding_bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
-    """Colliding bodies in some scenarios, the most frequent first; None if unknown.
+    """Return the colliding bodies in some scenarios as text, most frequent first; None if unknown.
 
-    Scenarios in which no body collides are listed with the reason that ended the search.
+    For scenarios in which no body collides, the text contains the reason why the search ended.
+
+    Args:
+        part: The part of the run.
+        method: The method.
+        reason: The reason why the scenarios failed.
+        numbers: The numbers of the scenarios.
     """
     if reason == Status.TIP_BLOCKED:
         return f"bare tip ({len(numbers)})"
@@ -241,9 +276,10 @@ def _colliding_bodies(part: Part, method: str, reason: Status, numbers: Sequence
 
 
 def motion_ends(part: Part) -> Table:
-    """Table of the reasons why tracked targets are not executable.
+    """Return the table of reasons why tracked targets are not executable, by method.
 
-    A reason is the result of the motion check at the end of a motion; its targets are the tracked ones from there on.
+    A reason is the motion check's result for the segment at which the motion ends. It counts for all tracked targets
+    after this segment's start.
     """
     rows = []
     for method, plans in part.plans.items():
@@ -258,7 +294,7 @@ def motion_ends(part: Part) -> Table:
 
 
 def scenarios(part: Part) -> Table:
-    """Table of every scenario by every method: parameters, tracked targets, reason of the end, reachable targets."""
+    """Return the table of all scenarios, a row per scenario and method: parameters, results, times, reachability."""
     columns = [Column("scenario", "scenario", "", "d"), *(Column(name, name) for name in part.parameters)]
     columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
     columns += [Column("executable", "executable", "", "d")]
@@ -289,13 +325,18 @@ def scenarios(part: Part) -> Table:
 
 
 def times(part: Part) -> Table:
-    """Table of the planning time of the complete run, and of the compilation time, which is not part of it."""
+    """Return the table of planning times and compilation times by method, for the complete run."""
     seconds = {method: (plans.run_s, plans.compile_s) for method, plans in part.plans.items()}
     return _table_of_rows("times", TIMES, [{"method": m, "run_s": r, "compile_s": c} for m, (r, c) in seconds.items()])
 
 
 def configuration_table(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfig]) -> Table:
-    """Table of every key of the configuration in which the runs and the presets differ."""
+    """Return the table of the configuration keys in which runs and shipped configurations differ.
+
+    Args:
+        ran: Configurations of the runs, by name.
+        presets: Shipped configurations, by name.
+    """
     flat = {name: _flat(config.model_dump()) for name, config in {**ran, **presets}.items()}
     keys = dict.fromkeys(key for config in flat.values() for key in config)
     differ = [key for key in keys if len({repr(config.get(key)) for config in flat.values()}) > 1]
@@ -308,18 +349,18 @@ NO_REASON = plan_arrays.NO_TARGET, Status.NOT_ATTEMPTED
 
 
 def reasons(plans: Plans) -> list[Status]:
-    """Reasons that ended scenarios, in the order of the codes."""
+    """Return the statuses with which scenarios failed, in the order of their codes."""
     return [Status(code) for code in np.unique(plans.outcomes.status).tolist() if code not in NO_REASON]
 
 
 def _tally(values: Int[np.ndarray, "n"]) -> str:
-    """Format values with their counts, such as '70, 71 (4), 72'."""
+    """Return the values with their counts as text, such as '70, 71 (4), 72'."""
     found, counts = np.unique(values, return_counts=True)
     return ", ".join(f"{v} ({n})" if n > 1 else f"{v}" for v, n in zip(found, counts, strict=True))
 
 
 def percent(k: int | np.integer, n: int | np.integer) -> float:
-    """Return k of n in percent; NaN if n is 0."""
+    """Return 100 k / n; NaN if n is 0."""
     return float(100 * k / n) if n else math.nan
 
 
@@ -328,7 +369,7 @@ def _reduced_values(reduce, values: np.ndarray) -> float:
 
 
 def _flat(raw: dict, prefix: str = "") -> dict:
-    """Flatten nested mappings to dotted keys; settings may be a dataclass. The method is excluded."""
+    """Flatten a nested mapping to dotted keys, without the key `method`; settings may be a dataclass."""
     flat = {}
     for key, value in raw.items():
         value = dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
@@ -340,12 +381,12 @@ def _flat(raw: dict, prefix: str = "") -> dict:
 
 
 def _cell_text(value: Any) -> str:
-    """Format a value for a cell; a file by its name only."""
+    """Return a configuration value as text for a cell; a path is shortened to its file name."""
     if isinstance(value, str):
         return Path(value).name
     if isinstance(value, list | tuple):
         return ", ".join(map(_cell_text, value))
-    if isinstance(value, dict):  # a body of a tool
+    if isinstance(value, dict):  # a body of the tool
         return " ".join(map(_cell_text, value.values()))
     return f"{value:g}" if isinstance(value, float) else str(value)
 
@@ -355,14 +396,14 @@ def _table_of_rows(name: str, columns: Sequence[Column], rows: Sequence[dict]) -
 
 
 def without_empty(table: Table) -> Table:
-    """Remove the columns without any value."""
+    """Return the table without its columns in which all values are None."""
     keep = [k for k in range(len(table.columns)) if any(row[k] is not None for row in table.rows)]
     rows = tuple(tuple(row[k] for k in keep) for row in table.rows)
     return table._replace(columns=tuple(table.columns[k] for k in keep), rows=rows)
 
 
 def config_differences(config: PlanConfig, other: PlanConfig) -> dict[str, str]:
-    """Keys in which `config` differs from `other`, with its values in brief."""
+    """Return the keys in which `config` differs from `other`, with `config`'s values as text."""
     theirs = _flat(other.model_dump())
     ours = _flat(config.model_dump())
     return {

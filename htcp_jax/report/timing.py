@@ -1,4 +1,4 @@
-"""Cycle times and feed rates of a part's motions: a table and charts; empty if not timed."""
+"""Table and charts of the cycle times and feed rates of a part's motions."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -29,33 +29,39 @@ COLUMNS = (
 )
 SHARES = *timing_file.LIMITS, "torque"
 MEANING = (
-    "Cycle time is from home over the path and back, of the scenarios with a motion to their last target. Feed held: "
-    f"within 1 % over {100 * timing_file.FEED_HELD_SHARE:g} % of the path's length. Feed reached: the minimum between "
-    "the path's run-up and its run-down, 0 where the arm stops between. "
-    "Velocity, acceleration, jerk: of the limits, on the path; torque: of the efforts, all along."
+    "Cycle time: from home along the path and back, for the scenarios with a motion to their last target. Feed held: "
+    f"scenarios with the feed within 1 % over at least {100 * timing_file.FEED_HELD_SHARE:g} % of the path's length, "
+    "and the lowest share of this length. Feed reached: the lowest feed between run-up and run-down, 0 if the arm "
+    "stops there. Velocity, acceleration, jerk: largest share of the limits, on the path. Torque: largest share of the "
+    "joints' efforts, over the complete cycle."
 )
 CYCLE = Measure(
-    "Cycle time", "s", "{:.1f}", "From home over the path and back, in seconds; blank where no motion leads to the end."
+    "Cycle time", "s", "{:.1f}", "From home along the path and back, in seconds; blank if no motion is complete."
 )
 HELD = Measure(
-    "Feed held", "%", "{:.1f}", "Share of the path's length where the feed is held within 1 %.", (0.0, 100.0)
+    "Feed held", "%", "{:.1f}", "Share of the path's length on which the feed is held within 1 %.", (0.0, 100.0)
 )
 
 
 def timing(part: Part) -> Table:
-    """Table of the times of each method's scenarios; no rows if there are none."""
+    """Return the table of cycle times and feed rates by method; no rows if no method is timed."""
     rows = [timing_row(method, rows) for method, rows in part.timing.items() if rows is not None]
     return timing_table(rows)
 
 
 def timing_table(rows: Sequence[dict]) -> Table:
-    """Make the table of rows by `timing_row`, without empty columns."""
+    """Return the table of cycle times and feed rates with the given rows, see `timing_row`, without empty columns."""
     known = tuple(c for c in COLUMNS if not all(unknown(row[c.key]) for row in rows))
     return Table("timing", known, tuple(tuple(row[c.key] for c in known) for row in rows))
 
 
 def timing_row(method: str, rows: pa.Table) -> dict:
-    """Summarise one method's times; `rows` as in `timing_file`, one per scenario."""
+    """Return a method's row in the table of cycle times and feed rates, by column key.
+
+    Args:
+        method: The method.
+        rows: Rows as in `timing_file`, one per scenario.
+    """
     timed = rows.filter(pa.array(~np.isnan(timing_file.column(rows, "cycle_time_s"))))
     cycle, held = timing_file.column(timed, "cycle_time_s"), timing_file.column(timed, "feed_held_share")
     most = {name: 100 * _reduced_column(np.max, timed, f"{name}_share") for name in SHARES}
@@ -74,14 +80,14 @@ def timing_row(method: str, rows: pa.Table) -> dict:
 
 
 def timing_section(part: Part, made: Table, prefix: str, level: int, label: Callable[[str], str]) -> list[Block]:
-    """Section on the times: table, reasons of feed drops, and charts over the grid; empty without times.
+    """Return the section on cycle times and feed: table, reasons of feed drops, and charts; empty without times.
 
     Args:
         part: The part of the run.
-        made: Its table, see `timing`.
-        prefix: Start of the pictures' names.
+        made: The part's table, see `timing`.
+        prefix: Prefix of the pictures' names.
         level: Level of the heading.
-        label: Function for the label of a parameter.
+        label: Function that returns the label of a parameter.
     """
     if not made.rows:
         return []
@@ -95,7 +101,7 @@ def timing_section(part: Part, made: Table, prefix: str, level: int, label: Call
 
 
 def _reason_sentences(part: Part) -> list[str]:
-    """Sentence with the reasons of feed drops, the most frequent first."""
+    """Return a sentence with the reasons of feed drops, most frequent first; [] if there are none."""
     reasons: dict[str, int] = {}
     for rows in filter(None, part.timing.values()):
         for reason in filter(None, rows["feed_reason"].to_pylist()):
@@ -103,12 +109,14 @@ def _reason_sentences(part: Part) -> list[str]:
     if not reasons:
         return []
     reported = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
-    text = f"Where the feed is not reached, it is because of {', '.join(f'{name} ({n})' for name, n in reported)}."
+    text = (
+        f"Causes of a lower feed, with the numbers of scenarios: {', '.join(f'{name} ({n})' for name, n in reported)}."
+    )
     return [f"{text}{_low_manipulability(part)}"]
 
 
 def _low_manipulability(part: Part) -> str:
-    """Sentence on the manipulability where the feeds are lowest; empty if it is unknown."""
+    """Return a sentence on the manipulability at the targets with the lowest feed; empty if it is unknown."""
     there, everywhere = [np.empty(0)], [np.empty(0)]
     for method, at in feed_targets(part).items():
         rows = np.flatnonzero(at >= 0)
@@ -118,13 +126,13 @@ def _low_manipulability(part: Part) -> str:
     if not len(low):
         return ""
     return (
-        f" At the lowest feed the manipulability is {np.median(low):.3g} m/rad in the median of these scenarios, at "
-        f"all of their targets {np.median(every):.3g} m/rad."
+        f" At the target with the lowest feed, the median manipulability over these scenarios is {np.median(low):.3g} "
+        f"m/rad; over all of their targets it is {np.median(every):.3g} m/rad."
     )
 
 
 def feed_targets(part: Part) -> dict[str, np.ndarray]:
-    """Target at which each scenario's feed is lowest (S,), by method that is timed; -1 if it is held or not known."""
+    """Return each scenario's target with the lowest feed, (S,), by timed method; -1 if there is none."""
     return {
         method: np.nan_to_num(values, nan=-1).astype(int) for method, values in _values(part, "feed_target").items()
     }
@@ -144,7 +152,7 @@ def _charts(part: Part, prefix: str, label: Callable[[str], str]) -> list[Pictur
 
 
 def _chart(part: Part, axes: dict[str, Axis], measure: Measure, values: dict[str, np.ndarray], name: str) -> Picture:
-    """Draw a line over one axis, or maps over the first two axes, with means over the others."""
+    """Draw a line per method over a single axis, or a map per method over the first two axes."""
     chosen = list(axes)[:2]
     given = {method: part.cells(own, chosen) for method, own in values.items()}
     alt = f"{measure.title} of the scenarios over the grid, by method"
@@ -155,7 +163,7 @@ def _chart(part: Part, axes: dict[str, Axis], measure: Measure, values: dict[str
 
 
 def _values(part: Part, name: str) -> dict[str, np.ndarray]:
-    """Column (S,) of each method that is timed, in the order of the part's scenarios."""
+    """Return a column of the times, (S,), by timed method, in the order of the part's scenarios; NaN if unknown."""
     found = {}
     for method, rows in part.timing.items():
         if rows is not None:

@@ -1,4 +1,4 @@
-"""Results of `htcp validate`, for the report and the terminal."""
+"""Tables and sentences on the results of `htcp validate`, for the report and the terminal."""
 
 from pathlib import Path
 from typing import Any
@@ -43,10 +43,13 @@ BETWEEN = ("clearance_between_min_at",)
 
 
 def read_validation(run: Run) -> dict[str, Any] | None:
-    """Read the validation in the run's folder; None if there is none, or if it is of other results.
+    """Return the contents of validation.json in the run's folder.
+
+    Returns:
+        The contents; None if the file does not exist, or if the run's results have changed since the validation.
 
     Raises:
-        InputError: For a damaged file.
+        InputError: If the file is damaged.
     """
     file = Path(run.folder) / plan_folder.VALIDATION
     try:
@@ -58,36 +61,44 @@ def read_validation(run: Run) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise InputError(f"{file} is damaged or no result of htcp validate: {files.cause(error, file)}") from None
+        raise InputError(f"{file} is damaged or not a result of htcp validate: {files.cause(error, file)}") from None
 
 
 def validated(found: dict[str, Any] | None) -> bool | None:
-    """True if every tracked target is confirmed by a validation, see `read_validation`; None without one."""
+    """Return True if the validation confirmed every tracked target; None if there is no validation.
+
+    Args:
+        found: Contents of validation.json, see `read_validation`.
+    """
     return None if found is None else bool(found["validated"])
 
 
 def verdict(found: dict[str, Any] | None) -> str:
-    """Sentence on a validation, see `read_validation`, or on its absence."""
+    """Return the validation's result as a sentence; `found` is None if there is no validation."""
     return "Not validated independently." if found is None else validation_summary(found)
 
 
 def validation_section(found: dict[str, Any] | None, labels: dict[int, str], level: int) -> list[Block]:
-    """Section of the report on the validation; empty if there is none.
+    """Return the section of the report on the validation; empty if there is none.
 
     Args:
-        found: The validation, see `read_validation`.
-        labels: The varied parameters of the run's scenarios, by number.
+        found: Contents of validation.json, see `read_validation`; None: no validation.
+        labels: Varied parameters as text, by scenario.
         level: Level of the heading.
     """
     if found is None:
         return []
-    about = f"By MuJoCo's kinematics and distances alone, for the complete run. {validation_summary(found)}"
+    about = f"With MuJoCo's kinematics and distances only, for the complete run. {validation_summary(found)}"
     where = scenarios_named(found, labels)
     return [Heading(level, "Validation"), about, *validation_tables(found), *where, *notes(found)]
 
 
 def validation_summary(found: dict[str, Any]) -> str:
-    """Sentence on the result of a validation, in the form of validation.json."""
+    """Return a sentence on a validation: the number of refuted targets and of colliding joint paths.
+
+    Args:
+        found: Contents of validation.json.
+    """
     checks = found["methods"].values()
     checked, touching, paths = (sum(check[k] or 0 for check in checks) for k in ("checked", "paths_touching", "paths"))
     refuted = int(found["refuted_count"])
@@ -97,7 +108,7 @@ def validation_summary(found: dict[str, Any]) -> str:
 
 
 def validation_tables(found: dict[str, Any]) -> tuple[Table, ...]:
-    """Tables of a validation by method: at the targets, on the joint paths between them, and of the task's rows."""
+    """Return the tables of a validation by method: targets, joint paths between targets, and task rows."""
     rows = [{"method": method, **check} for method, check in found["methods"].items()]
     tables = _filled_table("validation", AT_TARGETS, rows), _filled_table("validation-paths", BETWEEN_TARGETS, rows)
     held = [{"method": check["method"], **row} for check in rows for row in check.get("rows", ())]
@@ -113,38 +124,38 @@ def _filled_table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> T
 
 
 def scenarios_named(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
-    """Sentence with the labels of the scenarios in a validation's tables."""
+    """Return a sentence with the labels of the scenarios in a validation's tables."""
     at = [check.get(key) for check in found["methods"].values() for key in ("clearance_min_at", *BETWEEN)]
     numbers = sorted({place[0] for place in at if place is not None and labels.get(place[0])})
     return [f"Scenarios: {'; '.join(f'{number} is {labels[number]}' for number in numbers)}."] if numbers else []
 
 
 def notes(found: dict[str, Any]) -> list[str]:
-    """Explanations of the columns that a validation fills."""
+    """Return explanations of the columns that have values in a validation's tables."""
     lines = []
     if any(check.get("clearance_off_max_mm") is not None for check in found["methods"].values()):
-        lines.append("Differs from plan: the largest difference between a clearance in the plan and MuJoCo's.")
+        lines.append("Differs from plan: the largest difference between a target's clearance in the plan and MuJoCo's.")
     lines += found.get("unchecked", ())
     if found.get("excluded"):
         lines.append(f"Deepest overlap of two capsules that are not checked against each other: {found['excluded']}.")
     if any(check.get("clearance_less_cover_min_mm") is not None for check in found["methods"].values()):
         lines.append(
-            "Clearance is to the triangles of the mesh. Less cover: minus the covering radius of the planner's points "
-            "on the mesh, which plans, sweeps and reports subtract from every clearance."
+            "Clearance is the distance to the mesh's triangles. Less cover: clearance minus the covering radius of the "
+            "planner's points on the mesh, which plans, sweeps and reports also subtract."
         )
     if found["between"]:
         lines.append(
             "Joint paths are the straight joint paths between tracked targets, and from the start to the first, with "
-            f"{found['between']} or more samples each, at most {STEP_RAD:g} rad apart. Collisions on them refute no "
-            'target; "blocked" counts those that the planner found itself. Path deviation: the TCP\'s distance from '
-            "the straight line between its targets."
+            f"{found['between']} or more samples each, at most {STEP_RAD:g} rad apart. Their collisions refute no "
+            'target; "blocked" counts the paths that the planner itself found to collide. Path deviation: the TCP\'s '
+            "distance from the straight line between its targets."
         )
     if any(check.get("speed_ratio_max") is not None for check in found["methods"].values()):
         lines.append(
-            f"Joint speeds are for a feed rate of {found['feed_mm_s']:g} mm/s and proportional to it; the limits are "
-            "the model file's, for the GP50 its data sheet's. In place: the joint change between targets that are "
-            "closer together than the tolerance, and from the start to the first; the feed rate sets no time for it."
+            f"Joint speeds are for a feed rate of {found['feed_mm_s']:g} mm/s and proportional to it. The limits are "
+            "from the model file, for the GP50 from its data sheet. In place: the joint change from the start to the "
+            "first target, and between targets closer together than the tolerance; the feed rate sets no time for it."
         )
     elif any(check["paths"] for check in found["methods"].values()):
-        lines.append("There are no joint speeds, because the model states no limits.")
+        lines.append("There are no joint speeds, because the model file has no velocity limits.")
     return lines

@@ -1,14 +1,15 @@
 """Runs: plans and sweeps on disk, computed on this machine or a cluster.
 
-A run folder holds a manifest, which states its inputs, and shards of results, each written completely or not at all.
-`sweep` plans missing shards and reports a `RunningSummary`; `open_run` opens the folder as a `Run`, and `tables` turns
-its rows into frames. `open_plans` opens whatever has plans, a run, a search or one plan's folder, as a `PlanSet`;
-`open` has the kinds of it. `plan_folder` is the folder of one plan.
+A run folder contains a manifest, which describes the run's inputs, and shards of results, each written atomically.
+`sweep` plans the missing shards, and a `RunningSummary` collects them in memory. `open_run` opens a run folder as a
+`Run`. `tables` converts plans to rows of the run's tables, and rows to frames. `open_plans` opens the folder of a run,
+of a placement search or of one plan as a `PlanSet`; the module `open` defines the kinds of plan sets. `plan_folder`
+reads and writes the folder of one plan.
 
-Files of a run folder, a module each: `manifest`, `timing_file`, `reachability_file`. What identifies a run: `identity`
-hashes its configuration, `input_files` the files that it reads, `provenance` names the program and the machine.
-`parameters` are the numbers of each scenario, and `labels` name them in words. `summary` and `motion_summary` count
-and measure plans. `lock` keeps a second program out of a folder.
+`manifest`, `timing_file` and `reachability_file` read files of a run folder. `identity` hashes a run's configuration,
+`input_files` hashes the files that the run reads, and `provenance` names the program and the machine. `parameters`
+defines the numbers that vary between scenarios, and `labels` formats them as text. `summary` and `motion_summary`
+summarise plans. `lock` prevents two programs from writing to the same folder.
 """
 
 import lazy_loader

@@ -9,17 +9,26 @@ from typing import Any
 from htcp_jax.errors import InputError
 from htcp_jax.io import files as io_files
 from htcp_jax.io import strict_model
+from htcp_jax.io.robots import model_source
 from htcp_jax.jobs import PlanConfig
 
-# Keys without influence on a run's identity: it lists its methods, may be planned anywhere, and is timed later.
+# Keys that are not part of a run's identity: methods may be added, Ray does not affect results, timing comes later.
 NO_IDENTITY = "method", "program", "ray"
+# Keys that are missing in manifests from older versions, with the values that these versions used. Such manifests also
+# contain no models except the robot's.
+NEW_KEYS = (
+    ("cell", "fixtures", None),
+    ("robot", "locked", None),
+    ("robot", "parent", "world"),
+    ("workpiece", "parent", None),
+)
 
 
 def file_hash(file: str | Path) -> str:
     """Return the SHA-256 of a file's contents.
 
     Raises:
-        InputError: For a file that cannot be read.
+        InputError: If the file cannot be read.
     """
     try:
         with io_files.opened(Path(file)) as stream:
@@ -32,27 +41,36 @@ def refuse_changed(files: Mapping[str, str], folder: Path) -> None:
     """Check that files have not changed since the results in `folder` were planned.
 
     Args:
-        files: Their SHA-256 then, by path.
+        files: The files' SHA-256 at the time of planning, by path.
         folder: Folder of the results, for messages.
 
     Raises:
-        InputError: For a file that is missing or has changed.
+        InputError: If a file is missing or has changed.
     """
     for file, known in files.items():
         if file_hash(file) != known:
-            raise InputError(f"{file} is not what it was when {folder} was planned")
+            raise InputError(f"{file} has changed since {folder} was planned; restore it, or plan again")
 
 
 def other_format(folder: Path, cause: str) -> InputError:
-    """Return the error for a run's or a plan's folder in another version of the format."""
-    return InputError(f"{folder} was written by another version of the format and must be planned again: {cause}")
+    """Return the error for a run or plan folder that another version wrote, or that is damaged.
+
+    Args:
+        folder: The folder.
+        cause: The difference that was found, for the message.
+    """
+    return InputError(f"{folder} has the format of another version; plan it again: {cause}")
 
 
 def recorded_config(values: dict, file: Path) -> PlanConfig:
-    """Return the configuration that a run's or a plan's `file` records.
+    """Return the configuration recorded in a file of a run or a plan.
+
+    Args:
+        values: The recorded values.
+        file: The file, for messages.
 
     Raises:
-        InputError: For values that are no configuration of this version.
+        InputError: If the values are not a valid configuration in this version.
     """
     try:
         return strict_model.validate_model(values, PlanConfig, file.name)
@@ -61,13 +79,13 @@ def recorded_config(values: dict, file: Path) -> PlanConfig:
 
 
 def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]) -> dict:
-    """Return the data that identify a run.
+    """Return the data that identify a run. A folder is continued only by a sweep with the same data.
 
     Args:
         config: The configuration; file names are absolute.
         grid: The grid as recorded in a manifest.
-        dtype: Float type of the results.
-        files: SHA-256 of the input files, which are identified by their contents, not by their paths.
+        dtype: Float type of the results, such as "float64".
+        files: SHA-256 of the input files, by path. The identity contains their names and hashes, not their paths.
     """
     named = set()
 
@@ -82,12 +100,16 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
         return f"{Path(value).name}, SHA-256 {files[value]}"
 
     config = {key: value for key, value in config.items() if key not in NO_IDENTITY}
-    if config.get("task") == []:  # then the tolerance of angles has no effect
+    sections = {key: own for key, own in config.items() if isinstance(own, dict)}  # a damaged file may have others
+    if config.get("task") == [] and "settings" in sections:  # without a task, the tolerance of angles has no effect
         del config["task"]
         config["settings"] = {key: value for key, value in config["settings"].items() if key != "tolerance_rad"}
-    for section, absent in (("cell", "fixtures"), ("robot", "locked")):  # as in runs from older versions
-        if section in config and not config[section].get(absent):
-            config[section] = {key: value for key, value in config[section].items() if key != absent}
+    for section in model_source.KEYS[1:]:
+        if section in sections and sections[section].get("model") is None:
+            del config[section]
+    for section, key, absent in NEW_KEYS:
+        if section in sections and (sections[section].get(key) or None) in (None, absent):
+            config[section] = {name: value for name, value in config[section].items() if name != key}
     same = plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
     parts = {}
     for file in sorted(set(files) - named, key=lambda file: (Path(file).name, files[file])):
@@ -98,17 +120,15 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
 
 
 def config_hash(same: dict) -> str:
-    """Return the SHA-256 of an `identity`."""
+    """Return the SHA-256 of the data from `identity`."""
     return hashlib.sha256(json.dumps(same, sort_keys=True).encode()).hexdigest()
 
 
 def identity_differences(there: dict, here: dict) -> list[str]:
-    """Describe the differences between two identities."""
+    """Return one text per difference between two identities: `there` of an existing run, `here` of a new one."""
     a, b = _leaves(there), _leaves(here)
     names = [name for name in a | b if a.get(name) != b.get(name)]
-    return [
-        "its grid differs" if name == "grid" else f"{name} is {a.get(name)} there, {b.get(name)} here" for name in names
-    ]
+    return ["its grid differs" if name == "grid" else f"{name} was {a.get(name)}, now {b.get(name)}" for name in names]
 
 
 def _leaves(tree: dict, prefix: str = "") -> dict[str, Any]:

@@ -1,21 +1,21 @@
-"""Files that a configuration names, and the files that these refer to."""
+"""Files that a configuration names, and files that those include: their paths and hashes."""
 
 from collections.abc import Iterable
 from pathlib import Path
 
 from htcp_jax.io import cell
-from htcp_jax.io.robots import safe_xml
+from htcp_jax.io.robots import model_source, safe_xml
 from htcp_jax.jobs import config_file
 from htcp_jax.runs.identity import file_hash
 
 PARTS = {
-    "robot.model": safe_xml.model_files,
+    **{f"{key}.model": safe_xml.model_files for key in model_source.KEYS},
     "cell.model": cell.files_of_cell,
-}  # functions that find the files to which a model refers
+}  # by key: function that returns the files that a model file includes
 
 
 def anchor_files(config: dict) -> list[tuple[str, str]]:
-    """Make the file names in a plain configuration absolute; return the dotted keys with these names."""
+    """Make the file names in a configuration of plain values absolute; return pairs of dotted key and file name."""
     named = []
     for dotted, owner, key in config_file.named_files(config):
         owner[key] = str(Path(owner[key]).resolve())
@@ -24,15 +24,15 @@ def anchor_files(config: dict) -> list[tuple[str, str]]:
 
 
 def file_hashes(named: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Return the SHA-256 by file name of files in a configuration, and of the files to which they refer.
+    """Return the SHA-256 of files and of the files that they include, by file name.
 
-    These are included models, and meshes of a cell's model.
+    Included files are those that a model includes, and the meshes of a cell's model.
 
     Args:
-        named: Dotted keys with their file names.
+        named: Pairs of dotted key and file name, see `anchor_files`.
 
     Raises:
-        InputError: For a file that cannot be read.
+        InputError: If a file cannot be read.
     """
     found = {}
     for key, name in named:

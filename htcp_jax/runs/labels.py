@@ -1,6 +1,6 @@
-"""Labels of a run's scenarios by their parameters: `rotation y 0.2 rad, height -0.1 m, tool 0.05 m`.
+"""Labels that describe a run's scenarios by their parameters: `rotation y 0.2 rad, height -0.1 m, tool 0.05 m`.
 
-Columns of a run's scenario table that are not results are parameters; those that vary form the label.
+The parameters are the columns of the scenario table that are not in RESULTS. A label contains those that vary.
 """
 
 import json
@@ -33,7 +33,7 @@ UNITS = {"rad": "rad", "m": "m", "mm": "mm", "deg": "deg"}
 
 
 def labels_of(table: pa.Table) -> dict[int, str]:
-    """Return the label of every scenario in the table, by its number; "" if there is only one."""
+    """Return the label of every scenario in a scenario table, by number; "" if neither group nor parameter varies."""
     numbers, first = np.unique(table["scenario"].to_numpy(), return_index=True)
     table = table.take(pa.array(first))
     columns = varying({name: column_of(table[name]) for name in parameter_names(table)})
@@ -43,22 +43,22 @@ def labels_of(table: pa.Table) -> dict[int, str]:
 
 
 def named_scenario(number: int, labels: dict[int, str]) -> str:
-    """Return a scenario's number with its label, if any, in brackets."""
+    """Return a scenario's number, followed by its label in brackets unless the label is empty."""
     return f"{number} ({labels[number]})" if labels.get(number) else str(number)
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun: 1 target, 2 targets."""
+    """Return a number with its noun, such as "1 target" or "2 targets"."""
     return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
 def parameter_names(table: pa.Table) -> list[str]:
-    """Return the columns of a scenario table that a grid may vary."""
+    """Return the names of the columns that a grid may vary: all columns that are not in RESULTS."""
     return [name for name in table.column_names if name not in RESULTS]
 
 
 def varying(parameters: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the parameters that vary, except those determined by another one."""
+    """Return the parameters that vary, except those whose value follows from another varying parameter."""
     found: dict[str, np.ndarray] = {}
     for name, values in parameters.items():
         if len(set(values.tolist())) > 1 and not any(_determines(other, values) for other in found.values()):
@@ -67,22 +67,22 @@ def varying(parameters: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def part(name: str, value: Any) -> str:
-    """Return one parameter with its value and unit: `rotation y 0.2 rad`."""
+    """Return the text of one parameter with its value and unit, such as `rotation y 0.2 rad`."""
     stem, unit = split_unit(name)
     text = f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
     return " ".join(filter(None, (SHORT.get(stem, stem.removeprefix("start_").replace("_", " ")), text, unit)))
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Split a column's name into its stem and its unit, "" without one."""
+    """Return the stem and the unit of a column's name; the unit is "" if the name has none."""
     stem, _, unit = name.rpartition("_")
     return (stem, UNITS[unit]) if stem and unit in UNITS else (name, "")
 
 
 def column_of(column: pa.ChunkedArray) -> np.ndarray:
-    """Return a column's values; JSON of numbers or strings is decoded, lists stay text.
+    """Return the values of a column as an array. JSON numbers and strings are decoded; lists remain JSON text.
 
-    Numbers are rounded to 9 digits, so that 0.1 + 0.2 equals 0.3 on an axis.
+    Floats are rounded to 9 decimals, so that 0.1 + 0.2 equals 0.3.
     """
     values = np.array(_read_json(column.to_pylist()))
     return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values
@@ -98,6 +98,6 @@ def _read_json(reported: list) -> list:
 
 
 def _determines(these: np.ndarray, those: np.ndarray) -> bool:
-    """Return True if scenarios that agree in `these` agree in `those`."""
+    """Return True if equal values in `these` imply equal values in `those`."""
     pairs = {(a, b) for a, b in zip(these.tolist(), those.tolist(), strict=True)}
     return len(pairs) == len(set(these.tolist()))

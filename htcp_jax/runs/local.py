@@ -17,14 +17,14 @@ from htcp_jax.runs.provenance import planned_by
 
 
 class Shard(NamedTuple):
-    """One method on a block of scenarios."""
+    """A unit of work: one method on a block of consecutive scenarios."""
 
     method: str
     span: Span
 
 
 class PlannedShard(NamedTuple):
-    """A shard's plans with their provenance, see `provenance.planned_by`."""
+    """The plans of a shard, and their provenance from `provenance.planned_by`."""
 
     shard: Shard
     plans: Plans
@@ -39,10 +39,16 @@ def plan_here(
     shards: Sequence[Shard],
     report: Callable,
 ) -> Iterator[PlannedShard]:
-    """Plan the shards one by one.
+    """Plan shards one by one, and yield the plans of each.
 
-    report(method, batch.Progress of the current shard) is called as a shard advances; an exception in it ends the work.
-    threads, device: see `batch.plan`. targets_in_all: Number of targets of all shards, by default of those given.
+    Args:
+        batch: The scenarios of the sweep.
+        threads: See `batch.plan`.
+        device: See `batch.plan`.
+        targets_in_all: Number of targets of all shards; None: of the given shards.
+        shards: The shards to plan.
+        report: Function that is called while a shard is planned, with the method and the shard's `batch.Progress`. An
+            exception that it raises ends the planning.
     """
     by = planned_by()
     targets_in_all = targets_in_all or sum(int(scenarios_of(batch, each.span)[1].count.sum()) for each in shards)
@@ -53,7 +59,7 @@ def plan_here(
 
 
 def scenarios_of(batch: grid.Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
-    """Return the cells' indices and the stacked scenarios of a block."""
+    """Return the scenarios of a block: the index of each scenario in `batch.cells`, and the stacked scenarios."""
     rows = slice(span.first, span.last + 1)
     return batch.cell[rows], tables.gather(batch.scenarios, rows)
 
@@ -68,15 +74,15 @@ def plan_cells(
     device: str | None = None,
     targets_in_all: int | None = None,
 ) -> Plans:
-    """Plan stacked scenarios, each with the robot, workpiece and settings of its cell; one planner call per cell.
+    """Plan stacked scenarios, with one planner call per group of scenarios that share their inputs.
 
     Args:
-        cells: The cells.
-        cell: Index of each scenario's cell.
-        scenarios: Stacked.
+        cells: The distinct inputs: robot, workpiece, settings, task and obstacles.
+        cell: Index of each scenario's inputs in `cells`.
+        scenarios: The stacked scenarios.
         method: Name of the method.
         threads: See `batch.plan`.
-        report: See `plan_here`.
+        report: See `plan_here`; None: no reports.
         device: See `batch.plan`.
         targets_in_all: See `batch.plan`.
     """
@@ -109,7 +115,7 @@ def plan_cells(
 def _add_up(
     report: Callable, method: str, finished: Sequence[Plans], count: int, targets: int, now: batch.Progress
 ) -> None:
-    """Report the progress of one cell as the progress of all cells."""
+    """Report the total progress, given the progress `now` of one planner call and the `finished` plans."""
     done = sum(len(plans.status) for plans in finished) + now.scenarios_done
     tracked = sum(int(plans.tracked.sum()) for plans in finished) + now.targets_tracked
     report(method, batch.Progress(done, count, tracked, targets))

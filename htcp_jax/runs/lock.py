@@ -1,10 +1,10 @@
-"""Lock of a run folder, and deferred signals, which keep a run consistent while it is written.
+"""Lock of a run folder, and deferred signals. Both keep a run consistent while it is written.
 
-Only one sweep at a time may write to a folder: the system frees the lock when its process ends, for any reason. SIGINT
-and SIGTERM are recorded, and handled where the work can be stopped cleanly.
+Only one command at a time may write to a folder. The system releases the lock when the process ends for any reason.
+SIGINT and SIGTERM are recorded first, and handled later, where the work can stop cleanly.
 
-The lock is not filelock's, because its file names the process that owns it, and because the folder may be untrusted: a
-symbolic link or a hard link to another file is refused before anything is written.
+The package filelock is not used, for two reasons. The lock file must name the process that has locked it. And the
+folder may be untrusted: a lock file that is a symbolic or hard link is refused before anything is written.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ from htcp_jax.unfinished import NO_LINK, clear_all
 
 try:
     import fcntl
-except ImportError:  # no POSIX system: there, folders are not locked
+except ImportError:  # not a POSIX system: folders are not locked
     fcntl = None
 
 LOCK = ".lock"
@@ -30,10 +30,10 @@ LOCK = ".lock"
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock a folder during a block; files left by killed processes are removed first.
+    """Lock a folder during a block. Unfinished files that killed processes left in it are removed first.
 
     Raises:
-        InputError: If another process, which is named, has locked it, and if the folder cannot be written to.
+        InputError: If another process has locked the folder (the message names it), or if the folder is not writable.
     """
     file = folder / LOCK
     try:
@@ -44,7 +44,7 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         found = os.fstat(handle)
         if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
-            raise InputError(f"cannot write to {folder}: {file} is not a regular file, or has another name, too")
+            raise InputError(f"cannot write to {folder}: {file} is not a regular file, or has hard links")
         _take(handle, folder)
         clear_all(folder)
         yield
@@ -58,21 +58,24 @@ def _take(handle: int, folder: Path) -> None:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             holder = os.read(handle, 200).decode(errors="replace").strip() or "another process"
-            raise InputError(f"{folder} is in use by another sweep: {holder}") from None
+            raise InputError(f"{folder} is in use by another command: {holder}") from None
         except OSError as error:
             raise InputError(f"cannot lock {folder}: {error.strerror}") from None
-    with contextlib.suppress(OSError):  # the name of the holder is optional; the disk may be full
+    with contextlib.suppress(OSError):  # ignored, e.g. if the disk is full: the process name is only for messages
         os.ftruncate(handle, 0)
         os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
 
 
 class SignalReceived(Exception):
-    """Raised after a signal where the work can stop."""
+    """Raised at a point where the work can stop cleanly, after a signal was recorded."""
 
 
 @contextlib.contextmanager
 def signals() -> Iterator[list[int]]:
-    """Yield a list to which the first SIGINT or SIGTERM is appended; a second one is not caught."""
+    """Record SIGINT and SIGTERM during a block: yield a list to which the first one is appended.
+
+    A second signal has its usual effect.
+    """
     came, handlers = [], {}
 
     def remember(number: int, _) -> None:
@@ -80,7 +83,7 @@ def signals() -> Iterator[list[int]]:
         for each, handler in () if is_watched() else handlers.items():
             signal.signal(each, handler)
 
-    if threading.current_thread() is threading.main_thread():  # others must not set handlers
+    if threading.current_thread() is threading.main_thread():  # other threads cannot set handlers
         handlers |= {each: signal.signal(each, remember) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield came

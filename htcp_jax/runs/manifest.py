@@ -12,13 +12,13 @@ from htcp_jax.runs.identity import config_hash, identity
 MANIFEST, FORMAT = "manifest.json", 1
 TABLES = ("targets", "scenarios")
 
-MethodName = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]  # part of file names
+MethodName = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]  # it is part of file names
 Count = Annotated[int, Field(ge=0, lt=2**53)]
 Scenarios = Annotated[int, Field(ge=0, le=grid_axes.MOST)]
 
 
 class FileRecord(strict_model.FileSection):
-    """Expected rows, size and checksum of a file."""
+    """Number of rows, size and checksum that a result file must have."""
 
     rows: Count
     bytes: Count
@@ -26,21 +26,21 @@ class FileRecord(strict_model.FileSection):
 
 
 class ShardRecord(strict_model.FileSection):
-    """A finished shard: scenarios `first` to `last` by one method."""
+    """A finished shard: one method on the scenarios `first` to `last`, both included."""
 
     method: MethodName
     first: Scenarios
     last: Scenarios
-    tracked: Count  # targets
-    compile_s: float
-    run_s: float
-    planned_by: Count  # index in the manifest's list of that name
+    tracked: Count  # number of tracked targets
+    compile_s: float  # compilation time
+    run_s: float  # planning time without compilation
+    planned_by: Count  # index in the manifest's list `planned_by`
     targets: FileRecord
     scenarios: FileRecord
 
 
 class Seconds(strict_model.FileSection):
-    """Wall time of one method."""
+    """Total compilation time and planning time of one method [s]."""
 
     compile_s: float = 0.0
     run_s: float = 0.0
@@ -49,58 +49,59 @@ class Seconds(strict_model.FileSection):
 class Manifest(strict_model.FileSection):
     """Content of manifest.json.
 
-    Config, grid, dtype and files identify the run; `writer` never mixes two.
+    The fields config, grid, dtype and files identify the run. `writer` adds shards only to the run with this identity.
     """
 
     format: Literal[1] = FORMAT
-    name: str  # of the sweep
-    config: dict[str, Any]  # a PlanConfig; names of files are absolute
+    name: str  # name of the sweep
+    config: dict[str, Any]  # a PlanConfig; file names are absolute
     grid: tuple[dict[str, Any], ...]
     dtype: str
     files: dict[str, str]  # SHA-256 of the files that config and grid name
     config_hash: str
     seed: int
-    joints: tuple[str, ...]  # columns of x in the tables
-    targets: Count  # of all scenarios together
-    full: Scenarios  # scenarios of the complete grid
-    limit: int | None  # of scenarios, as requested
-    count: Scenarios  # scenarios to plan: the first of the grid
+    joints: tuple[str, ...]  # names of the columns of x in the tables, one per joint
+    targets: Count  # number of targets of all scenarios to plan
+    full: Scenarios  # number of scenarios in the complete grid
+    limit: int | None  # requested maximum number of scenarios; None: all
+    count: Scenarios  # number of scenarios to plan, the first ones of the grid
     shard_scenarios: Annotated[int, Field(gt=0)]
     methods: tuple[MethodName, ...]
-    seconds: dict[str, Seconds] = Field(default_factory=dict)  # per method
-    planned_by: tuple[dict[str, Any], ...] = ()  # commit, versions, device
+    seconds: dict[str, Seconds] = Field(default_factory=dict)  # times by method
+    planned_by: tuple[dict[str, Any], ...] = ()  # provenance of shards: commit, versions, device
+    code: dict[str, str] = Field(default_factory=dict)  # SHA-256 of methods and kinds of other packages
     shards: tuple[ShardRecord, ...] = ()
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> "Manifest":
         if self.config_hash != config_hash(identity(self.config, self.grid, self.dtype, self.files)):
-            raise ValueError("config_hash is not that of what it holds")
+            raise ValueError("config_hash does not match the contents")
         seen = set()
         for shard in self.shards:
             place = shard.method, shard.first
             last = min(shard.first + self.shard_scenarios, self.count) - 1
             known = shard.method in self.methods and shard.planned_by < len(self.planned_by)
             if not known or shard.first % self.shard_scenarios or shard.last != last or place in seen:
-                raise ValueError(f"a shard of {shard.method} has no place in it")
+                raise ValueError(f"a shard of {shard.method} does not fit into the run")
             if shard.scenarios.rows != last - shard.first + 1 or shard.tracked > shard.targets.rows:
-                raise ValueError(f"a shard of {shard.method} has other rows than scenarios")
+                raise ValueError(f"a shard of {shard.method} has an impossible number of rows")
             seen.add(place)
         return self
 
 
 class Span(NamedTuple):
-    """Scenarios `first` to `last`."""
+    """Range of scenarios, `first` to `last`, both included."""
 
     first: int
     last: int
 
 
 def spans(manifest: Manifest) -> list[Span]:
-    """Return the ranges of scenarios in a run's shards."""
+    """Return the ranges of scenarios into which a run is divided, one per shard of a method."""
     step, count = manifest.shard_scenarios, manifest.count
     return [Span(first, min(first + step, count) - 1) for first in range(0, count, step)]
 
 
 def shard_name(method: str, span: Span) -> str:
-    """Return the name of a shard's files."""
+    """Return the name of a shard's files, the same in both folders of tables."""
     return f"{method}-{span.first:06d}-{span.last:06d}.parquet"

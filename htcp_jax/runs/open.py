@@ -1,10 +1,10 @@
-"""Opening of saved plans, with one interface for a sweep's run and a plan's folder.
+"""Opening of saved plans, with one interface for the folders of `htcp sweep`, `htcp place` and `htcp plan`.
 
     found = open_plans("out/workpiece")
     found.plans("hybrid").outcomes.complete     # row s is scenario s
     found.jobs[12]                              # scenario 12 as a separate job
 
-Viewer, report and validation read the same files.
+The viewer, the report and the validation use it.
 """
 
 from functools import cached_property
@@ -23,45 +23,45 @@ from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
 from htcp_jax.runs.run_folder import Run, open_run
 
-# In the folder of a placement search: the request, and the run of the best placements.
+# Names in the folder of a placement search: the file with its request, and the run folder of the best placements.
 SEARCH, MOTIONS = "place.json", "ranked"
 
 
 class RunPlans:
-    """Plans of a run, which may be unfinished: each method has results for some or all scenarios."""
+    """Plans of a run. In an unfinished run, a method has results for some of the scenarios."""
 
     def __init__(self, run: Run):
         shards = run.manifest.shards
         self.run, self.folder = run, run.folder
-        self.methods = tuple(dict.fromkeys(shard.method for shard in shards))  # with results
-        self.count = sum(shard.last - shard.first + 1 for shard in shards)  # number of plans
-        self.config = run.config  # shared by the scenarios
+        self.methods = tuple(dict.fromkeys(shard.method for shard in shards))  # names of the methods with results
+        self.count = sum(shard.last - shard.first + 1 for shard in shards)  # number of saved plans, over all methods
+        self.config = run.config  # configuration shared by the scenarios
         self.mixed = bool(run.varied)  # True if arms, parts, cells or settings differ
         self.files = run.result_files()  # SHA-256 of the files with results, by name in the folder
 
     def plans(self, method: str) -> Plans:
-        """Read the plans of one method from disk; row s is scenario s.
+        """Return the plans of one method, read from disk; row s is scenario s.
 
         Raises:
-            InputError: For damaged files.
+            InputError: If a file is damaged.
         """
         return self.run.plans(method)
 
     @cached_property
     def jobs(self) -> list[PlanConfig]:
-        """The scenarios' complete configurations, by number.
+        """The complete configuration of each scenario, by number.
 
         Raises:
-            InputError: For a grid that cannot be read.
+            InputError: If the grid cannot be read.
         """
         return [point.config for point in self.run.points()]
 
     @cached_property
     def parameters(self) -> dict[int, Parameters]:
-        """Parameters of the scenarios with results, by number.
+        """Start, workpiece pose and tool extension of the scenarios with results, by number.
 
         Raises:
-            InputError: For damaged files.
+            InputError: If a file is damaged.
         """
         joints = self.run.manifest.joints
         return {
@@ -70,18 +70,18 @@ class RunPlans:
 
     @cached_property
     def labels(self) -> dict[int, str]:
-        """Labels of the scenarios, by number.
+        """Labels of the scenarios, by number, see `labels.labels_of`.
 
         Raises:
-            InputError: For damaged files.
+            InputError: If a file is damaged.
         """
         return self.run.labels()
 
 
 class RankedPlans(RunPlans):
-    """Plans of the placements ranked by a search.
+    """Plans of the ranked placements of a search, the best placement first.
 
-    k scenarios per placement, one per seam, the best placement first.
+    Each placement has one scenario per seam.
     """
 
     def __init__(self, run: Run, seams: int):
@@ -90,10 +90,10 @@ class RankedPlans(RunPlans):
 
     @cached_property
     def labels(self) -> dict[int, str]:
-        """Labels of the scenarios, preceded by the rank of their placement.
+        """Labels of the scenarios, by number; each begins with the rank of its placement.
 
         Raises:
-            InputError: For damaged files.
+            InputError: If a file is damaged.
         """
         reported = self.run.labels()
         return {
@@ -103,10 +103,10 @@ class RankedPlans(RunPlans):
 
 
 class FolderPlan:
-    """The plan in one folder, as scenario 0; same interface as `RunPlans`.
+    """The plan in a folder of `htcp plan`, as scenario 0; it has the same interface as `RunPlans`.
 
     Raises:
-        InputError: For a configuration that cannot be read and for arrays that do not form one plan.
+        InputError: If the configuration cannot be read, or if the arrays do not form one plan.
     """
 
     def __init__(self, folder: Path, record: PlanRecord):
@@ -121,8 +121,8 @@ class FolderPlan:
         self._plans = Plans(**arrays, via_points=via_points, compile_s=0.0, run_s=0.0)
 
     def plans(self, method: str) -> Plans:
-        """Return the plan's arrays, with a leading axis of length 1; the folder stores no run times."""
-        del method  # the folder has only one
+        """Return the plan, with a scenario axis of length 1 in each array. Its run times are 0; they are not saved."""
+        del method  # the folder has results of one method only
         return self._plans
 
 
@@ -133,8 +133,8 @@ def open_plans(folder: str | Path) -> PlanSet:
     """Open the plans in a folder of `htcp sweep` or `htcp plan`, or the ranked plans of `htcp place`.
 
     Raises:
-        InputError: For any other folder, for a run without results, a search without a placement, for damaged files,
-            and for a cloud, path or model that has changed since they were planned.
+        InputError: If the folder is none of these, has no results or no ranked placement, or has a damaged file, or if
+            a cloud, path or model has changed since planning.
     """
     folder = Path(folder)
     if (folder / MANIFEST).exists():
@@ -145,27 +145,27 @@ def open_plans(folder: str | Path) -> PlanSet:
         return FolderPlan(folder, record)
     if (folder / SEARCH).exists():
         return _open_ranked(folder)
-    raise InputError(f"{folder} holds neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
+    raise InputError(f"{folder} contains neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
 
 
 def run_folder(folder: Path) -> Path:
-    """Return the folder of the plans: the folder itself, or the run of the best placements in a search's folder.
+    """Return the folder with the plans: for a placement search, its run of the best placements; else `folder`.
 
     Raises:
-        InputError: For a search without ranked placements.
+        InputError: If the search has no ranked placement.
     """
     if (folder / MANIFEST).exists() or not (folder / SEARCH).exists():
         return folder
     if not (folder / MOTIONS / MANIFEST).exists():
-        raise InputError(f"{folder} is a search of htcp place that has not ranked any mounting")
+        raise InputError(f"{folder} is a search of htcp place without a ranked mounting")
     return folder / MOTIONS
 
 
 def plans_of_run(run: Run) -> RunPlans:
-    """Return the plans of an open run.
+    """Return the plans of an opened run.
 
     Raises:
-        InputError: As `open_plans` does.
+        InputError: If the run has no results, or if an input file has changed since planning.
     """
     _refuse_unfit(run)
     return RunPlans(run)
@@ -174,14 +174,14 @@ def plans_of_run(run: Run) -> RunPlans:
 def _refuse_unfit(run: Run) -> None:
     refuse_changed(run.manifest.files, run.folder)
     if not run.manifest.shards:
-        raise InputError(f"{run.folder} has no finished shard yet")
+        raise InputError(f"{run.folder} has no finished shard yet; run the sweep first")
 
 
 def _open_ranked(folder: Path) -> RankedPlans:
-    """Open the plans of a search.
+    """Open the ranked plans of a placement search.
 
     Raises:
-        InputError: Without ranked placements, and for a damaged file.
+        InputError: If the search has no ranked placement, or if a file is damaged.
     """
     run = open_run(run_folder(folder))
     try:
@@ -193,15 +193,15 @@ def _open_ranked(folder: Path) -> RankedPlans:
 
 
 def _read_via_points(file: Path, record: PlanRecord, joints: int) -> ViaPoints:
-    """Return a plan's via points.
+    """Return the via points of a saved plan.
 
     Raises:
-        InputError: For arrays of the wrong shape.
+        InputError: If an array has the wrong shape or type.
     """
     target, x, share = record.via_points
     kinds = target.dtype.kind in "iu" and x.dtype.kind == share.dtype.kind == "f"
     if x.shape != (len(target), joints) or share.shape != target.shape or not kinds:
-        raise InputError(f"{file}: the via points have the shape {x.shape}; damaged")
+        raise InputError(f"{file} is damaged: the via points have the shape {x.shape}")
     return ViaPoints(np.zeros(len(target), np.int32), target, x, share)
 
 
@@ -209,10 +209,10 @@ def _check_shapes(file: Path, arrays: dict[str, np.ndarray], joints: int) -> Non
     """Check that arrays form one plan.
 
     Raises:
-        InputError: If they do not.
+        InputError: If the shape or the type of an array is wrong.
     """
     count = arrays["status"].size
     shapes = {"start": (joints,), "x": (count, joints), "tcp": (count, 3), "target": (count, 3)}
     for name, array in arrays.items():
         if array.shape != shapes.get(name, (count,)) or array.dtype.kind not in "fiu":
-            raise InputError(f"{file}: {name} has the shape {array.shape}; damaged")
+            raise InputError(f"{file} is damaged: {name} has the shape {array.shape}")

@@ -1,8 +1,11 @@
-"""Parameters in which a run's scenarios differ, and their columns in a scenario table.
+"""Parameters in which the scenarios of a run may differ, and their columns in the scenario table.
+
+The columns are:
 
     start_<joint>_rad ..., rotation_x_rad, rotation_y_rad, rotation_z_rad, shift_x_m ..., tool_extension_m
 
-The names are defined only here. The start in a table is the plan's first configuration, see `Plans.start`.
+The names of the columns are defined only here. The start in a table is the first configuration of the plan, see
+`Plans.start`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,13 +22,13 @@ TOOL = "tool_extension_m"
 
 
 class Parameters(NamedTuple):
-    """Start of the motion, pose of the workpiece and length of the tool in one scenario."""
+    """Start of the motion, pose of the workpiece and extension of the tool in one scenario."""
 
-    start: Float[np.ndarray, "N"]  # [rad or m]; empty if the planner chooses it
-    rotation_x_rad: float  # of the workpiece about its pivot, first about world x, then y, then z
+    start: Float[np.ndarray, "N"]  # first configuration [rad or m]; empty if the planner chooses it
+    rotation_x_rad: float  # rotations of the workpiece about its pivot: about world x, then y, then z
     rotation_y_rad: float
     rotation_z_rad: float
-    shift_m: Float[np.ndarray, "3"]  # of the workpiece, world
+    shift_m: Float[np.ndarray, "3"]  # translation of the workpiece in the world
     tool_extension_m: float
 
 
@@ -40,7 +43,7 @@ def of_row(row: Mapping[str, Any], joints: Sequence[str]) -> Parameters:
     """Return the parameters in a row of a scenario table.
 
     Args:
-        row: Values by column.
+        row: Values by name of their columns.
         joints: Names of the columns of x, see `tables.joint_columns`.
     """
     start, shift = ([row[name] for name in names] for names in (start_columns(joints), SHIFTS))
@@ -50,11 +53,11 @@ def of_row(row: Mapping[str, Any], joints: Sequence[str]) -> Parameters:
 def columns(
     parameters: Sequence[Parameters], start: Float[np.ndarray, "S N"], joints: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Return the columns of S scenarios, in order.
+    """Return the columns of the scenario table that contain the parameters of S scenarios.
 
     Args:
         parameters: Parameters of each scenario.
-        start: First configurations of the plans [rad or m].
+        start: First configuration of each plan [rad or m].
         joints: Names of the columns of x, see `tables.joint_columns`.
     """
     found = {name: start[:, k] for k, name in enumerate(start_columns(joints))}
@@ -65,5 +68,5 @@ def columns(
 
 
 def start_columns(joints: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns of the start, one per joint."""
+    """Return the names of the columns that contain the start, one per joint."""
     return tuple(f"start_{name}" for name in joints)

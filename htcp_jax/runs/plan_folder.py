@@ -1,4 +1,4 @@
-"""Files of one plan, each written to a temporary file and moved into place."""
+"""Reading and writing of the files of one plan. A file is written under a temporary name and then renamed."""
 
 import contextlib
 import csv
@@ -25,24 +25,24 @@ from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.unfinished import temporary_folder
 
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
-VALIDATION = "validation.json"  # results of `htcp validate` for a plan or a run
+VALIDATION = "validation.json"  # file with the results of `htcp validate` for a plan or a run
 
 
 class PlanRecord(NamedTuple):
-    """A saved plan."""
+    """Content of a saved plan's folder."""
 
     method: str
-    config: dict
-    files: dict[str, str]  # SHA-256 of the files in the configuration
-    arrays: dict[str, np.ndarray]  # of `Plans`, for the one scenario
-    via_points: tuple[np.ndarray, np.ndarray, np.ndarray]  # target (n,), x (n, N), share (n,)
+    config: dict  # the complete job
+    files: dict[str, str]  # SHA-256 of the files that the job names, by path
+    arrays: dict[str, np.ndarray]  # fields of `Plans` by name, for the plan's only scenario
+    via_points: tuple[np.ndarray, np.ndarray, np.ndarray]  # target (n,), x (n, N), share (n,); see `ViaPoints`
 
 
 def read_plan(folder: Path) -> PlanRecord:
-    """Return the plan in `folder`.
+    """Read the plan in a folder of `htcp plan`.
 
     Raises:
-        InputError: For files that are missing, damaged or of another format.
+        InputError: If a file is missing, damaged or has another format.
     """
     try:
         summary = files.read_json(folder / SUMMARY, folder)
@@ -53,7 +53,7 @@ def read_plan(folder: Path) -> PlanRecord:
         via_points = target, x, found.get("via_point_share", np.zeros(len(target)))
         return PlanRecord(method, config, hashes, {name: found[name] for name in plan_arrays.ARRAYS}, via_points)
     except OSError as error:
-        raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
+        raise InputError(f"{folder} contains no plan: cannot read {error.filename}: {error.strerror}") from None
     except InputError:
         raise
     except KeyError as error:
@@ -64,13 +64,15 @@ def read_plan(folder: Path) -> PlanRecord:
 
 @contextlib.contextmanager
 def made_folder(folder: Path) -> Iterator[bool]:
-    """Create `folder` with its parents, and yield True if it is new; new folders that are empty at the end are removed.
+    """Create a folder and its parents for a block, and yield True if the folder is new.
+
+    New folders that are empty at the end of the block are removed.
 
     Raises:
-        InputError: If it cannot be made.
+        InputError: If the folder cannot be created.
     """
     try:
-        missing = [each for each in (folder, *folder.parents) if not each.exists()]  # a name may be too long
+        missing = [each for each in (folder, *folder.parents) if not each.exists()]  # raises if a name is too long
     except OSError as error:
         raise _unwritable(folder, error) from None
     try:
@@ -81,16 +83,16 @@ def made_folder(folder: Path) -> Iterator[bool]:
         yield bool(missing)
     finally:
         for each in missing:
-            with contextlib.suppress(OSError):  # non-empty folders stay
+            with contextlib.suppress(OSError):  # the folder is not empty
                 each.rmdir()
 
 
 @contextlib.contextmanager
 def written_whole(folder: Path) -> Iterator[Path]:
-    """Yield a scratch folder whose files are moved into `folder` at the end of the block, or deleted if it raises.
+    """Yield a temporary folder. At the end of the block its files are moved into `folder`; after an error, deleted.
 
     Raises:
-        InputError: At once if `folder` cannot be made or written, and later if the files cannot be moved.
+        InputError: At once if `folder` cannot be created or written to; at the end if the files cannot be moved.
     """
     with made_folder(folder):
         try:
@@ -109,19 +111,19 @@ def _unwritable(folder: Path, error: OSError) -> InputError:
 def write_trajectory_csv(
     file: Path, robot: Robot, plans: Plans, manipulability: Float[np.ndarray, "T"], row: int = 0
 ) -> None:
-    """Write one line per target; NaN in `plans`, for unknown values, becomes an empty cell.
+    """Write a plan as a CSV file with one line per target.
 
-    Numbers round-trip exactly.
+    NaN (an unknown value) becomes an empty cell. Numbers have all digits, so that they are read back exactly.
 
     Args:
         file: The file.
         robot: The arm, for the names and units of its joints.
         plans: The plans.
-        manipulability: At each target [m/rad]; NaN if unknown.
-        row: Row of the scenario.
+        manipulability: Manipulability at each target [m/rad]; NaN if unknown.
+        row: Row of the scenario in `plans`.
 
     Raises:
-        InputError: As `write_text` does.
+        InputError: If the file cannot be written.
     """
     statuses = [Status(status).name for status in plans.status[row].tolist()]
     columns = {"target": range(len(statuses)), "status": statuses, **_joint_columns(robot, plans.x[row])}
@@ -146,31 +148,31 @@ def write_trajectory_csv(
 
 
 def write_motion_csv(file: Path, robot: Robot, motion: Motion) -> None:
-    """Write one line per configuration of a motion: its target, `status.Kind` and joints.
+    """Write a motion as a CSV file with one line per configuration: target, `status.Kind` and joint values.
 
-    No lines if no target is executable. Numbers round-trip exactly.
+    If no target is executable, the file has only a header. Numbers have all digits, so that they are read back exactly.
 
     Args:
         file: The file.
         robot: The arm, for the names and units of its joints.
-        motion: See `motion.motion`.
+        motion: The motion, see `motion.motion`.
 
     Raises:
-        InputError: As `write_text` does.
+        InputError: If the file cannot be written.
     """
     kinds = [Kind(kind).name for kind in motion.kind.tolist()]
     _write_csv(file, {"target": motion.target, "kind": kinds, **_joint_columns(robot, motion.x)})
 
 
 def _joint_columns(robot: Robot, x: Float[np.ndarray, "n N"]) -> dict[str, np.ndarray]:
-    """Return the configurations, one column per joint."""
+    """Return one column per joint, by name, for n configurations."""
     units = ["m" if slides else "rad" for slides in robot.slides]
     names = [f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True)]
     return dict(zip(names, x.T, strict=True))
 
 
 def _write_csv(file: Path, columns: Mapping[str, Iterable]) -> None:
-    """Write columns of equal length, NaN as empty cells."""
+    """Write columns of equal length as a CSV file; NaN becomes an empty cell."""
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
@@ -180,19 +182,19 @@ def _write_csv(file: Path, columns: Mapping[str, Iterable]) -> None:
 
 
 def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
-    """Write the arrays of `plans` for one scenario under the names of its fields; no pickles.
+    """Write the arrays of one scenario as an .npz file without pickles, under the names of the fields of `Plans`.
 
-    `start` is (N,). Further arrays: `joint_names` and the via points' `via_point_target` (n,), `via_point_x` (n, N) and
-    `via_point_share` (n,), see `ViaPoints`.
+    The array `start` has the shape (N,). Additional arrays are `joint_names` and, for n via points, `via_point_target`
+    (n,), `via_point_x` (n, N) and `via_point_share` (n,), see `ViaPoints`.
 
     Args:
         file: The file.
         robot: The arm, for the names of its joints.
         plans: The plans.
-        row: Row of the scenario.
+        row: Row of the scenario in `plans`.
 
     Raises:
-        InputError: If it cannot be written.
+        InputError: If the file cannot be written.
     """
     arrays = {name: array[row] for name, array in plans.arrays().items()}
     via_points = plans.via_points.rows(np.array([row]))
@@ -204,25 +206,27 @@ def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 
 def write_json(file: Path, record: dict) -> None:
-    """Write `record` as JSON, NaN and infinities as null.
+    """Write a mapping as a JSON file; NaN and infinities become null.
 
     Raises:
-        InputError: As `write_text` does.
+        InputError: If the file cannot be written.
     """
     write_text(file, json_text(record) + "\n")
 
 
 def json_text(record: Any) -> str:
-    """Return `record` as JSON, NaN and infinities as null."""
+    """Return `record` as JSON text; NaN and infinities become null."""
     return json.dumps(_json_value(record), indent=2, allow_nan=False)
 
 
 @contextlib.contextmanager
 def writable_file(file: Path) -> Iterator[None]:
-    """Create the folder of a file that is written at the end of the block; it is removed again if it is empty then.
+    """Create the folder of a file that the block will write, and check that the file can be written.
+
+    The folder is removed at the end of the block if it is new and empty.
 
     Raises:
-        InputError: At once, without side effects, if the file cannot be written.
+        InputError: Before the block, without side effects, if the file cannot be written.
     """
     with made_folder(file.parent):
         try:
@@ -238,10 +242,10 @@ def writable_file(file: Path) -> Iterator[None]:
 
 
 def append_text(file: Path, text: str) -> None:
-    """Append to a file in UTF-8, after an empty line if it is not empty.
+    """Append text to a file in UTF-8; if the file is not empty, a line break is written first.
 
     Raises:
-        InputError: If it cannot be written; the file is then unchanged.
+        InputError: If the file cannot be written. It is then unchanged.
     """
     before = 0
     try:
@@ -255,16 +259,16 @@ def append_text(file: Path, text: str) -> None:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a file in UTF-8 atomically.
+    """Write text to a file in UTF-8, atomically.
 
     Raises:
-        InputError: If it cannot be written; an existing file is then unchanged.
+        InputError: If the file cannot be written. An existing file is then unchanged.
     """
     files.write_atomically(file.parent, file.name, text.encode())
 
 
 def summary_record(summary: Summary) -> dict:
-    """Return the summary with the failures' statuses as text."""
+    """Return a summary as a mapping for JSON, with the statuses of failed targets as text."""
     failed = [
         {"scenario": f.scenario, "target": f.target, "status": f.status.name, "reason": f.status.message}
         for f in summary.failures
@@ -273,7 +277,7 @@ def summary_record(summary: Summary) -> dict:
 
 
 def _json_value(value: Any) -> Any:
-    """Convert `value` to JSON's types."""
+    """Return a value converted to JSON's types; NaN and infinities become None."""
     if dataclasses.is_dataclass(value):
         value = dataclasses.asdict(value)
     if isinstance(value, dict):

@@ -1,39 +1,44 @@
-"""Provenance of results: versions, device, float width, commit."""
+"""Provenance of results: versions, device, float type, and commit of the code."""
 
 import functools
+import hashlib
 import importlib.metadata
 import os
 import platform
 import subprocess
+import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import jax
-import numpy as np
 
 import htcp_jax
 from htcp_jax.backend import default_device
+from htcp_jax.io import files as io_files
+from htcp_jax.registry import Registry
 
 
 def provenance() -> dict:
-    """Return the versions, default device and float width of this process."""
+    """Return the packages' versions, the default device and the float type of this process."""
     packages = ("htcp_jax", "jax", "jaxlib", "numpy", "mujoco", "clarabel", "qpsolvers")
     device = default_device()
     kind = _processor() if device.platform == "cpu" else device.device_kind
     return {
         "versions": {name: _version(name) for name in packages},
         "device": f"{device.platform}: {kind}",
-        "dtype": str(np.dtype(jax.numpy.zeros(0).dtype)),
+        "dtype": str(jax.dtypes.canonicalize_dtype(float)),
     }
 
 
 @functools.cache
 def _processor() -> str:
-    """Return the processor's model, for which a compiler optimises, as far as the system reports it."""
+    """Return the model of the processor, as far as the system reports it. Compiled code depends on the model."""
     try:
         lines = (line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines())
         found = {name.strip(): value.strip() for name, _, value in lines}
         return f"{found['model name']}, family {found['cpu family']}, model {found['model']}"
-    except (OSError, UnicodeDecodeError, KeyError):  # another system or another architecture
+    except (OSError, UnicodeDecodeError, KeyError):  # not Linux, or another architecture
         return platform.processor() or platform.machine()
 
 
@@ -41,22 +46,22 @@ def _version(package: str) -> str | None:
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        return None  # run from a source tree
+        return None  # the package is not installed but run from its source
 
 
 def planned_by() -> dict:
-    """Return the versions, device, float width and commit of this process."""
+    """Return the versions, device, float type and commit of this process, as recorded with its results."""
     return provenance() | {"commit": commit()}
 
 
-@functools.cache  # of the running code, even if another commit is checked out later
+@functools.cache  # the running code does not change if another commit is checked out later
 def commit() -> str | None:
-    """Return the commit of this package's source, see `commit_of`."""
+    """Return the commit of the source of this package, see `commit_of`."""
     return commit_of(Path(htcp_jax.__file__).parent)
 
 
 def commit_of(package: Path) -> str | None:
-    """Return the commit of a package's folder, with "+changes" if it was edited since; None without git."""
+    """Return the git commit of a package's folder, with "+changes" if files differ from it; None if not in git."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
 
     def git(*words: str) -> str:
@@ -68,3 +73,31 @@ def commit_of(package: Path) -> str | None:
         return git("rev-parse", "HEAD").strip() + ("+changes" if git("status", "--porcelain", "--", ".") else "")
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+def code_of(added: Registry, names: Iterable[str]) -> dict[str, str]:
+    """Return the SHA-256 of the source files of extensions that are not built in, by "noun name".
+
+    The hash covers all files of the extension's top-level package. Extensions without a source file, such as those
+    defined in a notebook, are excluded.
+
+    Args:
+        added: The registry of the extensions.
+        names: Names of extensions; built-in ones are ignored.
+    """
+    found = {}
+    for name in filter(added.is_added, names):
+        if files := _source_files(added.find(name)):
+            data = b"".join(map(io_files.read_bytes, files))
+            found[f"{added.noun} {name}"] = hashlib.sha256(data).hexdigest()
+    return found
+
+
+def _source_files(value: Any) -> list[Path]:
+    """Return the sorted paths of the source files of the top-level package or module that defines an object."""
+    kind = value if isinstance(value, type) else type(value)
+    top = sys.modules.get(kind.__module__.partition(".")[0])
+    folders = [Path(folder) for folder in getattr(top, "__path__", ())]
+    module = Path(getattr(top, "__file__", None) or "")
+    files = [file for folder in folders for file in folder.rglob("*.py")] or [module]
+    return sorted(file for file in files if file.is_file())

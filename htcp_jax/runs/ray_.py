@@ -1,9 +1,9 @@
-"""Planning of a sweep's shards on Ray: a larger machine, or several.
+"""Planning of a sweep's shards on a Ray cluster of one or more machines.
 
-Every shard is a task. A worker needs only this package: the arm, the workpiece and the scenarios are sent to it, plans
-are sent back, and the driver writes them. A task whose worker or node dies is retried on another one. Results do not
-depend on the worker: on equal CPUs they equal those of `local`, on GPUs up to rounding, as the driver prepares its
-inputs on a CPU.
+Every shard is a Ray task. A worker needs only this package: the driver sends it the arm, the workpiece and the
+scenarios, receives the plans, and writes them. A task whose worker or node dies is retried on another worker. Results
+do not depend on the worker. On equal CPUs they equal the results of `local`. On GPUs they are equal up to rounding, as
+the driver prepares the inputs on a CPU.
 """
 
 import contextlib
@@ -28,46 +28,46 @@ from htcp_jax.planning import registry
 from htcp_jax.runs.local import PlannedShard, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
 
-ANSWER_S = 5.0  # for a connection to a cluster, and for its first answer
+ANSWER_S = 5.0  # timeout for a connection to a cluster, and for its first response [s]
 HTTP2 = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))  # connection preface of a gRPC client
-TRIES = 5  # one second each, to connect to a cluster that does not answer as Ray
-POLL_S = 0.5  # interval between checks for a signal
-GPU_SHARE = 0.75  # of a GPU's memory that JAX allocates by default
+TRIES = 5  # maximum number of attempts, one second each, to connect to a cluster
+POLL_S = 0.5  # time between two checks for a signal [s]
+GPU_SHARE = 0.75  # share of a GPU's memory that JAX allocates by default
 
 
 @contextlib.contextmanager
 def on_ray(batch: grid.Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
-    """Connect to a Ray cluster and yield plan(shards, report), see `local.plan_here`.
+    """Connect to a Ray cluster and yield a function plan(shards, report), which yields the plans of each shard.
 
     Args:
-        batch: The scenarios.
-        config: Configuration with the resources of a shard.
-        address: Address of the cluster; empty: the cluster that Ray finds, or a new one on this machine.
+        batch: The scenarios of the sweep.
+        config: Configuration with the resources per shard, in its section `ray`.
+        address: Address of the cluster; "": the cluster that Ray finds, or a new one on this machine.
 
     Raises:
-        InputError: If Ray is not installed, cannot be reached, or this machine lacks the GPUs of a shard.
-        Lost: By plan, if a shard's workers died more often than `config.ray.retries` allows, or the cluster died.
+        InputError: If Ray is not installed or cannot be reached, or if this machine has too few GPUs for a shard.
+        Lost: Raised by plan, if the workers of a shard died more often than `ray.retries` allows or the cluster died.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
-        import ray  # here, because it is an extra
+        import ray  # here, as it is an optional dependency
     except ImportError:
-        raise InputError("Ray is not installed; get it with: pip install 'htcp_jax[ray]'") from None
+        raise InputError("Ray is not installed; install it with: pip install 'htcp_jax[ray]'") from None
     logging.getLogger("ray").setLevel(logging.ERROR)
     ours = not ray.is_initialized()
     try:
         if ours:
-            # Ray starts its programs by fork.
+            # Ray starts its processes by fork, which JAX warns of.
             warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
             with _constants(ray, **({"NUM_REDIS_GET_RETRIES": TRIES} if _is_there(address) else _own_cluster())):
                 ray.init(address or None, include_dashboard=False, log_to_driver=False, configure_logging=False)
-    except Exception as error:  # of many kinds, plain Exception among them
+    except Exception as error:  # Ray raises exceptions of many types, including Exception
         raise InputError(f"cannot reach Ray at {address or 'this machine'}: {' '.join(str(error).split())}") from None
     try:
         _refuse_missing_gpus(ray, config.ray)
         yield lambda shards, report: _plan(ray, batch, config, shards, report)
     except Lost:
-        ours = False  # Ray may end this process after a node has died, before the message is shown
+        ours = False  # no shutdown: after a node has died, it may end this process before the message is printed
         raise
     finally:
         if ours:
@@ -76,14 +76,14 @@ def on_ray(batch: grid.Batch, config: PlanConfig, address: str) -> Iterator[Call
 
 
 def _is_there(address: str) -> bool:
-    """Return True for a cluster that answers, False if a new one is to be started.
+    """Return True if a cluster responds at the address; False if there is none to connect to, so it must be started.
 
     Raises:
-        OSError: For one that does not answer: Ray itself would retry for a minute, and print messages.
+        OSError: If no cluster responds at the address. Ray by itself would retry for a minute and print messages.
     """
     from ray._private.services import canonicalize_bootstrap_address
 
-    if address.startswith("ray://"):  # Ray's client
+    if address.startswith("ray://"):  # address for Ray's client
         place = address.removeprefix("ray://")
     elif (place := canonicalize_bootstrap_address(address or None)) is None:
         return False
@@ -96,19 +96,20 @@ def _is_there(address: str) -> bool:
 
 
 def _own_cluster() -> dict[str, bool]:
-    """Return constants with which a new cluster listens only on 127.0.0.1, and require the user's token.
+    """Prepare a new local cluster: enable authentication by a token, and return constants to set in Ray.
 
-    Ray replaces 127.0.0.1 by another address unless its clusters are confined to one machine, as on Windows.
+    With these constants the cluster listens only on 127.0.0.1. Otherwise Ray would replace this address by another one,
+    except on systems such as Windows, where its clusters are confined to one machine.
     """
     from ray._private.authentication.authentication_token_setup import enable_token_auth_by_default
 
-    enable_token_auth_by_default()  # RAY_AUTH_MODE, if it is set, decides
+    enable_token_auth_by_default()  # unless the variable RAY_AUTH_MODE is set
     return {"ENABLE_RAY_CLUSTER": False}
 
 
 @contextlib.contextmanager
 def _constants(ray, **values: int | bool) -> Iterator[None]:
-    """Set constants of Ray for the duration of a block."""
+    """Set constants of the module ray_constants of Ray during a block."""
     known = vars(ray._private.ray_constants)
     before = {name: known[name] for name in values}
     known.update(values)
@@ -126,10 +127,10 @@ def _on_host(cell: grid.PlannerInputs) -> grid.PlannerInputs:
 def _plan(
     ray, batch: grid.Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable
 ) -> Iterator[PlannedShard]:
-    """Plan the shards.
+    """Plan shards on the cluster, and yield the plans of each shard when it is finished.
 
-    More tasks are queued than the cluster can run, so that it never idles and may scale up. The slowest methods, the
-    last in `registry.names`, are started first, so that the workers finish at about the same time.
+    More tasks are queued than the cluster can run, so that workers are never idle and the cluster may scale up. The
+    slowest methods (the last ones in `registry.names`) start first, so that all workers finish at about the same time.
     """
     task = ray.remote(_plan_shard).options(
         num_cpus=config.ray.num_cpus,
@@ -152,19 +153,19 @@ def _plan(
                 return
             if not _own_node_answers(ray):
                 running.clear()
-                raise Lost("Ray lost its workers (this process's own node is gone)")
+                raise Lost("Ray lost its workers (the node of this process has stopped)")
             done, _ = ray.wait(list(running), timeout=POLL_S)
             report(next(iter(running.values())).method)
-            if not any(node["Alive"] for node in ray.nodes()):  # Ray itself would wait without end
+            if not any(node["Alive"] for node in ray.nodes()):  # Ray by itself would wait without end
                 running.clear()
                 raise Lost("Ray lost its workers (no node is left)")
             for ref in done:
                 yield PlannedShard(running.pop(ref), *ray.get(ref))
     except ray.exceptions.RayTaskError as error:
-        raise error.cause from None  # what the planner itself raised
+        raise error.cause from None  # the exception of the planner on the worker
     except (ray.exceptions.RayError, OSError) as error:  # OSError: Ray writes to a dead node
         if isinstance(error, ray.exceptions.LocalRayletDiedError | OSError):
-            running.clear()  # no node is left to cancel it, and Ray may end this process if it tries
+            running.clear()  # no tasks are cancelled: no node is left, and Ray might end this process
         raise Lost(f"Ray lost its workers ({type(error).__name__})") from None
     finally:
         with contextlib.suppress(Exception):
@@ -173,26 +174,26 @@ def _plan(
 
 
 def _refuse_missing_gpus(ray, share: configs.RayConfig) -> None:
-    """Check that this machine has the required GPUs if this process has started Ray, which then has no other nodes.
+    """Check that a cluster started by this process has the GPUs that a shard requires.
 
-    Another cluster may scale up.
+    Such a cluster has only this machine. An existing cluster is not checked, as it may scale up.
 
     Raises:
-        InputError: If it has fewer.
+        InputError: If the machine has too few GPUs.
     """
     node = ray._private.worker.global_worker.node
     if node is not None and node.is_head() and (has := ray.cluster_resources().get("GPU", 0)) < share.num_gpus:
-        raise InputError(f"ray.num_gpus is {share.num_gpus:g}; this machine has {has:g} GPUs")
+        raise InputError(f"ray.num_gpus is {share.num_gpus:g}, but this machine has {has:g} GPUs; set a smaller number")
 
 
 def _own_node_answers(ray) -> bool:
-    """Return True if this process's own node is alive.
+    """Return True if the Ray node of this process is alive.
 
-    Ray notices its death only after some seconds, and then ends the process without an exception when it next accesses
-    the node's memory.
+    Ray detects the death of a node only after some seconds. An access to the node's memory then ends this
+    process without an exception.
     """
     node = getattr(ray._private.worker.global_worker, "node", None)
-    if node is None:  # connected by Ray's client, to a process elsewhere
+    if node is None:  # connected by Ray's client: the node belongs to another process
         return True
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as knock:
         try:
@@ -205,16 +206,16 @@ def _own_node_answers(ray) -> bool:
 def _plan_shard(
     method: str, scenarios: Scenario, share: configs.RayConfig, cell: Int[np.ndarray, "S"], *cells: grid.PlannerInputs
 ) -> tuple[Plans, dict]:
-    """Plan one shard on a worker; return the plans and their provenance."""
+    """Plan one shard on a worker, and return the plans with their provenance."""
     compile_cache.enable()
     cells = [each._replace(robot=jax.tree.map(jnp.asarray, each.robot)) for each in cells]
     return plan_cells(cells, cell, scenarios, method, max(1, int(share.num_cpus))), planned_by()
 
 
 def _environment(share: configs.RayConfig) -> dict[str, str]:
-    """Return the workers' environment.
+    """Return the environment variables of the workers.
 
-    No GPU for tasks that request none, a part of its memory for tasks that share it.
+    A task that requests no GPU uses the CPU. Tasks that share a GPU get a part of its memory each.
     """
     if not share.num_gpus:
         return {"JAX_PLATFORMS": "cpu"}

@@ -17,36 +17,38 @@ REACHABILITY = "reachability.json"
 class ReachabilityBounds(NamedTuple):
     """Reachability bounds for every scenario of a run."""
 
-    prefix: np.ndarray  # (S,) lower bound: consecutive targets known to be reachable, scenarios 0, 1, ...
-    most: np.ndarray  # (S,) upper bound: targets not proven unreachable
-    resolution_rad: float | None  # of the search; None if it sampled configurations within the joint limits
-    seed: int
-    each: np.ndarray | None = None  # (S, T) numbers of `Reach`, every target by itself; None if that was not required
+    prefix: np.ndarray  # (S,) lower bound: number of targets, from the first on, that are reachable
+    most: np.ndarray  # (S,) upper bound: number of targets before the first one that is proven unreachable
+    resolution_rad: float | None  # resolution of tool orientations; None if configurations were sampled
+    seed: int  # random seed of the search
+    each: np.ndarray | None = None  # (S, T) values of `Reach` for each target by itself; None if not computed
 
 
 WORDS = {reach.words: int(reach) for reach in Reach}
 
 
 def read_reachability(run: Run) -> ReachabilityBounds | None:
-    """Read the reachability bounds of a run; None without a search, or after an interrupted one.
+    """Return the reachability bounds of a run; None if they have not been computed completely.
 
     Raises:
-        InputError: For a damaged file, and for another number of scenarios.
+        InputError: If the file is damaged, or if it has another number of scenarios than the run.
     """
     file = Path(run.folder) / REACHABILITY
     try:
         record = files.read_json(file, Path(run.folder))
         if isinstance(record, dict) and not record.get("complete", True):
-            warnings.warn(f"{file} is incomplete and not used; htcp reachability creates it again", Note, stacklevel=2)
+            warnings.warn(f"{file} is incomplete and not used; run htcp reachability again", Note, stacklevel=2)
             return None
         found = _read_record(record)
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(f"{file} is damaged or no result of htcp reachability: {files.cause(error, file)}") from None
+        raise InputError(
+            f"{file} is damaged or not a result of htcp reachability: {files.cause(error, file)}"
+        ) from None
     counts = [found.prefix, found.most] + ([] if found.each is None else [found.each[:, 0]])
     if any(each.shape != (run.manifest.count,) for each in counts):
-        raise InputError(f"{file} holds {found.prefix.size} scenarios, the run has {run.manifest.count}")
+        raise InputError(f"{file} contains {found.prefix.size} scenarios, but the run has {run.manifest.count}")
     return found
 
 

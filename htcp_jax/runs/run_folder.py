@@ -1,13 +1,13 @@
 """The folder of a sweep's results.
 
     manifest.json                                     request, provenance and list of finished shards
-    targets/<method>-<first>-<last>.parquet           rows of the scenarios <first> to <last>: a shard
-    scenarios/<method>-<first>-<last>.parquet         see `tables` for the columns
+    targets/<method>-<first>-<last>.parquet           rows of a shard, the scenarios <first> to <last>: see `columns`
+    scenarios/<method>-<first>-<last>.parquet         one row per scenario of the shard: see `columns`
     timing/<method>.parquet                           times of a method's scenarios, if requested: see `timing_file`
 
-Each file is written to a temporary file and moved into place. A shard's file is valid only if the manifest lists it
-with its size and SHA-256. The manifest is written after the files of a shard, so a shard is completely in the run or
-not at all, whenever the process dies.
+A file is written under a temporary name and then renamed. A shard's file is valid only if the manifest lists it with
+its size and SHA-256. The manifest is written after the files of a shard. If the process dies, a shard is therefore
+either complete or not part of the run.
 """
 
 import hashlib
@@ -51,11 +51,11 @@ if TYPE_CHECKING:
 
 
 class Run:
-    """Results of a sweep, read from its folder; see `tables` for the columns of the tables."""
+    """Results of a sweep, read from its folder. The columns of its tables are described in `columns`."""
 
     def __init__(self, folder: Path, manifest: Manifest, keep: Any = None):
         self.folder, self.manifest = folder, manifest
-        self._keep = keep  # keeps a temporary folder alive
+        self._keep = keep  # reference that keeps a temporary folder from being deleted
         self._small: dict[str, pa.Table] = {}  # cached tables of scenarios, by file name
 
     def __repr__(self) -> str:
@@ -73,18 +73,18 @@ class Run:
         found = summarise(self.plans(method))
         return (
             f"{100 * found.success_rate:.2f} %: {found.tracked:,} of {found.targets:,} targets, "
-            f"{found.complete:,} of {found.scenarios:,} scenarios complete, {found.step_ms:.2f} ms a step"
+            f"{found.complete:,} of {found.scenarios:,} scenarios complete, {found.step_ms:.2f} ms per target"
         )
 
     def frame(self, table: str = "scenarios", *methods: str) -> "pandas.DataFrame":
-        """Return one of the two tables as a pandas frame.
+        """Return one of the run's tables as a pandas frame.
 
         Args:
-            table: scenarios or targets.
-            *methods: Names of methods; none: all.
+            table: "scenarios" or "targets".
+            *methods: Names of methods; without names, all methods.
 
         Raises:
-            InputError: As `targets` does, for another table, and without pandas.
+            InputError: See `targets`; also if the table is unknown or pandas is not installed.
         """
         if table not in TABLES:
             raise InputError(f"a run has no table {table!r}; valid: scenarios, targets")
@@ -92,7 +92,7 @@ class Run:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Methods requested so far."""
+        """Names of all methods that have been requested."""
         return self.manifest.methods
 
     @property
@@ -101,28 +101,28 @@ class Run:
         return not self.unfinished()
 
     def unfinished(self) -> dict[str, int]:
-        """Return the number of scenarios left to plan, for methods with any."""
+        """Return the number of scenarios left to plan, by method; finished methods are not included."""
         left = {method: sum(last - first + 1 for first, last in self.missing(method)) for method in self.methods}
         return {method: count for method, count in left.items() if count}
 
     @property
     def config(self) -> PlanConfig:
-        """Configuration shared by all scenarios; a scenario's own parameters are columns of `scenarios()`."""
+        """Configuration shared by all scenarios. The parameters that vary are columns of `scenarios()`."""
         return recorded_config(self.manifest.config, self.folder / MANIFEST)
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Keys of the configuration in which scenarios may differ (robots, workpieces, settings).
+        """Keys of the configuration that vary between scenarios, such as keys of robots, workpieces and settings.
 
-        Except the parameters that have columns in every run.
+        Keys that have columns in every run, such as margin_m, are not included.
         """
         return grid_axes.varied_keys([name for group in self.manifest.grid for axis in group["axes"] for name in axis])
 
     def points(self) -> tuple[grid_axes.ScenarioPoint, ...]:
-        """Return the scenarios with their complete configurations.
+        """Return the scenarios with their complete configurations, by number.
 
         Raises:
-            InputError: For a manifest whose grid cannot be read.
+            InputError: If the grid in the manifest cannot be read.
         """
         config, grid = self.config, self.manifest.grid
         joints = [column.rpartition("_")[0] for column in self.manifest.joints]
@@ -138,36 +138,44 @@ class Run:
             raise InputError(f"{self.folder / MANIFEST}: its grid cannot be read: {error!r}") from None
 
     def targets(self, *methods: str) -> pa.Table:
-        """Return one row per method, scenario and target, of all methods or of those named.
+        """Return the table of targets, with one row per method, scenario and target.
+
+        Args:
+            *methods: Names of methods; without names, all methods.
 
         Raises:
-            InputError: For a method that the run lacks, and naming a file that is missing or damaged.
+            InputError: If the run has no results of a method, or if a file is missing or damaged.
         """
         return self._read("targets", methods)
 
     def scenarios(self, *methods: str) -> pa.Table:
-        """Return one row per method and scenario, with its times, if any, see `timing_file`.
+        """Return the table of scenarios, with one row per method and scenario.
+
+        If the run has been timed, the table includes the times, see `timing_file`.
+
+        Args:
+            *methods: Names of methods; without names, all methods.
 
         Raises:
-            InputError: As `targets` does, and for a damaged file of times.
+            InputError: See `targets`; also if a file of times is damaged.
         """
         return with_timing(self.folder, self.manifest.shards, self._read("scenarios", methods))
 
     def timing(self, method: str) -> Timing | None:
-        """Return the times of a method; None without any.
+        """Return the times of a method; None if the method has not been timed.
 
         Raises:
-            InputError: For a damaged file.
+            InputError: If the file of times is damaged.
         """
         return read_timing(self.folder, self.manifest.shards, method)
 
     def plans(self, method: str) -> Plans:
-        """Return the plans of one method as arrays; S = `manifest.count`, row s is scenario s.
+        """Return the plans of one method as arrays; row s is scenario s, for all `manifest.count` scenarios.
 
-        The status is NO_TARGET for scenarios not planned yet, and behind the last target of shorter ones.
+        The status is NO_TARGET in scenarios that are not planned yet, and after the last target of shorter scenarios.
 
         Raises:
-            InputError: As `targets` does.
+            InputError: See `targets`.
         """
         rows, seconds = (
             (self.targets(method), self._read("scenarios", (method,))),
@@ -176,28 +184,28 @@ class Run:
         try:
             return plans_of(*rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
         except (IndexError, KeyError, ValueError) as error:
-            raise InputError(f"{self.folder}: the rows of {method} are not of this run: {error}") from None
+            raise InputError(f"{self.folder}: the rows of {method} do not belong to this run: {error}") from None
 
     def labels(self) -> dict[int, str]:
-        """Return the labels of scenarios planned by at least one method, by number.
+        """Return the label of every planned scenario, by number: its group and the values of the varied parameters.
 
         Raises:
-            InputError: As `targets` does.
+            InputError: See `Run.targets`.
         """
         return labels_of(self._read("scenarios", tuple(dict.fromkeys(shard.method for shard in self.manifest.shards))))
 
     def result_files(self) -> dict[str, str]:
-        """Return the SHA-256 of the files with finished results, by name in the folder."""
+        """Return the SHA-256 of the files with targets of finished shards, by path in the folder."""
         files = (self.shard_files(shard)["targets"] for shard in self.manifest.shards)
         return {str(file.relative_to(self.folder)): record.sha256 for file, record in files}
 
     def missing(self, method: str) -> list[Span]:
-        """Return the shards that a method has still to plan."""
+        """Return the ranges of scenarios that a method has not planned yet, one per missing shard."""
         there = {(shard.first, shard.last) for shard in self.manifest.shards if shard.method == method}
         return [span for span in spans(self.manifest) if span not in there]
 
     def shard_files(self, shard: ShardRecord) -> dict[str, tuple[Path, FileRecord]]:
-        """Return the two files of a shard with their records, by table."""
+        """Return the two files of a shard with their records, by name of their tables."""
         name = shard_name(shard.method, Span(shard.first, shard.last))
         return {table: (self.folder / table / name, getattr(shard, table)) for table in TABLES}
 
@@ -216,7 +224,7 @@ class Run:
         return pa.concat_tables(self._read_shard(shard, table, schema) for shard in order)
 
     def _read_shard(self, shard: ShardRecord, table: str, schema: pa.Schema) -> pa.Table:
-        """Read and check one file; the small files of scenarios are cached."""
+        """Return the checked rows of one file. Files of scenarios are small and cached."""
         file, record = self.shard_files(shard)[table]
         if table != "scenarios":
             return _read_parquet(file, record, schema)
@@ -226,22 +234,22 @@ class Run:
 
 
 def open_run(folder: str | Path) -> Run:
-    """Open the run in `folder`, also while it is being planned.
+    """Open the run in a folder. The run may be unfinished.
 
     Raises:
-        InputError: For a folder without a run, and for a damaged manifest or one of another version.
+        InputError: If the folder contains no run, or if the manifest is damaged or of another version.
     """
     folder = Path(folder)
     try:
         raw = io_files.read_json(folder / MANIFEST, folder)
     except OSError as error:
         if isinstance(error, FileNotFoundError) and (folder / SUMMARY).exists():
-            what = "holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it"
+            what = "contains a plan of htcp plan, not a run; open it with htcp view, htcp render or htcp validate"
             raise InputError(f"{folder} {what}") from None
-        raise InputError(f"{folder} holds no run: cannot read {MANIFEST}: {error.strerror}") from None
+        raise InputError(f"{folder} contains no run: cannot read {MANIFEST}: {error.strerror}") from None
     except InputError as error:
         what = io_files.cause(error, folder / MANIFEST)
-        raise InputError(f"{folder / MANIFEST} is damaged or no manifest of a run: {what}") from None
+        raise InputError(f"{folder / MANIFEST} is damaged or not a manifest of a run: {what}") from None
     if isinstance(raw, dict) and raw.get("format", FORMAT) != FORMAT:
         raise other_format(folder, f"{MANIFEST} has format {raw['format']}, not {FORMAT}")
     try:
@@ -250,12 +258,12 @@ def open_run(folder: str | Path) -> Run:
         where = ".".join(map(str, error.errors()[0]["loc"]))
         what = f"{where}: " if where else ""
         raise InputError(
-            f"{folder / MANIFEST} is damaged or no manifest of a run: {what}{error.errors()[0]['msg']}"
+            f"{folder / MANIFEST} is damaged or not a manifest of a run: {what}{error.errors()[0]['msg']}"
         ) from None
 
 
 def file_fault(file: Path, record: FileRecord) -> str | None:
-    """Return the error in a table's file; None if it is as recorded."""
+    """Return the fault of a table's file as text; None if the file has the recorded size and checksum."""
     try:
         with io_files.opened(file, file.parents[1]) as stream:
             return _fault_of(stream, record)
@@ -269,18 +277,18 @@ def _fault_of(stream: BufferedReader, record: FileRecord) -> str | None:
     if (size := os.fstat(stream.fileno()).st_size) != record.bytes:
         return f"has {size:,} bytes instead of {record.bytes:,}"
     if hashlib.file_digest(stream, "sha256").hexdigest() != record.sha256:
-        return "has other contents than were written"
+        return "was changed after it was written"
     return None
 
 
 def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table:
     if problem := file_fault(file, record):
-        raise InputError(f"{file} {problem}; the same sweep plans its scenarios again")
+        raise InputError(f"{file} {problem}; run the same sweep again to replan its scenarios")
     with io_files.opened(file, file.parents[1]) as stream:
         rows = io_files.read_parquet(stream, file, record.rows, exact=True)
     rows = tables.with_new_columns(rows, schema)
     if not rows.schema.equals(schema):
         raise other_format(file.parents[1], f"{file.parent.name}/{file.name} has other columns")
     if len(rows) != record.rows:
-        raise InputError(f"{file} is not a file of this run: it has another number of rows")
+        raise InputError(f"{file} does not belong to this run: its number of rows differs")
     return rows

@@ -1,4 +1,4 @@
-"""Results of a running sweep, kept in memory, so that a summary need not read them from disk."""
+"""Results of a running sweep, kept in memory, so that its summary need not read them from disk."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from htcp_jax.runs.run_folder import Run
 
 
 class FinishedShard(NamedTuple):
-    """A newly planned shard, already written to the folder."""
+    """A shard that this process has planned and written to the folder."""
 
     method: str
     span: Span
@@ -19,20 +19,25 @@ class FinishedShard(NamedTuple):
 
 
 class RunningSummary:
-    """Collector of newly planned shards; `sweep(..., finished=running.add)`."""
+    """Results of a sweep, in memory shard by shard, so that summaries need not read them from the folder.
+
+    Usage: `sweep(..., finished=running.add)`.
+    """
 
     def __init__(self):
         self._shards: dict[tuple[str, Span], FinishedShard] = {}
 
     def add(self, shard: FinishedShard) -> None:
-        """Add a shard, without its configurations."""
+        """Add a shard. The configurations of its plans are not kept, to save memory."""
         self._shards[shard.method, shard.span] = shard._replace(plans=shard.plans.without_configurations())
 
     def plans(self, run: Run, method: str) -> Plans:
-        """Return all plans of one method, without configurations if all are in memory; else read from the run's folder.
+        """Return all plans of one method.
+
+        If all its shards are in memory, the plans have no configurations. Otherwise they are read from the folder.
 
         Raises:
-            InputError: For damaged files.
+            InputError: If a file is damaged.
         """
         if (known := self._known(run, method)) is None:
             return run.plans(method)
@@ -40,10 +45,10 @@ class RunningSummary:
         return Plans.concatenate([shard.plans for shard in known])._replace(**seconds.model_dump())
 
     def margins_m(self, run: Run, *methods: str) -> np.ndarray:
-        """Return the distinct required clearances of the methods' scenarios, sorted [m].
+        """Return the distinct required clearances of the scenarios that the methods have planned, sorted [m].
 
         Raises:
-            InputError: As `plans` does.
+            InputError: If a file is damaged.
         """
         known = [self._known(run, method) for method in methods]
         if None in known:
@@ -51,6 +56,6 @@ class RunningSummary:
         return np.unique(np.concatenate([shard.margin_m for shards in known for shard in shards]))
 
     def _known(self, run: Run, method: str) -> list[FinishedShard] | None:
-        """Return the shards of one method in order; None if some were planned before."""
+        """Return the shards of one method, in order; None if any of them is not in memory."""
         found = [self._shards.get((method, span)) for span in spans(run.manifest)]
         return None if None in found else found

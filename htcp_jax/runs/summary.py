@@ -1,4 +1,4 @@
-"""Summary of plans: the paper's table, with the counts behind each percentage."""
+"""Summary of plans: the values of the paper's tables, and the counts from which they are computed."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from htcp_jax.status import Status
 
 
 class Failure(NamedTuple):
-    """The first untracked target of a scenario."""
+    """The first target of a scenario that is not tracked."""
 
     scenario: int
     target: int
@@ -19,34 +19,34 @@ class Failure(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """Summary of S scenarios.
+    """Counts, times and errors over S scenarios.
 
-    Distances are over the tracked targets, NaN without any; a step is one attempted target.
+    Distances and errors are those of the tracked targets; NaN if no target is tracked.
     """
 
     scenarios: int
-    complete: int  # scenarios with every target tracked
-    targets: int  # of all scenarios
-    tracked: int
-    executable: int  # tracked targets to which a proven motion leads
-    after_recovery: int  # of the tracked
-    blocked_paths: int  # tracked targets whose straight joint path from the row before is known to collide
+    complete: int  # number of scenarios with all targets tracked
+    targets: int  # number of targets of all scenarios
+    tracked: int  # number of tracked targets
+    executable: int  # number of tracked targets to which a proven motion leads
+    after_recovery: int  # number of targets tracked after a recovery
+    blocked_paths: int  # number of tracked targets whose straight joint path from the previous target collides
     success_rate: float  # tracked / targets
-    step_ms: float  # run time per attempted target, without compilation
-    compile_s: float
-    run_s: float
+    step_ms: float  # planning time per attempted target, without compilation
+    compile_s: float  # compilation time
+    run_s: float  # planning time without compilation
     tcp_distance_mean_mm: float
     tcp_distance_max_mm: float
-    orientation_error_mean_deg: float | None  # None, as the next, if the task constrains no orientation
-    orientation_error_max_deg: float | None
+    orientation_error_mean_deg: float | None  # None if the task constrains no orientation
+    orientation_error_max_deg: float | None  # None if the task constrains no orientation
     clearance_min_mm: float
     clearance_mean_mm: float
-    joint_motion_rad: float  # sum of |x_t - x_{t-1}|
+    joint_motion_rad: float  # sum of |x_t - x_{t-1}| over the tracked targets
     failures: tuple[Failure, ...]  # one for each scenario that is not complete
 
 
 def summarise(plans: Plans) -> Summary:
-    """Summarise `plans`; only existing targets count."""
+    """Return the summary of plans. Padding after a scenario's last target is ignored."""
     tracked, ends = plans.tracked, plans.outcomes
     residual_mm, clearance_mm = 1e3 * plans.residual[tracked], 1e3 * plans.clearance[tracked]
     angle_deg = orientation_errors_deg(plans)
@@ -74,12 +74,12 @@ def summarise(plans: Plans) -> Summary:
 
 
 def orientation_errors_deg(plans: Plans) -> Float[np.ndarray, "n"]:
-    """Return the known orientation errors [deg]."""
+    """Return the orientation errors of all targets that have one [deg]."""
     return np.rad2deg(plans.orientation_error[~np.isnan(plans.orientation_error)])
 
 
 def _failures(ends: plan_arrays.Outcomes) -> tuple[Failure, ...]:
-    """Return the first untracked target of every incomplete scenario."""
+    """Return the first target that is not tracked, for every scenario that has one."""
     found = (ends.of(s) for s in np.flatnonzero(ends.failed >= 0).tolist())
     return tuple(Failure(end.scenario, end.failed, end.status) for end in found)
 

@@ -1,11 +1,11 @@
-"""Public function for sweeps: plan every scenario of a grid by several methods, shard by shard, into a run folder.
+"""Planning of every scenario of a grid by several methods, shard by shard, into a run folder.
 
     run = htcp_jax.sweep("sweeps/robot", methods="baseline,nspace-sqp", out="out/robot")
     run.frame()
 
-A shard is one method on a block of scenarios, which advance together. It is the unit of work of a cluster's worker, and
-lost if the process dies. The size of shards and the machine that plans them have no influence on results. The same call
-again continues an interrupted sweep.
+A shard is one method on a block of scenarios, which are planned together. It is the unit of work of a worker: if a
+process dies, only its unfinished shard is lost. Results do not depend on the size of shards or on the machine. To
+continue an interrupted sweep, repeat the same call.
 """
 
 import contextlib
@@ -38,17 +38,17 @@ from htcp_jax.runs.local import Shard, plan_here, scenarios_of
 from htcp_jax.runs.lock import SignalReceived, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans
 from htcp_jax.runs.plan_folder import made_folder
-from htcp_jax.runs.provenance import planned_by
+from htcp_jax.runs.provenance import code_of, planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
 from htcp_jax.unfinished import temporary_folder
 
-SHARD_SCENARIOS = 512  # fixed, so that shards are equal on every machine; fewer leave lanes unused
+SHARD_SCENARIOS = 512  # default size of a shard, equal on every machine; smaller shards leave lanes unused
 
 
 class SweepProgress(NamedTuple):
-    """Progress of one method; all counts are totals."""
+    """Progress of one method, counted over all its shards in the run."""
 
     method: str
     scenarios_done: int
@@ -74,29 +74,40 @@ def sweep(
     device: str | None = None,
     targets_in_all: int | None = None,
 ) -> Run:
-    """Plan the grid of a sweep file, or of a mapping in place of one, and return the run.
+    """Plan all scenarios of a sweep by several methods, and return the run.
 
-    methods: "all", comma-separated names, or a list of names. out: the run folder; without one, a temporary folder that
-    is deleted with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
-    limit: plan only the first scenarios of the grid. shard_scenarios: scenarios per shard; a run folder keeps its first
-    choice. finished: called with every written shard. on: "here" plans on this machine, in several processes if that is
-    faster, or with `threads` engines in this one, see `batch.plan`; "ray" or "ray:<address>" sends the shards to Ray's
-    workers, see `ray_`. device: of this process, see `device_of`. targets_in_all: see
-    `batch.plan`, by default the targets of its own shards.
+    Args:
+        spec: The sweep: a file, an example, a mapping, or a loaded sweep, see `load_sweep`.
+        methods: "all", comma-separated names, or a list of names.
+        out: The run folder; None: a temporary folder that is deleted with the returned run.
+        config: Configuration that replaces the sweep's own, see `load_sweep`.
+        overrides: Changes to the configuration, see `load_sweep`.
+        limit: Maximum number of scenarios; the first ones of the grid are planned. None: all.
+        seed: Value of `settings.seed`; None: the configuration's.
+        progress: Function that is called with the `SweepProgress` of a method while it advances.
+        finished: Function that is called with each shard after it has been written.
+        threads: Number of engines per process, see `batch.plan`.
+        shard_scenarios: Number of scenarios per shard; None: SHARD_SCENARIOS. A folder with results keeps its number.
+        on: "here" plans on this machine, in several processes if that is faster. "ray" or "ray:<address>" sends the
+            shards to the workers of a Ray cluster, see `ray_`.
+        device: Device to plan on, such as "cpu"; None: a GPU if there is one. With Ray it must be None or "cpu".
+        targets_in_all: See `batch.plan`; None: the number of targets of the shards to plan.
 
-    Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
-    Interrupted on SIGINT and SIGTERM, and Lost if workers are lost. Finished shards are then kept in the folder.
+    Raises:
+        InputError: If the input is invalid, or if the folder contains another sweep, is in use or cannot be written.
+        Interrupted: On SIGINT or SIGTERM; finished shards are kept in the folder.
+        Lost: If workers are lost; finished shards are kept in the folder.
     """
     with devices.on(devices.choose(device_of(on, device))[0]):
         chosen = method_names(methods)
         if isinstance(spec, grids.Sweep):
             if config is not None or overrides or seed is not None:
-                raise InputError("config, overrides and seed belong to load_sweep when the sweep is loaded already")
+                raise InputError("the sweep is loaded already; pass config, overrides and seed to load_sweep")
         else:
             spec = grids.load_sweep(spec, config, seeded(overrides, seed))
         for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
             if value is not None and not 1 <= value <= grid_axes.MOST:
-                raise InputError(f"{name} is {value}; it must be 1 or more, and {grid_axes.MOST:,} at most")
+                raise InputError(f"{name} is {value}; valid: 1 to {grid_axes.MOST:,}")
         batch = spec.batch(limit)
         requested = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
         planned = _planner(on, chosen, batch, spec, threads, device, targets_in_all)
@@ -127,42 +138,44 @@ def sweep(
             except SignalReceived:
                 raise Interrupted(_resume_message(run), came[0]) from None
             except Lost as lost:
-                if came:  # the signal went to the workers, too
+                if came:  # the workers ended because they received the signal, too
                     raise Interrupted(_resume_message(run), came[0]) from None
                 raise Lost(f"{lost}; {_resume_message(run)}") from None
             return run
 
 
 def device_of(on: str, device: str | None) -> str | None:
-    """Return the device of this process, see `device.devices`: with Ray the CPU, to leave GPU memory to the workers.
+    """Return the device of this process. With Ray it is the CPU, as the workers use the GPUs.
+
+    Args:
+        on: Where shards are planned, see `sweep`.
+        device: Name of the requested device, see `device.devices`.
 
     Raises:
-        InputError: For an invalid `on`, and for another device with Ray.
+        InputError: If `on` is invalid, or if a device other than the CPU is requested with Ray.
     """
     if on == "here":
         return device
     if on.partition(":")[0] != "ray":
         raise InputError(f"on is {on!r}; valid: here, ray, ray:<address of a cluster>")
     if device not in (None, "cpu"):
-        raise InputError(
-            f"device is {device!r}; with Ray it can only be cpu; ray.num_gpus sets the GPUs of its workers"
-        )
+        raise InputError(f"device is {device!r}; with Ray it must be cpu; to use GPUs of the workers, set ray.num_gpus")
     return "cpu"
 
 
 def keep_plans(
     spec: grids.Sweep, plans: Mapping[str, Plans], out: str | Path, shard_scenarios: int = SHARD_SCENARIOS
 ) -> Run:
-    """Write existing plans as a run; the content of `out` is replaced.
+    """Write existing plans as a run, and return the run. Existing files in `out` are deleted.
 
     Args:
         spec: The sweep.
-        plans: By the names of their methods; one row per scenario of the grid.
+        plans: Plans by name of the method, with one row per scenario of the grid.
         out: The run folder.
-        shard_scenarios: Scenarios per shard.
+        shard_scenarios: Number of scenarios per shard.
 
     Raises:
-        InputError: If it cannot be written.
+        InputError: If the folder cannot be written.
     """
     batch, folder = spec.batch(), Path(out)
     shutil.rmtree(folder, ignore_errors=True)
@@ -176,10 +189,13 @@ def keep_plans(
 
 
 def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the methods named by "all", "a,b" or a list.
+    """Return the names of the requested methods.
+
+    Args:
+        methods: "all", comma-separated names, or a list of names.
 
     Raises:
-        InputError: For an empty list, and for a method that is unknown, cannot be imported, or is repeated.
+        InputError: If the list is empty, or if a method is unknown, cannot be imported, or is repeated.
     """
     if methods == "all":
         return tuple(registry.METHODS.all())
@@ -197,7 +213,7 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def tables(batch: grids.Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
-    """Return the rows of a shard in both tables, see module `tables`."""
+    """Return the rows of a shard in the tables of targets and of scenarios, by name of the table."""
     rows = slice(span.first, span.last + 1)
     joints, points = joint_columns(batch.robot), batch.points[rows]
     varied = tuple(points[0].varied)
@@ -209,7 +225,7 @@ def tables(batch: grids.Batch, method: str, span: Span, plans: Plans) -> dict[st
 
 
 def _manipulability(batch: grids.Batch, span: Span, plans: Plans) -> Float[np.ndarray, "S T"]:
-    """Return the manipulability of a shard's scenarios at their targets [m/rad]."""
+    """Return the manipulability at each target of a shard's scenarios [m/rad]; NaN at targets that are not tracked."""
     (cell, scenarios), found = scenarios_of(batch, span), np.full(plans.status.shape, np.nan)
     s, t = np.nonzero(plans.tracked)
     for number in np.unique(cell[s]).tolist():
@@ -221,7 +237,7 @@ def _manipulability(batch: grids.Batch, span: Span, plans: Plans) -> Float[np.nd
 
 
 def _causes(batch: grids.Batch, span: Span, plans: Plans) -> dict[int, start_cause.StartCause]:
-    """Return the reasons of a shard's scenarios that could not begin, by their places in it."""
+    """Return the reasons why scenarios of a shard could not begin, by index in the shard; others are not included."""
     found: dict[int, start_cause.StartCause] = {}
     (cell, scenarios), status = scenarios_of(batch, span), plans.status[:, 0]
     for number in np.unique(cell[np.isin(status, start_cause.CAUSES)]).tolist():
@@ -237,7 +253,7 @@ def _causes(batch: grids.Batch, span: Span, plans: Plans) -> dict[int, start_cau
 def _manifest(
     spec: grids.Sweep, batch: grids.Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int
 ) -> Manifest:
-    """Return the manifest of a requested run, without shards."""
+    """Return the manifest of a requested run; it contains no shards yet."""
     config = spec.config.model_dump(mode="json")
     grid = [grid_axes.group_record(group, spec.stated) for group in spec.groups]
     named = anchor_files(config)
@@ -263,9 +279,17 @@ def _manifest(
         full=len(spec),
         limit=limit,
         count=len(batch.points),
+        code=_code(spec, methods),
         shard_scenarios=shard_scenarios,
         methods=methods,
     )
+
+
+def _code(spec: grids.Sweep, methods: tuple[str, ...]) -> dict[str, str]:
+    """Return the SHA-256 of the code of methods, obstacles and task rows that other packages define."""
+    kinds = code_of(obstacle_kind.OBSTACLES, (kind.name for kind in spec.config.cell.obstacles))
+    rows = code_of(task_row_kind.TASK_ROWS, (row.name for row in spec.config.task))
+    return code_of(registry.METHODS, methods) | kinds | rows
 
 
 def _planner(
@@ -277,10 +301,10 @@ def _planner(
     device: str | None,
     targets_in_all: int | None,
 ):
-    """Return a context manager that yields plan(shards, report), an iterator of (shard, plans, provenance)."""
+    """Return a context manager that yields plan(shards, report), which yields a `PlannedShard` for each shard."""
     if on == "here":
         return contextlib.nullcontext(partial(plan_here, batch, threads, device, targets_in_all))
-    from htcp_jax.runs.ray_ import on_ray  # here, because it is an extra
+    from htcp_jax.runs.ray_ import on_ray  # here, as Ray is an optional dependency
 
     registry.METHODS.refuse_own(methods)
     obstacle_kind.OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
@@ -289,7 +313,7 @@ def _planner(
 
 
 def _progress(manifest: Manifest, method: str, shard: ShardProgress | None) -> SweepProgress:
-    """Return a method's progress: its finished shards, and the current one."""
+    """Return the progress of a method, from its finished shards and the progress of the current one."""
     kept = [record for record in manifest.shards if record.method == method]
     done, tracked = (shard.scenarios_done, shard.targets_tracked) if shard else (0, 0)
     done += sum(record.last - record.first + 1 for record in kept)
@@ -302,11 +326,11 @@ def _resume_message(run: Run) -> str:
     there, all_ = len(manifest.shards), len(manifest.methods) * len(spans(manifest))
     if not there:
         return "stopped before anything was finished; nothing was written"
-    return f"stopped; {there} of {all_} shards are finished in {run.folder}; the same command resumes"
+    return f"stopped; {there} of {all_} shards are finished in {run.folder}; run the same command to resume"
 
 
 class _Scratch:
-    """A temporary folder, deleted with this object."""
+    """A temporary folder that is deleted when this object is deleted."""
 
     def __init__(self):
         held = contextlib.ExitStack()
@@ -316,9 +340,10 @@ class _Scratch:
 
 @contextlib.contextmanager
 def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any, Callable[[], None]]]:
-    """Yield the run folder, an object that keeps it alive, and a function that removes it.
+    """Yield the run folder, an object to keep while a temporary folder is used, and a function to discard the folder.
 
-    A new folder without results is removed at the end.
+    The function removes a new folder without results; it is also called at the end of the block. If `out` is None, the
+    folder is temporary.
     """
     if out is None:
         scratch = _Scratch()

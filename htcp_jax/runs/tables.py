@@ -1,6 +1,6 @@
-"""The two tables of a run: conversion of plans to rows, and back.
+"""Conversion of plans to the rows of a run's two tables, of targets and of scenarios, and back.
 
-`columns` describes their columns. The tables contain no run times: the same seed writes the same bytes.
+The module `columns` describes the columns. The tables contain no run times, so that equal plans give equal files.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,16 +31,16 @@ SEGMENT_STATUSES: dict[str | None, int] = {None: int(SegmentStatus.NOT_CHECKED)}
 EXCLUSIONS: dict[str | None, Exclusion] = {None: Exclusion.NONE} | {x.words: x for x in Exclusion if x}
 XYZ = "xyz"
 MANIPULABILITY = "manipulability_m_rad"
-CAUSE = "colliding_body", "colliding_with", "cause"  # columns of scenarios that could not begin
+CAUSE = "colliding_body", "colliding_with", "cause"  # columns with the reason why a scenario could not begin
 SHARES = "via_shares"
-TRIED = tuple(f"dead_end_{name}" for name in Tried._fields)  # the last one is a text
+TRIED = tuple(f"dead_end_{name}" for name in Tried._fields)  # columns on dead ends; the last one is a text
 STEPS = "joint_step_max_rad", "joint_step_target", "joint_step_joint"
 
-LEAST_CELLS = 1_000_000  # scenarios times targets that any file may expand to; or GROWTH times its rows
+LEAST_CELLS = 1_000_000  # scenarios times targets that any file may have; more only up to GROWTH times its rows
 
 
 def joint_columns(robot: Robot) -> tuple[str, ...]:
-    """Return the names of the columns of x."""
+    """Return the names of the columns of the configuration x, one per joint."""
     units = ["m" if slides else "rad" for slides in robot.slides]
     return tuple(f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True))
 
@@ -52,14 +52,14 @@ def target_table(
     joints: Sequence[str],
     manipulability: Float[np.ndarray, "S T"] | None = None,
 ) -> pa.Table:
-    """Return the rows of existing targets.
+    """Return the table of targets for one method, with one row per scenario and target.
 
     Args:
         method: Name of the method.
         numbers: Numbers of the scenarios (S,).
-        plans: Their plans.
+        plans: Plans of the scenarios.
         joints: Names of the columns of x, see `joint_columns`.
-        manipulability: At each target [m/rad]; None if unknown.
+        manipulability: Manipulability at each target [m/rad]; None if unknown.
     """
     s, t = np.nonzero(plans.exists)
     status, path_clear = plans.status[s, t], plans.path_clear[s, t]
@@ -104,15 +104,15 @@ def scenario_table(
     varied: Sequence[str] = (),
     causes: Mapping[int, start_cause.StartCause] = MappingProxyType({}),
 ) -> pa.Table:
-    """Return the rows of scenarios, in the order of `points`.
+    """Return the table of scenarios for one method, with one row for each of `points`.
 
     Args:
         method: Name of the method.
         points: The scenarios.
-        plans: Their plans.
+        plans: Plans of the scenarios.
         joints: Names of the columns of x, see `joint_columns`.
-        varied: Keys that vary and are no column of every run.
-        causes: Reasons of scenarios that could not begin, by their place in `points`.
+        varied: Varied keys that become additional columns, see `grid_axes.varied_keys`.
+        causes: Reasons why scenarios could not begin, by index in `points`.
     """
     tracked, ends = plans.tracked, plans.outcomes
     columns = {
@@ -139,9 +139,9 @@ def scenario_table(
 
 
 def with_new_columns(rows: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Return rows with nulls in the columns of `schema` that runs from older versions lack.
+    """Return a table with the columns of `schema` that are missing in runs from older versions; their values are null.
 
-    Without shares the tool stays at the target before.
+    If the shares of via points are null, the tool stays at the previous target during the via points.
     """
     later = (MANIPULABILITY, SHARES, *TRIED, *STEPS, *CAUSE)
     new = [name for name in later if name in schema.names and name not in rows.column_names]
@@ -153,7 +153,7 @@ def with_new_columns(rows: pa.Table, schema: pa.Schema) -> pa.Table:
 
 
 def _end_columns(ends: plan_arrays.Outcomes) -> dict[str, pa.Array]:
-    """Return the columns on completion: complete, the failed target, its status and the reason."""
+    """Return the columns complete, failed_target, failure and reason."""
     status = [Status(code) if code != plan_arrays.NO_TARGET else None for code in ends.status.tolist()]
     return {
         "complete": pa.array(ends.failed < 0),
@@ -164,14 +164,14 @@ def _end_columns(ends: plan_arrays.Outcomes) -> dict[str, pa.Array]:
 
 
 def _figures(points: Sequence[grid_axes.ScenarioPoint], plans: Plans) -> dict[str, pa.Array]:
-    """Return the columns of `MotionFigures`."""
+    """Return the columns that contain the fields of `MotionFigures`."""
     found = motion.motion_figures(plans, np.array([point.config.on_path for point in points], int))
     columns = {name: _doubles(values) for name, values in found._asdict().items()}
     return columns | {"dwells": columns["dwells"].cast(pa.int32())}
 
 
 def _joint_steps(points: Sequence[grid_axes.ScenarioPoint], plans: Plans, joints: Sequence[str]) -> dict[str, pa.Array]:
-    """Return the columns of STEPS."""
+    """Return the columns in STEPS, which describe the largest travel of a joint between two targets."""
     found = motion.largest_joint_steps(plans, np.array([point.config.on_path for point in points], int))
     names = [joints[k].rpartition("_")[0] if k >= 0 else None for k in found.joint.tolist()]
     target = pa.array(found.target, pa.int32(), mask=found.target < 0)
@@ -179,7 +179,7 @@ def _joint_steps(points: Sequence[grid_axes.ScenarioPoint], plans: Plans, joints
 
 
 def empty_tables(joints: Sequence[str], varied: Sequence[str] = ()) -> dict[str, pa.Table]:
-    """Return both tables without rows, for their schemas."""
+    """Return the tables of targets and of scenarios without rows, by name; they serve as schemas."""
     plans = Plans.empty(np.zeros((0, len(joints))), np.zeros((0, 1, 3)))
     return {
         "targets": target_table("", np.zeros(0, int), plans, joints),
@@ -192,26 +192,26 @@ def plans_of(
 ) -> Plans:
     """Return the plans of scenarios 0 to `count` - 1 from one method's rows in both tables.
 
-    Missing rows are as in `Plans.empty`, without targets.
+    A scenario without rows has no targets, as in `Plans.empty`.
 
     Args:
-        targets: Rows of the method's targets.
-        scenarios: Rows of its scenarios.
+        targets: Rows of the method in the table of targets.
+        scenarios: Rows of the method in the table of scenarios.
         count: Number of scenarios.
         joints: Names of the columns of x, see `joint_columns`.
-        compile_s: For `Plans.compile_s`.
-        run_s: For `Plans.run_s`.
+        compile_s: Compilation time, for `Plans.compile_s`.
+        run_s: Planning time, for `Plans.run_s`.
 
     Raises:
-        IndexError: For rows of other scenarios, and for too few rows for their numbers.
-        KeyError: For unknown statuses, and for missing columns.
-        ValueError: For values of other shapes.
+        IndexError: If a row has an invalid scenario or target, or if there are too few rows for these numbers.
+        KeyError: If a status is unknown, or if a column is missing.
+        ValueError: If a value has the wrong shape.
     """
     s, t = targets["scenario"].to_numpy(), targets["target"].to_numpy()
     if min(s.min(initial=0), t.min(initial=0)) < 0 or t.max(initial=0) >= len(targets):
-        raise IndexError("a row of no scenario or no target")
+        raise IndexError("a row has an invalid number of a scenario or a target; the file is damaged")
     if count * (int(t.max(initial=-1)) + 1) > max(LEAST_CELLS, files.GROWTH * len(targets)):
-        raise IndexError(f"{len(targets):,} rows of {count:,} scenarios with {t.max() + 1:,} targets; too few to open")
+        raise IndexError(f"{len(targets):,} rows are too few for {count:,} scenarios with {t.max() + 1:,} targets")
     blank = np.full((count, int(t.max(initial=-1)) + 1, 3), plan_arrays.EMPTY["target"])
     plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
     for name in _READ:
@@ -221,7 +221,7 @@ def plans_of(
         array[s, t] = np.stack([_numpy(targets[name], np.nan) for name in names], axis=1)
     lists = zip(s.tolist(), t.tolist(), *(targets[name].to_pylist() for name in ("via_points", SHARES)), strict=True)
     via_points = [_segment(*row, len(joints)) for row in lists if row[2]]
-    ended = targets.filter(targets[TRIED[0]].is_valid())  # few of all rows
+    ended = targets.filter(targets[TRIED[0]].is_valid())  # a small part of all rows
     rows = zip(*(ended[name].to_pylist() for name in ("scenario", "target", *TRIED)), strict=True)
     ends = {row[:2]: Tried(*(count or 0 for count in row[2:-1]), EXCLUSIONS[row[-1]]) for row in rows}
     return plans._replace(via_points=ViaPoints.of(via_points, len(joints)), dead_ends=dead_ends.DeadEnds.of(ends))
@@ -238,10 +238,17 @@ _COLUMN = {
 
 
 def _segment(scenario: int, target: int, x: list[float], share: list[float] | None, joints: int) -> tuple:
-    """Return a segment of `ViaPoints.of`.
+    """Return the via points of one segment, as an argument for `ViaPoints.of`.
+
+    Args:
+        scenario: Row of the scenario.
+        target: Target at the end of the segment.
+        x: Values of the column via_points.
+        share: Values of the column via_shares; None: all 0.
+        joints: Number of joints.
 
     Raises:
-        ValueError: For another number of shares than of configurations.
+        ValueError: If the number of shares differs from the number of via points.
     """
     found = np.reshape(x, (-1, joints))
     shares = np.zeros(len(found)) if share is None else np.array(share, float)
@@ -257,7 +264,14 @@ def _segment_status_name(code: int) -> str | None:
 def _via_point_column(
     plans: Plans, s: np.ndarray, t: np.ndarray, on_segment: Callable[[int, int], np.ndarray]
 ) -> pa.Array:
-    """Return a column of the via points on the segment to each row, flattened."""
+    """Return a column with one list per row, of values at the via points on the segment to this row.
+
+    Args:
+        plans: The plans.
+        s: Scenario of each row.
+        t: Target of each row.
+        on_segment: Function (scenario, target) that returns the values, which are flattened.
+    """
     kind = pa.list_(pa.float64())
     if not len(plans.via_points.x):
         return pa.nulls(len(s), kind)
@@ -266,10 +280,10 @@ def _via_point_column(
 
 
 def _starts(scenarios: pa.Table, count: int, joints: Sequence[str]) -> np.ndarray:
-    """Return the first configurations of the plans (count, N); NaN for scenarios without a plan."""
+    """Return the first configuration of each plan (count, N); NaN for scenarios without a plan."""
     start, rows = np.full((count, len(joints)), np.nan), scenarios["scenario"].to_numpy()
     if rows.min(initial=0) < 0:
-        raise IndexError("a row of no scenario")
+        raise IndexError("a row has an invalid number of a scenario; the file is damaged")
     start[rows] = np.stack([scenarios[name].to_numpy() for name in parameters.start_columns(joints)], axis=1)
     return start
 
@@ -279,10 +293,10 @@ def _axes(name: str) -> tuple[str, ...]:
 
 
 def table_frame(table: pa.Table) -> "pandas.DataFrame":
-    """Return the table as a pandas frame; integers and booleans keep their type with nulls.
+    """Return a table as a pandas frame. Columns of integers and booleans keep their type even if they contain nulls.
 
     Raises:
-        InputError: Without pandas, which comes with the extra `notebooks`.
+        InputError: If pandas is not installed.
     """
     try:
         import pandas
@@ -295,7 +309,7 @@ def table_frame(table: pa.Table) -> "pandas.DataFrame":
 def _parameter_columns(
     points: Sequence[grid_axes.ScenarioPoint], start: np.ndarray, joints: Sequence[str]
 ) -> dict[str, pa.Array]:
-    """Return the columns of varied parameters; start: first configurations of the plans (S, N)."""
+    """Return the columns of parameters: start, pose, tool extension, margin and path; `start` has the shape (S, N)."""
     jobs = [point.config for point in points]
     given = parameters.columns([parameters.of_job(job) for job in jobs], start, joints)
     return {name: _doubles(values) for name, values in given.items()} | {
@@ -305,7 +319,7 @@ def _parameter_columns(
 
 
 def _doubles(values) -> pa.Array:
-    """Return doubles with NaN as null."""
+    """Return an array of doubles in which NaN is null."""
     return pa.array(np.asarray(values, float), from_pandas=True)
 
 

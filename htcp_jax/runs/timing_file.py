@@ -1,7 +1,7 @@
-"""Times that `htcp program --all` and `htcp sweep --feed` write into a run: timing/<method>.parquet, a row a scenario.
+"""File timing/<method>.parquet of a run, which `htcp program --all` and `htcp sweep --feed` write.
 
-`columns.TIMING` describes the columns. The file's metadata contain its settings and the hashes of the timed results:
-rows for outdated results are ignored.
+The file has one row per scenario; `columns.TIMING` describes its columns. Its metadata contain the feed rate, the
+limits, and the hashes of the timed results. If a result has changed since it was timed, its rows are ignored.
 """
 
 import json
@@ -18,7 +18,7 @@ from htcp_jax.io import files
 from htcp_jax.runs.columns import WRITTEN_BY, described
 
 TIMING = "timing"
-FEED_HELD_SHARE = 0.99  # share of the path's length from which a scenario keeps its feed
+FEED_HELD_SHARE = 0.99  # a scenario keeps its feed if it is reached on at least this share of the path's length
 LIMITS = "velocity", "acceleration", "jerk"
 SCHEMA = pa.schema(
     [
@@ -39,26 +39,26 @@ COLUMNS = tuple(SCHEMA.names[1:])
 
 @runtime_checkable
 class ResultShard(Protocol):
-    """Required attributes of a shard of results; a manifest's `ShardRecord` has them."""
+    """Attributes that a shard of results must have, as a `ShardRecord` of a manifest has."""
 
     method: str
     first: int
     last: int
-    targets: Any  # with its SHA-256
+    targets: Any  # a `FileRecord`; only its SHA-256 is used
 
 
 class Timing(NamedTuple):
     """The times of one method's scenarios."""
 
-    feed_m_s: float
-    limits: dict[str, Any]  # the job's keys in `program`
-    rows: pa.Table  # by scenario, including those without a motion
+    feed_m_s: float  # required feed rate
+    limits: dict[str, Any]  # joint limits and other keys of the job's section `program`
+    rows: pa.Table  # one row per scenario, including scenarios without a complete motion
 
     @property
     def words(self) -> str:
-        """Settings as text.
+        """The feed rate and the limits as text.
 
-        "20 mm/s; limits: velocity by the model, full speed in 0.2 s, full acceleration in 0.1 s".
+        Example: "20 mm/s; limits: velocity by the model, full speed in 0.2 s, full acceleration in 0.1 s".
         """
         own = [name for name in LIMITS if self.limits.get(name) is not None]
         given = f"{', '.join(own)} by the job" if own else ""
@@ -69,7 +69,7 @@ class Timing(NamedTuple):
 
     @property
     def timed(self) -> pa.Table:
-        """Rows of scenarios with a motion to their last target."""
+        """Rows of the scenarios with a motion to the last target; only these have times."""
         return self.rows.filter(pc.is_valid(self.rows["cycle_time_s"]))
 
     @property
@@ -79,25 +79,25 @@ class Timing(NamedTuple):
 
 
 def column(rows: pa.Table, name: str) -> np.ndarray:
-    """Return the numbers in a column, NaN for null."""
+    """Return the numbers in a column of times; null becomes NaN."""
     return rows[name].to_numpy().astype(float)
 
 
 def timing_file(folder: Path, method: str) -> Path:
-    """Return the file of a method's times."""
+    """Return the path of the file with the times of a method."""
     return folder / TIMING / f"{method}.parquet"
 
 
 def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Timing | None:
-    """Read the times of a method's current results; None without any.
+    """Return the times of a method's current results; None if the method has not been timed.
 
     Args:
         folder: The run folder.
-        shards: Its shards.
+        shards: The run's shards.
         method: Name of the method.
 
     Raises:
-        InputError: For a damaged file.
+        InputError: If the file is damaged.
     """
     file = timing_file(folder, method)
     if not file.exists():
@@ -106,7 +106,7 @@ def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Tim
         with files.opened(file, folder, files.LARGEST) as stream:
             rows = files.read_parquet(stream, file)
         made = json.loads(rows.schema.metadata[WRITTEN_BY])
-        if "feed_target" not in rows.column_names:  # of an older version
+        if "feed_target" not in rows.column_names:  # written by an older version
             after = SCHEMA.get_field_index("feed_target")
             rows = rows.add_column(after, SCHEMA.field(after), pa.nulls(len(rows), pa.int32()))
         rows = rows.cast(SCHEMA)
@@ -115,11 +115,11 @@ def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Tim
         return Timing(float(made["feed_m_s"]), dict(made["limits"]), rows.filter(pa.array(there, pa.bool_())))
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
         what = " ".join(str(error).split())
-        raise InputError(f"{file} is damaged: {what}; without it, htcp program --all creates it again") from None
+        raise InputError(f"{file} is damaged: {what}; delete it and run htcp program --all again") from None
 
 
 def timing_bytes(timing: Timing, shards: Iterable[ResultShard], method: str) -> bytes:
-    """Return the file's contents."""
+    """Return the content of the file with the times of a method."""
     of = set(timing.rows["scenario"].to_pylist())
     results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_scenario_numbers(s))]
     made = {"feed_m_s": timing.feed_m_s, "limits": timing.limits, "results": results}
@@ -128,15 +128,15 @@ def timing_bytes(timing: Timing, shards: Iterable[ResultShard], method: str) -> 
 
 
 def with_timing(folder: Path, shards: Iterable[ResultShard], scenarios: pa.Table) -> pa.Table:
-    """Add columns of times to rows of the table of scenarios, if any of the methods has been timed.
+    """Return rows of the table of scenarios, with columns of times if any of their methods has been timed.
 
     Args:
         folder: The run folder.
-        shards: Its shards.
+        shards: The run's shards.
         scenarios: Rows of the table.
 
     Raises:
-        InputError: As `read_timing` does.
+        InputError: If a file of times is damaged.
     """
     methods = dict.fromkeys(scenarios["method"].to_pylist())
     found = {method: known for method in methods if (known := read_timing(folder, shards, method)) is not None}
@@ -153,7 +153,13 @@ def with_timing(folder: Path, shards: Iterable[ResultShard], scenarios: pa.Table
 
 
 def _of_results(shards: Iterable[ResultShard], method: str, results: list[str]) -> set[int]:
-    """Return the scenarios whose results are unchanged."""
+    """Return the numbers of the scenarios whose results have not changed since they were timed.
+
+    Args:
+        shards: The run's shards.
+        method: Name of the method.
+        results: SHA-256 of the timed results.
+    """
     kept = [s for s in shards if s.method == method and s.targets.sha256 in results]
     return {number for shard in kept for number in _scenario_numbers(shard)}
 

@@ -1,4 +1,4 @@
-"""Writing of a run folder, which the caller has locked: begin or continue it, then add shard by shard."""
+"""Writing of a run folder: begin or continue the run, then add shard by shard. The caller must lock the folder."""
 
 import hashlib
 import warnings
@@ -19,50 +19,54 @@ from htcp_jax.runs.run_folder import Run, file_fault, open_run
 
 
 def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
-    """Create or continue the run `requested` in `folder`, and return it with its finished shards.
+    """Create the requested run in a folder, or continue it, and return the run with its finished shards.
 
-    Shards with a damaged file become unfinished, with one warning per method.
+    Shards with a damaged file are dropped, so that they are planned again. One warning per method reports them.
 
     Args:
         folder: The run folder.
         requested: Manifest of the requested run, without shards.
-        keep: An object that the run keeps alive.
+        keep: An object to which the run keeps a reference, such as a temporary folder.
 
     Raises:
-        InputError: If the folder contains another run, more scenarios of this one, or results without a manifest, and
+        InputError: If the folder contains another run, more scenarios than requested, or results without a manifest, or
             if it cannot be written.
     """
     _lay_out(folder)
     if not (folder / MANIFEST).exists():
         if strangers := _unlisted(folder, set()):
-            raise InputError(f"{folder} holds results without a {MANIFEST}, {strangers[0]}; choose another --out")
+            raise InputError(
+                f"{folder} contains results without a {MANIFEST}, such as {strangers[0]}; choose another --out"
+            )
         return _write_manifest(Run(folder, requested, keep))
     old = open_run(folder)
     _refuse_other(old, requested)
+    _refuse_other_code(old, requested)
     _warn_of_other_software(old)
     kept = {name: getattr(old.manifest, name) for name in ("shards", "planned_by", "shard_scenarios")}
     methods = tuple(dict.fromkeys((*old.methods, *requested.methods)))
-    run = Run(folder, requested.model_copy(update={**kept, "methods": methods}), keep)
+    kept |= {"methods": methods, "code": old.manifest.code | requested.code}
+    run = Run(folder, requested.model_copy(update=kept), keep)
     expected = {shard_name(method, span) for method in methods for span in spans(run.manifest)}
     shards = _valid_shards(run, requested.methods)
     for stranger in _unlisted(folder, expected):
-        warnings.warn(f"{stranger} is not of this run; it stays unchanged", stacklevel=3)
+        warnings.warn(f"{stranger} does not belong to this run and is left unchanged", stacklevel=3)
     return _write_manifest(_with_shards(run, shards))
 
 
 def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: Plans, by: dict) -> Run:
-    """Write one more shard and return the run with it.
+    """Write a shard, and return the run that includes it.
 
     Args:
         run: The run.
-        method: The shard's method.
-        span: Its scenarios.
-        tables: Its rows in both tables.
-        plans: Its plans.
-        by: `planned_by` of the process that planned it.
+        method: Method of the shard.
+        span: Scenarios of the shard.
+        tables: Rows of the shard, by name of the table.
+        plans: Plans of the shard.
+        by: Provenance of the shard, from `provenance.planned_by`.
 
     Raises:
-        InputError: If it cannot be written; the run on disk is then unchanged.
+        InputError: If the shard cannot be written; the run on disk is then unchanged.
     """
     name, manifest = shard_name(method, span), run.manifest
     made = {"run": manifest.name, **by}
@@ -82,18 +86,26 @@ def _refuse_other(old: Run, requested: Manifest) -> None:
     differing = identity_differences(_identity(old.manifest), _identity(requested))
     if differing:
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
-        raise InputError(f"{old.folder} holds another sweep: {differing[0]}{more}; choose another --out")
+        raise InputError(f"{old.folder} contains another sweep: {differing[0]}{more}; choose another --out")
     if requested.count < old.manifest.count:
         raise InputError(
-            f"{old.folder} holds this sweep with {old.manifest.count} scenarios, more than {requested.count}; "
+            f"{old.folder} contains this sweep with {old.manifest.count} scenarios, more than {requested.count}; "
             "choose another --out"
         )
+
+
+def _refuse_other_code(old: Run, requested: Manifest) -> None:
+    """Raise InputError if the code of a method or kind of another package has changed since planning."""
+    for name, code in requested.code.items():
+        if old.manifest.shards and old.manifest.code.get(name, code) != code:
+            raise InputError(f"the code of {name} has changed since {old.folder} was planned; choose another --out")
 
 
 def _warn_of_other_software(old: Run) -> None:
     if old.manifest.planned_by:
         if differing := identity_differences(old.manifest.planned_by[-1], planned_by()):
-            warnings.warn(f"{old.folder} was planned by other software: {differing[0]}", stacklevel=4)
+            line = f"{old.folder} was planned with other software, and its plans are kept: {differing[0]}"
+            warnings.warn(line, stacklevel=4)
 
 
 def _identity(manifest: Manifest) -> dict:
@@ -101,7 +113,10 @@ def _identity(manifest: Manifest) -> dict:
 
 
 def _valid_shards(run: Run, requested: tuple[str, ...]) -> tuple[ShardRecord, ...]:
-    """Return the recorded shards whose files are valid. A partial last shard is deleted if the limit has grown."""
+    """Return the recorded shards whose files are valid; warn of damaged ones.
+
+    If the limit has grown, the files of a partial last shard are deleted.
+    """
     known, whole, damaged = set(spans(run.manifest)), [], defaultdict(list)
     for shard in run.manifest.shards:
         files = run.shard_files(shard).values()
@@ -114,14 +129,14 @@ def _valid_shards(run: Run, requested: tuple[str, ...]) -> tuple[ShardRecord, ..
             whole.append(shard)
     for method, lost in damaged.items():
         scenarios = ", ".join(f"{shard.first} to {shard.last}" for shard, _ in lost)
-        then = f"are planned again by {method}" if method in requested else f"of {method} are unfinished now"
+        then = f"are planned again by {method}" if method in requested else f"of {method} are now unfinished"
         more = f" (and {len(lost) - 1} more shards)" if lost[1:] else ""
         warnings.warn(f"{lost[0][1]}{more}; scenarios {scenarios} {then}", stacklevel=4)
     return tuple(whole)
 
 
 def _with_shards(run: Run, shards: tuple[ShardRecord, ...]) -> Run:
-    """Return the run with these shards, and their total seconds."""
+    """Return the run with other shards in its manifest, and with the total times of these shards."""
     seconds = {}
     for method in run.methods:
         own = [shard for shard in shards if shard.method == method]
@@ -149,6 +164,6 @@ def _lay_out(folder: Path) -> None:
 
 
 def _unlisted(folder: Path, expected: set[str]) -> list[Path]:
-    """Return the files among the results that do not belong to the run."""
+    """Return the result files in a run folder whose names are not expected."""
     files = [file for table in TABLES for file in sorted((folder / table).glob("*.parquet"))]
     return [file for file in files if file.name not in expected]

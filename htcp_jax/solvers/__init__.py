@@ -1,13 +1,12 @@
-"""Solvers of the small problems that a plan consists of.
+"""Solvers of the optimisation problems in planning: step QPs, null-space directions, smoothing.
 
-`step_qp` states the convex program of one step (equation (9) of the paper), `StepQP`, and assembles it at a
-configuration. Anything that solves it is a `step_qp.QPSolver`: `active_set` runs inside compiled functions,
-`ClarabelSolver` on the host, `QPSolversSolver` passes it to any solver of the library qpsolvers. All of them return a
-`step_qp.QPSolution` with a `step_qp.QPStatus`, and a method chooses one by the setting `qp`.
+`step_qp` defines the convex program of one step, `StepQP` (equation (9) of the paper), and assembles it at a
+configuration. `active_set` solves it inside compiled functions. On the host a `step_qp.QPSolver` solves it:
+`ClarabelSolver`, or `QPSolversSolver` for any solver of the library qpsolvers. All solvers return a
+`step_qp.QPSolution` with a `step_qp.QPStatus`; the setting `qp` selects the solver.
 
 `sphere` maximises the null-space objective on the unit sphere of directions (equation (11)): by SQP, interior point,
-Adam or CMA-ES, the last of which is the module `cma_es`. `path_qp` is the program over a complete path by which motions
-are smoothed (equation (3)).
+Adam or CMA-ES (module `cma_es`). `path_qp` is the QP over a complete path that smooths motions (equation (3)).
 """
 
 import lazy_loader

@@ -1,10 +1,10 @@
 """The step QP solved on the device: a dual active-set method in the null space of the task, exact to rounding.
 
 The equalities leave N - M unknowns. In coordinates u in which the cost is 1/2 |u - u0|^2, the solution is the point of
-a polyhedron closest to u0, with at most N - M active rows. Goldfarb and Idnani (1983) start at u0 and add the most
-violated row, one after the other; an active row leaves when its multiplier would become negative. The cost rises in
-every step, so the method ends; and when a violated row is a combination of the active ones with multipliers of the
-wrong sign only, these multipliers are Farkas' certificate that no point satisfies all rows.
+a polyhedron closest to u0, with at most N - M active rows. The method of Goldfarb and Idnani (1983) starts at u0 and
+adds the most violated row in each iteration. An active row is dropped when its multiplier would become negative. The
+cost increases in every iteration, so the method ends. If a violated row is a combination of active rows and all
+multipliers have the wrong sign, these multipliers are Farkas' certificate that no point satisfies all rows.
 """
 
 from typing import NamedTuple
@@ -16,31 +16,31 @@ from htcp_jax.numerics import null_basis, product, safe_norm
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
-ITERATIONS = 60  # rows added or dropped; 4 are usual, 20 rare
-PARALLEL = 1e-9  # a unit row this close to the span of the active ones adds nothing to it
+ITERATIONS = 60  # maximum number of rows added or dropped; usually 4, rarely 20
+PARALLEL = 1e-9  # a unit row this close to the span of the active rows is treated as lying in the span
 
 
 class _Active(NamedTuple):
-    """State of the method: a point, its active rows, and the row that enters."""
+    """State of the active-set method: the current point, its active rows, and the entering row."""
 
-    u: Float[Array, "D"]
-    row: Int[Array, "D"]  # active rows, -1 for none
-    multiplier: Float[Array, "D"]
-    entering: Int[Array, ""]  # -1 for none
+    u: Float[Array, "D"]  # current point
+    row: Int[Array, "D"]  # active rows, -1: free slot
+    multiplier: Float[Array, "D"]  # multipliers of the active rows
+    entering: Int[Array, ""]  # entering row, -1: none
     entering_multiplier: Scalar
-    infeasible: Bool[Array, ""]
+    infeasible: Bool[Array, ""]  # True: no point satisfies all rows
     done: Bool[Array, ""]
-    count: Int[Array, ""]
+    count: Int[Array, ""]  # number of iterations
 
 
 def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
     """Solve one step QP, equation (9).
 
-    Infinite limits add no rows.
+    Infinite joint limits do not add rows.
 
     Args:
         qp: The QP.
-        tolerance: Largest violation of a row that counts as satisfied, in the row's own unit.
+        tolerance: Allowed violation of a row, in the row's unit.
 
     Returns:
         The step and its status; FAILED if numbers are not finite or the method does not end.
@@ -60,7 +60,7 @@ def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
     bound = jnp.where(has_bound, bound, 0.0) - product(rows, y_task)
     rows = product(rows, to_y)
     length = jnp.where(has_bound, safe_norm(rows), 0.0)
-    flat = length < 1e-12  # such a row does not depend on u: always true or always false
+    flat = length < 1e-12  # the row does not depend on u: it is satisfied everywhere or nowhere
     normal = rows / jnp.where(flat, 1.0, length)[:, None]
     offset = jnp.where(flat, jnp.inf, bound / jnp.where(flat, 1.0, length))
     hopeless = jnp.any((flat & has_bound & (bound < -tolerance)) | jnp.isneginf(bound))
@@ -74,7 +74,7 @@ def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
 
 
 def _only_step(qp: StepQP, tolerance: float) -> QPSolution:
-    """Return the only step that satisfies the task, if it has as many rows as there are joints."""
+    """Return the solution for a task with as many rows as joints: the only step that satisfies it."""
     y = _on_task(qp)
     over = jnp.concatenate([product(qp.G, y) - qp.h, y - qp.ub, qp.lb - y])
     status = jnp.where(jnp.any(over > tolerance), QPStatus.INFEASIBLE, QPStatus.SOLVED)
@@ -93,7 +93,7 @@ def _closest_point(normal, offset, tolerance, u0) -> _Active:
         new = normal[entering]
         across, along = _split_normal(normal, state.row, new)
 
-        # Step lengths at which an active multiplier becomes 0, and at which the entering row is met.
+        # Step lengths at which an active multiplier becomes 0, and at which the entering row is satisfied.
         uses = (state.row >= 0) & (along > 1e-14)
         left = jnp.where(uses, state.multiplier / jnp.where(uses, along, 1.0), jnp.inf)
         leaving = jnp.argmin(left)
@@ -130,9 +130,10 @@ def _closest_point(normal, offset, tolerance, u0) -> _Active:
 
 
 def _split_normal(normal, rows, new):
-    """Return a unit vector as across + sum along_k normal[rows_k], by Gram-Schmidt, twice, and back substitution.
+    """Return `across` and `along` of a unit vector, with new = across + sum_k along_k normal[rows_k].
 
-    `across` is its part orthogonal to the active rows, `along` its coordinates in them.
+    `across` is the component orthogonal to the active rows, `along` has the coordinates in these rows. They are
+    computed by Gram-Schmidt, applied twice, and back substitution.
     """
     dimension = new.shape[0]
     unit, factor = [], [[jnp.zeros(())] * dimension for _ in range(dimension)]
@@ -176,11 +177,11 @@ def _on_task(qp: StepQP) -> Float[Array, "N"]:
 
 
 def _inverse_factor(H: Float[Array, "D D"]) -> Float[Array, "D D"]:
-    """Return L^-1 for H = L L', unrolled, by Gram-Schmidt on the unit vectors in the inner product of H."""
+    """Return L^-1 for H = L L', by unrolled Gram-Schmidt on the unit vectors in the inner product of H."""
     dimension = H.shape[0]
     rows = []
     for k in range(dimension):
-        # e_k made H-orthogonal to the rows before it, and of H-length 1.
+        # Make e_k H-orthogonal to the previous rows, and of H-length 1.
         v = jnp.eye(dimension)[k]
         for _ in range(2):
             for r in rows:

@@ -1,8 +1,8 @@
 """Clarabel, an interior point solver with infeasibility certificates, with one fixed sparsity pattern.
 
-Building a solver costs more than solving, and so does building sparse matrices: one solver is built from a fixed first
-problem, later ones only write their numbers into it. Presolve and equilibration stay off, so a solver keeps nothing of
-earlier QPs, and a solution is the same to the last bit in any order, in any batch, on any thread.
+Building a solver and its sparse matrices takes longer than solving a QP. Therefore one solver is built for a fixed
+first problem, and later problems only replace its numbers. Presolve and equilibration are off, so a solution does not
+depend on earlier QPs: it is the same bit for bit in any order, in any batch, on any thread.
 """
 
 import clarabel
@@ -22,12 +22,12 @@ _VERDICT = {
 class ClarabelSolver:
     """Solver of step QPs, equation (9), in sequence on the caller's thread.
 
-    Not thread-safe, as the GIL is released while a QP is solved: use one solver per thread.
+    Use one solver per thread: a solver is not thread-safe, as the GIL is released while a QP is solved.
 
     Args:
-        P: Diagonal of the cost.
+        P: Diagonal of the cost's matrix (N,).
         rows: Number of inequality rows, without the bounds.
-        tolerance: Tolerance of Clarabel on the residuals and the duality gap.
+        tolerance: Clarabel's tolerance of the residuals and the duality gap.
         task_rows: Number of equality rows.
     """
 
@@ -54,7 +54,7 @@ class ClarabelSolver:
 
     def solve(self, qps: StepQP) -> QPSolution:
         """Return the steps (B, N) and the status (B,) of every QP of a batch."""
-        # Obstacles infinitely far away and joints without a limit: the row 0 y <= 1. Clarabel takes no infinite bounds.
+        # Clarabel takes no infinite bounds: rows of infinitely far obstacles and of missing limits become 0 y <= 1.
         far = np.isposinf(qps.h) & np.isfinite(qps.G).all(axis=2)
         G, h = np.where(far[:, :, None], 0.0, qps.G), np.where(far, 1.0, qps.h)
         columns = np.concatenate([qps.A, G], axis=1).transpose(0, 2, 1)
@@ -65,7 +65,7 @@ class ClarabelSolver:
         limits = np.where(free, 1.0, limits).transpose(0, 2, 1).reshape(batch, -1)
         values = np.concatenate([columns, signs], axis=2).reshape(batch, -1)
         bounds = np.concatenate([qps.b, h, limits], axis=1)
-        # As lists: Clarabel reads numbers one by one, and each of an array's would be converted to an object first.
+        # As lists: Clarabel reads numbers one by one, and each number of an array would first be made an object.
         rows = zip(qps.q.tolist(), values.tolist(), bounds.tolist(), strict=True)
         found = [self._solve_one(*row) for row in rows]
         y = np.array([step or [0.0] * n for step, _ in found]).reshape(batch, n)
@@ -81,7 +81,7 @@ class ClarabelSolver:
         except Exception:
             return None, QPStatus.FAILED
         except BaseException as panic:
-            # A panic of the Rust core arrives outside Exception and leaves the solver in an unknown state.
+            # A panic of the Rust core is not an Exception, and leaves the solver in an unknown state.
             if type(panic).__name__ != "PanicException":
                 raise
             self._solver = self.build()

@@ -1,7 +1,7 @@
 """CMA-ES with positive weights (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772), as pure functions.
 
-Not from a library, because the complete strategy runs under vmap for thousands of scenarios in 64-bit, and one update
-must equal the `cma` package's on the same population, which a test checks.
+It is implemented here because the complete strategy must run under vmap for thousands of scenarios in 64-bit. A test
+checks that one update equals that of the `cma` package on the same population.
 """
 
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from htcp_jax.types import Array, Float, Scalar
 
 
 class Distribution(NamedTuple):
-    """The search distribution N(mean, sigma^2 C) and its evolution paths."""
+    """The search distribution N(mean, sigma^2 C), and its evolution paths; n is the dimension."""
 
     mean: Float[Array, "n"]
     sigma: Scalar
@@ -28,7 +28,7 @@ class Distribution(NamedTuple):
 
 
 class StrategyParameters(NamedTuple):
-    """Strategy parameters for a population size and dimension; Table 1 of the tutorial, without negative weights."""
+    """Strategy parameters for a population size and dimension: Table 1 of the tutorial, without negative weights."""
 
     weights: Float[np.ndarray, "parents"]
     mu_eff: float
@@ -61,13 +61,13 @@ def strategy_parameters(population: int, n: int) -> StrategyParameters:
 
 
 def start(mean: Float[Array, "n"], sigma: float) -> Distribution:
-    """Return the isotropic distribution about `mean`."""
+    """Return the initial distribution: isotropic about `mean`, with the standard deviation sigma."""
     zero = jnp.zeros_like(mean)
     return Distribution(mean, jnp.full((), sigma), jnp.eye(len(mean)), zero, zero, jnp.zeros(()))
 
 
 def ask(distribution: Distribution, key: jax.Array, population: int) -> Float[Array, "population n"]:
-    """Draw a population from the distribution.
+    """Return a population drawn from the distribution.
 
     Args:
         distribution: The search distribution.
@@ -86,13 +86,13 @@ def tell(
     cost: Float[Array, "population"],
     r: StrategyParameters,
 ) -> Distribution:
-    """Update the distribution from samples ranked by cost, lowest first; equations (41) to (47).
+    """Return the distribution updated by samples, which are ranked by cost; equations (41) to (47).
 
     Args:
         distribution: The distribution that the samples were drawn from.
         samples: The population.
         cost: Cost of each sample.
-        r: Parameters of the strategy.
+        r: Strategy parameters.
     """
     n = distribution.mean.shape[0]
     best = samples[jnp.argsort(cost)[: len(r.weights)]]
@@ -123,7 +123,7 @@ def _square_roots_of(C):
     return B * D[None, :], (B / D[None, :]) @ B.T
 
 
-# On a GPU a matrix product is a library call, apart from the code around it; on a CPU the two forms round differently.
+# On a GPU a matrix product is a library call that is not fused with other code; on a CPU both forms round differently.
 
 
 def _product(a, b):

@@ -1,11 +1,11 @@
 """A small dense convex QP on the device: minimise 1/2 y' H y + c' y subject to G y <= h, for a handful of unknowns.
 
-Mehrotra's predictor-corrector on the normal equations. With 2 to 6 unknowns and up to a hundred rows, the only linear
-algebra is an n x n Cholesky factorisation, unrolled, so thousands of these fuse into a few vectorised loops. The
-caller guarantees that a feasible point exists (here: t can always be lowered).
+The method is Mehrotra's predictor-corrector on the normal equations. With 2 to 6 unknowns and up to a hundred rows, the
+only linear algebra is an unrolled n x n Cholesky factorisation, so thousands of QPs fuse into a few vectorised loops.
+The caller must guarantee that a feasible point exists.
 
-Not qpax, which needs two QR factorisations per iteration, library calls for each lane, and returns the last iterate:
-here the best one is returned, so that a tolerance near rounding can be required.
+The library qpax is not used: it needs two QR factorisations per iteration, which are library calls for each lane, and
+returns the last iterate. Here the best iterate is returned, so that the tolerance can be near rounding.
 """
 
 from typing import NamedTuple
@@ -20,21 +20,21 @@ from htcp_jax.types import Array, Float, Int, Scalar
 
 
 class DenseSolution(NamedTuple):
-    """Minimiser, multipliers of G y <= h, and the largest of primal residual, dual residual and complementarity."""
+    """Solution of a dense QP."""
 
-    y: Float[Array, "n"]
-    multipliers: Float[Array, "m"]
-    error: Scalar
+    y: Float[Array, "n"]  # minimiser
+    multipliers: Float[Array, "m"]  # multipliers of G y <= h
+    error: Scalar  # the largest of primal residual, dual residual and complementarity
 
 
 class _Iterate(NamedTuple):
-    """State of the method."""
+    """State of the interior point method."""
 
     y: Float[Array, "n"]
     slack: Float[Array, "m"]
     multipliers: Float[Array, "m"]
     best: DenseSolution
-    count: Int[Array, ""]  # iterations; set to their maximum on divergence
+    count: Int[Array, ""]  # number of iterations; set to the maximum if the method diverges
 
 
 def solve_dense(
@@ -45,15 +45,15 @@ def solve_dense(
     tolerance: float = 1e-11,
     iterations: int = 30,
 ) -> DenseSolution:
-    """Solve one QP, H positive semidefinite and G of full column rank. Mehrotra (1992); Wright (1997), ch. 14.
+    """Solve one QP with H positive semidefinite and G of full column rank (Mehrotra 1992; Wright 1997, ch. 14).
 
     Args:
         H: Matrix of the cost.
         c: Vector of the cost.
         G: Inequality rows.
-        h: Their bounds.
-        tolerance: Error at which to stop.
-        iterations: Most iterations.
+        h: Bounds of the rows.
+        tolerance: Error at which to stop, see `DenseSolution`.
+        iterations: Maximum number of iterations.
 
     Returns:
         The iterate with the smallest error.
@@ -100,5 +100,5 @@ def solve_dense(
     y = jnp.zeros_like(c)
     nothing = DenseSolution(y, jnp.zeros(m), jnp.full((), jnp.inf))
     start = _Iterate(y, jnp.maximum(h, 0.1), jnp.full(m, 0.1), nothing, jnp.zeros((), jnp.int32))
-    # Beyond what rounding allows the error grows again (or turns NaN, which compares false): return the best one.
+    # Once rounding prevents progress the error increases again, or becomes NaN: return the best iterate.
     return jax.lax.while_loop(lambda s: (s.best.error > tolerance) & (s.count < iterations), body, start).best

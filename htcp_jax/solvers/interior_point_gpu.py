@@ -1,8 +1,8 @@
-"""`interior_point.solve_dense` as one GPU kernel: each instance solves a QP from start to end, its rows in parallel.
+"""`interior_point.solve_dense` as one GPU kernel: each instance solves a complete QP, with its rows in parallel.
 
-As XLA code every iteration would be some twenty launches, after each of which the host checks for convergence; QPs that
-are solved one after the other in loops would mostly wait for that. Same formulas in the same order: only sums over rows
-are rounded differently.
+As XLA code, every iteration would take some twenty kernel launches, and the host would check for convergence. Loops
+that solve one QP after the other would mostly wait for the host. The formulas and their order are those of
+`solve_dense`; only sums over rows are rounded differently.
 """
 
 from functools import partial
@@ -13,13 +13,13 @@ import jax.numpy as jnp
 from htcp_jax.numerics import solve_spd_scalars
 from htcp_jax.pallas import kernel
 
-ROWS_OF_A_WARP = 64  # two rows per thread: with fewer threads, less synchronisation, but more divisions by each
+ROWS_OF_A_WARP = 64  # two rows per thread; fewer threads synchronise less, but each divides more often
 
 
 def solve(H, c, G, h, tolerance: float, iterations: int):
-    """Return (y, multipliers, error) as `solve_dense` does.
+    """Return (y, multipliers, error) of the QP, see `interior_point.DenseSolution`.
 
-    Arrays have 2^k rows in Triton: the padding is 0 y <= 1 with multiplier 0, which stays constant.
+    Arrays in Triton must have 2^k rows. Padding rows are 0 y <= 1 with multiplier 0, which remains 0.
     """
     m, n = G.shape
     size = max(16, 1 << (m - 1).bit_length())
@@ -32,7 +32,7 @@ def solve(H, c, G, h, tolerance: float, iterations: int):
 
 
 def _solve_kernel(m, tolerance, iterations, H, c, G, h, out_y, out_multipliers, out_error):
-    """Solve one QP: numbers of the n unknowns are scalars in lists, those of the rows are vectors."""
+    """Solve one QP. Values per unknown are lists of n scalars, values per row are vectors."""
     n = c.shape[0]
     unknowns = range(n)
     H, c = [[H[i, j] for j in unknowns] for i in unknowns], [c[i] for i in unknowns]

@@ -1,4 +1,4 @@
-"""Smoothing QP, equation (3) about a path: all its configurations at once, as one sparse QP in their steps y_1 .. y_P.
+"""Smoothing QP: equation (3) about a path, as one sparse QP in the steps y_1 .. y_P of all of its configurations.
 
     minimise    sum_i  w' (x_i + y_i - x_{i-1} - y_{i-1})^2      ||x||_Q^2 with Q = V' V; x_0 is fixed, y_0 = 0
     subject to  A_i y_i = 0                        where the task is required: it stays satisfied, to first order
@@ -6,7 +6,7 @@
                 C_i (y_{i-1} + y_i) / 2 <= c_i     and those half way to it
                 lower_i <= y_i <= upper_i          the trust region, inside the joint limits
 
-With h, c >= 0 and bounds on either side of 0 the step 0 is feasible, so a solution always exists.
+With h, c >= 0, lower <= 0 and upper >= 0 the step 0 is feasible, so a solution always exists.
 """
 
 from functools import lru_cache
@@ -21,19 +21,19 @@ SOLVED = ("Solved", "AlmostSolved")
 
 
 class PathQP(NamedTuple):
-    """The QP of one path; P configurations after the start."""
+    """The QP of one path with P configurations after the start; see the module's docstring."""
 
     x: Float[np.ndarray, "P1 N"]  # the start, then the configurations [rad or m]
-    weights: Float[np.ndarray, "N"]  # w, of the joints
-    constrained: Bool[np.ndarray, "P"]  # configurations at which the task is constrained
-    A: Float[np.ndarray, "P M N"]
-    G: Float[np.ndarray, "P R N"]
+    weights: Float[np.ndarray, "N"]  # w, weights of the joints
+    constrained: Bool[np.ndarray, "P"]  # True for configurations at which the task is required
+    A: Float[np.ndarray, "P M N"]  # Jacobian of the task
+    G: Float[np.ndarray, "P R N"]  # clearance rows at each configuration
     h: Float[np.ndarray, "P R"]  # [m]
-    C: Float[np.ndarray, "P R N"]
+    C: Float[np.ndarray, "P R N"]  # clearance rows half way to each configuration
     c: Float[np.ndarray, "P R"]  # [m]
-    lower: Float[np.ndarray, "P N"]
-    upper: Float[np.ndarray, "P N"]
-    begins_anywhere: bool = False  # True: the segment to the first configuration costs nothing
+    lower: Float[np.ndarray, "P N"]  # [rad or m]
+    upper: Float[np.ndarray, "P N"]  # [rad or m]
+    begins_anywhere: bool = False  # True: the segment to the first configuration is not part of the cost
 
 
 def path_cost(x: Float[np.ndarray, "P1 N"], weights: Float[np.ndarray, "N"]) -> float:
@@ -60,9 +60,9 @@ def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
 
 
 def _constraints(qp: PathQP) -> tuple[sparse.csc_matrix, np.ndarray, int]:
-    """Return rows, bounds, and the number of equations among the rows.
+    """Return the matrix and the bounds of the constraints, first the equations, and the number of equations.
 
-    Clearance rows that no step can violate are excluded.
+    Clearance rows that no step within the bounds can violate are omitted.
     """
     count, joints = qp.lower.shape
     most = np.maximum(-qp.lower, qp.upper)
@@ -79,7 +79,10 @@ def _constraints(qp: PathQP) -> tuple[sparse.csc_matrix, np.ndarray, int]:
 
 
 def _sparse_rows(configuration: np.ndarray, coefficients: np.ndarray, count: int) -> sparse.csc_matrix:
-    """Return rows with the coefficients of one configuration's step each; those of the start, -1, are empty."""
+    """Return a sparse matrix with one row per constraint on the step of one configuration.
+
+    Rows for the start, configuration -1, are empty.
+    """
     joints, there = coefficients.shape[1], configuration >= 0
     row = np.repeat(np.flatnonzero(there), joints)
     column = (configuration[there][:, None] * joints + np.arange(joints)).ravel()
@@ -89,5 +92,5 @@ def _sparse_rows(configuration: np.ndarray, coefficients: np.ndarray, count: int
 
 @lru_cache(maxsize=128)
 def _difference_matrix(count: int) -> sparse.csc_matrix:
-    """Return V without the start's column: row i is y_i - y_{i-1}."""
+    """Return the matrix V of finite differences without the start's column: row i is y_i - y_{i-1}."""
     return sparse.diags([np.ones(count), -np.ones(count - 1)], [0, -1], format="csc")

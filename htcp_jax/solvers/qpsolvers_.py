@@ -1,4 +1,4 @@
-"""Any solver in qpsolvers, one QP at a time: a reference for the tests, and a means to try another solver."""
+"""Any solver of the library qpsolvers, one QP at a time: for tests, and to try other solvers."""
 
 import numpy as np
 import qpsolvers
@@ -10,14 +10,14 @@ from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
 class QPSolversSolver:
     """Solver of step QPs by `qpsolvers.solve_problem`.
 
-    qpsolvers does not distinguish an infeasible problem from a failure to converge: both count as INFEASIBLE unless the
-    solver raised or returned NaN.
+    qpsolvers does not distinguish an infeasible problem from a failure to converge: in both cases the status is
+    INFEASIBLE, unless the solver raised an exception or returned NaN.
 
     Args:
         name: The solver's name in qpsolvers.
 
     Raises:
-        InputError: For a solver that is not installed.
+        InputError: If the solver is not installed.
     """
 
     def __init__(self, name: str):
@@ -34,7 +34,7 @@ class QPSolversSolver:
             limits = np.stack([one.lb, one.ub])
             rest = one.P, one.q, one.A, one.b, one.G, one.h
             if not all(np.isfinite(field).all() for field in rest) or np.isnan(limits).any():
-                continue  # some solvers return numbers for such a problem
+                continue  # status FAILED; some solvers would return numbers
             cost = np.diag(one.P)
             # clarabel, scs, highs and others need sparse matrices, quadprog needs dense ones; qpsolvers converts
             problem = qpsolvers.Problem(cost, one.q, one.G, one.h, one.A, one.b, one.lb, one.ub)

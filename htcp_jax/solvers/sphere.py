@@ -2,10 +2,10 @@
 
     maximise  min_k f_k(w)   over |w| = 1,  G w <= h,     f_k(w) = D_k(x_ref + alpha N w) - J1
 
-f_k belongs to body k, so the objective is a minimum of functions, each itself a minimum over points: it has kinks, and
-its maximum is usually at one. `observe` measures it exactly and is expensive; every observation returns K contacts, one
-per body. `predict` measures the distance to the contacts seen so far at another w: cheap, never below f_k, and equal to
-it where the contacts at w have been seen. The minimisers depend on nothing else of robots or clouds.
+f_k belongs to body k. The objective is a minimum of functions, each of which is a minimum over points. It therefore has
+kinks, and its maximum is usually at a kink. `observe` evaluates it exactly, which is expensive, and returns K contacts,
+one per body. `predict` evaluates the distance to known contacts at another w. This is cheap, never less than f_k, and
+equal to f_k if the contacts at w are known. The minimisers depend on robots and obstacles only through these functions.
 """
 
 from collections.abc import Callable
@@ -23,18 +23,18 @@ from htcp_jax.solvers.interior_point import solve_dense
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 Direction = Float[Array, "D"]
-Observation: TypeAlias = PyTree[Array]  # contacts: leaves have a leading axis of all rows, R, or of a multiple of R
+Observation: TypeAlias = PyTree[Array]  # contacts: the leading axis of every leaf has the length R, or a multiple of R
 
 
 class Sphere(NamedTuple):
-    """The problem in the module's docstring.
+    """The maximisation problem in the module's docstring.
 
-    J1(w) = 1/2 w' curvature w is already subtracted in the f_k [m] that observe, measure and predict return, which are
-    differentiable in w; w and with it G and h have no unit.
+    `observe`, `measure` and `predict` return f_k [m], differentiable in w; J1(w) = 1/2 w' curvature w is already
+    subtracted. w, G and h have no unit.
     """
 
     observe: Callable[[Direction], tuple[Float[Array, "K"], Observation]]
-    measure: Callable[[Direction], Scalar]  # min_k f_k(w) alone: cheaper than observe
+    measure: Callable[[Direction], Scalar]  # returns only min_k f_k(w), which is cheaper than `observe`
     predict: Callable[[Direction, Observation], Float[Array, "R"]]
     curvature: Float[Array, "D D"]
     G: Float[Array, "m D"]
@@ -53,7 +53,7 @@ class Best(NamedTuple):
 
 
 def spread_directions(count: int, dimension: int) -> Float[np.ndarray, "count dimension"]:
-    """Return fixed unit vectors, the same on every machine: the positive and negative axes, then seeded random ones."""
+    """Return fixed unit vectors: the positive and negative axes, then random ones from a fixed seed."""
     axes = np.concatenate([np.eye(dimension), -np.eye(dimension)])
     more = np.random.Generator(np.random.PCG64(0)).standard_normal((max(count, len(axes)), dimension))
     return np.concatenate([axes, more / np.linalg.norm(more, axis=1, keepdims=True)])[:count]
@@ -64,15 +64,15 @@ def _unit_direction(v: Direction) -> Direction:
 
 
 def _merit(sphere: Sphere, w: Direction, value: Scalar) -> Scalar:
-    """Return the objective less an exact penalty on joint limits: 10 m/rad is steeper than any clearance."""
+    """Return the objective minus an exact penalty on joint limits, whose 10 m/rad are steeper than any clearance."""
     return value - 10.0 * jnp.max(jnp.maximum(product(sphere.G, w) - sphere.h, 0.0), initial=0.0)
 
 
 def first_direction(sphere: Sphere, seen: Observation, key: jax.Array | None = None, count: int = 64) -> Direction:
     """Return the initial direction of a minimiser.
 
-    It is the best of `count` spread directions by the given contacts, without an observation, or with a key a random
-    one, uniform on the sphere.
+    With a key the direction is random, uniform on the sphere. Otherwise it is the best of `count` spread directions, as
+    predicted by the given contacts.
 
     Args:
         sphere: The problem.
@@ -88,7 +88,7 @@ def first_direction(sphere: Sphere, seen: Observation, key: jax.Array | None = N
 
 
 def _better_of_two(sphere: Sphere) -> Best:
-    """Return the better of the two directions of a sphere with D = 1."""
+    """Return the better of the two directions 1 and -1, for D = 1."""
     directions = jnp.array([[1.0], [-1.0]])
     merit = jnp.stack([_merit(sphere, w, sphere.measure(w)) for w in directions])
     return Best(directions[jnp.argmax(merit)], jnp.max(merit))
@@ -97,16 +97,16 @@ def _better_of_two(sphere: Sphere) -> Best:
 def sqp(
     sphere: Sphere, seen: Observation, observations: int = 12, memory: int = 8, start_key: jax.Array | None = None
 ) -> Best:
-    """Sequential quadratic programming on the epigraph: maximise t with t <= the distance to every contact seen.
+    """Return the best direction by SQP on the epigraph: maximise t, with t <= the distance to every known contact.
 
-    An outer approximation: climb on the prediction by the contacts seen, observe the result, and repeat from the best
-    direction observed. The prediction is never below the truth, so the search ends at a local maximum once nothing near
-    is predicted to be better. Usually three observations are needed.
+    The method is an outer approximation: maximise the prediction from the known contacts, observe the result, and
+    repeat from the best observed direction. The prediction is never less than the objective, so the search has reached
+    a local maximum when no direction nearby is predicted to be better. Usually three observations are needed.
 
     Args:
         sphere: The problem.
         seen: Contacts of the current configuration.
-        observations: Most observations.
+        observations: Maximum number of observations.
         memory: Number of observations whose contacts are kept.
         start_key: Random key for the initial direction; None: see `first_direction`.
     """
@@ -135,29 +135,29 @@ class _Search(NamedTuple):
     best: Best  # best observed direction
     proposed: Direction  # next direction to observe
     store: Observation  # contacts of the last observations
-    more: Bool[Array, ""]  # True: the proposal is predicted to be better
-    count: Int[Array, ""]  # observations
+    more: Bool[Array, ""]  # True: the proposed direction is predicted to be better
+    count: Int[Array, ""]  # number of observations
 
 
 class _Climb(NamedTuple):
-    """A climb on the predicted merit."""
+    """State of a climb on the predicted merit."""
 
     w: Direction
-    value: Float[Array, "R"]  # predicted at w, one per contact seen
+    value: Float[Array, "R"]  # predicted distance at w to each known contact
     gradient: Float[Array, "R D"]
     merit: Scalar
-    multipliers: Float[Array, "R"]  # of the previous QP
-    radius: Scalar  # of the trust region, 0 at the end
+    multipliers: Float[Array, "R"]  # multipliers of the previous QP
+    radius: Scalar  # radius of the trust region; 0 at the end
     steps: Int[Array, ""]
 
     @property
     def ended(self) -> Bool[Array, ""]:
-        """True if no step, however short, is predicted to raise the merit."""
+        """True if no step of any length is predicted to increase the merit."""
         return self.radius < 1e-6
 
 
 def _climb(sphere: Sphere, w: Direction, seen: Observation, steps: int = 12) -> _Climb:
-    """Climb from w to a local maximum of the predicted merit, by SQP steps within a trust region."""
+    """Maximise the predicted merit locally from w, by SQP steps within a trust region; return the last state."""
 
     def stepped(climb):
         step, multipliers, gain = _tangent_step(sphere, climb)
@@ -169,7 +169,7 @@ def _climb(sphere: Sphere, w: Direction, seen: Observation, steps: int = 12) -> 
         w, multipliers, gain, shorter = jax.lax.cond(begins, stay, stepped, climb)
         value, gradient = sphere.predict_with_gradient(w, seen)
         merit = _merit(sphere, w, jnp.min(value))
-        # A step that gains too little was too long: the next is a quarter of it. A QP without predicted gain ends it.
+        # After a step that gains too little, the next one is a quarter of it. If a QP predicts no gain, the climb ends.
         radius = jnp.where(merit - climb.merit > 0.1 * gain, jnp.minimum(2 * climb.radius, 0.5), shorter)
         radius = jnp.where(gain > 1e-10, radius, 0.0)
         there, here = (w, value, gradient, merit), (climb.w, climb.value, climb.gradient, climb.merit)
@@ -178,7 +178,7 @@ def _climb(sphere: Sphere, w: Direction, seen: Observation, steps: int = 12) -> 
         multipliers = jnp.where(begins, lowest, multipliers)
         return _Climb(*higher, multipliers, radius, climb.steps + 1)
 
-    # The first iteration predicts at w itself, so that the prediction is compiled once.
+    # The first iteration predicts at the initial w, so that the prediction is compiled only once.
     rows, dimension = jax.eval_shape(sphere.predict, w, seen).shape[0], w.shape[0]
     unknown = w, jnp.zeros(rows), jnp.zeros((rows, dimension)), jnp.full((), -jnp.inf), jnp.zeros(rows)
     start = _Climb(*unknown, jnp.full((), 0.5), jnp.full((), -1, jnp.int32))
@@ -186,10 +186,10 @@ def _climb(sphere: Sphere, w: Direction, seen: Observation, steps: int = 12) -> 
 
 
 def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array, "R"], Scalar]:
-    """Solve the tangent QP at w: return a step in R^D, the contacts' multipliers, and the predicted gain.
+    """Return the solution of the tangent QP at w: a step in R^D, the contacts' multipliers, and the predicted gain.
 
-    No component of the step in the tangent plane exceeds the radius. Along the arc w -> unit(w + T d), a function with
-    gradient g gains g'T d - 1/2 (g'w) |d|^2 to second order; the QP contains this curvature and that of J1.
+    The radius bounds the step's components in the tangent plane. Along the arc w -> unit(w + T d), a function with
+    gradient g increases by g'T d - 1/2 (g'w) |d|^2 to second order. The QP includes this curvature and that of J1.
     """
     w, value, gradient, multipliers, radius = climb.w, climb.value, climb.gradient, climb.multipliers, climb.radius
     dimension = w.shape[0]
@@ -197,7 +197,7 @@ def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array
     hessian = jnp.sum(multipliers * product(gradient, w)) * jnp.eye(dimension - 1) + product(
         tangent.T, product(sphere.curvature, tangent)
     )
-    # Where the objective bends upwards the QP is made convex (Gershgorin); its rows and the box bound the step.
+    # A non-convex QP is made convex (Gershgorin); its rows and the box bound the step.
     disc = jnp.diag(hessian) - (jnp.sum(jnp.abs(hessian), axis=1) - jnp.abs(jnp.diag(hessian)))
     regularisation = jnp.maximum(1e-3 - jnp.min(disc), 0.0)
     H = jnp.pad(hessian + regularisation * jnp.eye(dimension - 1), (0, 1))
@@ -212,10 +212,10 @@ def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array
 
 
 def max_min_step(sphere: Sphere, seen: Observation, longest: Scalar) -> Direction:
-    """Return the step w, |w| <= longest, that raises the smallest contact seen from w = 0 the most.
+    """Return the step w from 0, |w| <= longest, that increases the smallest predicted distance the most.
 
-    One QP, no observation: the epigraph at first order, with slight damping, so that a flat optimum gives the shortest
-    step.
+    The step is the solution of one QP, the epigraph problem to first order, without an observation. Slight damping
+    selects the shortest of several optimal steps.
 
     Args:
         sphere: The problem.
@@ -235,16 +235,17 @@ def max_min_step(sphere: Sphere, seen: Observation, longest: Scalar) -> Directio
 
 
 def interior_point(sphere: Sphere, seen: Observation, iterations: int = 24, start_key: jax.Array | None = None) -> Best:
-    """Log barrier on the sphere: maximise t + mu (sum log(f_k(w) - t) + sum log(h - G w)), mu falling to 1e-7 m.
+    """Return the best direction by a log barrier: maximise t + mu (sum log(f_k(w) - t) + sum log(h - G w)).
 
-    t is eliminated (its optimum solves sum mu / (f_k - t) = 1), which leaves a smooth minimum over the bodies, repelled
-    by the joint limits. Newton steps in the tangent plane with the barrier's own curvature; a step that does not raise
-    the barrier is rejected and the next is shorter; two steps for every mu.
+    mu decreases to 1e-7 m, with two steps for every mu. t is eliminated: its optimum solves sum mu / (f_k - t) = 1.
+    This leaves a smooth approximation of the minimum over the bodies, with a barrier at the joint limits. The steps are
+    Newton steps in the tangent plane with the barrier's curvature. A step that does not increase the objective is
+    rejected, and the next step is shorter.
 
     Args:
         sphere: The problem.
         seen: Contacts of the current configuration.
-        iterations: Newton steps, one observation each.
+        iterations: Number of Newton steps, with one observation each.
         start_key: Random key for the initial direction; None: see `first_direction`.
     """
     dimension = sphere.curvature.shape[0]
@@ -259,11 +260,11 @@ def interior_point(sphere: Sphere, seen: Observation, iterations: int = 24, star
     def newton(w, values, gradient, mu):
         tangent = null_basis(w[None, :])
         t = _epigraph(values, mu)
-        weight = mu / (values - t)  # sums to 1
+        weight = mu / (values - t)  # the sum is 1
         slack = jnp.maximum(sphere.h - product(sphere.G, w), 1e-12)
         pull = product(weight, gradient) - product(mu / slack, sphere.G)
         across = gradient - product(weight, gradient)[None, :]
-        # d2(-barrier): the bodies' trade-off (t moves with the weighted mean), the limits, the sphere, J1.
+        # Hessian of the negative barrier: terms of the bodies (t moves with the weighted mean), limits, sphere and J1.
         stiff = product(across.T, (weight / (values - t))[:, None] * across)
         stiff = stiff + product(sphere.G.T, (mu / slack**2)[:, None] * sphere.G) + sphere.curvature
         hessian = product(tangent.T, product(stiff, tangent)) + jnp.maximum(product(pull, w), 1e-3) * jnp.eye(
@@ -298,34 +299,34 @@ def interior_point(sphere: Sphere, seen: Observation, iterations: int = 24, star
 def _epigraph(values, mu):
     """Return t below all values with sum mu / (values - t) = 1, by Newton on the convex side.
 
-    It lies between min - K mu and min - mu.
+    t lies between min(values) - K mu and min(values) - mu.
     """
     low = jnp.min(values) - values.shape[0] * mu
 
     def newton(_, t):
         gap = values - t
-        # 1 / sum(mu / gap) is concave and nearly linear in t: a few steps from below suffice and never overshoot.
+        # 1 / sum(mu / gap) is concave and nearly linear in t: a few steps from below are enough, and never overshoot.
         total = jnp.sum(mu / gap)
         slope = jnp.sum(mu / gap**2)
         return t + (1 - total) * total / slope
 
-    # On a GPU every turn of a loop is a launch or more, and the host waits for each.
+    # On a GPU every iteration of a loop takes at least one launch, for which the host waits.
     return jax.lax.fori_loop(0, 8, newton, low, unroll=None if backend().is_cpu else 8)
 
 
 def adam(
     sphere: Sphere, seen: Observation, iterations: int = 40, rate: float = 0.15, start_key: jax.Array | None = None
 ) -> Best:
-    """Adam (optax) on the gradient of J2 by autodiff, projected onto the sphere after every step.
+    """Return the best direction by Adam (optax) on the gradient of J2, projected onto the sphere after every step.
 
     Args:
         sphere: The problem.
         seen: Contacts of the current configuration, for the initial direction.
         iterations: Number of steps.
-        rate: Learning rate of the first step, no unit; it falls to 0 by a cosine.
+        rate: Learning rate of the first step, no unit; it decreases to 0 by a cosine schedule.
         start_key: Random key for the initial direction; None: see `first_direction`.
     """
-    import optax  # here, as it imports half a second of other optimisers
+    import optax  # here, as this import takes half a second
 
     schedule = optax.cosine_decay_schedule(rate, iterations)
     optimiser = optax.adam(schedule)
@@ -338,7 +339,7 @@ def adam(
         best, best_merit = jnp.where(better, w, best), jnp.maximum(merit, best_merit)
         over = product(sphere.G, w) - sphere.h
         worst = jnp.argmax(over)
-        # Minus the merit's subgradient, in the tangent plane.
+        # Negative subgradient of the merit, in the tangent plane.
         descent = -gradient + jnp.where(over[worst] > 0, 10.0, 0.0) * sphere.G[worst]
         descent = descent - product(descent, w) * w
         with jax.numpy_dtype_promotion("standard"):  # optax raises a float to the power of its int32 count
@@ -360,15 +361,15 @@ def cmaes(
     sigma: float = 0.5,
     start_key: jax.Array | None = None,
 ) -> Best:
-    """CMA-ES over directions: samples are normalised before they are measured; the best measured direction is kept.
+    """Return the best direction measured by CMA-ES; samples are normalised before they are measured.
 
     Args:
         sphere: The problem.
         seen: Contacts of the current configuration, for the initial direction.
         key: Random key of the samples.
-        population: Samples per generation; the default is the paper's.
-        generations: Number of generations; the default is the paper's.
-        sigma: Initial standard deviation (no unit), which the paper leaves open; 0.5 covers a hemisphere.
+        population: Number of samples per generation; by default as in the paper.
+        generations: Number of generations; by default as in the paper.
+        sigma: Initial standard deviation, no unit; not given in the paper. 0.5 covers a hemisphere.
         start_key: Random key for the initial direction; None: see `first_direction`.
     """
     strategy = cma_es.strategy_parameters(population, sphere.curvature.shape[0])

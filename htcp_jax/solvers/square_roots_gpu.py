@@ -1,7 +1,7 @@
 """Square roots of a small symmetric matrix as one GPU kernel, for `cma_es`: one instance per matrix.
 
-On a GPU an eigendecomposition is a library call, which separates launches that could be issued together. Jacobi's
-cyclic method (Golub and Van Loan, Matrix Computations, section 8.5) needs only rotations of two rows, written out.
+On a GPU an eigendecomposition is a library call, which cannot be fused with other code. Jacobi's cyclic method (Golub
+and Van Loan, Matrix Computations, section 8.5) needs only rotations of two rows, which are unrolled here.
 """
 
 import jax
@@ -9,13 +9,13 @@ import jax.numpy as jnp
 
 from htcp_jax.pallas import kernel
 
-SWEEPS = 8  # quadratic convergence: 3 x 3 matrices need four, 7 x 7 six
+SWEEPS = 8  # number of sweeps; convergence is quadratic: 3 x 3 matrices need four, 7 x 7 matrices six
 
 
 def square_roots(C):
     """Return B D with B D^2 B' = C, and C^(-1/2).
 
-    Eigenvalues are in ascending order; each axis is positive in its largest component.
+    Eigenvalues are in ascending order; the largest component of each eigenvector is positive.
     """
     shape = jax.ShapeDtypeStruct(C.shape, C.dtype)
     return kernel(_square_roots_kernel, (shape, shape), 1)(C)
@@ -32,7 +32,7 @@ def _square_roots_kernel(C, axes, whiten):
 
 
 def _eigen(C):
-    """Return the eigenvalues of a symmetric matrix and unit eigenvectors; all in lists of scalars."""
+    """Return the eigenvalues and unit eigenvectors of a symmetric matrix, as lists of scalars."""
     n = len(C)
 
     def sweep(_, state):
@@ -49,9 +49,9 @@ def _eigen(C):
 
 
 def _rotate(A, B, p, q):
-    """Return A after the rotation that makes A[p][q] zero, and B, rotated with it; B's rows become the eigenvectors."""
+    """Return A and B after the rotation that makes A[p][q] zero; the rows of B converge to the eigenvectors."""
     off = A[p][q]
-    # The smaller of two rotations, by its tangent; none where A[p][q] is 0 already.
+    # Tangent of the smaller of the two possible rotations; 0 if A[p][q] is already 0.
     ratio = (A[q][q] - A[p][p]) / (2 * jnp.where(off == 0, 1.0, off))
     tangent = 1 / (jnp.abs(ratio) + jnp.sqrt(1 + ratio * ratio))
     tangent = jnp.where(off == 0, 0.0, jnp.where(ratio < 0, -tangent, tangent))
@@ -69,7 +69,7 @@ def _rotate(A, B, p, q):
 
 
 def _ordered(square, B):
-    """Return the eigenvalues in ascending order and their vectors, by exchanges of neighbours; see `_positive`."""
+    """Return the eigenvalues in ascending order, by exchanges of neighbours, and their vectors after `_positive`."""
     n = len(square)
     pairs = [(square[i], *_positive(B[i])) for i in range(n)]
     for last in reversed(range(n)):
@@ -82,7 +82,7 @@ def _ordered(square, B):
 
 
 def _positive(v):
-    """Return v or -v: its largest component in magnitude, the first of equals, is positive."""
+    """Return v or -v, so that the component of largest magnitude, the first of several, is positive."""
     longest = v[0]
     for component in v[1:]:
         longest = jnp.where(jnp.abs(component) > jnp.abs(longest), component, longest)

@@ -5,8 +5,8 @@
                 G y <= h         the clearance rows (8), then the task's bands and cones
                 lb <= y <= ub
 
-A solver takes a batch of them on the host and returns steps and statuses. INFEASIBLE is a normal result: the arm is
-stuck. FAILED is a failure of the solver itself (no convergence, NaN), and never counts as infeasible.
+A solver takes a batch of step QPs on the host, and returns steps and statuses. INFEASIBLE is a normal result: the arm
+is stuck. FAILED means that the solver did not converge or returned NaN; it is not treated as infeasible.
 """
 
 import enum
@@ -27,9 +27,9 @@ class QPStatus(enum.IntEnum):
 
 
 class StepQP(NamedTuple):
-    """One step QP; in a batch every field has a leading axis."""
+    """One step QP, see the module's docstring; in a batch every field has a leading axis."""
 
-    P: Joints  # the diagonal
+    P: Joints  # diagonal of the cost's matrix
     q: Joints
     A: Float[Array, "M N"]
     b: Float[Array, "M"]
@@ -40,10 +40,10 @@ class StepQP(NamedTuple):
 
 
 class QPSolution(NamedTuple):
-    """Step (zeros where the QP is not solved) and status."""
+    """Solution of a step QP."""
 
-    y: Joints
-    status: Int[Array, ""]
+    y: Joints  # the step; zeros if the QP is not solved
+    status: Int[Array, ""]  # number of a `QPStatus`
 
 
 @runtime_checkable
@@ -71,11 +71,11 @@ def assemble(
     slack: Float[Array, "B"] | None = None,
     slack_gradient: Float[Array, "B N"] | None = None,
 ) -> StepQP:
-    """Assemble equation (9) about x_ref.
+    """Return the step QP (9) about x_ref.
 
     Args:
-        settings: Weights of J1; `cost_about`: J1 about x_ref (9), or about x_{t-1} (4); `clearance_rows`: all (8), or
-            only the smallest D's (9).
+        settings: The weights of J1 are used, `cost_about`, which is x_ref (9) or x_{t-1} (4), and `clearance_rows`: all
+            rows (8), or only the row with the smallest D (9).
         x_ref: The current configuration [rad or m].
         x_previous: The configuration at the previous target, x_{t-1} [rad or m].
         to_target: Delta C = C_next - C_ref [m].
@@ -85,8 +85,8 @@ def assemble(
         margin_m: Required clearance.
         lower: Lower joint limits [rad or m].
         upper: Upper joint limits [rad or m].
-        slack: Slack of the task's bands and cones [m], if there are any.
-        slack_gradient: Its gradient [m/rad or m/m].
+        slack: Slack of the task's bands and cones [m]; None: the task has none.
+        slack_gradient: Gradient of the slack [m/rad or m/m].
     """
     weights = jnp.asarray(settings.q_weights)
     about = x_ref if settings.cost_about == "reference" else x_previous
@@ -112,8 +112,8 @@ def row_count(settings: Settings, rows: int, bands: int = 0) -> int:
     """Return the number of inequality rows of one step QP, without the bounds.
 
     Args:
-        settings: Of the planner.
+        settings: Settings of the planner.
         rows: Number of clearance rows.
-        bands: Number of the task's bands and cones.
+        bands: Number of bands and cones in the task.
     """
     return (1 if settings.clearance_rows == "smallest" else rows) + bands

@@ -1,13 +1,13 @@
 """Time parameterisation of a motion, and robot programs.
 
-`time_run` times a complete run; `plan_program` makes the program of one plan, a `PlanProgram`: a `Program` with the
-job, the arm and the limits that it was made with. A program blends the motion's corners and has the fastest time
-scaling within the feed rate and the limits of the joints; `check_limits` refuses a job whose arm states none.
-`TimedMotion` is the same motion sampled in time, as rows, and `tcp_at` the TCP along it. `PeakTorque` is the largest
-joint torque.
+`time_run` times all motions of a run. The module `plan_program` makes the robot program of one plan, a `PlanProgram`: a
+`Program` with its job, arm and limits. A program blends the motion's corners, and has the fastest time scaling within
+the feed rate and the joint limits. `check_limits` raises InputError for a job whose arm has no velocity limits.
+`TimedMotion` is a motion sampled in time, and `tcp_at` computes the TCP along it. `PeakTorque` is the largest joint
+torque.
 
-`figures` measures a program: times, shares at the feed rate, speeds. `FORMATS` are the files in which a program can be
-written for controllers, and `format_of` finds the one of a file's name.
+`figures` computes a program's times, speeds, and used shares of the limits. `FORMATS` lists the file formats for
+controllers, and `format_of` returns a format by its name.
 """
 
 import lazy_loader

@@ -1,9 +1,10 @@
 """Arm configuration flags of a Yaskawa arm, as in INFORM's RCONF, which select one of the IK solutions.
 
-Known only for the built-in GP50, whose controller's angles are q = (s, l - pi/2, -u, -r, -b, -t), see its model. By the
-NX100's manual, section Manipulator Types: flip if r is within 90 degrees of 0 or of a full turn; r, t and s are 180
-degrees or more outside (-180, 180]; front or rear by the S axis, upper or lower arm by the L and U axes. The meaning of
-the last two behind the S axis is only in the manual's figures, so the flags are unknown there.
+The flags are known only for the built-in GP50. Its controller's angles s, l, u, r, b, t are given by q = (s, l - pi/2,
+-u, -r, -b, -t), see the GP50's model. According to the NX100's manual, section Manipulator Types, the wrist is flipped
+if r is within 90 degrees of 0 or of a full turn; r, t and s count as 180 degrees or more outside (-180, 180]; the S
+axis separates front and rear, and the L and U axes separate upper and lower arm. Behind the S axis the manual defines
+upper and lower arm only by figures, so the flags are unknown there.
 """
 
 import jax
@@ -14,23 +15,26 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs import config
 from htcp_jax.model import Robot, kinematics
 
-SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints with frame origins on the L, U and B axes
+JOINTS = 6
+SHOULDER, ELBOW, WRIST = 1, 2, 4  # indices of the joints whose frame origins are on the L, U and B axes
 
 
 def arm_flags(arm: config.RobotConfig, robot: Robot, x: Float[np.ndarray, "n N"]) -> Int[np.ndarray, "n 6"]:
-    """Return the flags at configurations: 1 for no flip, lower arm, rear, and r, t and s of 180 degrees or more, or 0.
+    """Return the six flags at n configurations, 0 or 1.
+
+    The flags are, in this order: no flip, lower arm, rear, and r, t and s of 180 degrees or more.
 
     Args:
-        arm: The job's arm.
-        robot: The arm, loaded.
+        arm: The job's section of the arm.
+        robot: The loaded arm.
         x: Configurations [rad].
 
     Raises:
-        InputError: For another arm than the GP50, and if the arm is not in front of its S axis.
+        InputError: If the arm is not a GP50, or not in front of its S axis.
     """
-    if not arm.is_gp50:
+    if not arm.is_gp50 or x.shape[1] != JOINTS:  # a GP50 on a rail has more joints
         raise InputError(
-            f"jbi: the arm configuration flags (RCONF) of {robot.name} are not known; jbi-pulses needs none"
+            f"jbi: arm configuration flags (RCONF) are implemented for the GP50 only; for {robot.name}, use jbi-pulses"
         )
     s, r, t = x[:, 0], -x[:, 3], -x[:, 5]
     lower = ~_elbow_is_up(robot, x)
@@ -56,7 +60,7 @@ def _elbow_is_up(robot: Robot, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, 
     if (behind := ~(ahead[:, 2:] > 0).all(axis=1)).any():
         k = int(behind.argmax())
         raise InputError(
-            f"jbi: configuration {k} is behind the S axis, its flags (RCONF) are not known; jbi-pulses needs none"
+            f"jbi: configuration {k} is behind the S axis, where its flags (RCONF) are not implemented; use jbi-pulses"
         )
     up = points[..., 2]
     return (ahead[:, 2] - ahead[:, 0]) * (up[:, 1] - up[:, 0]) > (up[:, 2] - up[:, 0]) * (ahead[:, 1] - ahead[:, 0])

@@ -1,7 +1,8 @@
-"""Split of a motion into sections from stop to stop, each a blended curve that is covered by the polyline's proof.
+"""Split of a motion into sections from stop to stop.
 
-The arm stops where the tool begins or ends to follow the path, before and after a dwell, and at a corner that cannot be
-blended, because the slack is too small or the tool would almost reverse.
+Each section is a blended curve that is close enough to the motion's polyline for the polyline's proof to cover it. The
+arm stops where the tool begins or ceases to follow the path, before and after a dwell, and at a corner that cannot be
+blended because the slack is too small or the tool would almost reverse.
 """
 
 from itertools import pairwise
@@ -19,35 +20,35 @@ from htcp_jax.trajectory.displacement import ArmLevers, Displacement, arm_at, be
 from htcp_jax.trajectory.limits import MotionLimits
 from htcp_jax.trajectory.row_slack import RowSlacks
 
-SHARE = 0.5  # of the proven clearance, and of the remaining tolerance, that blending may use
-HALVINGS = 12  # of a corner's blend length before the arm stops there
+SHARE = 0.5  # share of the proven clearance, and of the remaining tolerance, that blending may use
+HALVINGS = 12  # maximum number of halvings of a corner's blend length, after which the arm stops at the corner
 ONE_MOMENT_S = 1e-3  # duration at full speed up to which legs may be merged
-SHARPEST = 0.5  # cosine of half the angle by which the tool's path may turn without a stop
-PIECES = 8  # per leg, for the bound on the TCP's distance from its line
-SHARE_OF_LIMITS = 0.3  # of accelerations and jerks that a corner of the path should take at the feed
+SHARPEST = 0.5  # cosine of half the largest angle by which the tool's path may turn without a stop
+PIECES = 8  # number of pieces per leg for the bound on the TCP's distance from its line
+SHARE_OF_LIMITS = 0.3  # share of the acceleration and jerk limits that a corner of the path should use at the feed
 
 
 class MotionSlack(NamedTuple):
-    """Slack next to the n - 1 legs of a motion."""
+    """Slack of a motion's proof at each of its m legs: how far a curve may deviate from the polyline."""
 
-    clearance: Float[np.ndarray, "m"]  # proven on the straight joint path [m]
-    tube: Float[np.ndarray, "m"]  # allowed distance of the TCP from the line between the legs' ends [m]; inf: any
-    rows: RowSlacks | None = None  # of a task that constrains more than the TCP's position
+    clearance: Float[np.ndarray, "m"]  # guaranteed clearance on the straight joint path [m]
+    tube: Float[np.ndarray, "m"]  # allowed distance of the TCP from the line between a leg's ends [m]; inf: not limited
+    rows: RowSlacks | None = None  # slack of the task's rows; None if the task constrains only the TCP's position
 
     def only(self, which: Int[np.ndarray, "k"]) -> "MotionSlack":
-        """Select some of the legs."""
+        """Return the slack of the legs in `which`."""
         return MotionSlack(self.clearance[which], self.tube[which], self.rows and self.rows.only(which))
 
 
 def motion_slack(plans: Plans, scenario: int, motion: Motion, tube_m: float, robot: Robot | None = None) -> MotionSlack:
-    """Return the slack of a plan's proof next to the legs of its motion.
+    """Return the slack of a plan's proof at each leg of its motion.
 
     Args:
         plans: The plans.
         scenario: Row of the plan.
-        motion: Its motion.
-        tube_m: `Settings.tube_m`.
-        robot: With the job's tool; needed for via points between two targets.
+        motion: The plan's motion.
+        tube_m: Radius of the tube, `Settings.tube_m`.
+        robot: The robot with the job's tool; required if the motion has via points between two targets.
     """
     there = int((motion.kind != Kind.RETRACT).sum())
     target, kind = motion.target[1:there], motion.kind[1:there]
@@ -64,7 +65,7 @@ def motion_slack(plans: Plans, scenario: int, motion: Motion, tube_m: float, rob
 
 
 def _off_line(plans: Plans, scenario: int, motion: Motion, robot: Robot) -> Float[np.ndarray, "n"]:
-    """Return the TCP's distance at via points between two targets from its place there [m]; 0 at other rows."""
+    """Return the TCP's distance, at via points, from its position interpolated between two targets [m]; 0 elsewhere."""
     off, share = np.zeros(len(motion.x)), motion.span[:, 1]
     inner = np.flatnonzero((share > 0) & (share < 1) & np.isin(motion.kind, (Kind.PROCESS, Kind.DWELL)))
     if len(inner):
@@ -75,14 +76,14 @@ def _off_line(plans: Plans, scenario: int, motion: Motion, robot: Robot) -> Floa
 
 
 def blends(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionLimits, feed_m_s: float) -> list[Blend]:
-    """Split a motion into sections, in order; legs without motion are removed.
+    """Return the sections of a motion, in order; legs without motion are removed.
 
     Args:
-        robot: With the job's tool.
+        robot: The robot with the job's tool.
         motion: The motion.
-        left: Slack next to its legs.
+        left: Slack at the motion's legs.
         limits: Limits of the joints.
-        feed_m_s: Feed of the TCP on the path.
+        feed_m_s: Feed rate of the TCP on the path.
     """
     polyline = _merge_short_legs(_moving_legs(robot, motion, left), limits)
     if not len(polyline.row):
@@ -103,11 +104,11 @@ def blends(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionLimits
 
 
 class _Polyline(NamedTuple):
-    """The polyline of a motion, possibly reduced: k configurations, and k - 1 legs between them."""
+    """Polyline of a motion, possibly with merged legs: k configurations, and m = k - 1 legs between them."""
 
-    x: Float[np.ndarray, "k N"]
-    row: Int[np.ndarray, "m"]
-    group: Int[np.ndarray, "m"]
+    x: Float[np.ndarray, "k N"]  # configurations [rad or m]
+    row: Int[np.ndarray, "m"]  # row of the motion to which each leg leads
+    group: Int[np.ndarray, "m"]  # the arm stops between legs of different groups
     left: MotionSlack
     arm: ArmLevers
 
@@ -123,7 +124,7 @@ class _Polyline(NamedTuple):
 
 
 def _moving_legs(robot: Robot, motion: Motion, left: MotionSlack) -> _Polyline:
-    """Return the legs on which joints move. Transfer and approach are one group."""
+    """Return the polyline of the legs on which joints move. Transfer and approach form one group."""
     kept = np.flatnonzero(np.append(True, np.any(np.diff(motion.x, axis=0) != 0, axis=1)))
     row = kept[1:]
     group = np.maximum(motion.kind[row], Kind.APPROACH).astype(int)
@@ -132,9 +133,9 @@ def _moving_legs(robot: Robot, motion: Motion, left: MotionSlack) -> _Polyline:
 
 
 def _merge_short_legs(polyline: _Polyline, limits: MotionLimits) -> _Polyline:
-    """Merge very short legs with the leg before.
+    """Return the polyline with very short legs merged with the previous leg.
 
-    The first configuration of a short leg is replaced by the next one, if the displacement is within the slack.
+    The first configuration of a short leg is replaced by the next one if the displacement is within the slack.
     """
     short = (_duration(polyline.x, limits) < ONE_MOMENT_S) | ((polyline.group == Kind.PROCESS) & ~polyline.on_process)
     goes = np.flatnonzero(short[1:] & (polyline.group[1:] == polyline.group[:-1])) + 1
@@ -150,15 +151,15 @@ def _merge_short_legs(polyline: _Polyline, limits: MotionLimits) -> _Polyline:
     left, fits = _less(polyline.left, before, moved._replace(tcp=moved.tcp + off))
     gone = np.zeros(len(polyline.x), bool)
     for k, fit in zip(goes[::-1], fits[::-1], strict=True):
-        gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all up to its replacement
+        gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all configurations up to the replacement are removed
     kept = np.flatnonzero(~gone)
-    last, first = kept[1:] - 1, kept[:-1]  # of merged legs; on the path the first leg's line is used
+    last, first = kept[1:] - 1, kept[:-1]  # last and first of the merged legs; on the path the first leg's line is used
     row = np.where(polyline.group[first] == Kind.PROCESS, polyline.row[first], polyline.row[last])
     return _Polyline(polyline.x[kept], row, polyline.group[last], left.only(first), polyline.arm.only(kept))
 
 
 def _less(left: MotionSlack, legs: Int[np.ndarray, "k"], by: Displacement) -> tuple[MotionSlack, Bool[np.ndarray, "k"]]:
-    """Return the slack after a displacement of some legs, and True for those with enough of it."""
+    """Return the slack that a displacement of some legs leaves, and a mask of the legs with enough slack."""
     whole = left.only(legs)
     rest = MotionSlack(whole.clearance - by.bodies, whole.tube - by.tcp)
     fits = (rest.clearance >= SHARE * whole.clearance) & (rest.tube >= SHARE * whole.tube)
@@ -173,7 +174,7 @@ def _less(left: MotionSlack, legs: Int[np.ndarray, "k"], by: Displacement) -> tu
 
 
 def _duration(x: np.ndarray, limits: MotionLimits) -> Float[np.ndarray, "m"]:
-    """Return the durations of straight joint paths at full speed [s]."""
+    """Return the durations at full speed of the straight joint paths between consecutive configurations [s]."""
     return np.max(np.abs(np.diff(x, axis=0)) / limits.velocity, axis=1)
 
 
@@ -190,7 +191,7 @@ def _blend_of(whole: Curve, blend_length: np.ndarray, a: int, b: int, polyline: 
 def _desired_lengths(
     curve: Curve, on_process: np.ndarray, limits: MotionLimits, feed_m_s: float
 ) -> Float[np.ndarray, "k"]:
-    """Return the desired blend lengths of corners: as the feed requires, at most half of the adjacent legs."""
+    """Return the blend length that the feed requires at each corner, at most half of the adjacent legs."""
     step, turns = np.diff(curve.u), np.abs(curve.turns)
     available = 0.5 * np.append(np.minimum(step[:-1], step[1:]), 0.0)
     available = np.append(0.0, available)
@@ -202,7 +203,7 @@ def _desired_lengths(
 
 
 def _blend_lengths(robot: Robot, polyline: _Polyline, curve: Curve, wanted: np.ndarray) -> Float[np.ndarray, "k"]:
-    """Return the largest blend lengths, wanted / 2^i, within the slack of the adjacent legs; 0 if none is."""
+    """Return the largest blend length wanted / 2^i at each corner that the adjacent legs' slack allows; 0 if none."""
     arm, left = polyline.arm, polyline.left
     tries = np.append(wanted * 0.5 ** np.arange(HALVINGS)[:, None], np.zeros((1, len(wanted))), axis=0)
     slopes = np.abs(curve.slopes)
@@ -219,14 +220,14 @@ def _blend_lengths(robot: Robot, polyline: _Polyline, curve: Curve, wanted: np.n
 
 
 def _least_of_legs(legs: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
-    """Return for each via point the minimum of the legs before and after it."""
+    """Return the minimum of the values of both adjacent legs, for each configuration."""
     return np.minimum(np.append(legs[:1], legs), np.append(legs, legs[-1:]))
 
 
 def _chord_deviation(robot: Robot, arm: ArmLevers, curve: Curve, which: np.ndarray) -> Float[np.ndarray, "m"]:
-    """Return an upper bound on the chord deviation of legs in `which` [m]; 0 for other legs.
+    """Return an upper bound on the chord deviation of the legs in `which` [m]; 0 for other legs.
 
-    It is the TCP's distance, on the straight joint path, from the line between the leg's ends.
+    The chord deviation is the TCP's distance, on the straight joint path, from the line between the leg's ends.
     """
     found, legs = np.zeros(len(which)), np.flatnonzero(which)
     if not len(legs):

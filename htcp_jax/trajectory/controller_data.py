@@ -1,4 +1,4 @@
-"""Controller data that a program needs in addition to its motion: names, numbers and tables."""
+"""Data of a robot controller that a program file needs in addition to the motion: names, numbers and tables."""
 
 import datetime
 from collections.abc import Mapping
@@ -12,25 +12,25 @@ from htcp_jax.trajectory.timed_motion import TimedMotion
 
 
 class UserFrame(NamedTuple):
-    """A numbered frame of the controller, with poses of the TCP in it."""
+    """Numbered user frame of the controller, with the TCP's poses and arm configuration flags at n samples."""
 
     number: int
     T_frame_tcp: Float[np.ndarray, "n 4 4"]  # [m]
-    # Arm configuration flags, which select one of the IK solutions: six numbers, 0 or 1, in the order of INFORM's RCONF
-    # (no flip, lower arm, rear, and R, T and S of 180 degrees or more).
+    # Arm configuration flags, which select one of the IK solutions: six numbers, 0 or 1, in the order of INFORM's
+    # RCONF: no flip, lower arm, rear, and R, T and S of 180 degrees or more.
     flags: Int[np.ndarray, "n 6"]
 
 
 class Pulses(NamedTuple):
     """Encoder scale of a controller."""
 
-    per_unit: Float[np.ndarray, "N"]  # [1/rad or 1/m]; negative for an opposite direction of rotation
+    per_unit: Float[np.ndarray, "N"]  # pulses [1/rad or 1/m]; negative for an opposite direction of rotation
     zero: Float[np.ndarray, "N"]  # joint values at 0 pulses [rad or m]
-    source: str  # of these numbers, as text
+    source: str  # origin of the scale, as text
 
 
 class JointGroups(NamedTuple):
-    """Columns of a motion's joints in the controller's groups, each in the controller's order."""
+    """Indices of a motion's joints in each group of the controller, in the controller's order."""
 
     robot: tuple[int, ...]
     base: tuple[int, ...] = ()  # axes that carry the robot
@@ -38,33 +38,56 @@ class JointGroups(NamedTuple):
 
     @property
     def external(self) -> tuple[int, ...]:
-        """Columns of all joints that are not the robot's."""
+        """Indices of all joints that are not in the robot's group."""
         return self.base + self.station
 
 
-class ControllerData(NamedTuple):
-    """The job's controller data. A format raises InputError for missing entries that it needs."""
+class PlannedTcp(NamedTuple):
+    """Planned TCP, and the name of the frame to which its pose is relative."""
 
-    name: str  # of the program
+    frame: str
+    T_frame_tcp: Float[np.ndarray, "4 4"]  # [m]
+
+
+class ControllerData(NamedTuple):
+    """Controller data of a job; a format raises InputError if an entry that it needs is missing."""
+
+    name: str  # name of the program
     slides: tuple[bool, ...]  # True for sliding joints
     speed: Float[np.ndarray, "N"] | None = None  # the controller's full joint speeds [rad/s or m/s]
-    tool: int = 0  # its number at the controller
+    tool: int = 0  # the tool's number at the controller
+    tool_name: str | None = None  # the tool's name at the controller; None: derived from the number
+    tcp: PlannedTcp | None = None
+    coupled: tuple[tuple[int, int], ...] = ()  # indices of a coupled axis and of the joint that is added to it
     user_frame: UserFrame | None = None
     pulses: Pulses | None = None
     groups: JointGroups | None = None  # None: all joints are the robot's
-    date: datetime.datetime | None = None  # to write into the file
-    control_step_s: float = 0.002  # of the controller
-    in_file: tuple[int, ...] | None = None  # the joints and the locked ones in the order of the file; None: the same
-    locked: Mapping[str, float] = MappingProxyType({})  # positions of joints that do not move [rad or m]
+    date: datetime.datetime | None = None  # date to write into the file
+    control_step_s: float = 0.002  # time step of the controller
+    # index of each joint of the model file, counted over the motion's joints and then `locked`; None: same order
+    in_file: tuple[int, ...] | None = None
+    locked: Mapping[str, float] = MappingProxyType({})  # values of joints that do not move [rad or m], by name
 
     @property
     def joint_groups(self) -> JointGroups:
-        """The groups; without any, all joints are the robot's."""
+        """The joint groups; if `groups` is None, the robot's group contains all joints."""
         return self.groups or JointGroups(tuple(range(len(self.slides))))
 
 
+# Line in the header of formats that contain joint values for controllers of one manufacturer.
+CHECK_AXES = (
+    "Joint values are those of the model; check signs, zeros and coupled axes (parallel linkages) against the "
+    "controller."
+)
+
+
 def header(timed: TimedMotion, *more: str) -> list[str]:
-    """Return the header of every file, one sentence per line; `more` are further sentences of the format."""
+    """Return the lines of a file's header, one sentence per line.
+
+    Args:
+        timed: Samples in the file.
+        more: The format's own sentences.
+    """
     duration_s = timed.time_s[-1] - timed.time_s[0]
     return [
         f"{len(timed.x)} configurations of {len(timed.joint_names)} joints, {duration_s:.3f} s.",

@@ -5,8 +5,9 @@ d_k of a corner, where with Delta = t_k - t_{k-1} and w = (u - u_k) / d_k
 
     q = x_k + t_{k-1} (u - u_k) + d_k Delta F(w),    F'' = 15/16 (1 - w^2)^2,    F(-1) = F'(-1) = 0,
 
-so that F(1) = F'(1) = 1. It is at most F(0) d_k Delta = 5/32 d_k Delta from the polyline, at the corner, always along
-Delta, and within the triangle that the corner spans: joint limits that the via points keep are kept by the curve.
+so that F(1) = F'(1) = 1. The curve deviates from the polyline along Delta, by at most F(0) d_k Delta = 5/32 d_k Delta,
+at the corner. It stays within the triangle that the corner spans: if the via points satisfy the joint limits, the curve
+does, too.
 """
 
 from typing import NamedTuple
@@ -29,14 +30,14 @@ class Derivatives(NamedTuple):
 class Curve(NamedTuple):
     """A blended polyline through k via points of N joints."""
 
-    u: Float[np.ndarray, "k"]  # rises
-    x: Float[np.ndarray, "k N"]  # [rad or m]
-    # blend length d, in units of u: at most half of the adjacent legs; 0 at both ends
+    u: Float[np.ndarray, "k"]  # positions of the via points, increasing
+    x: Float[np.ndarray, "k N"]  # via points [rad or m]
+    # blend lengths d, in units of u: at most half of the adjacent legs; 0 at both ends
     blend_length: Float[np.ndarray, "k"]
 
     @property
     def slopes(self) -> Float[np.ndarray, "k1 N"]:
-        """Derivatives dx / du on the polyline's legs."""
+        """Derivatives dx / du on the polyline's k - 1 legs."""
         return np.diff(self.x, axis=0) / np.diff(self.u)[:, None]
 
     @property
@@ -45,11 +46,11 @@ class Curve(NamedTuple):
         return np.pad(np.diff(self.slopes, axis=0), ((1, 1), (0, 0)))
 
     def leg(self, u: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the leg of each position."""
+        """Return the index of the leg at each position."""
         return np.clip(np.searchsorted(self.u, u, side="right") - 1, 0, len(self.u) - 2)
 
     def at(self, u: Float[np.ndarray, "n"]) -> Derivatives:
-        """Evaluate the curve at positions u."""
+        """Return the curve and its derivatives with respect to u, at n positions u."""
         leg, slopes = self.leg(u), self.slopes
         ahead, slope = u - self.u[leg], slopes[leg]
         corner = leg + (2 * ahead > np.diff(self.u)[leg])
@@ -74,7 +75,7 @@ class Curve(NamedTuple):
 
         Args:
             on_corner: Number of positions on each corner.
-            on_leg: Number of halvings, from the middle between two corners towards each one.
+            on_leg: Number of positions from the middle of a leg towards each corner, each at half the distance.
         """
         near = 0.5 ** np.arange(1, on_leg + 1)
         shares = np.concatenate([[0.0], near[::-1], 1 - near[1:], [1.0]])
@@ -86,8 +87,8 @@ class Curve(NamedTuple):
 
 
 class Blend(NamedTuple):
-    """A section of the motion: a curve from stop to stop, with the row of the motion to which each leg leads."""
+    """A section of the motion: a curve from stop to stop."""
 
-    curve: Curve  # over the TCP's path length [m] if it feeds; else over the time at full speed [s]
-    row: Int[np.ndarray, "m"]
-    on_process: bool
+    curve: Curve  # over the TCP's path length [m] if the tool follows the path; else over the time at full speed [s]
+    row: Int[np.ndarray, "m"]  # row of the motion to which each leg leads
+    on_process: bool  # True if the tool follows the path

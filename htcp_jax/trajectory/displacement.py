@@ -1,14 +1,15 @@
-"""Displacement bounds of the arm's points when its joints are displaced from the proven joint path.
+"""Bounds on the displacement of an arm's points if its joints are displaced from the proven joint path.
 
-Joints near x, each within w_j of it, are moved by n_j. With the levers r_j of a point at x, and M_j as in
-`motion_bound` for joints within w + n, the column of joint j is no longer than l_j = r_j + M_{j+1}, and its derivative
-by joint i no larger than l_max(i, j), 0 for two slides. So the point moves by no more than either of
+Each joint j is within w_j of x, and is displaced by n_j. Let r_j be the levers of a point at x, and M_j as in
+`motion_bound` for joints within w + n. Then column j of the point's Jacobian has a norm of at most l_j = r_j + M_{j+1},
+and its derivative by joint i at most l_max(i, j), or 0 for two slides. The point moves by no more than either of
 
     sum_j l_j n_j    and    |J(x) n| + sum_ij l_max(i, j) (w_i + n_i / 2) n_j.
 
-The second bound accounts for joints that compensate each other's motion, as for a tool that stays on its path. Both
-also hold for a direction that is fixed to a link: hinges move its end like a point, r_j = |z_j x direction|, slides do
-not. Seen from another link, it is moved by the hinges between, in either order, so that r_j <= 1 is used for these.
+The second bound accounts for joints that compensate each other's motion, for example if the tool stays on its path.
+Both bounds also apply to a direction that is fixed to a link: hinges move its end like a point, with r_j = |z_j x
+direction|, and slides do not move it. The hinges between two links move a direction in the frame of the other link;
+for these hinges r_j <= 1 is used.
 """
 
 from collections.abc import Callable
@@ -25,42 +26,42 @@ from htcp_jax.device import tables as device_tables
 from htcp_jax.model import Robot, kinematics, task, task_rows
 from htcp_jax.numerics import safe_norm
 
-ROWS = 256  # configurations are padded to this times a power of two, so that few sizes are compiled
+ROWS = 256  # tables are padded to this number of rows times a power of two, so that few sizes are compiled
 
 
 class ArmLevers(NamedTuple):
-    """An arm at k configurations, by P = 2 K + 1 + F points.
+    """Levers and Jacobians of P = 2 K + 1 + F points of an arm, at k configurations.
 
-    These are both ends of its K bodies, the TCP and F features of a task, which may be directions.
+    The points are both ends of the arm's K bodies, the TCP, and F features of a task, which may be directions.
     """
 
-    levers: Float[np.ndarray, "k P N"]  # to each joint's axis; 0 for joints that do not move the point [m]
+    levers: Float[np.ndarray, "k P N"]  # distance from each joint's axis [m]; 0 if it does not move the point
     jacobian: Float[np.ndarray, "k P 3 N"]
-    tcp: Float[np.ndarray, "k 3"]  # world [m]
-    hinge: Bool[np.ndarray, "N"]
-    turning: Float[np.ndarray, "P N"] | float = 0.0  # of ends of bodies with a piece: its reach about the axis [m]
-    features: int = 0  # F
+    tcp: Float[np.ndarray, "k 3"]  # position in the world [m]
+    hinge: Bool[np.ndarray, "N"]  # True for hinges
+    turning: Float[np.ndarray, "P N"] | float = 0.0  # for the ends of bodies, see `_turning` [m/rad]
+    features: int = 0  # number of features, F
 
     def only(self, which: np.ndarray | slice) -> "ArmLevers":
-        """Select some of the configurations."""
+        """Return the levers at the configurations in `which`."""
         return self._replace(levers=self.levers[which], jacobian=self.jacobian[which], tcp=self.tcp[which])
 
     def moved(self, bounds: Float[np.ndarray, "*S P"]) -> "Displacement":
-        """Reduce bounds of the points to those of bodies, TCP and features."""
+        """Return the bounds for bodies, TCP and features, from bounds on the points' displacements."""
         tcp = self.levers.shape[-2] - 1 - self.features
         return Displacement(bounds[..., :tcp].max(axis=-1), bounds[..., tcp], bounds[..., tcp + 1 :])
 
 
 class Displacement(NamedTuple):
-    """Upper bounds on displacements."""
+    """Upper bounds on the displacements of bodies, TCP and features."""
 
-    bodies: Float[np.ndarray, "*S"]  # any point of any body [m]
-    tcp: Float[np.ndarray, "*S"]  # [m]
-    features: Float[np.ndarray, "*S F"]  # points [m]; directions, as a chord
+    bodies: Float[np.ndarray, "*S"]  # displacement of any point of any body [m]
+    tcp: Float[np.ndarray, "*S"]  # displacement of the TCP [m]
+    features: Float[np.ndarray, "*S F"]  # displacement of each feature: of a point [m], of a direction as a chord
 
 
 def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[task_rows.Feature, ...] = ()) -> ArmLevers:
-    """Evaluate the arm at configurations.
+    """Return the levers and Jacobians of an arm's points at k configurations.
 
     Args:
         robot: The arm.
@@ -82,7 +83,7 @@ def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[task_rows.
 
 
 def _turning(robot: Robot, features: int) -> Float[np.ndarray, "P N"] | float:
-    """Return how far a turn of each hinge moves a piece's points about its capsule's axis, per angle [m/rad]."""
+    """Return a bound on the motion of a convex piece's points about its capsule's axis, by hinge angle [m/rad]."""
     if robot.pieces is None:
         return 0.0
     reach = np.where(
@@ -94,7 +95,7 @@ def _turning(robot: Robot, features: int) -> Float[np.ndarray, "P N"] | float:
 
 
 def tcp_at(robot: Robot, x: Float[np.ndarray, "k N"]) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 N"]]:
-    """Return the TCP at configurations [rad or m], world [m], and its Jacobian."""
+    """Return the TCP's positions in the world [m], and its Jacobians, at k configurations [rad or m]."""
     return in_padded_sizes(_tcp_and_jacobian, robot, x)
 
 
@@ -118,18 +119,18 @@ def displacement_bound(
 def bend_bound(
     arm: ArmLevers, within: Float[np.ndarray, "k N"], rates: Float[np.ndarray, "k N"]
 ) -> Float[np.ndarray, "k P"]:
-    """Return an upper bound on each point's second derivative on straight joint paths.
+    """Return an upper bound on each point's second derivative along straight joint paths [m].
 
     Args:
         arm: The arm at k configurations.
         within: Distances of the joints from these configurations [rad or m].
-        rates: Derivatives of the joints on the paths [rad or m].
+        rates: Derivatives of the joints along the paths [rad or m].
     """
     return _second(arm, _levers(arm, within), np.abs(rates), np.abs(rates))
 
 
 def _levers(arm: ArmLevers, within: np.ndarray) -> np.ndarray:
-    """Return l_j for joints within `within`."""
+    """Return the bounds l_j, see the module, for joints within `within` of the configurations."""
     return np.stack(np.broadcast_arrays(*motion_bound.lever_bounds(arm.levers, within, arm.hinge)[0]), axis=-1)
 
 
@@ -142,7 +143,7 @@ def _second(arm: ArmLevers, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> 
 
 
 def in_padded_sizes(function: Callable, robot: Robot, *tables: Float[np.ndarray, "k ..."]) -> tuple[np.ndarray, ...]:
-    """Apply a function to the rows of tables, padded so that only a few sizes are compiled."""
+    """Return a function's results for the rows of tables, padded so that only a few sizes are compiled."""
     rows = len(tables[0])
     most = ROWS * 2 ** max(0, int(np.ceil(np.log2(rows / ROWS))))
     return tuple(

@@ -1,4 +1,4 @@
-"""Figures of a program: duration, feed drops, and the used share of each limit."""
+"""Figures of a robot program: duration, feed drops, and the largest used share of each limit."""
 
 from typing import NamedTuple
 
@@ -11,43 +11,43 @@ from htcp_jax.trajectory.limits import KINDS, MotionLimits
 from htcp_jax.trajectory.program import FeedDrop, Program
 from htcp_jax.trajectory.time_scaling import TimeScaling, instants
 
-ROUNDING = 1e-9  # of a speed limit
+ROUNDING = 1e-9  # tolerance / speed limit
 
 
 class Share(NamedTuple):
     """Largest used share of one kind of limit."""
 
-    limit: str  # velocity, acceleration or jerk
-    share: float  # 1 at the limit [1]
-    joint: str
-    time_s: float  # [s]
+    limit: str  # kind of limit: velocity, acceleration or jerk
+    share: float  # largest value / limit [1]
+    joint: str  # joint with the largest share
+    time_s: float  # time of the largest share [s]
 
 
 class ProgramFigures(NamedTuple):
-    """Figures of a program."""
+    """Figures of a robot program."""
 
     duration_s: float  # [s]
-    seconds: dict[str, float]  # duration by the name of a `status.Kind` [s]
-    feed_m_s: float  # required [m/s]
-    path_m: float  # path length of the TCP on the path [m]
-    held_share: float  # share of it on which the feed is held within 1 % [1]
+    seconds: dict[str, float]  # duration of each kind of segment, by the name of its `status.Kind` [s]
+    feed_m_s: float  # required feed [m/s]
+    path_m: float  # length of the TCP's motion on the path [m]
+    held_share: float  # share of this length on which the feed is held within 1 % [1]
     reached_m_s: float  # minimum feed between the path's run-up and run-down; 0 if the arm stops there [m/s]
-    reason: str | None  # cause of the minimum, as in `FeedDrop`; None if the feed is held
-    reached_target: int | None  # target that the motion leads to at the minimum; None if the feed is held
+    reason: str | None  # cause of this minimum, as in `FeedDrop`; None if the feed is held
+    reached_target: int | None  # target to which the motion leads at this minimum; None if the feed is held
     drops: list[FeedDrop]
-    shares: list[Share]
-    path_shares: list[Share]  # on the path; off it the arm is always at a limit
+    shares: list[Share]  # largest shares during the complete motion
+    path_shares: list[Share]  # largest shares on the path; off the path the arm always reaches a limit
 
     @property
     def path_s(self) -> float:
-        """Duration on the path, with dwells [s]."""
+        """Duration on the path, including dwells [s]."""
         return sum(self.seconds.get(kind.words, 0.0) for kind in (Kind.PROCESS, Kind.DWELL))
 
 
 def program_figures(made: Program, limits: MotionLimits) -> ProgramFigures:
-    """Compute the figures of a program.
+    """Return the figures of a robot program.
 
-    Without a motion along a path, shares of it and the feed are NaN, and `path_shares` is empty.
+    If the tool does not follow a path, the figures of the feed are NaN, and `path_shares` is empty.
     """
     feeding = [each for each in zip(made.blends, made.scalings, strict=True) if each[0].on_process]
     path, drops = float(sum(scaling.path.place[-1] for _, scaling in feeding)), made.drops()
@@ -80,7 +80,7 @@ def _seconds_by_kind(made: Program) -> dict[str, float]:
 def _reached(
     made: Program, feeding: list[tuple[Blend, TimeScaling]], drops: list[FeedDrop]
 ) -> dict[str, float | str | int | None]:
-    """Return the minimum feed and its cause; the arm stops between two sections."""
+    """Return the fields on the minimum feed and its cause; the feed is 0 if the path has several sections."""
     if not feeding:
         return {"reached_m_s": np.nan, "reason": None, "reached_target": None}
     if feeding[1:]:
@@ -95,10 +95,10 @@ def _reached(
 
 
 def _between_ends(scaling: TimeScaling) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return positions and speeds between run-up and run-down.
+    """Return positions and speeds between a section's run-up and run-down.
 
-    That is from the first to the last position at which the time scaling, before its moving mean, reaches a speed
-    limit; only the fastest position if there are none.
+    The run-up ends at the first position at which the time scaling, before its moving mean, reaches a speed limit; the
+    run-down begins at the last one. If no limit is reached, only the fastest position is returned.
     """
     own, when = scaling.speed, instants(scaling.speed)
     place, speed = own.at(when)[:2]
@@ -113,7 +113,7 @@ def _between_ends(scaling: TimeScaling) -> tuple[Float[np.ndarray, "n"], Float[n
 
 
 def _sampled_shares(made: Program, limits: MotionLimits) -> list[tuple[np.ndarray, list[np.ndarray]]]:
-    """Return for each section times, and the joints' used shares of velocity, acceleration and jerk."""
+    """Return each section's sample times, and the joints' used shares of velocity, acceleration and jerk limits."""
     found = []
     for scaling, end in zip(made.scalings, made.ends_s.tolist(), strict=True):
         when = instants(scaling.speed)

@@ -1,8 +1,9 @@
 """Joint torques of a timed motion, by inverse dynamics with the inertias in the arm's model.
 
-Only inertias from URDF's and MJCF's `<inertial>` are used: none is estimated from shapes, and if a link has none the
-torques are unknown. A tool mounted by the job has no mass. Gravity is 9.81 m/s2 downwards in the world. Damping and
-armature are included if the model has them. MJX computes many configurations at once; a test compares it with MuJoCo.
+Only inertias from `<inertial>` elements of the URDF or MJCF file are used. They are not estimated from shapes: if a
+link has no inertia, the torques are unknown. A tool that the job mounts has no mass. Gravity is 9.81 m/s2 downwards in
+the world. Damping and armature are included if the model has them. MJX computes many configurations at once; a test
+compares it with MuJoCo.
 """
 
 import contextlib
@@ -16,37 +17,42 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.io.robots import model_file, safe_xml
+from htcp_jax.io.robots import composed, model_file, model_source
 from htcp_jax.jobs import config
 from htcp_jax.model import tool
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 GRAVITY_M_S2 = 9.81
-AT_ONCE = 1024  # configurations per call; more need memory and no less time. Rows are independent
+AT_ONCE = 1024  # configurations per call; larger calls need more memory, but not less time
 TORQUES_EVERY_S = 0.01  # time step between samples
-# XLA's fusion for CPUs recomputes the pose of each link for everything that depends on it: 10,000 times the work.
+# On CPUs, XLA's fusion recomputes a link's pose for every value that depends on it: 10,000 times the work.
 PLAIN = {"xla_cpu_use_fusion_emitters": False}
 _OFF = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
 
 
 class PeakTorque(NamedTuple):
-    """The largest torque, relative to the effort limits if there are any."""
+    """Largest torque of a motion, relative to the joint's effort limit if the joints have limits."""
 
-    torque: float  # [N m or N]
-    share: float  # of the joint's effort limit; 0 where it has none
+    torque: float  # absolute value [N m or N]
+    share: float  # share of the joint's effort limit; 0 if it has none
     joint: str
     time_s: float
 
 
-def model_of(arm: config.RobotConfig) -> mujoco.MjModel | None:
-    """Load the arm of a job with its inertias; None if a link has none.
+def model_of(arm: config.RobotConfig, tree: model_source.ComposedModel | None = None) -> mujoco.MjModel | None:
+    """Return the model of a job's arm with its inertias; None if a link has no inertia.
+
+    Args:
+        arm: The job's section of the arm.
+        tree: Models of the cell, including the arm's; None: only the arm's file.
 
     Raises:
-        InputError: For an unreadable file.
+        InputError: If the file cannot be read.
     """
-    path = arm.file
+    source, turned = (arm.file, arm.base_rpy_rad) if tree is None else (tree, tool.ZERO)
+    path = model_source.label_of(source)
     with model_file.no_log():
-        spec = safe_xml.read_spec(path, contacts=True)
+        spec = composed.read_model(source)
     for elements in spec.tuples, spec.excludes, spec.geoms, spec.meshes:  # MuJoCo deletes tuples with their geoms
         for each in list(elements):
             spec.delete(each)
@@ -55,19 +61,19 @@ def model_of(arm: config.RobotConfig) -> mujoco.MjModel | None:
     massive = {int(model.body_weldid[body.id]) for body in spec.bodies if body.explicitinertial and body.mass > 0}
     if not set(model.body_weldid[model.jnt_bodyid].tolist()) <= massive:
         return None
-    model.opt.gravity = tool.pose(tool.ZERO, arm.base_rpy_rad)[:3, :3].T @ [0, 0, -GRAVITY_M_S2]
+    model.opt.gravity = tool.pose(tool.ZERO, turned)[:3, :3].T @ [0, 0, -GRAVITY_M_S2]
     model.opt.disableflags |= int(_OFF)
     return model
 
 
 def torques(model: mujoco.MjModel, locked: Collection[str] = ()) -> Callable[..., Float[np.ndarray, "n N"]]:
-    """Return a function from configurations, velocities and accelerations (n, N) to joint torques [N m or N].
+    """Return a function of configurations, velocities and accelerations (n, N) that returns joint torques [N m or N].
 
     Args:
-        model: See `model_of`.
+        model: The arm's model from `model_of`.
         locked: Names of the joints that do not move.
     """
-    with contextlib.redirect_stdout(None):  # its import prints messages about missing packages
+    with contextlib.redirect_stdout(None):  # importing MJX prints messages about missing packages
         from mujoco import mjx
     device = mjx.put_model(model)
     fixed = [j for j in range(model.njnt) if model_file.joint_name(model, j) in locked]
@@ -84,7 +90,7 @@ def torques(model: mujoco.MjModel, locked: Collection[str] = ()) -> Callable[...
 
     def found(x: Float[np.ndarray, "n N"], v: Float[np.ndarray, "n N"], a: Float[np.ndarray, "n N"]) -> np.ndarray:
         torque = np.empty_like(x)
-        with jax.numpy_rank_promotion("allow"):  # MJX has its own style
+        with jax.numpy_rank_promotion("allow"):  # MJX promotes ranks
             for first in range(0, len(x), AT_ONCE):
                 own = np.repeat(still[:, None], AT_ONCE, axis=1)
                 for k, part in enumerate((x, v, a)):
@@ -96,12 +102,12 @@ def torques(model: mujoco.MjModel, locked: Collection[str] = ()) -> Callable[...
 
 
 def peak_torque(timed: TimedMotion, torque: Float[np.ndarray, "n N"], effort: Float[np.ndarray, "N"]) -> PeakTorque:
-    """Return the largest torque of one motion.
+    """Return the torque with the largest share of its joint's effort limit; without limits, the largest torque.
 
     Args:
         timed: Samples of the motion.
         torque: Joint torques at the samples [N m or N].
-        effort: The joints' limits, inf without one [N m or N].
+        effort: Effort limits of the joints [N m or N]; inf for a joint without a limit.
     """
     size = np.abs(torque)
     share = size / effort
@@ -114,12 +120,12 @@ def peak_torque(timed: TimedMotion, torque: Float[np.ndarray, "n N"], effort: Fl
 def peak_torques(
     torque: Callable[..., Float[np.ndarray, "n N"]], motions: Sequence[TimedMotion], effort: Float[np.ndarray, "N"]
 ) -> list[PeakTorque]:
-    """Return the largest torques of many motions of one arm, AT_ONCE configurations at a time.
+    """Return the peak torque of each of an arm's motions, computed in one batch, see `peak_torque`.
 
     Args:
-        torque: From `torques`.
+        torque: The function from `torques`.
         motions: Samples of each motion.
-        effort: The joints' limits, inf without one [N m or N].
+        effort: Effort limits of the joints [N m or N]; inf for a joint without a limit.
     """
     rows = [np.concatenate([getattr(each, name) for each in motions]) for name in ("x", "velocity", "acceleration")]
     ends = np.cumsum([len(each.x) for each in motions])

@@ -1,4 +1,4 @@
-"""Limits of the joints: velocity, acceleration and jerk."""
+"""Limits on the joints' velocity, acceleration and jerk."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ KINDS = "velocity", "acceleration", "jerk"
 
 
 class MotionLimits(NamedTuple):
-    """Limits of N joints, in both directions."""
+    """Velocity, acceleration and jerk limits of N joints, equal in both directions."""
 
     velocity: Float[np.ndarray, "N"]  # [rad/s or m/s]
     acceleration: Float[np.ndarray, "N"]  # [rad/s2 or m/s2]
@@ -25,14 +25,14 @@ class MotionLimits(NamedTuple):
         acceleration: Float[np.ndarray, "n N"],
         jerk: Float[np.ndarray, "n N"],
     ) -> Float[np.ndarray, "n M"]:
-        """Return the factors by which time must be lengthened to keep each of M = 3 N limits, joint by joint.
+        """Return the factor by which time must be stretched to satisfy each of the M = 3 N limits, joint by joint.
 
-        At most 1 if a limit is kept.
+        A factor is at most 1 if the limit is already satisfied.
 
         Args:
-            velocity: At n instants [rad/s or m/s].
-            acceleration: At n instants [rad/s2 or m/s2].
-            jerk: At n instants [rad/s3 or m/s3].
+            velocity: Joint velocities at n instants [rad/s or m/s].
+            acceleration: Joint accelerations at n instants [rad/s2 or m/s2].
+            jerk: Joint jerks at n instants [rad/s3 or m/s3].
         """
         v, a, j = np.abs(velocity), np.abs(acceleration), np.abs(jerk)
         found = [v / self.velocity, np.sqrt(a / self.acceleration), np.cbrt(j / self.jerk)]
@@ -42,23 +42,24 @@ class MotionLimits(NamedTuple):
 def joint_limits(robot: Robot, job: config.ProgramConfig | None = None) -> MotionLimits:
     """Return the limits of an arm.
 
-    The job's; else the model's, if stated; else full speed in `job.full_speed_s`, and full acceleration in
-    `job.full_acceleration_s`.
+    Limits in the job take precedence over the model's. The default acceleration limit reaches full speed in
+    `job.full_speed_s`, the default jerk limit reaches full acceleration in `job.full_acceleration_s`.
 
     Args:
         robot: The arm.
-        job: Section `program` of the job; None: the defaults.
+        job: Section `program` of the job; None: the default section.
 
     Raises:
-        InputError: For a joint without a velocity limit, and for a list in the job whose length is not the number of
-            joints.
+        InputError: If a joint has no velocity limit, or if a list in the job has not one value per joint.
     """
     job = config.ProgramConfig() if job is None else job
     given = {kind: own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in KINDS}
     velocity = _given_or(given["velocity"], np.asarray(robot.speed, float))
     for name, speed in zip(robot.joint_names, velocity, strict=True):
         if not 0 < speed < np.inf:
-            raise InputError(f"{robot.name} has no velocity limit of joint {name}; program.velocity gives one a joint")
+            raise InputError(
+                f"{robot.name} has no velocity limit for joint {name}; set program.velocity, with one value per joint"
+            )
     own = np.asarray(robot.acceleration, float)
     own = np.where(np.isfinite(own), own, velocity / job.full_speed_s)
     acceleration = _given_or(given["acceleration"], own)
@@ -66,20 +67,22 @@ def joint_limits(robot: Robot, job: config.ProgramConfig | None = None) -> Motio
 
 
 def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:
-    """Return a job's list with one number per joint, in the units of its key; None without one.
+    """Return a job's list of one number per joint as an array [unit of the key]; None if the job has no list.
 
     Args:
         robot: The arm.
-        key: The dotted key, for messages.
-        values: The list [rad or m, or per s].
+        key: The list's dotted key, for messages.
+        values: The list [rad or m, or per s]; None: the job has no list.
 
     Raises:
-        InputError: If its length is not the number of joints.
+        InputError: If the list's length is not the number of joints.
     """
     if values is None:
         return None
     if len(values) != len(robot.joint_names):
-        raise InputError(f"{key} has {len(values)} values, the robot {robot.name} has {len(robot.joint_names)} joints")
+        raise InputError(
+            f"{key} has {len(values)} values, but the robot {robot.name} has {len(robot.joint_names)} joints"
+        )
     return np.array(values)
 
 

@@ -1,7 +1,8 @@
-"""Parameterisation of a section by s, the variable of its time scaling: the TCP's arc length if the tool feeds.
+"""Parameterisation of a section by s, the variable of its time scaling.
 
-With sigma(u) = |J(q) q'| the arc length is the integral of sigma over u, and u(s) is the cubic spline through its
-inverse on a grid. The curve over s and its derivatives are those of q(u(s)), by the chain rule.
+If the tool follows the path, s is the TCP's arc length: the integral over u of sigma(u) = |J(q) q'|. u(s) is the cubic
+spline through the inverse of s(u) on a grid. The curve over s is q(u(s)); its derivatives follow by the chain rule.
+Otherwise s is the curve's own parameter u.
 """
 
 from typing import NamedTuple
@@ -14,16 +15,16 @@ from htcp_jax.model import Robot
 from htcp_jax.trajectory.curve import Blend, Curve, Derivatives
 from htcp_jax.trajectory.displacement import tcp_at
 
-FINE, HALVINGS = 13, 8  # positions on a corner, and halvings between two corners
-CLOSE = 0.01  # of the step between positions on a corner: closer ones are merged, else rounding dominates the splines
+FINE, HALVINGS = 13, 8  # numbers of grid positions on a corner, and of halvings between two corners
+CLOSE = 0.01  # share of a corner's step; closer positions are merged, as rounding would dominate the spline
 
 
 class PathCurve(NamedTuple):
-    """A curve over s."""
+    """Curve of a section, parameterised by s."""
 
     curve: Curve
-    place: Float[np.ndarray, "m"]  # the grid over s: [m] if the tool feeds, else time at full speed [s]
-    at_corner: Float[np.ndarray, "k 2"]  # s at begin and end of corners
+    place: Float[np.ndarray, "m"]  # grid of s: [m] if the tool follows the path, else time at full speed [s]
+    at_corner: Float[np.ndarray, "k 2"]  # s at the begin and end of each corner
     spline: CubicSpline | None  # u(s); None: s is u
 
     def u(self, place: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -31,7 +32,7 @@ class PathCurve(NamedTuple):
         return place if self.spline is None else np.clip(self.spline(place), 0.0, self.curve.u[-1])
 
     def at(self, place: Float[np.ndarray, "n"]) -> Derivatives:
-        """Evaluate the joints and their derivatives by s."""
+        """Return the joint values and their derivatives with respect to s, at positions s."""
         found = self.curve.at(self.u(place))
         if self.spline is None:
             return found
@@ -43,7 +44,7 @@ class PathCurve(NamedTuple):
 
 
 def path_of_blend(robot: Robot, blend: Blend) -> PathCurve:
-    """Parameterise a section by s."""
+    """Return a section's curve, parameterised by s."""
     curve = blend.curve
     u = curve.grid(FINE, HALVINGS)
     ends = curve.u[:, None] + np.array([-1, 1]) * curve.blend_length[:, None]
@@ -58,7 +59,7 @@ def path_of_blend(robot: Robot, blend: Blend) -> PathCurve:
 
 
 def _without_coinciding(curve: Curve, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
-    """Remove positions that nearly coincide with the one before, as where two corners almost touch."""
+    """Return the positions without those that nearly coincide with the previous one, as between touching corners."""
     leg = curve.leg(u)
     corner = leg + (2 * (u - curve.u[leg]) > np.diff(curve.u)[leg])
     return u[np.diff(u, prepend=-np.inf) > CLOSE * 2 / (FINE - 1) * curve.blend_length[corner]]

@@ -18,11 +18,12 @@ from htcp_jax.io.robots import model_file
 from htcp_jax.jobs import PlanConfig, build, config_file, feed
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model import robot as robots
+from htcp_jax.model import tool as tools
 from htcp_jax.motion import Plans, manipulability, motion
 from htcp_jax.runs import PlanSet
 from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
-from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, Pulses, UserFrame
+from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, Pulses, UserFrame
 from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_text
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torque, torques
 from htcp_jax.trajectory.limits import MotionLimits, joint_limits, own_of
@@ -36,15 +37,15 @@ __all__ = ["PlanProgram", "program_of", "requested_feed", "timed_plan", "with_pr
 
 
 class PlanProgram(NamedTuple):
-    """The program of one plan, with its inputs."""
+    """Robot program of one plan, with the inputs from which it was made."""
 
     program: Program
-    robot: Robot  # with the job's tool
+    robot: Robot  # the robot with the job's tool
     job: PlanConfig
     limits: MotionLimits
     method: str
     x: Float[np.ndarray, "T N"]  # configurations at the targets [rad or m]
-    goals: Float[np.ndarray, "T G"]  # the task's goals there [m]
+    goals: Float[np.ndarray, "T G"]  # the task's goals at the targets [m]
 
     @property
     def manipulability(self) -> Float[np.ndarray, "T"]:
@@ -53,29 +54,28 @@ class PlanProgram(NamedTuple):
         return manipulability.manipulability(self.robot, task, self.x, self.goals)
 
     def text(self, format: str, name: str, step_s: float | None = None) -> str:
-        """Return the program's file.
+        """Return the text of the program's file.
 
         Args:
-            format: Name in `writers.FORMATS`.
+            format: Name of the format in `writers.FORMATS`.
             name: Name of the program.
-            step_s: Time between samples; None: see `writers.ProgramFormat`.
+            step_s: Time between samples; None: the format's default, see `writers.ProgramFormat`.
 
         Raises:
-            InputError: As `program_text` does, for a step that the format does not support, and for tables of another
-                arm.
+            InputError: If the format does not support the time step, or if `program_text` or `controller` raises it.
         """
         timed = self.timed(format, step_s)
         return program_text(format, timed, self.controller(format, name, timed))
 
     def timed(self, format: str, step_s: float | None = None) -> TimedMotion:
-        """Return the samples in the file.
+        """Return the samples of the motion that a format contains, see `text`.
 
         Raises:
-            InputError: For a step that the format does not support.
+            InputError: If the format does not support the time step.
         """
         own = format_of(format).step_s
         if own is None and step_s is not None:
-            raise InputError(f"{format} holds the configurations that the motion is made of, whatever the step")
+            raise InputError(f"{format} contains only the configurations of the motion; omit the time step")
         if own is None:
             return self.program.at_configurations()
         if format == "urscript":
@@ -85,7 +85,7 @@ class PlanProgram(NamedTuple):
     @property
     def peak_torque(self) -> PeakTorque | None:
         """Largest joint torque; None if the arm's model has no inertias."""
-        if (model := model_of(self.job.robot)) is None:
+        if (model := model_of(self.job.robot, self.job.tree)) is None:
             return None
         timed = self.program.timed(TORQUES_EVERY_S)
         torque = torques(model, dict(self.job.robot.locked))(timed.x, timed.velocity, timed.acceleration)
@@ -95,32 +95,36 @@ class PlanProgram(NamedTuple):
         """Return the job's controller data for a format.
 
         Args:
-            format: Name in `writers.FORMATS`.
+            format: Name of the format in `writers.FORMATS`.
             name: Name of the program.
             timed: Samples in the file.
 
         Raises:
-            InputError: For tables and groups of another arm, for configurations whose arm configuration flags are
-                unknown, and if the part moves for a format without external axes or without the groups that it needs.
+            InputError: If pulses, groups or coupled axes do not match the arm's joints, or if a configuration's arm
+                configuration flags are unknown. If the part moves, also if the format has no external axes, or if the
+                job lacks groups that the format needs.
         """
         if self.robot.part_moves and not format_of(format).external_axes:
             valid = ", ".join(name for name, each in FORMATS.items() if each.external_axes)
-            raise InputError(f"{format} has no external axes, and the part moves; valid: {valid}")
+            raise InputError(f"{format} has no external axes, which a moving part needs; valid: {valid}")
         groups = self._groups()
         if self.robot.part_moves and format_of(format).by_group and groups is None:
-            raise InputError(f"{format}: the part moves; program.groups gives the joints of robot, base and station")
+            raise InputError(f"{format}: the part moves; set program.groups to the joints of robot, base and station")
         requested, speed = self.job.program, np.asarray(self.robot.speed, float)
-        own, locked = self.job.robot, dict(self.job.robot.locked)
+        source, locked = self.job.tree or self.job.robot.file, dict(self.job.robot.locked)
         return ControllerData(
             name.upper() if format.startswith("jbi") else name,
             self.robot.slides,
             speed=np.where(np.isfinite(speed), speed, self.limits.velocity),
             tool=requested.tool,
+            tool_name=requested.tool_name,
+            tcp=self._planned_tcp(),
+            coupled=self._coupled(format),
             user_frame=self._user_frame(timed) if format == "jbi" else None,
             pulses=self._pulses(),
             groups=groups,
             control_step_s=requested.control_step_s,
-            in_file=model_file.joints_in_file(own.file, tuple(locked)) if self.robot.part_moves or locked else None,
+            in_file=model_file.joints_in_file(source, tuple(locked)) if self.robot.part_moves or locked else None,
             locked=locked,
         )
 
@@ -133,14 +137,34 @@ class PlanProgram(NamedTuple):
             T_world = np.linalg.inv(build.scene(self.job)[2].T_world_workpiece) @ T_world
         return UserFrame(requested.number, T_world, flags)
 
+    def _planned_tcp(self) -> PlannedTcp:
+        """Return the TCP relative to the flange if the job mounts a tool, else relative to the last joint's frame."""
+        if (tool := self.job.robot.tool) is None:
+            return PlannedTcp(self.robot.joint_names[-1], np.asarray(self.robot.T_link_tcp, float))
+        longer = tools.pose((0.0, 0.0, self.job.robot.tool_extension_m), (0.0, 0.0, 0.0))
+        return PlannedTcp("the flange", tools.pose(tool.tip_m, tool.tip_rpy_rad) @ longer)
+
+    def _coupled(self, format: str) -> tuple[tuple[int, int], ...]:
+        own, requested = self.robot.joint_names, self.job.program.coupled
+        if requested and format in ("urscript", "jbi-pulses"):
+            raise InputError(f"{format} does not support program.coupled; remove the key, or use the format rapid")
+        for axis, joint in requested:
+            if wrong := [name for name in (axis, joint) if name not in own]:
+                raise InputError(f"program.coupled: {wrong[0]!r} is not a joint; valid: {', '.join(own)}")
+            if axis == joint:
+                raise InputError(f"program.coupled: {axis!r} is coupled with itself; give the joint that moves it")
+        return tuple((own.index(axis), own.index(joint)) for axis, joint in requested)
+
     def _groups(self) -> JointGroups | None:
         if (requested := self.job.program.groups) is None:
             return None
         own, named = self.robot.joint_names, [*requested.robot, *requested.base, *requested.station]
         if wrong := [name for name in named if name not in own]:
-            raise InputError(f"program.groups: {wrong[0]!r} is no joint; valid: {', '.join(own)}")
+            raise InputError(f"program.groups: {wrong[0]!r} is not a joint; valid: {', '.join(own)}")
         if odd := [name for name in own if named.count(name) != 1]:
-            raise InputError(f"program.groups has {odd[0]!r} {named.count(odd[0])} times; each joint is in one group")
+            raise InputError(
+                f"program.groups has {odd[0]!r} {named.count(odd[0])} times; each joint must be in one group"
+            )
         groups = requested.robot, requested.base, requested.station
         return JointGroups(*(tuple(map(own.index, names)) for names in groups))
 
@@ -149,7 +173,7 @@ class PlanProgram(NamedTuple):
             return None
         per_rad = own_of(self.robot, "program.pulses.per_rad", requested.per_rad)
         if not per_rad.all():
-            raise InputError("program.pulses.per_rad has a joint with 0 pulses per radian")
+            raise InputError("program.pulses.per_rad must not be 0 for any joint")
         zero = own_of(self.robot, "program.pulses.zero_rad", requested.zero_rad)
         return Pulses(per_rad, np.zeros(len(per_rad)) if zero is None else zero, requested.source)
 
@@ -163,19 +187,19 @@ def program_of(
     retract: bool = True,
     overrides: Sequence[str] = (),
 ) -> PlanProgram:
-    """Make the program of one plan, from home or the start to the last target.
+    """Return the robot program of a saved plan, from home or the start to the last target.
 
     Args:
         found: The plans in a folder.
-        feed_m_s: Feed of the TCP on the path.
-        method: None: the first one.
-        scenario: Number of the plan.
-        retract: Append the motion back.
+        feed_m_s: Feed rate of the TCP on the path.
+        method: Name of the method; None: the first method with plans.
+        scenario: Number of the scenario.
+        retract: True to append the retraction.
         overrides: Changes to the job's section `program`, as on the command line.
 
     Raises:
-        InputError: For a plan that does not exist or is not completely executable, for overrides of other sections, and
-            as `time_motion` and `joint_limits` do.
+        InputError: If the plan does not exist or is not completely executable, if an override changes another section,
+            or if `time_motion` or `joint_limits` raises it.
     """
     method = found.methods[0] if method is None else method
     plans = _plans(found, method, scenario)
@@ -186,25 +210,25 @@ def program_of(
 def program_of_plans(
     name: str, plans: Plans, scenario: int, job: PlanConfig, feed_m_s: float, method: str, *, retract: bool = True
 ) -> PlanProgram:
-    """Make the program of a plan in memory.
+    """Return the robot program of a plan in memory.
 
     Args:
         name: Name of the plans, for messages.
         plans: The plans.
         scenario: Row of the plan.
         job: The scenario's job.
-        feed_m_s: Feed of the TCP on the path.
-        method: The method, for the result.
-        retract: Append the motion back.
+        feed_m_s: Feed rate of the TCP on the path.
+        method: Name of the method, for the result.
+        retract: True to append the retraction.
 
     Raises:
-        InputError: For a plan that is not completely executable, and as `time_motion` and `joint_limits` do.
+        InputError: If the plan is not completely executable, or if `time_motion` or `joint_limits` raises it.
     """
     end = plans.outcome(scenario)
     if not end.can_be_driven:
         why = end.segment_status.message if end.executable < end.tracked else "the next one is not tracked"
-        raise InputError(f"{name}: a motion leads to {end.executable} of {end.targets} targets; {why}")
-    robot = robots.lengthen_tool(build.robot_of(job.robot, job.cell), job.robot.tool_extension_m)
+        raise InputError(f"{name}: the motion leads to only {end.executable} of {end.targets} targets; {why}")
+    robot = robots.lengthen_tool(build.robot_of(job.robot, job.cell, job.tree), job.robot.tool_extension_m)
     goals = build.scene(job)[2].goals if job.task else None
     return timed_plan(plans, scenario, job, robot, goals, feed_m_s, method, retract=retract)
 
@@ -220,20 +244,20 @@ def timed_plan(
     *,
     retract: bool = True,
 ) -> PlanProgram:
-    """Make the program of a completely executable scenario.
+    """Return the robot program of a plan that is completely executable.
 
     Args:
         plans: The plans.
         scenario: Row of the plan.
         job: The scenario's job.
-        robot: With the job's tool.
-        goals: Goals of its scenario [m, rad], if the job has a task; else None.
-        feed_m_s: Feed of the TCP on the path.
-        method: The method, for the result.
-        retract: Append the motion back.
+        robot: The robot with the job's tool.
+        goals: Goals of the scenario [m, rad]; None if the job has no task.
+        feed_m_s: Feed rate of the TCP on the path.
+        method: Name of the method, for the result.
+        retract: True to append the retraction.
 
     Raises:
-        InputError: As `time_motion` and `joint_limits` do.
+        InputError: If `time_motion` or `joint_limits` raises it.
     """
     limits = joint_limits(robot, job.program)
     whole = motion.motion(plans, scenario, job.on_path, retract=retract)
@@ -247,36 +271,36 @@ def timed_plan(
 
 
 def requested_feed(text: str | None, job: PlanConfig) -> float:
-    """Return the required feed [m/s]: `text`, else the job's.
+    """Return the required feed rate [m/s], from `text` if it is not None, else from the job.
 
     Raises:
-        InputError: If neither is given, and as `feed_of` does.
+        InputError: If both are missing, or if `text` is not a valid feed rate.
     """
     text = job.program.feed if text is None else text
     if text is None:
-        raise InputError("no feed: --feed 20mm/s gives one, or program.feed of the job")
+        raise InputError("the feed rate is missing: pass --feed 20mm/s, or set program.feed in the job")
     return feed.feed_of(text)
 
 
 def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
-    """Return the plans of a method.
+    """Return a method's plans.
 
     Raises:
-        InputError: For one without plans, and for an unknown scenario.
+        InputError: If the method has no plans, or if the scenario is unknown.
     """
     if method not in found.methods:
-        raise InputError(f"{found.folder} has no plans by {method!r}; there are {', '.join(found.methods)}")
+        raise InputError(f"{found.folder} has no plans by {method!r}; valid: {', '.join(found.methods)}")
     plans = found.plans(method)
     if not 0 <= scenario < len(plans.status):
-        raise InputError(f"{found.folder} has no scenario {scenario}; there are 0 to {len(plans.status) - 1}")
+        raise InputError(f"{found.folder} has no scenario {scenario}; valid: 0 to {len(plans.status) - 1}")
     return plans
 
 
 def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
-    """Return the job with overrides in section `program`.
+    """Return the job with overrides of its section `program`.
 
     Raises:
-        InputError: For keys outside it, and for invalid values.
+        InputError: If a key is in another section, or if a value is invalid.
     """
     raw = {"program": job.program.model_dump()}
     for override in overrides:

@@ -22,23 +22,23 @@ from htcp_jax.trajectory.path import path_of_blend
 from htcp_jax.trajectory.time_scaling import TimeScaling, instants, time_scaling
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
-HELD, AT_REST = 0.99, 1e-6  # shares of the feed below which a feed drop, and a stop, begins
+HELD, AT_REST = 0.99, 1e-6  # speeds / feed below which a feed drop begins, and below which the arm counts as at rest
 
 
 class FeedDrop(NamedTuple):
-    """A feed drop: a part of the weld on which the TCP is slower than the feed."""
+    """Feed drop: a part of the path on which the TCP is slower than the feed."""
 
-    begin_m: float  # along the weld, from its first point
+    begin_m: float  # position along the path, from its first point
     end_m: float
-    feed_m_s: float  # minimum; 0 at a stop
-    reason: str  # "stop", or a limit and its joint
-    first_target: int  # that the motion leads to at its begin
-    target: int  # at its minimum
-    last_target: int  # at its end
+    feed_m_s: float  # minimum feed; 0 at a stop
+    reason: str  # "stop", or the kind of limit and the joint
+    first_target: int  # target to which the motion leads at the begin of the drop
+    target: int  # target to which the motion leads at the minimum
+    last_target: int  # target to which the motion leads at the end of the drop
 
 
 class Program(NamedTuple):
-    """Sections of a motion in order, each with its time scaling."""
+    """Time-parameterised motion: its sections in order, each with its time scaling."""
 
     motion: Motion
     blends: list[Blend]
@@ -57,14 +57,15 @@ class Program(NamedTuple):
         return float(self.ends_s[-1])
 
     def timed(self, step_s: float = 0.001) -> TimedMotion:
-        """Sample the motion every `step_s`, up to the first sample at or after its end."""
+        """Return samples of the motion every `step_s`, up to the first sample at or after its end."""
         count = int(np.ceil(self.duration_s / step_s - 1e-9))
         return self.at(step_s * np.arange(count + 1))
 
     def at_configurations(self) -> TimedMotion:
-        """Return the motion's own configurations, at the times at which their corners are passed.
+        """Return the motion's own configurations, with the times at which the program passes them.
 
-        The straight joint paths between them are proven.
+        At a blended corner the program passes near the configuration. The straight joint paths between the
+        configurations are proven.
         """
         time, row = self.passes()
         x = np.concatenate([self.blends[0].curve.x[:1], *(each.curve.x[1:] for each in self.blends)])
@@ -73,7 +74,7 @@ class Program(NamedTuple):
         )
 
     def passes(self) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return the times at which the motion's own configurations are passed [s], and their rows in it."""
+        """Return the times at which the program passes the motion's configurations [s], and their rows in it."""
         starts = np.append(0.0, self.ends_s[:-1])
         parts = zip(starts.tolist(), self.blends, self.scalings, strict=True)
         times = [start + scaling.passes(blend.curve.u) for start, blend, scaling in parts]
@@ -81,7 +82,7 @@ class Program(NamedTuple):
         return np.concatenate([times[0][:1], *(each[1:] for each in times)]), row
 
     def at(self, time: Float[np.ndarray, "n"]) -> TimedMotion:
-        """Sample the motion at times that increase from 0 [s]; from `duration_s` on the arm is at rest."""
+        """Return samples of the motion at times that increase from 0 [s]; from `duration_s` on the arm is at rest."""
         ends = self.ends_s
         bounds = [0, *np.searchsorted(time, ends[:-1]).tolist(), len(time)]
         parts = []
@@ -98,11 +99,11 @@ class Program(NamedTuple):
         return None if self.motion.span is None else self.motion.span[row]
 
     def targets_at(self, blend: Blend, scaling: TimeScaling, place: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the targets that a section leads to at positions along it [m]."""
+        """Return the targets to which a section leads at positions along it [m]."""
         return self.motion.target[blend.row[blend.curve.leg(scaling.path.u(place))]]
 
     def drops(self) -> list[FeedDrop]:
-        """Return the feed drops along the weld, in order."""
+        """Return the feed drops along the path, in order."""
         found, before = [], 0.0
         for blend, scaling in zip(self.blends, self.scalings, strict=True):
             if blend.on_process:
@@ -112,25 +113,24 @@ class Program(NamedTuple):
 
 
 def time_motion(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionLimits, feed_m_s: float) -> Program:
-    """Time-parameterise a motion.
+    """Return the fastest program of a motion within the feed rate and the limits.
 
     Args:
-        robot: With the job's tool.
+        robot: The robot with the job's tool.
         motion: The motion.
-        left: Slack of its proof next to each leg.
+        left: Slack of the motion's proof at each leg.
         limits: Limits of the joints.
-        feed_m_s: Feed of the TCP on the path.
+        feed_m_s: Feed rate of the TCP on the path.
 
     Raises:
-        InputError: For a feed that is not above 0, and for a motion without configurations or in which the arm does not
-            move.
+        InputError: If the feed rate is not above 0, if the motion has no configurations, or if the arm does not move.
     """
     if not 0 < feed_m_s < np.inf:
-        raise InputError(f"feed is {feed_m_s} m/s, a speed above 0 is needed")
+        raise InputError(f"feed is {feed_m_s} m/s; it must be above 0")
     if not len(motion.x):
         raise InputError("the motion has no configurations: no target is executable")
     if not np.any(motion.x != motion.x[0]):
-        raise InputError("the arm stands still in this motion, there is nothing to time")
+        raise InputError("the arm does not move in this motion, so there is nothing to time")
     parts = blends(robot, motion, left, limits, feed_m_s)
     scalings = [
         time_scaling(path_of_blend(robot, part), limits, feed_m_s if part.on_process else np.inf) for part in parts
@@ -139,7 +139,7 @@ def time_motion(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionL
 
 
 def _feed_drops(blend: Blend, scaling: TimeScaling, before: float, made: Program) -> list[FeedDrop]:
-    """Return the feed drops of one section that begins `before` metres along the weld."""
+    """Return the feed drops of one section that begins `before` metres along the path."""
     place, speed, _, _ = scaling.speed.at(instants(scaling.speed))
     feed, names = made.feed_m_s, made.joint_names
     target = made.targets_at(blend, scaling, place)
@@ -158,12 +158,12 @@ def _feed_drops(blend: Blend, scaling: TimeScaling, before: float, made: Program
 
 
 def _is_ramp(limit: np.ndarray, share: np.ndarray) -> bool:
-    """Return True if a run that starts or ends at a stop has no other cause."""
+    """Return True if the only cause of a drop is a stop at its begin or end."""
     return bool(limit[0] < 0 and share.min() <= AT_REST)
 
 
 def _split_at(which: np.ndarray, breaks: np.ndarray) -> list[np.ndarray]:
-    """Split after every break."""
+    """Return the indices in `which`, split after every break."""
     return [run for run in np.split(which, np.flatnonzero(breaks) + 1) if len(run)]
 
 

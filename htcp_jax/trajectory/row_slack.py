@@ -1,9 +1,9 @@
-"""Slack of a task's rows next to the legs of a motion, and the part of it that a displacement of the arm uses.
+"""Slack of a task's rows at the legs of a motion, and the slack that a displacement of the arm uses.
 
-`row_proof` bounds, on an interval of a straight joint path, how far a row's features may be off the path before the row
-may be violated between its two targets: a point by a length, an axis or a frame by the chord of an angle. This is the
-row's slack, one number per row and leg in the row's own unit, the minimum over the leg's PIECES. A curve next to the
-leg satisfies every row if it uses no more than the slack:
+`row_proof` computes, for an interval of a straight joint path, how far a row's features may deviate from the path
+without violating the row: a point by a length, an axis or a frame by the chord of an angle. This number is the row's
+slack. For a leg it is the minimum over its PIECES intervals. A curve next to the leg satisfies every row if it uses no
+more than the slack:
 
     a point            uses its displacement
     an axis            the displacement of its end, at length 1
@@ -25,32 +25,32 @@ from htcp_jax.clearance.proof import row_proof
 from htcp_jax.model import Robot, Task, task_rows
 from htcp_jax.trajectory.displacement import in_padded_sizes
 
-PIECES = 32  # per leg
+PIECES = 32  # number of intervals per leg
 
 
 class RowSlacks(NamedTuple):
-    """Slack of R rows, next to m legs or at m via points."""
+    """Slack of R rows of a task, at m legs or m via points."""
 
     rows: tuple[task_rows.Row, ...]
-    left: Float[np.ndarray, "m R"]  # points [m]; axes and frames, as a chord
-    apart: Float[np.ndarray, "m R"]  # lower bound on the distance of the place that a row points at [m]; inf: none
+    left: Float[np.ndarray, "m R"]  # slack: of points [m], of axes and frames as a chord
+    apart: Float[np.ndarray, "m R"]  # lower bound r on the distance of an axis's place [m]; inf: no place
 
     @property
     def features(self) -> tuple[task_rows.Feature, ...]:
-        """Features of the rows, one row after another."""
+        """Features of all rows, concatenated."""
         return tuple(feature for row in self.rows for feature in row.features)
 
     def only(self, which: Int[np.ndarray, "k"]) -> "RowSlacks":
-        """Select some of the legs."""
+        """Return the slack of the legs in `which`."""
         return self._replace(left=self.left[which], apart=self.apart[which])
 
     def next_to_legs(self) -> "RowSlacks":
-        """Return the slack at the via points: the minimum of the legs before and after each."""
+        """Return the slack at the via points, the minimum over the legs before and after each."""
         least = (np.minimum(np.append(v[:1], v, axis=0), np.append(v, v[-1:], axis=0)) for v in (self.left, self.apart))
         return RowSlacks(self.rows, *least)
 
     def taken(self, moved: Float[np.ndarray, "*S m F"]) -> Float[np.ndarray, "*S m R"]:
-        """Return an upper bound on the slack used by a displacement that moves the features by `moved`."""
+        """Return an upper bound on the slack that a displacement uses, by bounds `moved` on the features' motion."""
         found, first = [], 0
         for k, row in enumerate(self.rows):
             own = moved[..., first : first + len(row.features)]
@@ -67,17 +67,17 @@ class RowSlacks(NamedTuple):
 def slack_of_rows(
     task: Task, robot: Robot, x: Float[np.ndarray, "n N"], goals: Float[np.ndarray, "m 2 G"], on: Bool[np.ndarray, "m"]
 ) -> RowSlacks | None:
-    """Return the slack of a task next to the m = n - 1 legs between configurations.
+    """Return the slack of a task's rows at the m = n - 1 legs between configurations.
 
     Args:
         task: The task.
-        robot: With the job's tool.
+        robot: The robot with the job's tool.
         x: The configurations [rad or m].
         goals: Goals at both ends of each leg [m, rad].
-        on: True for legs with constraints; the slack of others is unlimited.
+        on: True for legs on which the task applies; the slack of other legs is unlimited.
 
     Returns:
-        The slack; None for a task that only constrains the TCP's position, which has a tube.
+        The slack; None for a task that constrains only the TCP's position, for which the tube is used.
     """
     if not (rows := row_proof.checked(task.parts)):
         return None

@@ -1,8 +1,8 @@
 """Time parameterisation of all scenarios in a run: `time_run(run, "20mm/s")` writes one file per method into the run.
 
-Plans do not depend on it, and a run may be timed again with another feed or other limits, which replaces its times;
-with the same ones only missing scenarios are timed. Scenarios are timed one by one, so that neither their order nor the
-number of processes has any influence; torques are computed for a block of scenarios at once.
+Timing does not change plans. A run may be timed again: with another feed or other limits, all times are replaced; with
+the same, only missing scenarios are timed. Scenarios are timed one by one, so their order and the number of processes
+do not influence the times. Torques are computed for a block of scenarios at once.
 """
 
 import os
@@ -33,25 +33,25 @@ from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.plan_program import PlanProgram, requested_feed, timed_plan, with_program
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
-BLOCK = 64  # scenarios per write and torque computation; limits memory
-EACH_PAYS, MOST = 128, 16  # scenarios that justify one more process; maximum of processes
-PART = 4  # scenarios per work unit of a process
+BLOCK = 64  # number of scenarios per write and torque computation, limited by memory
+EACH_PAYS, MOST = 128, 16  # number of scenarios that justify one more process; maximum number of processes
+PART = 4  # number of scenarios per work unit of a process
 LIMITS = "velocity", "acceleration", "jerk", "full_speed_s", "full_acceleration_s"  # keys of `program`
 
 
 class _TimingSettings(NamedTuple):
-    """Settings with which a run is timed."""
+    """Feed rate and overrides with which a run is timed."""
 
     feed_m_s: float
     overrides: tuple[str, ...]
 
 
 class _TimedScenario(NamedTuple):
-    """One scenario, timed."""
+    """Figures and samples of one timed scenario."""
 
     figures: ProgramFigures
-    timed: TimedMotion | None  # for the torques; None if the arm's model has no inertias
-    effort: np.ndarray  # the joints' limits
+    timed: TimedMotion | None  # samples for the torques; None if the arm's model has no inertias
+    effort: np.ndarray  # effort limits of the joints [N m or N]
 
 
 def time_run(
@@ -68,26 +68,26 @@ def time_run(
 
     Args:
         run: The run.
-        feed: Feed of the TCP on the path, "20mm/s"; None: the job's.
-        methods: None: all with results.
+        feed: Feed rate of the TCP on the path, such as "20mm/s"; None: the job's.
+        methods: Names of methods; None: all methods with results.
         overrides: Changes to the job's section `program`, as on the command line.
-        progress: Called with a method, the number of its finished scenarios, and their total.
+        progress: Function that is called with a method, the number of its finished scenarios, and their total.
         workers: Number of processes; None: chosen by the number of scenarios.
-        block: Scenarios that are computed together, and then written.
+        block: Number of scenarios that are computed together and then written.
 
     Returns:
-        The run, whose `scenarios()` have the times.
+        The run, whose `scenarios()` now include the times.
 
     Raises:
-        InputError: For an invalid feed, a run without results, methods that it lacks, an arm without velocity limits,
-            files that have changed, and a folder that is in use or cannot be written.
+        InputError: If the feed rate is invalid, if the run has no results or lacks a method, if an arm has no velocity
+            limits, if files have changed, or if the folder is in use or cannot be written.
         Interrupted: On SIGINT and SIGTERM; finished times are kept.
     """
     requested = _TimingSettings(requested_feed(feed, with_program(run.config, overrides)), tuple(overrides))
     timer = _Timer(plan_sets.plans_of_run(run), requested)
     chosen = _chosen_methods(timer.found, methods)
     check_limits(timer.jobs)
-    stopped = f"stopped; finished times are kept in {run.folder}; the same command resumes"
+    stopped = f"stopped; finished times are in {run.folder}; run the same command to resume"
     with stop_message(lambda: stopped), lock.locked(run.folder), lock.signals() as came:
         find = _finder(timer, chosen, workers)
         for method in chosen:
@@ -96,24 +96,24 @@ def time_run(
 
 
 def check_limits(jobs: Iterable[PlanConfig]) -> None:
-    """Check the joint limits of the arms in these jobs.
+    """Check that the arms in some jobs have valid joint limits.
 
     Raises:
-        InputError: For an arm without velocity limits, and for limits of another number of joints.
+        InputError: If an arm has no velocity limits, or if a list of limits has not one value per joint.
     """
     for job in {repr((build.robot_key(job), job.program)): job for job in jobs}.values():
-        joint_limits(build.robot_of(job.robot), job.program)
+        joint_limits(build.robot_of(job.robot, tree=job.tree), job.program)
 
 
 def _chosen_methods(found: plan_sets.RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
     for method in methods or ():
         if method not in found.methods:
-            raise InputError(f"{found.folder} has no plans by {method!r}; there are {', '.join(found.methods)}")
+            raise InputError(f"{found.folder} has no plans by {method!r}; valid: {', '.join(found.methods)}")
     return found.methods if methods is None else tuple(methods)
 
 
 class _Timer:
-    """Timer for the scenarios of one run; shared arms and parts are read once."""
+    """Timer for the scenarios of a run; arms and parts that scenarios share are read once."""
 
     def __init__(self, found: plan_sets.RunPlans, requested: _TimingSettings):
         self.found, self.requested = found, requested
@@ -124,24 +124,27 @@ class _Timer:
         self._parts: dict[str, Workpiece] = {}
 
     def __reduce__(self):
-        """Pickle the folder, not its content; a reused worker reads it again for the next `time_run`."""
+        """Pickle the folder's name only; a worker process reads the folder itself."""
         return _opened, (self.found.folder.resolve(), self.requested, os.urandom(8))
 
     @cached_property
     def jobs(self) -> list[PlanConfig]:
-        """The scenarios' configurations, with the overrides of `program`."""
+        """Jobs of the scenarios, with the overrides of the section `program`."""
         return [with_program(job, self.requested.overrides) for job in self.found.jobs]
 
     @property
     def made_with(self) -> timing_file.Timing:
-        """Settings of the times, without rows."""
+        """The timing settings as a `Timing` without rows."""
         program = with_program(self.found.config, self.requested.overrides).program.model_dump(mode="json")
         return timing_file.Timing(
             self.requested.feed_m_s, {key: program[key] for key in LIMITS}, timing_file.SCHEMA.empty_table()
         )
 
     def known(self, method: str) -> timing_file.Timing:
-        """Return existing times with the same settings, else no rows; a damaged file is ignored."""
+        """Return a method's existing times if they have the same settings, else a `Timing` without rows.
+
+        A damaged file is ignored.
+        """
         try:
             there = timing_file.read_timing(self.found.folder, self.found.run.manifest.shards, method)
         except InputError:
@@ -149,7 +152,7 @@ class _Timer:
         return there if there is not None and there[:2] == self.made_with[:2] else self.made_with
 
     def missing(self, method: str) -> list[int]:
-        """Return the scenarios with results but without times."""
+        """Return a method's scenarios with results but without times."""
         shards = [shard for shard in self.found.run.manifest.shards if shard.method == method]
         planned = {number for shard in shards for number in range(shard.first, shard.last + 1)}
         return sorted(planned - set(self.known(method).rows["scenario"].to_pylist()))
@@ -172,7 +175,7 @@ class _Timer:
         return None if self._model(made.job) is None else made.program.timed(TORQUES_EVERY_S)
 
     def loads(self, block: Sequence[int], found: Sequence[_TimedScenario | None]) -> dict[int, PeakTorque]:
-        """Return the largest torques of a block's motions, by scenario; motions of one arm are computed at once."""
+        """Return the peak torques of a block's motions, by scenario; an arm's motions are computed at once."""
         arms: dict[str, dict[int, _TimedScenario]] = {}
         for number, one in zip(block, found, strict=True):
             if one is not None and one.timed is not None:
@@ -189,16 +192,16 @@ class _Timer:
         return self._inverse[arm]
 
     def _model(self, job: PlanConfig) -> mujoco.MjModel | None:
-        """Return the arm of a job with its inertias, None without any."""
+        """Return the model of a job's arm with its inertias; None if a link has no inertia."""
         key = repr(build.robot_key(job))
         if key not in self._models:
-            self._models[key] = model_of(job.robot)
+            self._models[key] = model_of(job.robot, job.tree)
         return self._models[key]
 
     def _arm(self, job: PlanConfig) -> Robot:
         key = repr(build.robot_key(job))
         if key not in self._arms:
-            self._arms[key] = build.robot_of(job.robot, job.cell)
+            self._arms[key] = build.robot_of(job.robot, job.cell, job.tree)
         return self._arms[key]
 
     def _part(self, job: PlanConfig, arm: Robot) -> Workpiece:
@@ -211,7 +214,7 @@ class _Timer:
 def _time_method(
     timer: _Timer, method: str, find: Callable, block: int, progress: Callable | None, came: list[int]
 ) -> None:
-    """Time the missing scenarios, block by block; every block is written."""
+    """Time a method's missing scenarios block by block, and write the times after every block."""
     missing, known = timer.missing(method), timer.known(method)
     everything = len(missing) + len(known.rows)
     for first in range(0, len(missing), block):
@@ -243,7 +246,7 @@ def _write(run: Run, method: str, timing: timing_file.Timing) -> None:
 
 
 def _timing_row(number: int, feed_m_s: float, one: _TimedScenario | None, peak_torque: PeakTorque | None) -> dict:
-    """Return a row of the file."""
+    """Return a scenario's row in the file of times."""
     row = {"scenario": number, "feed_m_s": feed_m_s}
     if one is None:
         return row
@@ -265,7 +268,7 @@ def _or_none(value: float) -> float | None:
 
 
 def _finder(timer: _Timer, methods: Sequence[str], workers: int | None) -> Callable[[str, Sequence[int]], list]:
-    """Return a function that times scenarios of a method, with the requested or a suitable number of processes."""
+    """Return a function that times scenarios of a method in `workers` processes; None: a suitable number."""
     if workers is None:
         missing = sum(len(timer.missing(method)) for method in methods)
         workers = min(os.cpu_count() or 1, MOST, missing // EACH_PAYS)

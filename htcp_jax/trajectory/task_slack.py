@@ -1,4 +1,4 @@
-"""Slack of a job's task next to the legs of a motion, if it constrains more than the TCP's position."""
+"""Slack of a job's task at the legs of a motion, if the task constrains more than the TCP's position."""
 
 import numpy as np
 from jaxtyping import Float
@@ -20,18 +20,28 @@ def with_rows(
     goals: Float[np.ndarray, "T G"],
     targets: Float[np.ndarray, "T 3"] | None = None,
 ) -> MotionSlack:
-    """Add the slack of the job's task next to each leg, unlimited off the path.
+    """Return the slack with the slack of the job's task added; legs off the path have unlimited slack.
 
-    If the task does not constrain the TCP's position, the TCP has no tube.
+    If the task does not constrain the TCP's position, the TCP's distance from its line is not limited.
 
-    robot: with the job's tool; goals: goals of the task at each target, see `Scenario`; targets: their positions, world
-    [m], for via points between them. Raises InputError for a task with a row that has no bound between two
-    configurations.
+    Args:
+        left: Slack without the task.
+        job: The job.
+        robot: The robot with the job's tool.
+        motion: The motion.
+        goals: Goals of the task at each target, see `Scenario`.
+        targets: Positions of the targets, world [m]; required for via points between targets.
+
+    Raises:
+        InputError: If a row of the task has no bound between two configurations.
     """
     task = build.task_of_job(job, robot)
     if task.sampled:
         names = ", ".join(row.name for row, part in zip(job.task, task.parts, strict=True) if part.sampled)
-        raise InputError(f"no program: the task row {names} states no rate, so it cannot be proven next to the motion")
+        raise InputError(
+            f"no program: the task row kind {names} does not set `rate`, so the row cannot be proven for a motion that "
+            "deviates from the plan; set `rate` in the kind"
+        )
     target, kind = motion.target[1:], motion.kind[1:]
     before = np.where(kind == Kind.DWELL, target, np.maximum(target - 1, 0))
     on = np.isin(kind, (Kind.PROCESS, Kind.DWELL))

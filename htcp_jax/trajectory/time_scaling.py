@@ -5,9 +5,10 @@ At constant speed each limit is a speed limit in closed form,
 
     s' <= v / |q'|,    s' <= (a / |q''|)^(1/2),    s' <= (j / |q'''|)^(1/3),
 
-and the rest of a, after q'' s'^2, is available for s''. A speed limit applies for as long as it is in the window of the
-moving mean. Limits that the mean or the mixed terms still exceed are found on the timed curve, and the speed limits are
-lowered there; after ROUNDS the complete section is slowed down, so that no limit is exceeded at the sampled instants.
+and the part of a that q'' s'^2 does not use is available for s''. A speed limit applies as long as its position is in
+the moving mean's window. The mean and the mixed terms may still exceed limits. Times at which they do are found on the
+timed curve, and speed limits are lowered there, up to ROUNDS times. Finally the complete section is slowed down so that
+no limit is exceeded at the checked times.
 """
 
 from typing import NamedTuple
@@ -20,24 +21,24 @@ from htcp_jax.trajectory.limits import MotionLimits
 from htcp_jax.trajectory.path import PathCurve
 from htcp_jax.trajectory.speed import SpeedProfile, fastest
 
-CURVED = 0.9  # share of a limit that a corner may use at constant speed
+CURVED = 0.9  # maximum share of a limit that a corner uses at constant speed
 ROUNDS = 12
-CHECKED_EVERY_S, INSTANTS = 0.004, 20_000  # interval of the evenly spaced instants, and their maximum number
-RESERVE = 0.995, 0.995, 0.93  # of v, a and j, reserve for values between instants: the jerk jumps
-NEAR, CLOSER_S, REACH_S = 0.9, 0.0005, 0.004  # refinement: share of a limit, interval and range around it
+CHECKED_EVERY_S, INSTANTS = 0.004, 20_000  # interval of evenly spaced checks, and their maximum number
+RESERVE = 0.995, 0.995, 0.93  # used shares of v, a and j; the rest is for values between checks
+NEAR, CLOSER_S, REACH_S = 0.9, 0.0005, 0.004  # closer checks: from this share of a limit, interval, range
 ENOUGH = 1.001  # accepted factor by which a limit is exceeded
 
 
 class _SpeedLimits(NamedTuple):
-    """Speed limits on a path's grid."""
+    """Speed and acceleration limits on a path's grid."""
 
     speed: Float[np.ndarray, "m"]
     push: Float[np.ndarray, "m"]  # acceleration along the path, in both directions
-    limit: Int[np.ndarray, "m"]  # as in `TimeScaling`
+    limit: Int[np.ndarray, "m"]  # the active limit, as in `TimeScaling`
 
 
 class TimeScaling(NamedTuple):
-    """Time scaling of one section."""
+    """Time scaling of one section: its path over s, and s over time."""
 
     path: PathCurve
     speed: SpeedProfile
@@ -46,10 +47,7 @@ class TimeScaling(NamedTuple):
     speed_limit: Float[np.ndarray, "m"]  # on the path's grid, the speed limit before the moving mean
 
     def at(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], Derivatives]:
-        """Return positions, and joints with their derivatives by time, at times from 0 to the duration.
-
-        Times in [s], joints in [rad or m].
-        """
+        """Return positions, and joints [rad or m] with their time derivatives, at times from 0 to the duration [s]."""
         place, v, a, j = self.speed.at(time)
         v, a, j = v[:, None], a[:, None], j[:, None]
         x, first, second, third = self.path.at(place)
@@ -58,7 +56,7 @@ class TimeScaling(NamedTuple):
         )
 
     def limit_at(self, place: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the active limit at positions, see `limit`."""
+        """Return the active limit at positions, in the format of `limit`."""
         return self.limit[np.clip(np.searchsorted(self.path.place, place), 0, len(self.limit) - 1)]
 
     def passes(self, u: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
@@ -75,7 +73,8 @@ def time_scaling(path: PathCurve, limits: MotionLimits, feed: float = np.inf) ->
     Args:
         path: The section over s.
         limits: Limits of the joints.
-        feed: Desired and maximum speed [m/s]; if the tool does not feed, 1 is the full speed of the fastest joint.
+        feed: Desired and maximum speed [m/s]. If the tool does not follow the path, the speed has no unit, and 1 is the
+            full speed of the limiting joint.
     """
     whole = limits
     limits = MotionLimits(*(share * part for share, part in zip(RESERVE, limits, strict=True)))
@@ -100,7 +99,7 @@ def time_scaling(path: PathCurve, limits: MotionLimits, feed: float = np.inf) ->
 
 
 def _slower(scaling: TimeScaling, limits: MotionLimits) -> TimeScaling:
-    """Slow the time scaling down as limits exceeded between the instants require."""
+    """Return the time scaling slowed down by the factor by which limits are exceeded between the checked times."""
     time = instants(scaling.speed)
     near = time[limits.shares(*scaling.at(time)[1][1:]).max(axis=1) > NEAR]
     if not len(near):
@@ -113,17 +112,14 @@ def _slower(scaling: TimeScaling, limits: MotionLimits) -> TimeScaling:
 
 
 def instants(scaling: SpeedProfile) -> Float[np.ndarray, "n"]:
-    """Return the times at which limits are checked [s].
-
-    Evenly spaced, at the positions of the grid, and at jumps of the jerk.
-    """
+    """Return the times at which limits are checked [s]: evenly spaced, at the grid's positions, at jerk jumps."""
     even = np.linspace(0, scaling.duration_s, 2 + min(int(scaling.duration_s / CHECKED_EVERY_S), INSTANTS))
     passed = np.interp(scaling.place, np.maximum.accumulate(scaling.at(even)[0]), even)
     return np.sort(np.concatenate([even, passed, scaling.jumps()]))
 
 
 def _speed_limits(path: PathCurve, limits: MotionLimits, feed: float) -> _SpeedLimits:
-    """Return the speed limits in closed form, at every position of the grid."""
+    """Return the limits in closed form at every position of the grid."""
     _, first, second, third = (np.maximum(np.abs(part), 1e-300) for part in path.at(path.place))
     by_joint = np.stack(
         [
@@ -141,7 +137,7 @@ def _speed_limits(path: PathCurve, limits: MotionLimits, feed: float) -> _SpeedL
 
 
 def _extended_limits(path: PathCurve, speed_limit: np.ndarray, window: float) -> np.ndarray:
-    """Return the speed limits, each corner's extended by the window of the mean before and after it."""
+    """Return the speed limits, with each corner's lowest limit extended to both sides by half the mean's window."""
     held = speed_limit.copy()
     first, last = np.searchsorted(path.place, path.at_corner.T)
     slowest = np.array([speed_limit[max(a - 1, 0) : b + 1].min() for a, b in zip(first, last, strict=True)])
@@ -157,9 +153,9 @@ def _extended_limits(path: PathCurve, speed_limit: np.ndarray, window: float) ->
 def _slow_down(
     speed_limits: _SpeedLimits, grid: np.ndarray, scaling: SpeedProfile, time: np.ndarray, shares: np.ndarray
 ) -> None:
-    """Lower speed limits and accelerations around each instant at which a limit is exceeded, and record that limit.
+    """Lower the speed and acceleration limits around times at which a joint limit is exceeded; record this limit.
 
-    They are lowered in the window of the mean.
+    They are lowered at all positions in the moving mean's window around this time.
     """
     over = shares.max(axis=1)
     bad = np.flatnonzero(over > ENOUGH)

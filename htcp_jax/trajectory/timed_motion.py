@@ -7,13 +7,13 @@ from jaxtyping import Float, Int, Int8
 
 
 class TimedMotion(NamedTuple):
-    """Samples of a motion: configurations with their times."""
+    """Samples of a motion: configurations, velocities and accelerations with their times."""
 
-    time_s: Float[np.ndarray, "n"]  # increasing
+    time_s: Float[np.ndarray, "n"]  # increasing times
     x: Float[np.ndarray, "n N"]  # [rad or m]
     velocity: Float[np.ndarray, "n N"]  # [rad/s or m/s]
     acceleration: Float[np.ndarray, "n N"]  # [rad/s2 or m/s2]
-    kind: Int8[np.ndarray, "n"]  # `status.Kind` of the segment from the row before
+    kind: Int8[np.ndarray, "n"]  # `status.Kind` of the segment from the previous row
     target: Int[np.ndarray, "n"]  # target to which the row leads
     joint_names: tuple[str, ...]
-    span: Float[np.ndarray, "n 2"] | None = None  # of that segment [1], see `Motion`
+    span: Float[np.ndarray, "n 2"] | None = None  # shares of the segment [1], see `Motion`

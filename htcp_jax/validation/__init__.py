@@ -1,14 +1,15 @@
-"""Independent validation: results measured again by MuJoCo, and comparison with baselines.
+"""Independent validation of results by MuJoCo, and comparison of runs with baselines.
 
-`validate` measures tracked targets and segments of a plan or a run by MuJoCo's own distances and kinematics and uses
-none of the planner's mathematics. It returns a `Validation`: violations by kind, and the largest deviations.
-Segments are sampled at steps of `STEP_RAD`. `record` and `write_validation` save it, and `check_timed` does the same
-for a timed program.
+`validate_results` checks the tracked targets and segments of a plan or a run by MuJoCo's kinematics and distances,
+without the planner's code. It returns a `Validation` with the refuted configurations and the largest deviations.
+Segments are sampled at joint steps of at most `STEP_RAD`. `write_validation` saves the result. `check_timed` checks a
+timed motion.
 
-A `Baseline` is a file of a run's expected counts: `read_baseline` reads it, `update` writes it, and `gate` compares
-another run with it.
+A `Baseline` is a file with the expected results of a run: `read_baseline` reads it, `update_baseline` writes it, and
+the module `gate` compares a run with it.
 
-`tests/lint.py` lists the names that this package may import from others: types of data, files, constants.
+To stay independent, this package imports only data types, file readers and constants from other packages;
+`tests/lint.py` lists them.
 """
 
 import lazy_loader

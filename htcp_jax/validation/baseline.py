@@ -1,14 +1,14 @@
-"""Baseline file of a run, to compare later runs with: one line per scenario, readable and easy to diff.
+"""Baseline file of a run, with which later runs are compared; it has one line per scenario, for readable diffs.
 
-    nspace-sqp:                 # under `methods`
-      tracked: 4372
-      ...
-      scenarios:
-        0: 105 complete
-        1: 73 QP_INFEASIBLE     # targets in a row, and the status of the next one
+nspace-sqp:                 # under `methods`
+  tracked: 4372
+  ...
+  scenarios:
+    0: 105 complete
+            1: 73 QP_INFEASIBLE     # consecutive tracked targets, and the next target's status
 
-Tracked targets are the planner's own results. The bounds on the TCP and on the clearance are not: they are measured by
-`validate`, with MuJoCo alone, so that a wrong formula in the planner cannot confirm itself.
+    The numbers of tracked targets are the planner's own results. TCP errors and clearances are measured by MuJoCo
+    only (`validate`), so that a wrong formula in the planner cannot confirm itself.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ from htcp_jax.validation.result import MethodCheck, Refutation
 from htcp_jax.validation.validate import validate_results as check_by_mujoco
 
 COMPLETE = "complete"
-DIGITS = 6  # of millimetres in the file
+DIGITS = 6  # decimals of millimetres in the file
 HEAD = """# Baseline of a run, with which `htcp gate` compares later runs. Written by --update; edit only `allow`.
 """
 
@@ -39,7 +39,7 @@ Millimetres = Annotated[float, Field(ge=0)]
 
 
 class End(NamedTuple):
-    """Targets that a scenario tracked in a row, and the name of the next one's status, or COMPLETE."""
+    """End of a scenario: its number of consecutive tracked targets, and the next target's status, or COMPLETE."""
 
     tracked: int
     status: str
@@ -51,69 +51,71 @@ class End(NamedTuple):
 def _read_end(text: Any) -> End:
     count, _, status = str(text).partition(" ")
     if not count.isdecimal() or status not in (COMPLETE, *Status.__members__):
-        raise ValueError(f"{text!r} is not an end of a scenario, such as '105 {COMPLETE}' or '73 QP_INFEASIBLE'")
+        raise ValueError(f"{text!r} is not the result of a scenario, such as '105 {COMPLETE}' or '73 QP_INFEASIBLE'")
     return End(int(count), status)
 
 
 class Times(strict_model.FileSection):
-    """Durations of one method's timed motions at a feed; see `htcp program --all`."""
+    """Cycle times of a method's motions at one feed rate, from `htcp program --all`."""
 
     feed_m_s: float
-    limits: dict[str, Any]  # keys of `program`
-    held: WholeNumber  # scenarios that hold their feed
-    cycle_time_s: dict[WholeNumber, Annotated[float, Field(gt=0)]]  # of scenarios with a motion to their last target
+    limits: dict[str, Any]  # joint and TCP limits, as in the job's section `program`
+    held: WholeNumber  # number of scenarios in which the feed is held
+    cycle_time_s: dict[WholeNumber, Annotated[float, Field(gt=0)]]  # by scenario with a motion to the last target
 
 
 class Scores(strict_model.FileSection):
-    """Results of one method."""
+    """A method's results in a run or a baseline."""
 
     tracked: WholeNumber
     targets: WholeNumber
-    executable: WholeNumber  # of the tracked
-    complete: WholeNumber  # scenarios
-    tcp_error_max_mm: float | None  # over the tracked targets, like the next; None if there are none
+    executable: WholeNumber  # number of tracked targets that a proven motion reaches
+    complete: WholeNumber  # number of complete scenarios
+    tcp_error_max_mm: float | None  # this and the next two are over all tracked targets; None: no target
     clearance_min_mm: float | None
-    clearance_less_cover_min_mm: float | None = Field(None, exclude=True)  # of a run; no part of the file
-    times: Times | None = None  # if the run is timed
-    scenarios: dict[WholeNumber, str]  # an `End` each, by the scenario's number
+    clearance_less_cover_min_mm: float | None = Field(
+        None, exclude=True
+    )  # less a mesh's covering radius; not in the file
+    times: Times | None = None  # None if the run is not timed
+    scenarios: dict[WholeNumber, str]  # an `End` as text, by scenario
 
     @property
     def ends(self) -> dict[int, End]:
-        """End of each scenario by its number."""
+        """Each scenario's end, by scenario."""
         return {number: _read_end(text) for number, text in self.scenarios.items()}
 
     @model_validator(mode="after")
     def _adds_up(self) -> "Scores":
         ends = self.ends
         if self.tracked != sum(end.tracked for end in ends.values()):
-            raise ValueError(f"tracked is {self.tracked}, which is not the sum over its scenarios")
+            raise ValueError(f"tracked is {self.tracked}, which does not match the sum over its scenarios")
         if self.complete != sum(end.status == COMPLETE for end in ends.values()):
-            raise ValueError(f"complete is {self.complete}, which is not the number of its complete scenarios")
+            raise ValueError(f"complete is {self.complete}, which does not match the number of its complete scenarios")
         return self
 
 
 class ReachabilityScores(strict_model.FileSection):
     """Results of `htcp reachability`."""
 
-    reachable: WholeNumber  # targets
-    resolution_rad: float | None  # of the search; None for configurations spread over the joint limits
+    reachable: WholeNumber  # number of reachable targets
+    resolution_rad: float | None  # angular resolution of the search; None: it used spread configurations
     seed: int
 
     @property
     def searched(self) -> str:
-        """Description of the search: resolution and seed."""
+        """Resolution and seed of the search, as text."""
         spread = self.resolution_rad is None
         how = "spread configurations" if spread else f"a resolution of {self.resolution_rad:.3g} rad"
         return f"{how} and seed {self.seed}"
 
 
 class Allowance(strict_model.FileSection):
-    """Largest differences from the baseline that a method may have."""
+    """Largest differences from the baseline with which a method passes."""
 
-    targets: WholeNumber = 0  # fewer tracked in all
-    more_targets: WholeNumber | None = None  # more tracked in all; None: any number
-    scenarios: WholeNumber = 0  # that end earlier
-    cycle_time_percent: Annotated[float, Field(ge=0)] = 1.0  # that a scenario may take longer
+    targets: WholeNumber = 0  # decrease of the total number of tracked targets
+    more_targets: WholeNumber | None = None  # increase of this number; None: any increase passes
+    scenarios: WholeNumber = 0  # number of scenarios that end earlier
+    cycle_time_percent: Annotated[float, Field(ge=0)] = 1.0  # increase of a scenario's cycle time [%]
     tcp_error_mm: Millimetres = 0.05
     clearance_mm: Millimetres = 0.05
 
@@ -121,9 +123,9 @@ class Allowance(strict_model.FileSection):
 class Allowances(strict_model.FileSection):
     """Allowed differences from the baseline, by machine.
 
-    `here` is for the device and versions of the baseline, where the same code plans the same bits; `elsewhere` for
-    others, whose rounding may flip a scenario close to a threshold. With SSE 4.2 in place of AVX-512, one scenario of
-    the 49 poses by nine methods lost one target.
+    `here` applies to runs on the baseline's device and versions, where the same code gives identical results.
+    `elsewhere` applies to all other runs, in which rounding may change a scenario close to a threshold. For example,
+    with SSE 4.2 instead of AVX-512 one scenario lost one target, of 49 poses by nine methods.
     """
 
     here: Allowance = Allowance()
@@ -143,13 +145,13 @@ class Baseline(strict_model.FileSection):
     allow: Allowances = Allowances()
     versions: dict[str, str | None]
     reachability: ReachabilityScores | None
-    planned: dict[str, Any]  # the `identity` of the run: its configuration and its grid
+    planned: dict[str, Any]  # configuration and grid of the run, see the function `planned`
     methods: dict[manifests.MethodName, Scores] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _hash_is_of_planned(self) -> "Baseline":
         if identity.config_hash(self.planned) != self.config_hash:
-            raise ValueError("config_hash is not that of `planned`")
+            raise ValueError("config_hash does not match `planned`")
         return self
 
     @model_validator(mode="after")
@@ -157,12 +159,12 @@ class Baseline(strict_model.FileSection):
         count = len(next(iter(self.methods.values())).scenarios)
         for method, scores in self.methods.items():
             if sorted(scores.scenarios) != list(range(count)):
-                raise ValueError(f"{method} does not have the scenarios 0 to {count - 1}, as the first method has")
+                raise ValueError(f"{method} must have the scenarios 0 to {count - 1}, like the first method")
         return self
 
 
 class RunSummary(NamedTuple):
-    """Results of a run. Unknown ones are missing, and `problems` gives the reasons."""
+    """Results of a run, as far as they are known; `problems` contains the reasons why others are missing."""
 
     methods: dict[str, Scores]
     checks: dict[str, MethodCheck]
@@ -172,13 +174,13 @@ class RunSummary(NamedTuple):
 
 
 def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) -> RunSummary:
-    """Read and validate a run.
+    """Read and validate a run, and return its results.
 
-    Errors in its files do not raise but are listed in `problems`.
+    Errors in the run's files are not raised, but listed in `problems`.
 
     Args:
         run: The run.
-        progress: Called with the number of validated plans and of all.
+        progress: Function that is called with the number of validated plans and of all plans.
     """
     problems: list[str] = []
 
@@ -203,23 +205,23 @@ def read_baseline(file: Path) -> Baseline:
     """Read a baseline.
 
     Raises:
-        InputError: For a file that cannot be read, is damaged, or is not a baseline.
+        InputError: If the file cannot be read, is damaged, or is not a baseline.
     """
     return strict_model.validate_model(strict_yaml.read_yaml(file), Baseline, str(file))
 
 
 def update_baseline(run: Run, file: Path, progress: Callable[[int, int], None] | None = None) -> Baseline:
-    """Write the results of the run into `file`, keeping the allowances of an older baseline there.
+    """Write a run's results into a baseline file; allowances of an existing baseline are kept.
 
     Args:
         run: The run.
-        file: The baseline file; unchanged if an error is raised.
-        progress: Called with the number of validated plans and of all.
+        file: The baseline file; it stays unchanged if an error is raised.
+        progress: Function that is called with the number of validated plans and of all plans.
 
     Raises:
-        InputError: For a run that is limited, incomplete, damaged, refuted by validation or planned by more than one
-            commit or device; if the file is not a baseline, or is one of another sweep or of methods that the run
-            lacks; and if it cannot be written.
+        InputError: If the run is limited, incomplete, damaged, refuted by validation, or planned by more than one
+            commit or device; if the existing file is not a baseline, belongs to another sweep, or contains methods that
+            the run lacks; if the file cannot be written.
     """
     old = read_baseline(file) if file.exists() else None
     if reason := _reason_not_to_update(run, old):
@@ -249,7 +251,7 @@ def update_baseline(run: Run, file: Path, progress: Callable[[int, int], None] |
 
 
 def planned(manifest: manifests.Manifest) -> dict:
-    """Identity of a run: the same for the same sweep, independent of the location of its files."""
+    """Return the configuration and grid that identify a run, independent of where its files are."""
     return identity.identity(manifest.config, manifest.grid, manifest.dtype, manifest.files)
 
 
@@ -260,11 +262,11 @@ def _reason_not_to_update(run: Run, old: Baseline | None) -> str | None:
     if not run.complete:
         return f"it is not complete, {_unplanned(run)}"
     if len(manifest.planned_by) != 1:
-        return "it was planned in parts, by several commits, versions or devices; plan it again in one go"
+        return "it was planned by several commits, versions or devices; plan it again without changing them"
     if old and old.sweep != manifest.name:
-        return f"the baseline there is of the sweep {old.sweep}, this one is {manifest.name}"
+        return f"the existing baseline is for the sweep {old.sweep}, this run is of {manifest.name}"
     if old and (lost := [method for method in old.methods if method not in run.methods]):
-        return f"the baseline there also has {', '.join(lost)}; plan them too, or remove the file"
+        return f"the existing baseline also has {', '.join(lost)}; plan these methods too, or delete the file"
     return None
 
 

@@ -1,8 +1,8 @@
 """Fixtures that move with a link, for validation: exact convex bodies, placed by MuJoCo's kinematics.
 
-The planner encloses them in capsules, whose clearance is a lower bound. Here the box, or the convex hull of the mesh,
-is measured: by mj_geomDistance against solids and the arm's capsules (`mujoco_cell`), and by `convex_hull` against the
-points or triangles of a wall.
+The planner encloses these fixtures in capsules, whose clearance is a lower bound. Validation measures the exact box, or
+the convex hull of the mesh. Distances to solids and to the arm's capsules are computed by mj_geomDistance
+(`mujoco_cell`), distances to a wall's points or triangles by `convex_hull`.
 """
 
 from typing import NamedTuple
@@ -15,31 +15,35 @@ from htcp_jax.validation.mujoco_arm import MujocoArm
 
 
 class CarriedBody(NamedTuple):
-    """A convex body that a moving link carries."""
+    """Convex body of a fixture that moves with a link."""
 
-    geom: int  # in the cell's model
+    geom: int  # index in the cell's model
     parent: str
-    link: int  # of the parent; 0: fixed to the world
-    excluded: frozenset[int]  # links that it is not tested against
-    R: Float[np.ndarray, "3 3"]  # pose of the geom in the parent's frame
+    link: int  # link of the parent frame; 0: fixed to the world
+    excluded: frozenset[int]  # links from which no distance is checked
+    R: Float[np.ndarray, "3 3"]  # rotation R and translation t of the geom in the parent's frame
     t: Float[np.ndarray, "3"]
-    corners: Float[np.ndarray, "V 3"]  # in the geom's frame [m]
+    corners: Float[np.ndarray, "V 3"]  # corners of the body in the geom's frame [m]
     arm: MujocoArm
 
     def poses(self, x: Float[np.ndarray, "n N"]) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
-        """Position [m] and axes of the geom at configurations x, world."""
+        """Return the geom's positions [m] and axes in the world at configurations x [rad or m]."""
         origin, rotation = self.arm.frames(x, self.parent, tip=False)
         return origin + rotation @ self.t, rotation @ self.R
 
     @property
     def ball(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """Centre in the geom's frame, and radius, of a ball about the body [m]."""
+        """Centre, in the geom's frame, and radius of a ball that encloses the body [m]."""
         centre = (self.corners.min(axis=0) + self.corners.max(axis=0)) / 2
         return centre, float(np.linalg.norm(self.corners - centre, axis=1).max())
 
     def clearance(self, wall: Float[np.ndarray, "m C 3"]) -> float:
-        """Smallest distance to points (C = 1) or triangles (C = 3) in the geom's frame [m].
+        """Return the smallest distance of the body from points or triangles [m].
 
-        Negative, the depth, if a corner is inside; 0 if only an edge passes through a face.
+        The result is negative, the negated depth, if a corner of the wall is inside. It is 0 if only an edge passes
+        through a face.
+
+        Args:
+            wall: The points (C = 1) or the triangles' corners (C = 3) in the geom's frame [m].
         """
         return Hull(self.corners).clearance(wall)

@@ -1,8 +1,9 @@
-"""Convex hulls for validation: pieces of the vendor's meshes in an arm's capsules, and their clearance to walls.
+"""Convex hulls for validation: convex pieces inside an arm's capsules, and their clearance to walls.
 
-An arm's file may have a convex piece for a capsule. The mesh lies within both: the larger distance of the two is a
-bound on its clearance. The pieces are read here a second time. The distance of two polyhedra that do not intersect is
-that of an edge of one and a face of the other.
+An arm's file may contain a convex piece for a capsule. The capsule and the piece both enclose the same part of the
+link's mesh, so the larger of their two clearances is a lower bound on the mesh's. The pieces are read again here,
+independently of the planner. The distance of two disjoint polyhedra is the smallest distance of an edge of one from a
+face of the other.
 """
 
 from collections.abc import Mapping
@@ -21,15 +22,15 @@ from htcp_jax.validation.mesh_clearance import axis_distances
 PIECE, RADIUS = (
     "piece of ",
     "radius of ",
-)  # names of an arm's <text> with a capsule's vertices, and of its <numeric> [m]
-SLACK_M = 1e-6  # by which a vertex may be outside of its capsule
-FLAT_M = 1e-6  # by which a piece without volume is thickened, for Qhull
-ROUNDING_M = 1e-9  # of the heights that exclude parts of a wall
-AT_ONCE, HEIGHTS_AT_ONCE = 4, 2_000_000  # parts of a wall that are measured at once; heights in memory
+)  # prefixes of names in an arm's file: <text> with a piece's vertices, <numeric> with its radius [m]
+SLACK_M = 1e-6  # tolerance for a piece's vertex outside its capsule
+FLAT_M = 1e-6  # thickness added to a piece without volume, for Qhull
+ROUNDING_M = 1e-9  # tolerance when distant parts of a wall are skipped
+AT_ONCE, HEIGHTS_AT_ONCE = 4, 2_000_000  # maximum numbers of wall parts measured, and of heights computed, at once
 
 
 class Hull:
-    """The convex hull of points [m], thickened by a radius [m]."""
+    """Convex hull of points [m], enlarged by a radius [m]."""
 
     def __init__(self, points: Float[np.ndarray, "V 3"], radius: float = 0.0):
         self.points, self.radius = points, radius
@@ -43,11 +44,16 @@ class Hull:
         corners = np.concatenate([self._hull.simplices[:, [k, k - 1]] for k in range(3)])
         return self.points[np.unique(np.sort(corners, axis=1), axis=0)]
 
-    def clearance(self, wall: Float[np.ndarray, "m C 3"]) -> float:
-        """Smallest distance to points (C = 1) or triangles (C = 3) [m].
+    def clearance(self, wall: Float[np.ndarray, "m C 3"], below: float = np.inf) -> float:
+        """Return the smallest distance of the hull from points or triangles [m].
 
-        Negative if a corner is inside, for a radius of 0 the depth; minus the radius if only an edge passes through a
-        face. Parts of the wall are not measured if a plane of the hull separates them by more than the distance.
+        The result is negative if a corner of the wall is inside; without a radius it is the negated depth. If only an
+        edge passes through a face, it is minus the radius. Parts of the wall that a facet's plane proves to be farther
+        away are not measured.
+
+        Args:
+            wall: The points (C = 1) or the triangles' corners (C = 3) [m].
+            below: Largest distance of interest [m]; a larger distance may be returned as any number above it.
         """
         middle = wall.mean(axis=1)
         apart = self._heights(middle) - np.linalg.norm(wall - middle[:, None], axis=2).max(axis=1) - ROUNDING_M
@@ -57,13 +63,13 @@ class Hull:
         order, found = np.argsort(apart), np.inf
         for first in range(0, len(order), AT_ONCE):
             some = order[first : first + AT_ONCE]
-            if apart[some[0]] > found:
+            if apart[some[0]] > min(found, below + self.radius):
                 break
             found = min(found, self._distance(wall[some]))
         return found - self.radius
 
     def _heights(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
-        """Largest signed distance of each point to the planes of the facets [m]; negative inside."""
+        """Return each point's largest signed distance from the facets' planes [m]; negative inside."""
         planes = self._hull.equations
         step = HEIGHTS_AT_ONCE // len(planes)
         parts = [
@@ -72,7 +78,7 @@ class Hull:
         return np.concatenate(parts or [np.empty(0)])
 
     def _distance(self, wall: Float[np.ndarray, "m C 3"]) -> float:
-        """Smallest distance to points or triangles that do not lie inside [m]."""
+        """Return the smallest distance to points or triangles, none of which may lie inside the hull [m]."""
         faces = self.points[self._hull.simplices]
         edges = np.concatenate([np.stack([wall[:, k], wall[:, k - 1]], 1) for k in range(wall.shape[1])])
         found = _smallest(edges, faces)
@@ -80,20 +86,20 @@ class Hull:
 
 
 def _smallest(edges: Float[np.ndarray, "e 2 3"], triangles: Float[np.ndarray, "m 3 3"]) -> float:
-    """Smallest distance of any edge to any triangle [m]."""
+    """Return the smallest distance of any edge from any triangle [m]."""
     e, m = (index.ravel() for index in np.indices((len(edges), len(triangles))))
     return float(axis_distances(edges[e, 0], edges[e, 1], triangles[m]).min())
 
 
 def read_hulls(spec: mujoco.MjSpec, path: Path) -> dict[str, Hull]:
-    """Read the pieces in an arm's file, in the frames of the bodies, by the names of their capsules.
+    """Return the convex pieces in an arm's file by capsule name, each in its body's frame.
 
     Args:
-        spec: The file.
-        path: The file, for messages.
+        spec: The parsed file.
+        path: The path of the file, for messages.
 
     Raises:
-        InputError: For vertices that are not rows of three finite numbers, or a radius that is missing or negative.
+        InputError: If vertices are not rows of three finite numbers, or if a radius is missing or negative.
     """
     radii = {each.name: each.data[0] for each in spec.numerics if len(each.data)}
     texts = {each.name.removeprefix(PIECE): each.data for each in spec.texts if each.name.startswith(PIECE)}
@@ -113,14 +119,14 @@ def _read_hull(name: str, text: str, radii: Mapping[str, float], path: Path) -> 
 def hull_in_capsule(
     hull: Hull, position: np.ndarray, quaternion: np.ndarray, radius: float, half: float
 ) -> Hull | None:
-    """Return a hull in the frame of its capsule; None if the capsule does not hold its points.
+    """Return a hull in the frame of its capsule; None if a vertex is outside the capsule.
 
     Args:
         hull: The hull, in the frame of the body.
-        position: Position (3,) of the capsule's middle there [m].
-        quaternion: Orientation (4,) of the capsule there; its axis is z.
+        position: Position (3,) of the capsule's middle in the body's frame [m].
+        quaternion: Orientation (4,) of the capsule in the body's frame, w first; the capsule's axis is z.
         radius: Radius of the capsule [m].
-        half: Half length of its axis [m].
+        half: Half length of the capsule's axis [m].
     """
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, quaternion)

@@ -1,17 +1,18 @@
-"""Regression gate: a run compared with a baseline. Missing or unreadable data fail; planning time is not compared.
+"""Regression gate: comparison of a run with a baseline. Missing data fail; planning time is not compared.
 
-A method fails when
+A method fails if
 
-- it tracks fewer targets in all, or more of its scenarios end earlier, than the baseline's `allow` permits; or more
-  targets, if `allow.more_targets` bounds them, as for figures that are to be reproduced;
+- its number of tracked or executable targets decreases, or its number of scenarios that end earlier increases, by more
+  than the baseline's `allow` permits;
+- it tracks more targets in total than `allow.more_targets` permits, a limit for results that must be reproduced;
 - it tracks a smaller share of the reachable targets;
-- MuJoCo refutes a tracked target: a TCP error above the tolerance, a collision, a wrong saved value;
-- the baseline has times, and at the same feed and limits fewer of its scenarios hold their feed or have a time, or
-  more of them take longer than is allowed;
-- its largest TCP error or its minimum clearance is worse than the baseline's by more than is allowed;
-- the run lacks it, one of its scenarios, or one of these figures.
+- MuJoCo refutes a tracked target: the TCP error is above the tolerance, the arm collides, or a saved value is wrong;
+- the baseline has times and, in the run, fewer scenarios hold the feed, fewer have a time, more take longer than
+  allowed, or the feed rate or the limits differ;
+- its largest TCP error or its minimum clearance is worse than in the baseline by more than allowed;
+- the run lacks the method, one of its scenarios, or one of these figures.
 
-Improvements pass and are listed, so that the baseline can be updated. Each of these is a `GateCheck`.
+Each of these conditions is a `GateCheck`. Improvements pass and are listed, so that the baseline can be updated.
 """
 
 from collections.abc import Callable
@@ -33,8 +34,8 @@ from htcp_jax.validation.baseline import (
     summarise_run,
 )
 
-ROUNDING = 1e-9  # of percentages and millimetres
-RUN, REACHABILITY = "run", "reachability"  # in place of a method's name
+ROUNDING = 1e-9  # tolerance for rounding of percentages and millimetres
+RUN, REACHABILITY = "run", "reachability"  # used instead of a method's name in checks that belong to no method
 SCENARIOS, TRACKED, EXECUTABLE, ENDS, SHARE, MUJOCO, TIMES, TCP_ERROR, CLEARANCE = CHECKS = (
     *("scenarios present", "tracked targets", "executable targets", "scenarios ending earlier", "reachable share"),
     *("validation by MuJoCo", "times", "largest TCP error", "minimum clearance"),
@@ -42,7 +43,7 @@ SCENARIOS, TRACKED, EXECUTABLE, ENDS, SHARE, MUJOCO, TIMES, TCP_ERROR, CLEARANCE
 
 
 class Origin(NamedTuple):
-    """Commit, device and versions that planned a run."""
+    """Commit, device and package versions with which a run was planned."""
 
     commit: str | None
     device: str | None
@@ -58,48 +59,48 @@ class GateCheck(NamedTuple):
     """Result of one comparison for one method."""
 
     method: str
-    name: str  # of CHECKS, for a method
-    failures: tuple[str, ...] = ()  # sentences
-    compared: bool = True  # False if the baseline or the run has nothing to compare
+    name: str  # one of CHECKS if the check belongs to a method
+    failures: tuple[str, ...] = ()  # reasons of failure as text; empty: the check passed
+    compared: bool = True  # False if the baseline or the run has no values to compare
 
 
 class ChangedOutcome(NamedTuple):
-    """A scenario that ends differently."""
+    """A scenario with another outcome in the run than in the baseline."""
 
     method: str
     scenario: int
     was: End
     now: End
-    label: str  # number of the scenario and its varied parameters
+    label: str  # number and varied parameters of the scenario
 
     @property
     def worse(self) -> bool:
-        """True if fewer targets are tracked than before."""
+        """True if the run tracks fewer targets than the baseline."""
         return self.now.tracked < self.was.tracked
 
     @property
     def better(self) -> bool:
-        """True if more targets are tracked than before."""
+        """True if the run tracks more targets than the baseline."""
         return self.now.tracked > self.was.tracked
 
     @property
     def target(self) -> int:
-        """First target that differs."""
+        """First target with another result than in the baseline."""
         return min(self.was.tracked, self.now.tracked)
 
     @property
     def reason(self) -> str:
-        """Status of that target, in the run or, if the run tracks more, in the baseline."""
+        """Message on the status of `target` in the run, or in the baseline if the run tracks more targets."""
         status = self.was.status if self.better else self.now.status
         return Status[status].message if status != COMPLETE else COMPLETE
 
     def __str__(self) -> str:
         where = f"{self.method}, scenario {self.label}: first at target {self.target}"
-        return f"{where}, {self.was.tracked} tracked before, {self.now.tracked} now; {self.reason}"
+        return f"{where}, {self.was.tracked} tracked in the baseline, {self.now.tracked} now; {self.reason}"
 
 
 class GateRow(NamedTuple):
-    """The baseline's and the run's figures for one method, or for reachability. None if there is none."""
+    """Figures of one method, or of reachability, in the baseline (prefix `was_`) and in the run; None if unknown."""
 
     method: str
     was_tracked: int | None
@@ -107,52 +108,52 @@ class GateRow(NamedTuple):
     targets: int | None
     worse: int | None
     better: int | None
-    was_share: float | None  # of the reachable targets [%]
+    was_share: float | None  # tracked share of the reachable targets [%]
     share: float | None
     was_tcp_error_max_mm: float | None
     tcp_error_max_mm: float | None
     was_clearance_min_mm: float | None
     clearance_min_mm: float | None
-    clearance_less_cover_min_mm: float | None  # the run's, less the covering radius of a mesh
-    was_held: int | None  # scenarios that hold their feed
+    clearance_less_cover_min_mm: float | None  # in the run, minus the covering radius of a mesh
+    was_held: int | None  # number of scenarios in which the feed is held
     held: int | None
-    was_cycle_mean_s: float | None  # over the scenarios that have a time
+    was_cycle_mean_s: float | None  # mean over the scenarios with a time
     cycle_mean_s: float | None
     verdict: str
 
 
 class GateVerdict(NamedTuple):
-    """Result of the gate. `failures` and `improvements` are sentences."""
+    """Result of the gate; `failures` and `improvements` are sentences."""
 
     passed: bool
     sweep: str
     baseline: Origin
-    run: tuple[Origin, ...]  # several if a run was planned in parts
-    elsewhere: bool  # True if the run was planned on another device, or with other versions, than the baseline
+    run: tuple[Origin, ...]  # one for each part in which the run was planned
+    elsewhere: bool  # True if the run's device or versions differ from the baseline's
     allow: Allowance
     rows: tuple[GateRow, ...]
     checks: tuple[GateCheck, ...]
-    changed: tuple[ChangedOutcome, ...]  # the worse ones first
+    changed: tuple[ChangedOutcome, ...]  # worse outcomes first
     failures: tuple[str, ...]
-    improvements: tuple[str, ...]  # better or not in the baseline; these pass
+    improvements: tuple[str, ...]  # sentences on better or new results, which pass
 
 
 def compare(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | None = None) -> GateVerdict:
-    """Compare the run with the baseline.
+    """Compare a run with a baseline.
 
     Args:
         run: The run.
         baseline: The baseline.
-        progress: Called with the number of validated plans and of all.
+        progress: Function that is called with the number of validated plans and of all plans.
 
     Raises:
-        InputError: If the baseline is of another sweep or configuration, and cannot be compared.
+        InputError: If the baseline belongs to another sweep or configuration.
     """
     if differing := identity.identity_differences(baseline.planned, planned(run.manifest)):
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
         raise InputError(
-            f"{run.folder} was not planned as the baseline was: {differing[0]}{more}; "
-            "where that is meant, --update a new one"
+            f"{run.folder} was planned with another job than the baseline: {differing[0]}{more}; "
+            "if that is intended, write a new baseline with --update"
         )
     found = summarise_run(run, progress)
     verdict = _compare(baseline, found, tuple(map(_origin, run.manifest.planned_by)))
@@ -162,7 +163,7 @@ def compare(run: Run, baseline: Baseline, progress: Callable[[int, int], None] |
 
 
 def unreadable_run(baseline: Baseline, reason: str) -> GateVerdict:
-    """Verdict on a run that cannot be read: each method is missing."""
+    """Return the verdict on a run that cannot be read: every method of the baseline is missing."""
     return _compare(baseline, RunSummary({}, {}, (), None, (reason,)), ())
 
 
@@ -215,30 +216,30 @@ def _tracks_more(row: GateRow) -> bool:
 def _lines(
     baseline: Baseline, found: RunSummary, method: str, changed: list[ChangedOutcome], allow: Allowance
 ) -> dict[str, list[str] | None]:
-    """Sentences on a method's failures, for each of CHECKS; None if there is nothing to compare."""
+    """Return a method's failures as text, by check; None for a check without values to compare."""
     was, now = baseline.methods[method], found.methods.get(method)
     if now is None:
         return dict.fromkeys(CHECKS) | {SCENARIOS: ["missing"]}
     lines: dict[str, list[str] | None] = {name: [] for name in CHECKS}
     if lost := [number for number in was.scenarios if number not in now.scenarios]:
         lines[SCENARIOS] = [
-            f"{len(lost)} of {run_labels.counted(len(was.scenarios), 'scenario')} missing, {lost[0]} the first"
+            f"{len(lost)} of {run_labels.counted(len(was.scenarios), 'scenario')} missing, the first is {lost[0]}"
         ]
     counts = ((TRACKED, was.tracked, now.tracked), (EXECUTABLE, was.executable, now.executable))
     for name, before, after in counts:
         if (fewer := before - after) > allow.targets:
             what = f"{run_labels.counted(fewer, 'target')} fewer {name.split()[0]}"
-            lines[name] = [f"{what}, {after} of {was.targets}; {allow.targets} may be lost"]
+            lines[name] = [f"{what}, {after} of {was.targets}; allowed decrease: {allow.targets}"]
     if allow.more_targets is not None and (more := now.tracked - was.tracked) > allow.more_targets:
         gained = f"{run_labels.counted(more, 'target')} more tracked, {now.tracked} of {was.targets}"
-        lines[TRACKED] = [f"{gained}; {allow.more_targets} may be gained"]
+        lines[TRACKED] = [f"{gained}; allowed increase: {allow.more_targets}"]
     if (worse := sum(one.worse for one in changed)) > allow.scenarios:
-        lines[ENDS] = [f"{run_labels.counted(worse, 'scenario')} ended earlier; {allow.scenarios} may"]
+        lines[ENDS] = [f"{run_labels.counted(worse, 'scenario')} ended earlier; allowed: {allow.scenarios}"]
     was_share, share = _reachable_share(was, baseline.reachability), _reachable_share(now, found.reachability)
     if was_share is None or share is None:
         lines[SHARE] = None
     elif share < was_share - 100 * allow.targets / baseline.reachability.reachable - ROUNDING:
-        lines[SHARE] = [f"{share:.2f} % of the reachable targets are tracked, {was_share:.2f} % before"]
+        lines[SHARE] = [f"{share:.2f} % of the reachable targets are tracked, {was_share:.2f} % in the baseline"]
     if refuted := [one for one in found.refuted if one.method == method]:
         first = f"the first in scenario {refuted[0].scenario} at target {refuted[0].target}: {refuted[0].reason}"
         lines[MUJOCO] = [f"{run_labels.counted(len(refuted), 'tracked target')} refuted by MuJoCo, {first}"]
@@ -253,41 +254,43 @@ def _lines(
         elif after is None:
             lines[name] = [f"the {name} is missing"]
         elif sign * (after - before) > allowed + ROUNDING:
-            lines[name] = [f"the {name} is {after:.4g} mm, {before:.4g} mm before; it may move by {allowed:g} mm"]
+            lines[name] = [
+                f"the {name} is {after:.4g} mm, {before:.4g} mm in the baseline; allowed change: {allowed:g} mm"
+            ]
     return lines
 
 
 def _times_broken(was: Times, now: Times | None, allow: Allowance) -> list[str]:
     if now is None:
-        return ["its times are missing; htcp program --all writes them into the run's folder"]
+        return ["its times are missing; run htcp program --all"]
     if (was.feed_m_s, was.limits) != (now.feed_m_s, now.limits):
-        return ["timed with another feed or other limits than the baseline's; not to be compared"]
+        return ["not comparable: timed with another feed or other limits than the baseline"]
     wrong, may = [], 1 + allow.cycle_time_percent / 100
     if (fewer := was.held - now.held) > allow.scenarios:
         wrong.append(
             f"{run_labels.counted(fewer, 'scenario')} fewer with the feed held, {now.held} of {len(now.cycle_time_s)}"
         )
     if len(lost := sorted(was.cycle_time_s.keys() - now.cycle_time_s.keys())) > allow.scenarios:
-        wrong.append(f"{run_labels.counted(len(lost), 'scenario')} without a time, {lost[0]} the first")
+        wrong.append(f"{run_labels.counted(len(lost), 'scenario')} without a time, the first is {lost[0]}")
     both = was.cycle_time_s.keys() & now.cycle_time_s.keys()
     slower = {number: now.cycle_time_s[number] / was.cycle_time_s[number] for number in sorted(both)}
     slower = {number: by for number, by in slower.items() if by > may + ROUNDING}
     if len(slower) > allow.scenarios:
         worst = max(slower, key=lambda number: slower[number])
-        seconds = f"{now.cycle_time_s[worst]:.4g} s, {was.cycle_time_s[worst]:.4g} s before"
+        seconds = f"{now.cycle_time_s[worst]:.4g} s, {was.cycle_time_s[worst]:.4g} s in the baseline"
         longer = f"{run_labels.counted(len(slower), 'scenario')} over {allow.cycle_time_percent:g} % longer"
-        wrong.append(f"{longer}, {worst} the most: {seconds}")
+        wrong.append(f"{longer}, most of all scenario {worst}: {seconds}")
     return wrong
 
 
 def _reachability_shortfall(baseline: Baseline, found: RunSummary, allow: Allowance) -> list[str]:
     was, now = baseline.reachability, found.reachability
     if now is None:
-        return ["missing; htcp reachability writes it into the run's folder"]
+        return ["missing; run htcp reachability"]
     if now.searched != was.searched:
-        return [f"searched with {now.searched}, the baseline's with {was.searched}; not to be compared"]
+        return [f"not comparable: searched with {now.searched}, the baseline with {was.searched}"]
     if (fewer := was.reachable - now.reachable) > allow.targets:
-        return [f"{run_labels.counted(fewer, 'target')} fewer reachable; {allow.targets} may be lost"]
+        return [f"{run_labels.counted(fewer, 'target')} fewer reachable; allowed decrease: {allow.targets}"]
     return []
 
 
@@ -319,7 +322,7 @@ def _gate_row(
 
 
 def _time_columns(was: Times | None, now: Times | None) -> dict[str, int | float | None]:
-    """Time columns of a row; None if the baseline has no times."""
+    """Return a row's fields on times; their values are None if the baseline has no times."""
     now = was and now
     return {
         "was_held": was and was.held,

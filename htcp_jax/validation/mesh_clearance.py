@@ -1,7 +1,7 @@
-"""Distances to the triangles of a mesh, for validation: read again by trimesh, not approximated by points.
+"""Distances to the triangles of a mesh, for validation; trimesh reads the mesh again.
 
-The code is independent of mesh_points.py and tip_guard.py. The distance from a capsule's axis to a triangle is 0 if
-they intersect. Otherwise it is attained at an end of the axis or on an edge of the triangle.
+The code is independent of the planner's (mesh_points.py and tip_guard.py). The distance from a capsule's axis to a
+triangle is 0 if they intersect. Otherwise it is attained at an end of the axis or on an edge of the triangle.
 """
 
 import io
@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float
 from htcp_jax.errors import InputError
 from htcp_jax.io import files
 
-GRAINS = 100_000  # approximate number of pieces of the triangles, so that a tree of their centres locates them
-AT_ONCE = 500_000  # pairs of an axis and a triangle in memory
+GRAINS = 100_000  # approximate number of pieces into which triangles are cut, so that a tree of the centres is precise
+AT_ONCE = 500_000  # maximum number of axis-triangle pairs in memory
 
 Triangles = Float[np.ndarray, "m 3 3"]
 Points = Float[np.ndarray, "m 3"]
@@ -26,18 +26,18 @@ def read_triangles(path: str | Path) -> Triangles:
     """Read all triangles of a mesh file [m].
 
     Raises:
-        InputError: For a file that cannot be read.
+        InputError: If the file cannot be read.
     """
     try:
         data, ending = io.BytesIO(files.read_bytes(Path(path))), Path(path).suffix.lower()[1:]
         mesh: Any = trimesh.load(data, file_type=ending, force="mesh", process=False, skip_materials=True)
         return np.asarray(mesh.triangles, float).reshape(-1, 3, 3)
-    except Exception as error:  # a foreign parser on foreign bytes
+    except Exception as error:  # the parser may raise anything on damaged files
         raise InputError(f"{path}: not a readable mesh ({type(error).__name__})") from None
 
 
 def cut_into_grains(triangles: Triangles) -> Float[np.ndarray, "g 3 3"]:
-    """Bisect the triangles across their longest edges until no edge is much longer than a grain."""
+    """Return the triangles, bisected across their longest edges until no edge is much longer than a grain."""
     area = _size(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])).sum() / 2
     longest, done = 2 * np.sqrt(area / GRAINS), []
     while len(triangles):
@@ -51,7 +51,7 @@ def cut_into_grains(triangles: Triangles) -> Float[np.ndarray, "g 3 3"]:
 
 
 def axis_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, "m"]:
-    """Distance from each segment to its triangle [m].
+    """Return the distance of each segment from its triangle [m].
 
     Args:
         p: Starts of the segments [m].
@@ -64,7 +64,7 @@ def axis_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarr
 
 
 def point_distances(p: Points, q: Points, points: Points) -> Float[np.ndarray, "m"]:
-    """Distance from each segment to its point [m].
+    """Return the distance of each segment from its point [m].
 
     Args:
         p: Starts of the segments [m].
@@ -83,9 +83,10 @@ def _triangle_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.
 
 
 def crosses(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray, "m"]:
-    """True if a segment passes through its triangle.
+    """Return a mask of the segments, True for each that passes through its triangle.
 
-    Its ends are then on both sides of the plane, and it turns about all three edges in the same sense.
+    The ends of such a segment are on different sides of the triangle's plane, and the segment passes all three edges in
+    the same sense of rotation.
 
     Args:
         p: Starts of the segments [m].
@@ -99,10 +100,10 @@ def crosses(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray, "m"]
 
 
 def _segment_distance(p: Points, q: Points, a: Points, b: Points) -> Float[np.ndarray, "m"]:
-    """Distance from each segment p q to its segment a b [m].
+    """Return the distance of each segment p q from its segment a b [m].
 
-    For non-parallel lines the minimum of the lines is included; for parallel ones an end of p q or of a b is among the
-    nearest points.
+    The result is the minimum over the lines' nearest points, clipped to the segments, and over the four ends. For
+    parallel lines an end is always among the nearest points.
     """
     u, v, w = q - p, b - a, p - a
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)

@@ -1,17 +1,16 @@
-"""The arm in MuJoCo, for validation: poses, capsules and distances come from MuJoCo's C code alone.
+"""The arm in MuJoCo, for validation: poses, capsules and distances are computed by MuJoCo only.
 
-The code is independent of robot.py, kinematics.py and clearance.py, and of all that they depend on: the meaning of a
-model file (the TCP's site, a longer tool, the limits) is implemented here a second time.
+The code is independent of the planner's (robot.py, kinematics.py, clearance.py and their imports). It implements the
+rules for a model file (the TCP's site, a longer tool, the limits) a second time.
 
-Where the part moves, MuJoCo moves its own tree of the cell, as it stands, and the result is expressed in the frame of
-the part's link, which takes the place of the world.
+If the part moves, MuJoCo computes the kinematics from the world, as the cell is modelled. The results are then
+transformed to the frame of the part's link, which replaces the world frame.
 """
 
 import copy
 import math
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
@@ -19,23 +18,23 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import LinkMeshes, safe_xml
+from htcp_jax.io.robots import LinkMeshes, composed, model_source
 from htcp_jax.model import Tool
 from htcp_jax.model import tool as tools
 from htcp_jax.types import Triple
 from htcp_jax.validation.convex_hull import Hull, hull_in_capsule, read_hulls
 
-PROBE_M = 1e-9  # radius of the sphere for a point of the cloud; distances are corrected by it
+PROBE_M = 1e-9  # radius of the sphere that represents a point; `distances` adds it
 FAR_M = 1e3  # cut-off of MuJoCo's distances
 _PART = "link of the part"
 _PROBE, _TCP = "probe of htcp validate", "TCP of htcp validate"
 _SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
-_OWN_FRAME = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # else MuJoCo may use the body's, and ignore a changed position
+_OWN_FRAME = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # without this value MuJoCo may ignore a changed position
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
 class ArmPoses(NamedTuple):
-    """TCP, ends of the K capsules' axes, and the capsules' frames at n configurations, world [m]."""
+    """TCP, ends p and q of the K capsules' axes, and orientations of the capsules, at n configurations; world [m]."""
 
     tcp: Float[np.ndarray, "n 3"]
     p: Float[np.ndarray, "n K 3"]
@@ -44,31 +43,31 @@ class ArmPoses(NamedTuple):
 
 
 class MujocoArm:
-    """An arm's model file in MuJoCo, with the base and the tool of a job, and a probe that can be placed anywhere.
+    """An arm's model file in MuJoCo, with a job's base and tool, and a movable probe that measures distances to points.
 
-    `names`, `radius` and `length` are those of the K capsules and spheres, and of their axes [m]; `lower` and `upper`
-    are the joint limits; `speed` is inf if the model has no limits; joints are in the order from the part, or the
-    world, to the TCP. `root` is the body that carries the part, 0 if that is the world. `hulls` are the convex pieces
-    of meshes in the capsules, in the frames of these; None for a capsule without one.
+    `names`, `radius` [m] and `length` (of the axis) [m] describe the K capsules and spheres. `lower`, `upper` and
+    `speed` are the joints' limits, in the order from the world (or a moving part) to the TCP; `speed` is inf if the
+    model has no velocity limits. `root` is the body that carries the part, 0 for the world. `hulls` contains the convex
+    piece in each capsule, in the capsule's frame; None for a capsule without a piece.
 
     Args:
-        path: The model file.
-        tool_extension_m: Length added to the tool.
+        path: The model file, or the models that form a cell.
+        tool_extension_m: Length added to the tool [m].
         limits: The profile of joint limits, as in `robots.load_robot`.
         tcp: The name of the TCP's site or body, `tcp_site` in `robots.load_robot`.
-        base_m: Position of the model's frame in the world.
-        base_rpy_rad: Rotation of the model's frame, about world x, then y, then z.
-        tool: The tool on the frame `tcp`, which is then the flange.
-        locked: Values of joints that do not move, by their names [rad or m].
-        pieces: False: the capsules have no pieces.
+        base_m: Position of the model's frame in the world [m].
+        base_rpy_rad: Rotation of the model's frame about world x, then y, then z [rad].
+        tool: The job's tool; None: the tool in the model. With a tool, the frame `tcp` is the flange.
+        locked: Values of locked joints, by name [rad or m].
+        pieces: False to ignore convex pieces in the file.
 
     Raises:
-        InputError: For a file that MuJoCo cannot read, and for pieces that cannot be read.
+        InputError: If MuJoCo cannot read the file, or if its convex pieces are invalid.
     """
 
     def __init__(
         self,
-        path: Path,
+        path: model_source.ModelSource,
         tool_extension_m: float = 0.0,
         limits: str = "model",
         *,
@@ -79,13 +78,14 @@ class MujocoArm:
         locked: Mapping[str, float] | None = None,
         pieces: bool = True,
     ):
-        spec = safe_xml.read_spec(Path(path), contacts=True)
-        self._path, self._list, self._locked = Path(path), _list(spec), locked or {}
+        spec = composed.read_model(path)
+        self._source, self._locked = path, locked or {}
+        self._list, self._listed_together = _list(spec), _listed_together(spec)
         self._mounted = {body.name for body in tool.bodies} if tool else set()
-        self._model, self._site = _compile(Path(path), tcp, tool)
+        self._model, self._site = _compile(path, tcp, tool)
         self._probe = self._model.geom(_PROBE).id
         self._geoms = np.array([g for g in range(self._model.ngeom) if g != self._probe])
-        self.hulls = _hulls(self._model, self._geoms, read_hulls(spec, self._path) if pieces else {})
+        self.hulls = _hulls(self._model, self._geoms, read_hulls(spec, model_source.label_of(path)) if pieces else {})
         if any((*base_m, *base_rpy_rad)):
             _move_base(self._model, self._geoms, base_m, base_rpy_rad)
         self._data = mujoco.MjData(self._model)
@@ -110,68 +110,80 @@ class MujocoArm:
         self._pose(np.zeros(len(self._order)))
         self._joints_to = _joints_to(self._model, self.root, self._order)
         joints = self._joints_to[self._model.geom_bodyid[self._geoms]]
-        self.links = joints  # 0: fixed to the world, or to the part
+        self.links = joints  # number of each capsule's link; 0: fixed to the world or the part
         ends = self._ends()
-        self.base = np.vstack([self._data.xanchor[self._order[:1]], *ends[:, joints == 0]])  # fixed points, world
+        self.base = np.vstack([self._data.xanchor[self._order[:1]], *ends[:, joints == 0]])  # fixed points, world [m]
         away = np.where(joints == joints.max(), np.linalg.norm(ends - self._data.site_xpos[self._site], axis=2), np.inf)
         self._tip = np.unravel_index(away.argmin(), away.shape)
 
     @property
     def apart(self) -> list[tuple[int, int]]:
-        """Pairs of capsules that are not on one link."""
+        """Pairs of capsules on different links."""
         count = range(len(self.names))
         return [(a, b) for a in count for b in count if self.links[a] > self.links[b]]
 
     @property
     def excluded(self) -> set[tuple[int, int]]:
-        """Pairs of capsules whose bodies the file excludes from contact."""
+        """Pairs of capsules whose contact the file excludes."""
         bodies = self._model.geom_bodyid[self._geoms].tolist()
         excluded = {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in self._model.exclude_signature}
         return {(a, b) for a, b in self.apart if {(bodies[a], bodies[b]), (bodies[b], bodies[a])} & excluded}
 
     @property
-    def stated(self) -> dict[tuple[int, int], str] | None:
-        """Rules of the pairs in the list of the arm's file.
+    def stated(self) -> dict[tuple[int, int], str]:
+        """Rules by which the model files' lists exclude pairs, by pair.
 
-        None without a list, or if the joint limits are wider than those for which it was computed.
+        The result is empty if the joint limits are wider than those for which the lists were computed.
         """
-        model_lower, model_upper = (limit[self._order] for limit in _limits_of_profile(self._model, "model"))
-        if self._list is None or (self.lower < model_lower).any() or (self.upper > model_upper).any():
-            return None
+        if not self._within_model:
+            return {}
         numbers = {name: k for k, name in enumerate(self.names)}
-        pairs = (([numbers[name] for name in names], rule) for names, rule in self._list)
+        pairs = (([numbers[name] for name in names], rule) for names, rule in self._list or ())
         return {tuple(sorted(pair, key=lambda k: -self.links[k])): rule for pair, rule in pairs}
+
+    def is_listed(self, pair: tuple[int, int]) -> bool:
+        """Return True if a model file's list covers a pair: the arm's, or a cell model's that contains both bodies."""
+        if self._list is None or not self._within_model:
+            return False
+        together, names = self._listed_together, {self.names[k] for k in pair}
+        return together is None or any(names <= own for own in together)
+
+    @property
+    def _within_model(self) -> bool:
+        """True if no joint limit is wider than in the model."""
+        lower, upper = (limit[self._order] for limit in _limits_of_profile(self._model, "model"))
+        return not ((self.lower < lower).any() or (self.upper > upper).any())
 
     @cached_property
     def meshes(self) -> LinkMeshes | None:
-        """The vendor's meshes that the arm's file refers to; None without a list of pairs."""
-        return None if self._list is None else LinkMeshes.read(self._path, self._locked)
+        """Vendor meshes to which the arm's file refers; None if the file has no list of pairs."""
+        return None if self._list is None else LinkMeshes.read(self._source, self._locked)
 
     def random(self, count: int, seed: int) -> Float[np.ndarray, "n N"]:
-        """Random configurations within the joint limits; without limits within half a turn or a metre of zero."""
+        """Return random configurations within the joint limits; without limits, within pi rad or 1 m of zero."""
         free = np.where(self._model.jnt_type[self._order] == _HINGE, math.pi, 1.0)
         lower = np.where(np.isfinite(self.lower), self.lower, -free)
         upper = np.where(np.isfinite(self.upper), self.upper, free)
         return np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
 
     def is_tool(self, pair: tuple[int, int]) -> bool:
-        """True if one of the capsules belongs to the job's own tool."""
+        """Return True if one of a pair's capsules belongs to the job's tool."""
         return any(self.names[k] in self._mounted for k in pair)
 
     def adjacent(self, pair: tuple[int, int]) -> bool:
-        """True if one joint lies between two capsules."""
+        """Return True if exactly one joint lies between the capsules of a pair."""
         return bool(self.links[pair[0]] == self.links[pair[1]] + 1)
 
     def slides(self, pair: tuple[int, int]) -> bool:
-        """True if that joint is prismatic."""
+        """Return True if the capsules of a pair are adjacent and the joint between them is prismatic."""
         return self.adjacent(pair) and self._model.jnt_type[self._order[self.links[pair[0]] - 1]] != _HINGE
 
     def same_links(self, pair: tuple[int, int], other: tuple[int, int]) -> bool:
-        """True if two pairs belong to the same links."""
+        """Return True if two pairs of capsules belong to the same two links."""
         return all(self.links[a] == self.links[b] for a, b in zip(pair, other, strict=True))
 
     def only(self, which: Bool[np.ndarray, "K"]) -> "MujocoArm":
-        """Return the arm with some of its capsules."""
+        """Return the arm with only the capsules for which `which` is True."""
         own = copy.copy(self)
         own._geoms, own._half, own.links = self._geoms[which], self._half[which], self.links[which]
         own.radius, own.length = self.radius[which], self.length[which]
@@ -180,7 +192,7 @@ class MujocoArm:
         return own
 
     def beside_workpiece(self) -> "MujocoArm":
-        """Return the arm for distances from the workpiece: bodies fixed to a part that moves do not count."""
+        """Return the arm for distances from the workpiece, without the capsules that are fixed to a moving part."""
         if not self.root:
             return self
         own, away = copy.copy(self), self.links == 0
@@ -189,7 +201,7 @@ class MujocoArm:
         return own
 
     def arm_poses(self, x: Float[np.ndarray, "n N"]) -> ArmPoses:
-        """Compute the arm's TCP and capsule axes by MuJoCo's kinematics."""
+        """Return the TCP and the capsules at n configurations, by MuJoCo's kinematics."""
         tcp, ends = np.empty((len(x), 3)), np.empty((2, len(x), len(self._geoms), 3))
         axes = np.empty((len(x), len(self._geoms), 3, 3))
         for k, row in enumerate(x):
@@ -200,7 +212,7 @@ class MujocoArm:
         return ArmPoses(tcp, *ends, axes)
 
     def link_of(self, name: str) -> int:
-        """Number of joints between the world, or the part, and a site or body of the model, or the world."""
+        """Return the number of joints from the world (or a moving part) to a named site or body, or to the world."""
         site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
         body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
         if site < 0 and body < 0:
@@ -210,15 +222,15 @@ class MujocoArm:
     def frames(
         self, x: Float[np.ndarray, "n N"], name: str, tip: bool = True
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
-        """Origins [m] and axes of a frame, world.
+        """Return a frame's origins [m] and axes in the world at n configurations.
 
         Args:
             x: Configurations [rad or m].
-            name: "tcp" for the TCP's frame, or the name of a site or body of the model.
-            tip: False: "tcp" is the model's site or body, too.
+            name: "tcp" for the TCP's frame, or the name of a site or body in the model.
+            tip: True if "tcp" is the tip of the job's tool; False if it is the model's site or body.
 
         Raises:
-            InputError: For another name.
+            InputError: If the model has no site or body of that name.
         """
         site = self._site if name == "tcp" and tip else mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
         body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
@@ -233,18 +245,18 @@ class MujocoArm:
         return origin, rotation
 
     def tip_start(self, arm_poses: ArmPoses) -> Float[np.ndarray, "n 3"]:
-        """Start of the bare tip, world: the end on the last link that is nearest to the TCP at zero joint values."""
+        """Return the start of the bare tip, world [m]: of the last link's capsule ends, the one nearest to the TCP."""
         end, body = self._tip
         return (arm_poses.p, arm_poses.q)[end][:, body]
 
     def distances(
         self, x: Float[np.ndarray, "N"], capsules: Int[np.ndarray, "c"], points: Float[np.ndarray, "c 3"]
     ) -> Float[np.ndarray, "c"]:
-        """Signed distance of each point to the surface of its capsule [m], by mj_geomDistance.
+        """Return the signed distance of each point from the surface of its capsule [m], by mj_geomDistance.
 
         Args:
             x: The configuration [rad or m].
-            capsules: The capsule of each point.
+            capsules: Index of each point's capsule.
             points: The points, world [m].
         """
         self._pose(x)
@@ -255,14 +267,14 @@ class MujocoArm:
         return found + PROBE_M
 
     def _ends(self) -> Float[np.ndarray, "2 K 3"]:
-        reach = self._half[:, None] * self._data.geom_xmat[self._geoms, 2::3]  # a capsule lies along its own z
+        reach = self._half[:, None] * self._data.geom_xmat[self._geoms, 2::3]  # the z axis is a capsule's axis
         return self._data.geom_xpos[self._geoms] + np.stack([reach, -reach])
 
     def _pose(self, x: Float[np.ndarray, "N"]) -> None:
         data = self._data
         data.qpos[self._order] = x
         mujoco.mj_kinematics(self._model, data)
-        if self.root:  # to the part's frame
+        if self.root:  # transform to the part's frame
             origin, rotation = data.xpos[self.root].copy(), data.xmat[self.root].reshape(3, 3).copy()
             for points in (data.xpos, data.geom_xpos, data.site_xpos, data.xanchor):
                 points[:] = (points - origin) @ rotation
@@ -270,9 +282,9 @@ class MujocoArm:
                 axes[:] = (rotation.T @ axes.reshape(-1, 3, 3)).reshape(-1, 9)
 
 
-def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, int]:
-    """The model with its capsules, its spheres, the tool's and the probe as its only geoms, and the TCP's site."""
-    spec = safe_xml.read_spec(path, contacts=True)
+def _compile(path: model_source.ModelSource, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, int]:
+    """Return a model whose geoms are only capsules, spheres, the tool's bodies and the probe, and its TCP site."""
+    spec = composed.read_model(path)
     try:
         for geom in list(spec.geoms):
             if geom.type not in (_SPHERE, _CAPSULE):
@@ -280,14 +292,14 @@ def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, i
         for each in [*spec.meshes, *spec.tuples]:
             spec.delete(each)
         spec.worldbody.add_geom(name=_PROBE, type=_SPHERE, size=[PROBE_M, 0, 0])
-        spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
+        spec.compiler.fusestatic = False  # keep a URDF's fixed links, one of which may be the TCP
         spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9  # MuJoCo requires masses
         spec.compiler.balanceinertia = True
         model = spec.compile()
         body, position, quaternion = _flange(model, tcp)
         flange = next(one for one in spec.bodies if one.id == body)
         if tool is not None:
-            if tool.bodies:  # in a separate body: other geoms on the flange do not belong to the tool
+            if tool.bodies:  # the tool is a separate body, as other geoms on the flange do not belong to it
                 flange = flange.add_body(pos=position, quat=quaternion)
                 position, quaternion = np.zeros(3), np.array([1.0, 0, 0, 0])
             for part in tool.bodies:
@@ -297,18 +309,32 @@ def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, i
         model = spec.compile()
         return model, model.site(_TCP).id
     except (ValueError, OSError, mujoco.FatalError) as error:
-        raise InputError(f"{path}: not a model that MuJoCo can read: {' '.join(str(error).split())}") from None
+        label = model_source.label_of(path)
+        raise InputError(f"{label}: not a model that MuJoCo can read: {' '.join(str(error).split())}") from None
 
 
 def _list(spec: mujoco.MjSpec) -> list[tuple[tuple[str, ...], str]] | None:
-    """The pairs in the list of an arm by `htcp robot`, with their rules; None without a list."""
-    if all(text.name != "self_collision" for text in spec.texts):
+    """Return the capsule pairs, with rules, in the lists that `htcp robot` writes into models; None without a list."""
+    if not spec.tuples and not any(text.name.startswith("self_collision") for text in spec.texts):
         return None
     return [(tuple(each.objname), each.name[-1]) for each in spec.tuples]
 
 
+def _listed_together(spec: mujoco.MjSpec) -> list[frozenset[str]] | None:
+    """Return the capsule names of each cell model with a list; None if the arm is a single file."""
+    if any(text.name == "self_collision" for text in spec.texts):
+        return None
+    return [frozenset(text.data.split("\n")) for text in spec.texts if text.name.startswith("self_collision of ")]
+
+
 def _hulls(model: mujoco.MjModel, geoms: np.ndarray, known: Mapping[str, Hull]) -> tuple[Hull | None, ...]:
-    """The hulls of the capsules, in their frames; `known` is by name, in the frames of the bodies."""
+    """Return the hull in each capsule, in the capsule's frame; None for a capsule without a hull.
+
+    Args:
+        model: The model.
+        geoms: The capsules' geoms.
+        known: Hulls by capsule name, each in its body's frame.
+    """
     found = []
     for g in geoms.tolist():
         hull, (radius, half, _) = known.get(model.geom(g).name), model.geom_size[g].tolist()
@@ -318,7 +344,7 @@ def _hulls(model: mujoco.MjModel, geoms: np.ndarray, known: Mapping[str, Hull]) 
 
 
 def _flange(model: mujoco.MjModel, name: str) -> tuple[int, np.ndarray, np.ndarray]:
-    """The body that carries the frame of that name, and the frame's position and quaternion on it."""
+    """Return the body to which a named frame is fixed, and the frame's position and quaternion relative to it."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if site < 0 and body < 0 and model.nsite == 1:
@@ -336,7 +362,7 @@ def _add_capsule_geom(body: mujoco.MjsBody, name: str, p: tuple, q: tuple, radiu
 
 
 def _quaternion(rpy: tuple[float, float, float]) -> np.ndarray:
-    """Quaternion of rotations about the fixed axes x, y and z, in this order."""
+    """Return the quaternion of rotations about the fixed axes x, then y, then z."""
     quaternion = np.empty(4)
     mujoco.mju_euler2Quat(quaternion, np.array(rpy), "XYZ")
     return quaternion
@@ -345,7 +371,7 @@ def _quaternion(rpy: tuple[float, float, float]) -> np.ndarray:
 def _composed(
     position: np.ndarray, quaternion: np.ndarray, then_position: np.ndarray, then_quaternion: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of a frame that is given in another frame."""
+    """Return the product of two poses, as position and quaternion."""
     moved, turned = np.empty(3), np.empty(4)
     mujoco.mju_rotVecQuat(moved, then_position, quaternion)
     mujoco.mju_mulQuat(turned, quaternion, then_quaternion)
@@ -353,9 +379,9 @@ def _composed(
 
 
 def _move_base(model: mujoco.MjModel, geoms: np.ndarray, position: tuple, rpy: tuple) -> None:
-    """Move everything that is fixed to the world, except the probe, to the robot's base."""
+    """Move all bodies and geoms that are fixed to the world, except the probe, to the robot's base pose."""
     base = np.array(position), _quaternion(rpy)
-    for body in np.flatnonzero(model.body_parentid == 0)[1:]:  # the world is its own parent
+    for body in np.flatnonzero(model.body_parentid == 0)[1:]:  # without the world, which is its own parent
         model.body_pos[body], model.body_quat[body] = _composed(*base, model.body_pos[body], model.body_quat[body])
     for geom in geoms[model.geom_bodyid[geoms] == 0]:
         model.geom_sameframe[geom] = _OWN_FRAME
@@ -363,14 +389,14 @@ def _move_base(model: mujoco.MjModel, geoms: np.ndarray, position: tuple, rpy: t
 
 
 def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
-    """The body and its ancestors, without the world."""
+    """Yield a body and its ancestors up to, but without, the world."""
     while body > 0:
         yield body
         body = int(model.body_parentid[body])
 
 
 def _part_body(spec: mujoco.MjSpec, model: mujoco.MjModel) -> int:
-    """The body that carries the part by the file; 0, the world, if it names none."""
+    """Return the body that carries the part according to the model file; 0 (the world) if it names none."""
     names = [text.data for text in spec.texts if text.name == _PART]
     return model.body(names[0]).id if names else 0
 
@@ -380,9 +406,9 @@ def _joint_name(model: mujoco.MjModel, j: int) -> str:
 
 
 def _joint_order(model: mujoco.MjModel, root: int, fixed: Collection[int]) -> np.ndarray:
-    """Joints in the order from the part to the TCP: those that move its link, the last one first, then the others.
+    """Return the joints in the order from the part to the TCP, without locked joints.
 
-    Fixed joints are not among them.
+    The joints that move the part's link come first, in reverse order, followed by the others.
     """
     free = [j for j in range(model.njnt) if j not in fixed]
     own = [j for j in free if model.jnt_bodyid[j] in _upwards(model, root)]
@@ -390,18 +416,18 @@ def _joint_order(model: mujoco.MjModel, root: int, fixed: Collection[int]) -> np
 
 
 def _joints_to(model: mujoco.MjModel, root: int, order: np.ndarray) -> np.ndarray:
-    """Number of joints between the part's link and every body: those that move one of the two, and not both."""
+    """Return the number of joints between the part's link and each body, that is, joints that move only one of them."""
     moving = [np.isin(model.jnt_bodyid[order], list(_upwards(model, body))) for body in (root, *range(model.nbody))]
     return np.array([(moving[0] != own).sum() for own in moving[1:]])
 
 
 def _joints_below(model: mujoco.MjModel, body: int) -> int:
-    """Number of joints between the world and the body, including its own."""
+    """Return the number of joints between the world and a body, including the body's own."""
     return int(model.body_jntnum[list(_upwards(model, body))].sum())
 
 
 def _last_body(model: mujoco.MjModel) -> int:
-    """The last of the bodies with the most joints between them and the world."""
+    """Return the body with the most joints between it and the world, the last one if there are several."""
     depth = [_joints_below(model, body) for body in range(model.nbody)]
     return max(range(model.nbody), key=lambda body: (depth[body], body))
 
@@ -409,11 +435,19 @@ def _last_body(model: mujoco.MjModel) -> int:
 def _lengthen(
     model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: float, last: int, links: np.ndarray | None
 ) -> list[int]:
-    """Move the TCP and the geoms on its body, which are returned, outwards along the tool's z axis.
+    """Move the TCP and the geoms on its body outwards along the tool's z axis, and return these geoms.
 
-    The first capsule there keeps the end nearer to the last joint, and becomes longer. This is computed in the world,
-    at the model's zero configuration. `links` has the number of joints between the part and every body, if it moves:
-    bodies on other links than the TCP's stay.
+    The first capsule on the body becomes longer; its end nearer to the last joint does not move. All poses are computed
+    in the world, at the model's zero configuration.
+
+    Args:
+        model: The model.
+        site: The TCP's site.
+        geoms: The arm's geoms.
+        extension_m: The length added to the tool.
+        last: The last joint.
+        links: If the part moves, the number of joints between the part and each body; only bodies on the TCP's link
+            are then moved.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -438,7 +472,7 @@ def _lengthen(
 
 
 def _put(model: mujoco.MjModel, data: mujoco.MjData, geom: int, p: np.ndarray, q: np.ndarray) -> None:
-    """Lay the axis of a geom from p to q, given in the world."""
+    """Set a geom's pose and length so that its axis is from p to q, world [m]."""
     body, length = model.geom_bodyid[geom], math.dist(p, q)
     rotation = data.xmat[body].reshape(3, 3)
     model.geom_sameframe[geom] = _OWN_FRAME
@@ -459,7 +493,7 @@ def _limits_of_profile(model: mujoco.MjModel, profile: str) -> tuple[np.ndarray,
 
 
 def _numeric(model: mujoco.MjModel, name: str, default: float) -> np.ndarray:
-    """The <numeric> of that name, one value per joint."""
+    """Return the values of a model's <numeric> element, one per joint; `default` for each if there is no element."""
     at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if at < 0:
         return np.full(model.njnt, default)

@@ -1,11 +1,10 @@
-"""Obstacles of an arm other than the workpiece, in MuJoCo: the arm itself, the shapes in a cell, further clouds.
+"""Obstacles other than the workpiece, in MuJoCo: the arm itself, a cell's shapes, and further clouds.
 
-The cell's file is read a second time; the poses of its shapes, and the pairs of bodies to check, are determined
-independently. Capsules represent the arm's bodies in the cell's own model, placed by MuJoCo's kinematics; distances are
-by mj_geomDistance. Where they are nearer than required, the convex hulls of the meshes in them are measured, too, as
-mesh geoms, and the larger distance counts. MuJoCo represents a non-convex mesh by its hull, so the mesh's triangles are
-measured, like a workpiece's. A fixture that moves with a link is placed with it, exactly, not as the planner's
-capsules.
+The cell's file is read again; the poses of its shapes and the pairs to check are determined independently of the
+planner. The cell's MuJoCo model contains the arm's capsules, placed by MuJoCo's kinematics; mj_geomDistance computes
+the distances. If a capsule is nearer than required, the convex hull in it is also measured, as a mesh geom, and the
+larger distance is used. MuJoCo replaces a non-convex mesh by its hull, so such a mesh is measured by its triangles,
+like a workpiece. A fixture that moves with a link has its exact shape here, not the planner's capsules.
 """
 
 import itertools
@@ -28,19 +27,26 @@ from htcp_jax.validation.mujoco_arm import FAR_M, ArmPoses, MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.own_pairs import ALWAYS, NEAR_M, SEED, OwnPairs, own_pairs, touch_m
 
-SAMPLES = 2_000  # configurations for the pairs that nearly always overlap
-MOST_FACES = 400  # of a mesh that is treated as convex
+SAMPLES = 2_000  # number of random configurations, to find pairs that nearly always overlap
+MOST_FACES = 400  # maximum number of faces of a mesh that is treated as convex
 _TYPES = {kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}") for kind in fixture.PRIMITIVES}
-_SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # which MuJoCo computes without a volume, too
+_SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # also valid for meshes without volume
 _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
 
 
 class MujocoCell:
     """An arm and the obstacles in a job's cell.
 
-    Raises InputError for a file that MuJoCo cannot read. plain: the arm without an extension of its tool, as in the
-    model. bound: True if there are meshes that a planner may represent by points only, or obstacles without shapes,
-    `unmeasured`.
+    `bound` is True if a correct planner may save a smaller clearance than this class measures: for meshes that it
+    represents by points, for fixtures that move with links, and for obstacles without shapes (`unmeasured`).
+
+    Args:
+        cell: The job's cell.
+        arm: The arm with the job's tool.
+        plain: The arm without a tool extension, as in the model.
+
+    Raises:
+        InputError: If MuJoCo cannot read a file.
     """
 
     def __init__(self, cell: config.CellConfig, arm: MujocoArm, plain: MujocoArm):
@@ -58,10 +64,10 @@ class MujocoCell:
         self.bound = bool(self.unmeasured)
         shapes = [shape for own in given for shape in own]
         for k, shape in enumerate(shapes):
-            size = [0, 0, 1] if shape.kind == "plane" else shape.size  # MuJoCo needs a grid
+            size = [0, 0, 1] if shape.kind == "plane" else shape.size  # MuJoCo requires a grid spacing
             spec.worldbody.add_geom(name=f"shape {k} of the job", type=_TYPES[shape.kind], size=size)
         rules = {each.name: each for each in cell.fixtures}
-        standing = arm.link_of(config.WORLD)  # 0, unless the part moves, and the world with it
+        standing = arm.link_of(config.WORLD)  # not 0 if the part moves, as the world then moves relative to it
         carriers = {name: arm.link_of(each.parent) for name, each in rules.items()}
         stems = {f"cloud {k} of the job": Path(cloud.cloud).stem for k, cloud in enumerate(cell.clouds)}
         for (name, stem), cloud in zip(stems.items(), cell.clouds, strict=True):
@@ -86,7 +92,7 @@ class MujocoCell:
             own |= {g: config.FixtureConfig(name=name) for g, name in others.items()}
         known = {each.name for each in own.values()} | set(stems.values())
         if unnamed := [name for name in rules if name not in known]:
-            raise InputError(f"{cell.model}: {unnamed[0]!r} is neither a geom's name nor a body's; name the geom")
+            raise InputError(f"{cell.model}: no geom or body {unnamed[0]!r}; give the fixture's geom this name")
         excluded = {g: frozenset(map(arm.link_of, each.exclude)) for g, each in own.items()}
         drawn = self._data.geom_xpos.copy(), self._data.geom_xmat.copy()
         if cell.model is not None:
@@ -120,7 +126,7 @@ class MujocoCell:
                 apart = frozenset(map(arm.link_of, rules[name].exclude if name in rules else ()))
                 self._add_wall(found.points, found.triangles, R, t, apart)
         self._own = own_pairs(plain, self._apart) if cell.self_collision else OwnPairs([], [], [])
-        self.deepest = 0.0, ""  # overlap of capsules that are not checked [m], and which
+        self.deepest = 0.0, ""  # largest overlap of unchecked capsules [m], and their names
         self._pairs = [(self._bodies[a], self._bodies[b]) for a, b in self._own.checked]
         checked = [
             (body, g)
@@ -137,22 +143,22 @@ class MujocoCell:
     def distances(
         self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses, may: Bool[np.ndarray, "n R"] | None = None
     ) -> Float[np.ndarray, "n R"]:
-        """Distances of everything that must not touch [m].
+        """Return the distances of all pairs that must not touch [m].
 
         Args:
             x: Configurations [rad or m].
-            arm_poses: The arm's capsules at these.
-            may: False for distances that are not needed, which are inf; None: all are.
+            arm_poses: The arm's capsules at these configurations.
+            may: Mask of the distances to compute; all others are inf. None: all are computed.
 
         Returns:
-            The distances of pairs of shapes, then those to walls; the last one is that of fixtures that move with
-            links, and below zero if meshes touch inside capsules that are not checked.
+            In the first columns, the distances of pairs of shapes; then the distances to walls. The last column is the
+            distance of fixtures that move with links; it is negative if meshes touch inside unchecked capsules.
         """
         may = np.ones((len(x), len(self._pairs) + len(self.walls) + 1), bool) if may is None else may
         to_walls = np.full((len(x), len(self.walls)), np.inf)
         for column, rows, wall in zip(to_walls.T, may[:, len(self._pairs) : -1].T, self.walls, strict=True):
             column[rows] = wall.at(x[rows]).clearance
-        # These always: meshes, and fixtures that move with a link, are measured nowhere else.
+        # Meshes in unchecked capsules, and fixtures that move with a link, are always measured.
         last = np.minimum(self._of_excluded(x, arm_poses), self._of_carried(x, arm_poses))[:, None]
         return np.hstack([self._distances(arm_poses, self._pairs, may[:, : len(self._pairs)]), to_walls, last])
 
@@ -163,13 +169,14 @@ class MujocoCell:
         capsules: Float[np.ndarray, "n R"],
         below: Float[np.ndarray, "n"],
     ) -> Float[np.ndarray, "n R"]:
-        """Distances with those of hulls where capsules are nearer than `below` [m].
+        """Return the distances of `distances`, by hulls instead of capsules where capsules are nearer than `below` [m].
 
         Args:
             x: Configurations [rad or m].
-            arm_poses: The arm's capsules at these.
-            capsules: Result of `distances`.
-            below: Distance below which hulls are measured [m]. A larger one to a wall may be given as this.
+            arm_poses: The arm's capsules at these configurations.
+            capsules: The distances by capsules, see `distances`.
+            below: Distance below which hulls are measured [m]. A larger distance to a wall may be returned as this
+                value.
         """
         found, doubt, count = capsules.copy(), capsules < below[:, None], len(self._pairs)
         pairs = self._distances(arm_poses, self._pairs, doubt[:, :count], below)
@@ -181,7 +188,7 @@ class MujocoCell:
         return found
 
     def _of_excluded(self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses) -> Float[np.ndarray, "n"]:
-        """Negative penetration depth [m] of meshes that touch inside capsules that are not checked; inf elsewhere."""
+        """Return the negated penetration depth of meshes that touch inside unchecked capsules [m]; inf if none."""
         pairs, found = [*self._own.by_mesh, *self._own.excluded], np.full(len(x), np.inf)
         depth = -self._apart(arm_poses, pairs)
         if depth.size and depth.max() > self.deepest[0]:
@@ -196,7 +203,7 @@ class MujocoCell:
     def _of_carried(
         self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses, below: Float[np.ndarray, "n"] | None = None
     ) -> Float[np.ndarray, "n"]:
-        """Distance of the fixtures that move with links to everything but the workpiece [m]."""
+        """Return the distance of fixtures that move with links from all bodies except the workpiece [m]."""
         if not self.carried:
             return np.full(len(x), np.inf)
         found = self._carried_distances(x, arm_poses, self._carried_pairs, below).min(axis=1, initial=np.inf)
@@ -222,9 +229,9 @@ class MujocoCell:
     def _pairs_of_carried(
         self, solids: Sequence[int], excluded: dict[int, frozenset[int]], self_collision: bool
     ) -> list[tuple[int, int]]:
-        """Pairs of a fixture that moves with a link, and of another fixture or a body of the arm.
+        """Return the pairs of a fixture that moves with a link and another fixture or a body of the arm.
 
-        As for the job's tool, a pair with the arm is not checked if it nearly always overlaps.
+        Pairs that nearly always overlap are excluded.
         """
         arm, carried = self._arm, self.carried
         found = [(body.geom, g) for body in carried for g in solids if body.link not in excluded.get(g, ())]
@@ -246,7 +253,15 @@ class MujocoCell:
     def _carried(
         self, geom: int, rule: config.FixtureConfig, excluded: frozenset[int], positions: np.ndarray, axes: np.ndarray
     ) -> CarriedBody:
-        """The body of a geom in the frame of its parent, at its place among these positions and axes of all geoms."""
+        """Return the body of a geom, in its parent's frame.
+
+        Args:
+            geom: The geom.
+            rule: The fixture's entry in the job.
+            excluded: Links from which no distance is checked.
+            positions: Positions of all geoms, world [m].
+            axes: Orientations of all geoms, as rows of 9 numbers.
+        """
         model = self._model
         if model.geom_type[geom] == _MESH:
             mesh = model.mesh(model.geom_dataid[geom])
@@ -257,7 +272,7 @@ class MujocoCell:
         return CarriedBody(geom, rule.parent, self._arm.link_of(rule.parent), excluded, R, t, corners, self._arm)
 
     def _place(self, geom: int, parent: str, t: np.ndarray, R: np.ndarray) -> None:
-        """Place a geom in the frame of a parent at zero joint values."""
+        """Set a geom's pose, given relative to a parent frame, for zero joint values."""
         (origin,), (rotation,) = self._arm.frames(np.zeros((1, len(self._arm.joints))), parent, tip=False)
         self._data.geom_xpos[geom], self._data.geom_xmat[geom] = rotation @ t + origin, (rotation @ R).ravel()
 
@@ -285,12 +300,12 @@ class MujocoCell:
         return found
 
     def _of_hulls(self, pose: ArmPoses, pair: tuple[int, int]) -> float:
-        """Distance of a pair with the hulls in its capsules [m], at one configuration."""
+        """Return the distance of a pair, by the hulls in its capsules, at one configuration [m]."""
         thickness, model = 0.0, self._model
         for geom in self._hulls.keys() & pair:
             k, hull = self._bodies.index(geom), self._hulls[geom]
             mesh, turn = model.geom_dataid[hull], np.empty(9)
-            mujoco.mju_quat2Mat(turn, model.mesh_quat[mesh])  # a mesh's own frame is that of its inertia
+            mujoco.mju_quat2Mat(turn, model.mesh_quat[mesh])  # in MuJoCo a mesh's frame is its inertial frame
             self._data.geom_xpos[hull] = (pose.p[k] + pose.q[k]) / 2 + pose.axes[k] @ model.mesh_pos[mesh]
             self._data.geom_xmat[hull] = (pose.axes[k] @ turn.reshape(3, 3)).ravel()
             thickness += self._arm.hulls[k].radius
@@ -298,7 +313,7 @@ class MujocoCell:
         return mujoco.mj_geomDistance(model, self._data, *geoms, FAR_M, None) - thickness
 
     def _pose(self, geom: int, p: Float[np.ndarray, "3"], q: Float[np.ndarray, "3"]) -> None:
-        """Place a body of the arm with its axis from p to q."""
+        """Set the pose of a geom of the arm so that its axis is from p to q, world [m]."""
         axis, length = p - q, math.dist(p, q)
         self._data.geom_xpos[geom], self._model.geom_size[geom, 1] = (p + q) / 2, length / 2
         if length:
@@ -307,7 +322,7 @@ class MujocoCell:
             mujoco.mju_quat2Mat(self._data.geom_xmat[geom], turn)
 
     def _is_hollow(self, geom: int, excluded: frozenset[int]) -> bool:
-        """Return True if a geom is a non-convex mesh, and add it as a wall of triangles."""
+        """Return True if a geom is a non-convex mesh; such a mesh is added as a wall of triangles."""
         model = self._model
         if model.geom_type[geom] != _MESH:
             return False
@@ -332,13 +347,13 @@ class MujocoCell:
 
 
 def _name(model: mujoco.MjModel, geom: int) -> str:
-    """The geom's name, or else its body's."""
+    """Return the name of a geom, or of its body if it has none."""
     body = int(model.geom_bodyid[geom])
     return model.geom(geom).name or (model.body(body).name if body else "")
 
 
 def _spec(path: Path) -> mujoco.MjSpec:
-    """The cell's file, with its geoms for contact only."""
+    """Return the parsed cell file, without geoms that have no contacts."""
     spec = safe_xml.read_spec(path, meshes=True)
     spec.modelfiledir = str(path.parent.resolve())
     for geom in list(spec.geoms):
@@ -350,7 +365,7 @@ def _spec(path: Path) -> mujoco.MjSpec:
 
 
 def _move(model: mujoco.MjModel, data: mujoco.MjData, cell: config.CellConfig) -> None:
-    """Rotate and shift the part of the cell that the job moves; the arm's capsules are placed later anyway."""
+    """Apply the job's rotation and shift to the cell's geoms."""
     body = 0 if cell.moved is None else model.body(cell.moved).id
     origin = np.zeros(3) if body == 0 else data.xpos[body].copy()
     R, shift = _pose_of(cell.shift_m, cell.rpy_rad)

@@ -1,24 +1,23 @@
-"""Clearance between MuJoCo's capsules and the walls, for validation, with provably safe pruning by a tree.
+"""Clearance between MuJoCo's capsules and the walls, for validation, with provably safe pruning by a k-d tree.
 
-For a cloud MuJoCo measures (`MujocoArm.distances`); scipy's tree only excludes points that need not be measured. A
-capsule's axis is cut into pieces. For a piece with the centre m and the half length h, let d be the distance from m to
-the nearest point of the cloud. Let the capsule's smallest distance, D = e - radius, be attained at the point s of its
-axis.
+MuJoCo computes distances to a cloud's points (`MujocoArm.distances`); scipy's tree only excludes points. A capsule's
+axis is cut into pieces. For a piece with centre m and half length h, let d be the distance from m to the nearest point
+of the cloud. Let s be the point of the axis nearest to the cloud, and e its distance: the clearance is D = e - radius.
 
 - d - radius is an upper bound on the clearance, because m lies on the axis.
-- If s is an end of the axis, the sample m = s with h = 0, which is among the samples, is at the distance e exactly.
-- Otherwise the line of length e from s to its point is at right angles to the axis. The piece that holds s has
-  |m - s| <= h, so that point lies within sqrt(e^2 + h^2) of m: e >= sqrt(d^2 - h^2).
+- If s is an end of the axis, its distance e is known exactly, as both ends are pieces with h = 0.
+- Otherwise the line from s to its nearest point, of length e, is perpendicular to the axis. The piece that contains s
+  has |m - s| <= h, so this point lies within sqrt(e^2 + h^2) of m: e >= sqrt(d^2 - h^2).
 
-For a mesh the triangles themselves are measured (`mesh_clearance`), from MuJoCo's axes. The tree holds their centres. A
-centre is on the mesh, and no point of its triangle is further from it than the grain: in the lower bound above,
-d - grain replaces d.
+For a mesh, `mesh_clearance` computes the distances from MuJoCo's axes to the triangles, which are first cut into small
+ones; the tree contains their centres. Let g be the largest distance from a centre to a corner of its triangle. Then
+d - g replaces d in the lower bound above, and the radius of the ball below grows by g.
 
-So a piece whose sqrt(d^2 - h^2) - radius is above the least upper bound U of all pieces cannot hold s, and of a piece
-that may hold it only the points within sqrt((U + radius)^2 + h^2) of m can be the nearest. The remaining pieces are
-cut finer until that ball holds few points, and all of these are measured.
+Let U be the smallest upper bound of all pieces. A piece with sqrt(d^2 - h^2) - radius > U cannot contain s. For
+a piece that may contain s, the nearest point lies within sqrt((U + radius)^2 + h^2) of m. The remaining pieces are cut
+finer until this ball contains few points; all of them are measured.
 
-Where a capsule is nearer than required, and has a convex hull of the mesh in it, the distance is the larger one of both
+If a capsule is nearer than required and contains a convex hull of a mesh, the larger of both distances is used
 (`convex_hull`).
 """
 
@@ -43,15 +42,15 @@ from htcp_jax.validation.mesh_clearance import (
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.scene_rules import WorkpieceData
 
-COARSE = 0.5  # half length of the first pieces, in radii
-FINE_M = 0.01  # half length at which a ball holds few points
-ROUNDING_M = 1e-9  # for rounding, in every bound
-SOLVER_M = 1e-5  # for mj_geomDistance, which iterates
-FACETS_AT_ONCE = 2_000_000  # heights in memory
+COARSE = 0.5  # half length of the initial pieces / radius
+FINE_M = 0.01  # half length at which pieces are not cut further
+ROUNDING_M = 1e-9  # added to every bound for rounding errors
+SOLVER_M = 1e-5  # error of mj_geomDistance, which is iterative
+FACETS_AT_ONCE = 2_000_000  # maximum number of point-facet distances in memory
 
 
 class AxisPieces(NamedTuple):
-    """Pieces of capsule axes: configuration, capsule, centre (0 at p, 1 at q), half length [m]."""
+    """Pieces of capsule axes: row of the configuration, capsule, centre (0 at p, 1 at q), and half length [m]."""
 
     row: Int[np.ndarray, "m"]
     capsule: Int[np.ndarray, "m"]
@@ -59,17 +58,17 @@ class AxisPieces(NamedTuple):
     half: Float[np.ndarray, "m"]
 
     def only(self, which: Bool[np.ndarray, "m"]) -> "AxisPieces":
-        """Select some of the pieces."""
+        """Return the pieces for which `which` is True."""
         return AxisPieces(*(values[which] for values in self))
 
 
 class Wall:
-    """A cloud's points, or a mesh's triangles, in a tree, in the workpiece frame [m].
+    """Points of a cloud, or triangles of a mesh, with a k-d tree, in the workpiece frame [m].
 
     Args:
-        cloud: The points; on a mesh they are not used.
-        interior: "hull" for the exact convex hull of the points or triangles, "none" for no hull.
-        direction: Direction into the part; None for the world's x.
+        cloud: The points; not used for a mesh.
+        interior: "hull" for an interior rule by the convex hull of the points or triangles, "none" for no rule.
+        direction: Direction into the part; None: the world's x axis.
         triangles: Corners of the mesh's triangles; None for a cloud.
     """
 
@@ -91,21 +90,21 @@ class Wall:
 
     @cached_property
     def discs(self) -> CloudDiscs:
-        """Discs at the points of a cloud."""
+        """Flat discs at the points of the cloud."""
         return CloudDiscs(self.middle, self.tree)
 
     def outside(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
-        """Largest signed distance of each point to the planes of the hull's facets [m]; negative inside."""
+        """Return each point's largest signed distance from the planes of the hull's facets [m]; negative inside."""
         step = max(1, FACETS_AT_ONCE // max(1, len(self.offset)))
         parts = [points[k : k + step] @ self.normal.T - self.offset for k in range(0, len(points), step)]
         return np.concatenate([part.max(axis=1, initial=-np.inf) for part in parts] or [np.empty(0)])
 
 
 def wall_of(part: config.WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
-    """Build the wall that a configuration describes.
+    """Return the wall of a job's workpiece.
 
-    A mesh is read again. For a user-supplied part the inlet's direction, if none is given, is that of the hull's facet
-    nearest to the inlet; without an inlet there is no interior.
+    A mesh is read again from its file. If a user-supplied part has no inlet direction, the direction of the hull's
+    facet nearest to the inlet is used. Without an inlet there is no interior rule.
     """
     triangles = read_triangles(part.cloud) if workpiece.is_mesh else None
     given = None if part.is_along_world_x else part.inlet_direction
@@ -120,40 +119,41 @@ def wall_of(part: config.WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
 
 
 class TargetClearances(NamedTuple):
-    """Results at n configurations, which `CheckedScene.between` reuses."""
+    """Results at n configurations, from which `CheckedScene.between` derives bounds."""
 
     arm_poses: ArmPoses
     clearance: Float[np.ndarray, "n"]  # [m]
-    samples: Float[np.ndarray, "n M 3"]  # world
-    distance: Float[np.ndarray, "n M"]  # of the samples to their nearest points
-    ends: Float[np.ndarray, "n E 3"]  # ends of all capsules, world
-    outside: Float[np.ndarray, "n E"]  # NaN where the hull is not checked
-    surroundings: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.MujocoCell.distances` [m]
-    to_others: Float[np.ndarray, "n"]  # smallest of them, of hulls where capsules are nearer than required [m]
+    samples: Float[np.ndarray, "n M 3"]  # points on the capsules' axes, world [m]
+    distance: Float[np.ndarray, "n M"]  # distance of the samples from their nearest points [m]
+    ends: Float[np.ndarray, "n E 3"]  # ends of all capsules' axes, world [m]
+    outside: Float[np.ndarray, "n E"]  # signed distance of these ends from the hull [m]; NaN if not checked
+    surroundings: Float[np.ndarray, "n R"]  # distances of `mujoco_cell.MujocoCell.distances` [m]
+    to_others: Float[np.ndarray, "n"]  # smallest of `surroundings`, by hulls if capsules are too near [m]
     to_wall: Float[np.ndarray, "n"]  # distance to the cloud's points or the mesh's triangles [m]
 
     def less_cover(self, cover_m: float) -> Float[np.ndarray, "n"]:
-        """Clearance [m] to points on the mesh, which may be that far from its triangles, and to everything else."""
+        """Return the clearance with the covering radius `cover_m` subtracted from the distance to the wall [m]."""
         return _worse(np.minimum(self.to_wall - cover_m, self.to_others), self.outside)
 
 
 class CheckedScene:
-    """An arm next to a wall at x_world = rotate @ x + translate.
+    """Arm and wall to check; a wall's point p is at rotate @ p + translate in the world.
 
-    From `interior_depth_m` behind the start of the wall along its direction, the ends of all axes must lie in the hull,
-    unless the arm's base is beyond it, too, or the part moves. Along the world's x the rule holds for any base.
+    Interior rule: beyond the depth `interior_depth_m` from the start of the wall, along its direction, the ends of all
+    capsules' axes must lie in the hull. The rule does not apply if the part moves, or if the arm's base is also beyond
+    this depth. If the wall has no direction, the rule is along the world's x axis, wherever the base is.
 
     Args:
         arm: The arm.
         wall: The wall.
         rotate: Rotation from the wall's frame to the world (3, 3).
         translate: Translation from the wall's frame to the world (3,) [m].
-        interior_depth_m: Distance from the start of the wall at which the rule begins.
-        surroundings: Function (x, arm poses, may) for the distances (n, R) to everything else that must not touch [m],
-            inf where `may` (n, R) is False, None: all are measured. See `mujoco_cell.MujocoCell.distances`.
-        carried: Fixtures that move with links; of the interior rule they are no part.
-        by_hulls: Function (x, arm poses, distances (n, R), below (n,)) for these distances with those of hulls where
-            capsules are nearer than `below` [m]. See `mujoco_cell.MujocoCell.by_hulls`.
+        interior_depth_m: Depth at which the interior rule begins.
+        surroundings: Function with the arguments and result of `mujoco_cell.MujocoCell.distances`; None: no other
+            obstacles.
+        carried: Fixtures that move with links; the interior rule does not apply to them.
+        by_hulls: Function with the arguments and result of `mujoco_cell.MujocoCell.by_hulls`; None: hulls are used only
+            for distances from the wall.
     """
 
     def __init__(
@@ -175,12 +175,16 @@ class CheckedScene:
         if arm.root or (wall.direction is not None and (arm.base @ self.along > self.interior_from).any()):
             self.interior_from = np.inf
 
-    def at(self, x: Float[np.ndarray, "n N"], below: float | Float[np.ndarray, "n"] = -np.inf) -> TargetClearances:
-        """Compute the clearance of every configuration.
+    def at(
+        self, x: Float[np.ndarray, "n N"], below: float | Float[np.ndarray, "n"] = -np.inf, cover_m: float = 0.0
+    ) -> TargetClearances:
+        """Return the clearance of every configuration.
 
         Args:
             x: Configurations [rad or m].
-            below: Clearance below which the hulls in capsules are measured, too [m]. A larger one may be given as this.
+            below: Clearance below which hulls in capsules are measured [m]. A larger clearance may be returned as this
+                value.
+            cover_m: Covering radius of the wall's points [m], by which hulls are measured farther from the wall.
         """
         arm_poses = self.arm.arm_poses(x)
         pieces = _initial_pieces(self.arm, len(x))
@@ -193,11 +197,11 @@ class CheckedScene:
         to_wall = np.minimum(to_wall, self.carried_clearance(x, to_wall))
         to_others = surroundings.min(axis=1, initial=np.inf)
         below = np.broadcast_to(below, len(x))
-        doubt = self._in_doubt(np.minimum(to_wall, to_others), below)
+        doubt = self._in_doubt(np.minimum(to_wall - cover_m, to_others), below)
         if len(doubt):
             some = ArmPoses(*(values[doubt] for values in arm_poses))
-            least = below[doubt]
-            near, to_others[doubt] = self._by_hulls(x[doubt], some, surroundings[doubt], least)
+            least = below[doubt] + cover_m
+            near, to_others[doubt] = self._by_hulls(x[doubt], some, surroundings[doubt], below[doubt], least)
             to_wall[doubt] = np.where(to_wall[doubt] < least, np.minimum(near, least), to_wall[doubt])
         ends = np.concatenate([arm_poses.p, arm_poses.q], axis=1)
         outside = self._outside(ends, ends @ self.along > self.interior_from)
@@ -211,16 +215,16 @@ class CheckedScene:
     def between(
         self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: TargetClearances, below: float
     ) -> tuple[ArmPoses, Float[np.ndarray, "n"]]:
-        """Compute the clearance at configurations between known ones, where it is small.
+        """Return the clearance at configurations between configurations with known results, where it is small.
 
-        No sample approaches the cloud, and no end of an axis leaves the hull, by more than it moves, and no two bodies
-        approach each other by more than both move. So most configurations are decided by the known results.
+        The distance of a sample or of an axis's end changes by at most its displacement, and the distance of two bodies
+        by at most both displacements. So most configurations need no measurement.
 
         Args:
             x: Configurations [rad or m].
-            a: The row of `known` before each; it lies between the rows a and a + 1.
+            a: For each configuration, the row in `known` before it; it lies between the rows a and a + 1.
             known: The known results.
-            below: Largest clearance to measure, at least 0 [m].
+            below: Largest clearance of interest, at least 0 [m].
 
         Returns:
             The TCP and the capsules, and the clearance where it is at most `below`, inf elsewhere [m].
@@ -245,14 +249,15 @@ class CheckedScene:
         doubt = self._in_doubt(clearance, upper)
         if len(doubt):
             some = ArmPoses(*(values[doubt] for values in arm_poses))
-            clearance[doubt] = np.minimum(*self._by_hulls(x[doubt], some, surroundings[doubt], upper[doubt]))
+            least = upper[doubt]
+            clearance[doubt] = np.minimum(*self._by_hulls(x[doubt], some, surroundings[doubt], least, least))
         proven = [known.outside[b] + each < 0 for b, each in zip((a, a + 1), moved, strict=True)]
         outside = self._outside(ends, (ends @ self.along > self.interior_from) & ~proven[0] & ~proven[1])
         clearance = _worse(clearance, outside)
         return arm_poses, np.where(clearance <= below, clearance, np.inf)
 
     def carried_clearance(self, x: Float[np.ndarray, "n N"], upper: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Clearance of the fixtures that move with links to the wall [m]; arbitrary, but larger, above `upper` [m]."""
+        """Return the distance of fixtures that move with links from the wall [m]; exact only up to `upper`."""
         found, wall = np.full(len(x), np.inf), self.wall
         each = wall.middle[:, None] if wall.triangles is None else wall.triangles
         for body in self.carried if len(each) else ():
@@ -266,9 +271,11 @@ class CheckedScene:
         return found
 
     def tip_crosses(self, arm_poses: ArmPoses, contact_m: float) -> Bool[np.ndarray, "n"]:
-        """True if the bare tip passes through a triangle of the mesh or a disc of the cloud.
+        """Return a mask, True where the bare tip passes through a triangle of the mesh or a disc of the cloud.
 
-        The bare tip is the segment from the last body to the TCP, without its last `contact_m`.
+        Args:
+            arm_poses: The arm at n configurations.
+            contact_m: Length of the bare tip, from the TCP, that may touch the wall.
         """
         if not len(self.wall.middle):
             return np.zeros(len(arm_poses.tcp), bool)
@@ -279,7 +286,7 @@ class CheckedScene:
         last = tcp + (first - tcp) * np.minimum(1.0, contact_m / np.maximum(length, contact_m + 1e-12))[:, None]
         length = np.linalg.norm(last - first, axis=1)
         row, share = _samples(np.maximum(1, np.ceil(length / (2 * grain))).astype(int))
-        reach = grain + ROUNDING_M + np.minimum(length[row] / 2, grain)  # from a sample's middle
+        reach = grain + ROUNDING_M + np.minimum(length[row] / 2, grain)  # search radius around a sample's centre
         found = self.wall.tree.query_ball_point(
             first[row] + share[:, None] * (last - first)[row], reach, return_sorted=False
         )
@@ -290,24 +297,29 @@ class CheckedScene:
         return np.bincount(row[through], minlength=len(first)) > 0
 
     def _in_doubt(self, clearance: np.ndarray, below: np.ndarray) -> np.ndarray:
-        """Rows in which hulls may have another clearance than capsules."""
+        """Return the rows in which hulls may have a larger clearance than capsules."""
         return np.flatnonzero(clearance < below) if any(self.arm.hulls) else np.empty(0, int)
 
     def _by_hulls(
-        self, x: np.ndarray, arm_poses: ArmPoses, surroundings: np.ndarray, below: np.ndarray
+        self, x: np.ndarray, arm_poses: ArmPoses, surroundings: np.ndarray, below: np.ndarray, to_wall: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Distances to the wall and to everything else [m], of hulls where capsules are nearer than `below`.
+        """Return the distances from the wall and from other obstacles, by hulls if capsules are within a bound [m].
 
-        Above `below` the first is arbitrary, but larger.
+        Args:
+            x: Configurations [rad or m].
+            arm_poses: The arm's capsules at these configurations.
+            surroundings: Distances by capsules from the other obstacles [m].
+            below: Bounds for the distances from the other obstacles [m].
+            to_wall: Bounds for the distances from the wall [m]; a larger distance may be any number above its bound.
         """
-        near = self._hulls_to_wall(arm_poses, below)
-        near = np.minimum(near, self.carried_clearance(x, np.minimum(near, below)))
+        near = self._hulls_to_wall(arm_poses, to_wall)
+        near = np.minimum(near, self.carried_clearance(x, np.minimum(near, to_wall)))
         if self._others_by_hulls is not None:
             surroundings = self._others_by_hulls(x, arm_poses, surroundings, below)
         return near, surroundings.min(axis=1, initial=np.inf)
 
     def _hulls_to_wall(self, arm_poses: ArmPoses, below: np.ndarray) -> np.ndarray:
-        """Distance of hulls, or of capsules without one, to the points or triangles within `below` of capsules [m]."""
+        """Return the distance from the wall, by hulls or capsules without a hull [m]; inf if none is within `below`."""
         found, wall, arm = np.full(len(below), np.inf), self.wall, self.arm
         if not len(wall.middle):
             return found
@@ -326,14 +338,21 @@ class CheckedScene:
                 hull, middle = arm.hulls[c], (arm_poses.p[k, c] + arm_poses.q[k, c]) / 2
                 if hull is not None:
                     world = each[own] @ self.rotate.T + self.translate
-                    distance = max(distance, hull.clearance((world - middle) @ arm_poses.axes[k, c]))
+                    distance = max(distance, hull.clearance((world - middle) @ arm_poses.axes[k, c], below[k]))
                 found[k] = min(found[k], distance)
         return found
 
     def _near_axis(self, p: np.ndarray, q: np.ndarray, rows: np.ndarray, within: float) -> np.ndarray:
-        """Distances of points, or triangles, from an axis in the world [m].
+        """Return the distances of some of the wall's points or triangles from an axis [m].
 
-        Only the smallest one, and those about `within`, are of the triangle itself; the others are of its middle.
+        For triangles, only the smallest distance and distances near `within` are exact; others are the centres'
+        distances.
+
+        Args:
+            p: Start of the axis, world [m].
+            q: End of the axis, world [m].
+            rows: Indices of the points or triangles.
+            within: Distance of interest [m].
         """
         axis, wall = np.stack([self.local(p), self.local(q)]), self.wall
         found = point_distances(*np.broadcast_to(axis[:, None], (2, len(rows), 3)), wall.middle[rows])
@@ -346,7 +365,7 @@ class CheckedScene:
         return found
 
     def _measured(self, x: np.ndarray, arm_poses: ArmPoses, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
-        """Clearance to the points, by MuJoCo, or to the triangles [m]; inf if no piece can be within `upper`."""
+        """Return the clearance to points (by MuJoCo) or triangles [m]; inf if it is proven to be above `upper`."""
         row, capsule, point = self._candidates(arm_poses, pieces, upper)
         clearance = np.full(len(x), np.inf)
         if self.wall.triangles is not None:
@@ -361,9 +380,10 @@ class CheckedScene:
         return clearance
 
     def _candidates(self, arm_poses: ArmPoses, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
-        """Find everything that can be nearest in a row if its clearance is at most `upper`; see the module.
+        """Return all points that can be the nearest ones if the clearance is at most `upper`; see the module.
 
-        The columns are (row, capsule, point), sorted.
+        Returns:
+            The indices (configuration, capsule, point) of the candidates, (3, m), sorted.
         """
         radius = self.arm.radius
         if not len(self.wall.middle):
@@ -387,7 +407,7 @@ class CheckedScene:
         return np.stack(np.unravel_index(np.unique(np.ravel_multi_index(triples, shape)), shape))
 
     def _reach(self, pieces: AxisPieces, upper: np.ndarray) -> np.ndarray:
-        """Largest distance from a piece's centre to the nearest point, if the clearance is at most `upper` [m]."""
+        """Return the largest possible distance from each piece's centre to the nearest point, given `upper` [m]."""
         reach = np.maximum(0.0, upper[pieces.row] + self.arm.radius[pieces.capsule])
         return np.hypot(reach, pieces.half) + self.wall.grain + ROUNDING_M
 
@@ -402,14 +422,15 @@ class CheckedScene:
         return found
 
     def local(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Transform world points into the workpiece's frame [m]."""
+        """Return world points transformed to the workpiece's frame [m]."""
         return (points - self.translate) @ self.rotate
 
 
 def _initial_pieces(arm: MujocoArm, n: int) -> AxisPieces:
-    """Divide every capsule's axis into pieces of COARSE radii, and its ends, for each of n configurations.
+    """Return the ends of every capsule's axis, and pieces with half lengths of at most COARSE radii, n times.
 
-    The number of pieces is computed from the model's lengths, as lengths at a configuration have rounding errors.
+    The number of pieces is computed from the lengths in the model, because lengths at a configuration have rounding
+    errors.
     """
     capsule, centre, half = [], [], []
     for k, (length, radius) in enumerate(zip(arm.length.tolist(), arm.radius.tolist(), strict=True)):
@@ -423,13 +444,13 @@ def _initial_pieces(arm: MujocoArm, n: int) -> AxisPieces:
 
 
 def _samples(count: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """Row and share of the middle of each sample, for n segments of `count` equal samples each."""
+    """Divide each of n segments into `count` equal parts; return each part's segment and its centre, from 0 to 1."""
     row = np.repeat(np.arange(len(count)), count)
     return row, (np.arange(len(row)) - (np.cumsum(count) - count)[row] + 0.5) / count[row]
 
 
 def _cut_pieces(pieces: AxisPieces, arm_poses: ArmPoses) -> AxisPieces:
-    """Cut each piece into four; an end stays as it is."""
+    """Return the pieces, each cut into four, except pieces of length 0."""
     whole, split = pieces.only(pieces.half == 0), pieces.only(pieces.half > 0)
     length = np.linalg.norm((arm_poses.p - arm_poses.q)[split.row, split.capsule], axis=1)
     quarters = np.array([-0.75, -0.25, 0.25, 0.75])
@@ -446,19 +467,22 @@ def _centres(arm_poses: ArmPoses, pieces: AxisPieces) -> np.ndarray:
 
 
 def _equal_runs(row: np.ndarray) -> Iterator[tuple[int, int]]:
-    """Slices of equal numbers in a sorted array."""
+    """Yield first and last index (exclusive) of each run of equal numbers in a sorted array."""
     changes = np.flatnonzero(np.diff(row, prepend=-1, append=-1))
     return zip(changes[:-1].tolist(), changes[1:].tolist(), strict=True)
 
 
 def _lowered(upper: np.ndarray, pieces: AxisPieces, values: np.ndarray) -> np.ndarray:
-    """Return `upper`, lowered to the minimum of each row's values."""
+    """Return each configuration's minimum of `upper` and of the values of its pieces."""
     upper = upper.copy()
     np.minimum.at(upper, pieces.row, values)
     return upper
 
 
 def _worse(clearance: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """Clearance, limited to minus the largest distance of an end outside the hull [m]."""
+    """Return the clearance after the interior rule [m].
+
+    If ends of axes are outside the hull, it is at most minus their largest distance from the hull.
+    """
     furthest = np.where(outside > 0, outside, -np.inf).max(axis=1, initial=-np.inf)
     return np.where(furthest > 0, np.minimum(clearance, -furthest), clearance)

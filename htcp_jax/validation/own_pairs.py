@@ -1,8 +1,8 @@
-"""Pairs of an arm's capsules that need no check against each other, determined by MuJoCo from its own samples.
+"""Pairs of an arm's capsules that need no self-collision check, determined by MuJoCo from independent samples.
 
-A pair that the planner excludes is excluded here only if the model says so, if it nearly always overlaps here, too, or
-if it belongs to adjacent links. If an arm's file says that meshes do not touch (rule c), the meshes are tested at every
-configuration that is validated, if their files exist.
+A pair is excluded only if the model excludes it, if it nearly always overlaps in these samples, or if it overlaps and
+belongs to adjacent links. If an arm's file excludes a pair because its meshes do not touch (rule c), the meshes are
+tested at every validated configuration, provided that their files exist.
 """
 
 from collections.abc import Callable
@@ -16,35 +16,35 @@ from htcp_jax.model import robot
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 
 SAMPLES, SEED = 10_000, 1
-ALWAYS, NEARLY = 0.95, 0.93  # smallest shares within NEAR_M, for an arm without a list; for one whose list has rule b
-NEAR_M = 1e-3 + 1e-9  # pairs that are always within 1 mm could keep no usual margin; with rounding
+ALWAYS, NEARLY = 0.95, 0.93  # minimum share of samples within NEAR_M, without rule b in a list and with it
+NEAR_M = 1e-3 + 1e-9  # a pair always within 1 mm could not satisfy a usual margin
 Pair = tuple[int, int]
 Distances = Callable[[ArmPoses, list[Pair]], Float[np.ndarray, "n R"]]
 
 
 class OwnPairs(NamedTuple):
-    """Pairs of capsules by their numbers."""
+    """Pairs of an arm's capsules, by index: checked, tested by their meshes, and excluded."""
 
     checked: list[Pair]
-    by_mesh: list[Pair]  # decided by their meshes
+    by_mesh: list[Pair]  # pairs whose meshes are tested
     excluded: list[Pair]
 
 
 def own_pairs(arm: MujocoArm, measured: Distances) -> OwnPairs:
-    """Classify the pairs of an arm.
+    """Return the pairs of an arm's capsules, classified by how they are checked.
 
     Args:
         arm: The arm.
-        measured: Function for the distances of pairs of capsules at configurations [m].
+        measured: Function that returns the distances of capsule pairs at the arm's poses [m].
     """
     stated, excluded = arm.stated, arm.excluded
     found, left = OwnPairs([], [], sorted(excluded)), [pair for pair in arm.apart if pair not in excluded]
-    doubtful = [pair for pair in left if stated is None or pair in stated or arm.is_tool(pair)]
+    doubtful = [pair for pair in left if not arm.is_listed(pair) or pair in stated or arm.is_tool(pair)]
     distance = measured(arm.arm_poses(arm.random(SAMPLES, SEED)), doubtful)
     overlap, near = distance <= 0, dict(zip(doubtful, (distance <= NEAR_M).mean(axis=0).tolist(), strict=True))
     share = dict(zip(doubtful, overlap.mean(axis=0).tolist(), strict=True))
     for pair in left:
-        rule = (stated or {}).get(pair)
+        rule = stated.get(pair)
         always = near.get(pair, 0.0) >= (NEARLY if rule == "b" else ALWAYS)
         telescopes = (
             arm.slides(pair) and overlap[:, [arm.same_links(pair, each) for each in doubtful]].any(axis=1).mean()
@@ -53,7 +53,7 @@ def own_pairs(arm: MujocoArm, measured: Distances) -> OwnPairs:
             found.excluded.append(pair)
         elif rule == "c":
             (found.by_mesh if arm.meshes else found.excluded).append(pair)
-        elif stated is None and not arm.is_tool(pair) and arm.adjacent(pair) and share.get(pair, 0.0):
+        elif not arm.is_listed(pair) and not arm.is_tool(pair) and arm.adjacent(pair) and share.get(pair, 0.0):
             found.excluded.append(pair)
         else:
             found.checked.append(pair)
@@ -61,7 +61,7 @@ def own_pairs(arm: MujocoArm, measured: Distances) -> OwnPairs:
 
 
 def touch_m(arm: MujocoArm, pair: Pair, x: Float[np.ndarray, "N"]) -> float:
-    """Penetration depth of a pair's meshes [m]; 0 up to TOUCHING_M.
+    """Return the penetration depth of a pair's meshes [m]; depths up to TOUCHING_M count as 0.
 
     Args:
         arm: The arm, with meshes.

@@ -1,4 +1,4 @@
-"""Saved results to validate: read from a sweep's run folder or from the folder of one plan."""
+"""Saved results to validate, read from the folder of a run or a plan."""
 
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -14,21 +14,21 @@ from htcp_jax.runs import PlanSet, open_plans
 from htcp_jax.status import MOTION
 from htcp_jax.validation.scene_rules import Results, Track, WorkpieceData
 
-MOST_WORKPIECES = 8  # largest number of workpieces in memory
+MOST_WORKPIECES = 8  # maximum number of workpieces in memory
 
 
 def read_results(folder: Path) -> Results:
-    """Read the results in `folder`.
+    """Read the results in the folder of a run or a plan.
 
     Raises:
-        InputError: As `open_plans`.
+        InputError: If the folder contains no plans, or if a file is missing or damaged.
     """
     found = open_plans(folder)
     return Results(found.folder, _workpieces(), found.count, _tracks(found), found.files)
 
 
 def _tracks(found: PlanSet) -> Iterator[Track]:
-    """Tracks, method by method, so that only one method's results are in memory."""
+    """Yield the tracks of all scenarios, method by method, so that only one method's results are in memory."""
     for method in found.methods:
         plans = found.plans(method)
         for number in np.flatnonzero(plans.outcomes.planned).tolist():
@@ -54,16 +54,16 @@ def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
 
 
 def data_of(loaded: Workpiece) -> WorkpieceData:
-    """Data of a loaded workpiece; its hull, its normals and its tangents are not used."""
+    """Return a loaded workpiece's data for validation, without computed data such as hull, normals and tangents."""
     is_mesh, cover_m = len(loaded.triangles) > 0, loaded.covering_radius_m
     return WorkpieceData(loaded.cloud, loaded.path, loaded.inlet, is_mesh, cover_m, *loaded.frames)
 
 
 def _workpieces() -> Callable[[PlanConfig], WorkpieceData]:
-    """Return a cached loader of workpieces; the points on a mesh are as close as the arm needs."""
+    """Return a cached function that loads a job's workpiece; it samples a mesh as densely as the job's arm requires."""
 
     @lru_cache(maxsize=MOST_WORKPIECES)
-    def load(part: configs.WorkpieceConfig, arm: tuple[configs.RobotConfig, configs.CellConfig]) -> WorkpieceData:
+    def load(part: configs.WorkpieceConfig, arm: tuple) -> WorkpieceData:
         return data_of(build.workpiece_of(part, build.robot_of(*arm)))
 
     return lambda config: load(build.workpiece_key(config), build.robot_key(config))

@@ -1,12 +1,12 @@
-"""Results of a validation, as in its file: for code that reads them without validating."""
+"""Data types for the results of a validation."""
 
 from typing import NamedTuple
 
-TargetPlace = tuple[int, int]  # scenario and target; for a path, the target at its end
+TargetPlace = tuple[int, int]  # scenario and target; a joint path has the target at its end
 
 
 class Refutation(NamedTuple):
-    """A tracked configuration that failed validation."""
+    """Tracked target whose configuration or segment failed validation."""
 
     method: str
     scenario: int
@@ -15,44 +15,46 @@ class Refutation(NamedTuple):
 
 
 class RowDeviation(NamedTuple):
-    """Largest deviation of a row of the task at the path's tracked targets, over all scenarios."""
+    """Largest deviation from a row of the task at tracked targets of the path, over all scenarios."""
 
-    row: str  # task.2, and its description
-    off: float  # deviation with the largest share of the tolerance
-    most: float  # tolerance there
-    unit: str  # of both: mm or degrees
+    row: str  # name and description of the row, such as "task.2: axis tcp.z"
+    off: float  # deviation with the largest ratio to its tolerance
+    most: float  # tolerance at this target
+    unit: str  # unit of both: mm or degrees
     at: TargetPlace
 
 
 class MethodCheck(NamedTuple):
-    """Validation results of one method; None where no value was measured."""
+    """Validation results of one method; None for values that were not measured."""
 
-    checked: int  # tracked targets
+    checked: int  # number of tracked targets
     refuted: int
-    tcp_error_max_mm: float | None  # |site - target|
+    tcp_error_max_mm: (
+        float | None
+    )  # largest distance of the TCP (or of the point that follows the path) from its target
     clearance_min_mm: float | None
     clearance_min_at: TargetPlace | None
-    clearance_less_cover_min_mm: float | None  # minus the covering radius of the mesh, as in plans; None: no mesh
-    clearance_off_max_mm: float | None  # |MuJoCo's - saved|, like the next two
+    clearance_less_cover_min_mm: float | None  # minimum clearance minus the mesh's covering radius; None: no mesh
+    clearance_off_max_mm: float | None  # this and the next two: largest difference of MuJoCo's and the saved value
     tcp_off_max_mm: float | None
     target_off_max_mm: float | None
-    paths: int  # straight joint paths between consecutive tracked targets, and from the start to the first
-    paths_touching: int | None  # None if nothing was checked between the targets
+    paths: int  # number of straight joint paths between consecutive tracked targets, and from the start to the first
+    paths_touching: int | None  # number of colliding paths; None if paths were not checked
     paths_blocked: int
-    clearance_between_min_mm: float | None  # along the paths, targets included
+    clearance_between_min_mm: float | None  # minimum along the joint paths, including their ends
     clearance_between_min_at: TargetPlace | None
-    line_deviation_max_mm: float | None  # of the TCP from the straight line between two targets
+    line_deviation_max_mm: float | None  # largest distance of the TCP from the line between two targets
     line_deviation_max_at: TargetPlace | None
-    speed_ratio_max: float | None  # joint speed by its limit at the feed rate; None if the model has no limits
-    speed_joint: str | None  # the joint with this ratio
+    speed_ratio_max: float | None  # largest joint speed / limit, at `feed_mm_s`; None without limits
+    speed_joint: str | None  # joint with this ratio
     speed_at: TargetPlace | None
-    in_place_max_rad: float | None  # largest joint change between targets closer than the tolerance, for which there
-    # is no time at the feed rate; also from the start to the first target
-    rows: tuple[RowDeviation, ...]  # rows of the task, if the job has one
+    in_place_max_rad: float | None  # largest joint change between targets closer than the tolerance, for which the
+    # feed rate leaves no time, or from the start to the first target
+    rows: tuple[RowDeviation, ...]  # for each row of the task; empty if the job has none
 
 
 class Validation(NamedTuple):
-    """The result of `validate`."""
+    """Result of `validate_results`."""
 
     validated: bool
     methods: dict[str, MethodCheck]
@@ -60,12 +62,12 @@ class Validation(NamedTuple):
     between: int
     feed_mm_s: float
     seconds: float
-    files: dict[str, str]  # SHA-256 of what was validated
-    excluded: str | None = None  # the unchecked capsules with the largest overlap, and its size
+    files: dict[str, str]  # SHA-256 of the validated files
+    excluded: str | None = None  # unchecked capsules with the largest overlap, and its depth, as text
     unchecked: tuple[str, ...] = ()  # sentences on obstacles and rows that are not checked
 
 
-ROUNDING_M = 1e-9  # two ways to compute a clearance differ by 1e-15; width of comparisons with 0 and the tolerance
-RECORD_M = 1e-5  # a saved value with a larger error is refuted; 32-bit planners are within it
-STEP_RAD = 0.002  # largest joint step between two checks; a point 2 m away moves by 4 mm
-ONE_POINT_M = 1e-5  # targets closer to each other coincide: a line between them has no direction
+ROUNDING_M = 1e-9  # rounding error allowed in comparisons with 0 and with tolerances
+RECORD_M = 1e-5  # maximum error of a saved value, which 32-bit planners satisfy
+STEP_RAD = 0.002  # maximum joint step between two checks; a point 2 m away moves by 4 mm
+ONE_POINT_M = 1e-5  # targets closer than this coincide, and the line between them has no direction

@@ -1,6 +1,6 @@
-"""Data to validate, and the scene's rules again in plain numpy, by which targets are recomputed.
+"""Data to validate, and an independent implementation of the rules for poses, targets and normals, in numpy.
 
-scenario.py, path_frames.py and the pose rule of workpiece.py are among the code under validation.
+The planner's implementation (scenario.py, path_frames.py, workpiece.py) is part of the code that is validated.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,8 +18,8 @@ from htcp_jax.jobs import PlanConfig
 from htcp_jax.jobs import config as configs
 from htcp_jax.runs import parameters
 
-NEAREST, SURROUNDINGS = 60, 500  # points of the wall to which a normal is fitted, and for its side
-DISTINCT_M = 1e-9  # points of a path closer than this coincide
+NEAREST, SURROUNDINGS = 60, 500  # numbers of points for fitting a normal, and for choosing its sign
+DISTINCT_M = 1e-9  # points of a path that are closer than this coincide
 
 
 class Track(NamedTuple):
@@ -27,13 +27,13 @@ class Track(NamedTuple):
 
     method: str
     scenario: int
-    config: PlanConfig  # the scenario's own
-    start: Float[np.ndarray, "N"]  # start of the plan
+    config: PlanConfig  # job of the scenario
+    start: Float[np.ndarray, "N"]  # configuration at which the plan starts
     tracked: Bool[np.ndarray, "T"]
-    blocked: Bool[np.ndarray, "T"]  # joint path from the previous row, as saved
-    proven: Bool[np.ndarray, "T"]  # True if the segment from the previous row is saved as a proven motion
-    via_points: tuple[Float[np.ndarray, "k N"], ...]  # T times: via points of that segment
-    via_shares: tuple[Float[np.ndarray, "k"], ...]  # and their shares of the way from the target before
+    blocked: Bool[np.ndarray, "T"]  # True if the joint path from the previous target is saved as blocked
+    proven: Bool[np.ndarray, "T"]  # True if the segment from the previous target is saved as a proven motion
+    via_points: tuple[Float[np.ndarray, "k N"], ...]  # via points of each segment [rad or m]
+    via_shares: tuple[Float[np.ndarray, "k"], ...]  # positions of the via points as shares of the segment's length [1]
     x: Float[np.ndarray, "T N"]
     tcp: Float[np.ndarray, "T 3"]
     target: Float[np.ndarray, "T 3"]
@@ -42,9 +42,9 @@ class Track(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WorkpieceData:
-    """A workpiece as loaded, in its own frame [m]; directions that the path's file lacks are computed here."""
+    """A workpiece in its own frame [m]; normals and tangents are computed if the path's file lacks them."""
 
-    cloud: Float[np.ndarray, "P 3"]  # on a mesh: the planner's points, which only normals are fitted to
+    cloud: Float[np.ndarray, "P 3"]  # for a mesh, the planner's points, which are used for normals only
     path: Float[np.ndarray, "T 3"]
     inlet: Float[np.ndarray, "3"] | None
     is_mesh: bool
@@ -65,19 +65,19 @@ class WorkpieceData:
 
 
 class Results(NamedTuple):
-    """Everything to validate."""
+    """The results to validate, as tracks."""
 
     folder: Path
-    workpiece: Callable[[PlanConfig], WorkpieceData]  # of a track's configuration
-    count: int  # of the tracks
+    workpiece: Callable[[PlanConfig], WorkpieceData]  # function that loads a job's workpiece
+    count: int  # number of tracks
     tracks: Iterable[Track]
-    files: dict[str, str]  # SHA-256 of the files that hold the results
+    files: dict[str, str]  # SHA-256 of the result files
 
 
 def part_pose(part: configs.WorkpieceConfig, pose: parameters.Parameters) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and translation (3,) from the workpiece frame to the world [m].
+    """Return the rotation (3, 3) and the translation (3,) [m] from the workpiece frame to the world.
 
-    The neutral pose is rotated about the pivot, first about world x, then y, then z, and then shifted.
+    The neutral pose is rotated about the pivot (about world x, then y, then z) and then shifted.
     """
     angles = pose.rotation_x_rad, pose.rotation_y_rad, pose.rotation_z_rad
     (cx, sx), (cy, sy), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in angles)
@@ -91,15 +91,15 @@ def part_pose(part: configs.WorkpieceConfig, pose: parameters.Parameters) -> tup
 def targets_of(
     job: PlanConfig, tcp: np.ndarray, inlet: np.ndarray | None, path: np.ndarray
 ) -> Float[np.ndarray, "T 3"]:
-    """Targets of a job, world [m].
+    """Return the targets of a job, world [m].
 
-    They are the start's TCP, steps to the inlet, steps from there to the path, and the path. If the start is chosen at
-    the path's first point, they are that point, then the path.
+    The targets are the TCP at the start, points from there to the inlet, points from the inlet to the path, and the
+    path. If the planner chooses the start at the path's first point, the targets are this point and the path.
 
     Args:
         job: The job.
         tcp: The TCP at the start (3,), world [m].
-        inlet: The inlet (3,), world [m]; None without one.
+        inlet: The inlet (3,), world [m]; None if there is none.
         path: The path (T, 3), world [m].
     """
     if job.start is None:
@@ -114,9 +114,10 @@ def targets_of(
 
 
 def path_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Unit normals of the planes fitted to the points near a path.
+    """Return the unit normals of planes fitted to the cloud near each point of a path.
 
-    They point to the side on which most of the cloud lies, by weights that decrease over a quarter of its extent.
+    A normal points to the side with more of the cloud; points are weighted by a function that decreases over a quarter
+    of the cloud's extent.
     """
     near = cloud[cKDTree(cloud).query(path, k=min(NEAREST, len(cloud)))[1]]
     normals = np.linalg.svd(near - near.mean(axis=1, keepdims=True), full_matrices=False)[2][:, 2]
@@ -128,7 +129,7 @@ def path_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]
 
 
 def tangents_of(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Unit tangents of a path: from the distinct point before to the one after, or ahead where the path reverses."""
+    """Return unit tangents of a path, from the previous distinct point to the next; at a reversal, only to the next."""
     new = np.append(True, np.linalg.norm(np.diff(path, axis=0), axis=1) > DISTINCT_M)
     padded = np.pad(path[new], ((1, 1), (0, 0)), "edge")
     along, ahead = padded[2:] - padded[:-2], padded[2:] - padded[1:-1]

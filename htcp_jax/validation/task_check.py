@@ -1,6 +1,6 @@
-"""Independent check of a task's rows, in plain numpy on poses by MuJoCo: deviation and tolerance of each.
+"""Independent check of a task's rows, in numpy with poses from MuJoCo: deviation and tolerance of each row.
 
-The code is independent of the planner's rows.
+The code is independent of the planner's implementation of the rows.
 """
 
 from collections.abc import Sequence
@@ -22,37 +22,37 @@ HELD = TaskRow(point="tcp", on="path")
 
 
 class RowCheck(NamedTuple):
-    """Deviation from one row at n points of the path, in metres or degrees."""
+    """Deviation from one row of the task at n points of the path, and its tolerance, in metres or degrees."""
 
     row: task_row_kind.TaskRowKind
-    off: Float[np.ndarray, "n"]  # NaN: not checked
+    off: Float[np.ndarray, "n"]  # deviation; NaN if not checked at this point
     most: float
 
     def reason(self, number: int, k: int) -> str | None:
-        """Return a sentence on why the row does not hold at the k-th of the points; None if it holds."""
+        """Return a sentence on the row's violation at the k-th point; None if the row is satisfied."""
         if not self.off[k] > self.most + ROUNDING_M:
             return None
         off, most = self.factor * self.off[k], self.factor * self.most
-        return f"task.{number} ({self.row}) is {off:.5g} {self.unit} off, {most:.4g} are allowed"
+        return f"task.{number} ({self.row}) deviates by {off:.5g} {self.unit}, {most:.4g} are allowed"
 
     @property
     def unit(self) -> str:
-        """Unit for display."""
+        """Unit in which the deviation is displayed: mm or degrees."""
         return "degrees" if self.row.angular else "mm"
 
     @property
     def factor(self) -> float:
-        """Factor that converts to that unit."""
+        """Factor from the deviation to `unit`."""
         return 1.0 if self.row.angular else 1e3
 
     @property
     def unchecked(self) -> bool:
-        """True if the row is of a kind without a check of its own."""
+        """True if the row's kind has no independent check."""
         return bool(np.isnan(self.off).any())
 
 
 class PartPose(NamedTuple):
-    """Pose of the part, and n points of its path."""
+    """Pose of the part, and indices of n points on its path."""
 
     rotate: Float[np.ndarray, "3 3"]  # from the workpiece frame to the world
     translate: Float[np.ndarray, "3"]  # [m]
@@ -60,10 +60,10 @@ class PartPose(NamedTuple):
     point: Int[np.ndarray, "n"]
 
     def world(self, row: TaskRow, vector: Sequence[float], is_place: bool = False) -> Float[np.ndarray, "3"]:
-        """Transform a position or direction that a row gives in numbers to the world.
+        """Return a position or direction that a row contains as numbers, transformed to the world.
 
         Args:
-            row: The row, which has the frame.
+            row: The row, which determines the frame of the numbers.
             vector: The position [m] or direction.
             is_place: True for a position.
         """
@@ -80,17 +80,17 @@ def part_between(
     point: Int[np.ndarray, "n"],
     share: Float[np.ndarray, "n"],
 ) -> PartPose:
-    """Return the part's pose with n points between those of its path, whose directions are turned evenly.
+    """Return the part's pose with n points between points of its path; normals and tangents are interpolated.
 
     Args:
-        rows: Rows of the task, whose directions are needed.
-        rotate: From the workpiece frame to the world.
-        translate: The same [m].
+        rows: Rows of the task; only directions used by a row are interpolated.
+        rotate: Rotation from the workpiece frame to the world.
+        translate: Translation from the workpiece frame to the world [m].
         workpiece: The part.
-        point: Point of the path at the end of each segment.
-        share: Share of the way there from the point before.
+        point: Index of the path's point at the end of each segment.
+        share: Position on the segment: 0 at the previous point, 1 at `point`.
     """
-    before = point - 1 + (share == 1.0)  # at the point itself, so that nothing is rounded
+    before = point - 1 + (share == 1.0)  # at a point of the path, the point's values are used without rounding errors
     after = np.where(share == 0.0, before, point)
 
     def turned(table: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "n 3"]:
@@ -124,15 +124,15 @@ def check_rows(
     tolerance_m: float,
     tolerance_rad: float,
 ) -> list[RowCheck]:
-    """Check every row at configurations x.
+    """Return the check of every row at configurations on the path.
 
     Args:
-        rows: Rows of the task; without any, the TCP must be on the path.
+        rows: Rows of the task; if empty, the TCP must be on the path.
         arm: The arm.
         x: Configurations [rad or m].
         place: The part's pose, and the point of the path for each configuration.
-        tolerance_m: Tolerance of rows without one of their own, for positions.
-        tolerance_rad: Tolerance of rows without one of their own, for directions.
+        tolerance_m: Tolerance of position rows without a tolerance of their own [m].
+        tolerance_rad: Tolerance of direction rows without a tolerance of their own [rad].
     """
     return [_check_row(row, arm, x, place, tolerance_m, float(np.rad2deg(tolerance_rad))) for row in rows or (HELD,)]
 
@@ -145,17 +145,17 @@ def hold_between(
     here: PartPose,
     settings: Settings,
 ) -> Bool[np.ndarray, "R n"]:
-    """True if a row holds between two points of the path, for a requirement between those at both points.
+    """Return a mask of rows by configurations, True where a row is satisfied between two points of the path.
 
-    A row that holds the TCP on the path is True; `from_line` checks it. A TCP at another position has the tolerance of
-    a path, `tube_m`.
+    There a row's requirement lies between its requirements at both points. Rows that constrain the TCP to the path are
+    True, because `from_line` checks them. For other positions of the TCP the tolerance is `tube_m`.
 
     Args:
         rows: Rows of the task.
         arm: The arm.
         x: Configurations on the segments [rad or m].
         before: The part's pose, and the point of the path before each configuration.
-        here: The same with the point of the path after each configuration.
+        here: The part's pose, and the point of the path after each configuration.
         settings: Settings with the tolerances.
     """
     good = np.ones((len(rows), len(x)), bool)
@@ -178,7 +178,7 @@ def hold_between(
 def path_follower(
     rows: Sequence[task_row_kind.TaskRowKind], arm: MujocoArm, x: Float[np.ndarray, "n N"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Position of the point that follows the path [m]; the TCP if no row defines one.
+    """Return the position of the point that follows the path, world [m]; the TCP if no row defines one.
 
     Args:
         rows: Rows of the task.
@@ -189,12 +189,12 @@ def path_follower(
 
 
 def holds_tcp(rows: Sequence[task_row_kind.TaskRowKind]) -> bool:
-    """True if a row of the task constrains the TCP to the path in all directions."""
+    """Return True if a row of the task constrains the TCP to the path in all directions."""
     return not rows or any(isinstance(row, TaskRow) and replace(row, frame=HELD.frame) == HELD for row in rows)
 
 
 def follows_all(rows: Sequence[task_row_kind.TaskRowKind]) -> bool:
-    """True if the point that follows the path is constrained in all directions, exactly."""
+    """Return True if the point that follows the path is constrained exactly and in all directions."""
     row = next((row for row in rows if isinstance(row, TaskRow) and row.on == "path"), None if rows else HELD)
     return row is not None and row.axes == "xyz" and row.within_m is None
 
@@ -217,9 +217,10 @@ def _check_row(
 def _off_kind(
     row: task_row_kind.TaskRowKind, arm: MujocoArm, x: np.ndarray, places: tuple[PartPose, ...]
 ) -> Float[np.ndarray, "n"]:
-    """Deviation from a row of another package by its own check [m or rad]; NaN if it has none.
+    """Return the deviation from a row whose kind is defined in another package [m or rad]; NaN without a check.
 
-    The smallest of those by the goals of the two targets and by the goal half way between them.
+    The row's method `deviation` computes it. Between two targets the result is the smallest deviation from three goals:
+    at both targets, and halfway between them.
     """
     given = [_along_path(row, place) for place in places]
     if len(given) == 2:
@@ -235,7 +236,7 @@ def _off_kind(
 
 
 def _along_path(row: task_row_kind.TaskRowKind, place: PartPose) -> dict[str, Float[np.ndarray, "n 3"]]:
-    """Places, tangents and normals of the path that a kind uses, in the world."""
+    """Return those of the path's points, tangents and normals that a row uses, in the world, by name."""
     own, named = place.workpiece, {"place": "path", "tangent": "tangents", "normal": "normals"}
     return {
         name: getattr(own, named[name])[place.point] @ place.rotate.T + (place.translate if name == "place" else 0.0)
@@ -249,7 +250,7 @@ def _point(row: TaskRow, arm: MujocoArm, x: np.ndarray) -> Float[np.ndarray, "n 
 
 
 def _off_place(row: TaskRow, point: np.ndarray, place: PartPose) -> Float[np.ndarray, "n k"]:
-    """Deviation of a point from its required position in the constrained directions [m]."""
+    """Return the deviation of a point from its required position in the k constrained directions [m]."""
     if row.on == "plane":
         normal = place.world(row, row.normal) / np.linalg.norm(row.normal)
         return ((point - place.world(row, row.through_m, True)) @ normal)[:, None]
@@ -273,7 +274,7 @@ def _off_place(row: TaskRow, point: np.ndarray, place: PartPose) -> Float[np.nda
 
 
 def _off_axis(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n"]:
-    """Angle between an axis and its required direction [rad]."""
+    """Return the angle between an axis and its required direction [rad]."""
     return _angle(_axis_direction(row, arm, x, place), _turned_to(row, arm, x, place))
 
 
@@ -286,13 +287,13 @@ def _axis_direction(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose
 
 
 def _of_path(name: str, place: PartPose) -> Float[np.ndarray, "n 3"]:
-    """Normal or tangent of the path, by its name in a row."""
+    """Return the path's normals or tangents in the world, by their name in a row such as "-path.normal"."""
     own = place.workpiece.normals if name.lstrip("-") == "path.normal" else place.workpiece.tangents
     return (-1.0 if name.startswith("-") else 1.0) * own[place.point] @ place.rotate.T
 
 
 def _turned_to(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n 3"]:
-    """Required direction of an axis, of any length."""
+    """Return the required direction of an axis, not normalised."""
     if row.looks_at_m is not None:
         origin, _ = arm.frames(x, row.axis_of[0])
         return place.world(row, row.looks_at_m, True) - origin
@@ -309,13 +310,13 @@ def _angle(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np
 
 
 def _off_turn(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n"]:
-    """Angle of the rotation between a frame and its required orientation [rad]."""
+    """Return the rotation angle between a frame and its required orientation [rad]."""
     _, rotation = arm.frames(x, row.of)
     return _turn_angle(rotation, _orientation(row, arm, x, place))
 
 
 def _orientation(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n 3 3"]:
-    """Required orientation of a frame."""
+    """Return the required orientation of a frame, as rotation matrices."""
     if row.orientation == "path":
         return place.rotate @ place.workpiece.rotations[place.point]
     own = Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
@@ -331,10 +332,10 @@ def _turn_angle(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) ->
 def _turned_between(
     row: TaskRow, arm: MujocoArm, x: np.ndarray, places: tuple[PartPose, PartPose], tolerance_rad: float
 ) -> Bool[np.ndarray, "n"]:
-    """True if an axis or a frame is oriented as required at either end of a segment, or in the middle.
+    """Return a mask, True where an axis or a frame is oriented as required at an end or in the middle of a segment.
 
-    In the middle the limit is at least half of the rotation from end to end. A point that an axis is directed at is
-    fixed.
+    In the middle, the tolerance is at least half of the rotation between the ends. A position at which an axis points
+    is fixed along the segment.
     """
     limit = np.deg2rad(row.limit_deg or 0.0)
     if row.axis is None:
@@ -344,7 +345,7 @@ def _turned_between(
         middle = Rotation.from_rotvec(0.5 * both).as_matrix() @ a
     else:
         now, ends, off = _axis_direction(row, arm, x, places[1]), _turned_to, _angle
-        if row.is_of_path:  # what lies between two targets is the path's direction
+        if row.is_of_path:  # between two targets, the path's direction is interpolated
             now, ends = _turned_to(row, arm, x, places[1]), _axis_direction
         a, b = (ends(row, arm, x, place) for place in places)
         middle = a / np.linalg.norm(a, axis=1)[:, None] + b / np.linalg.norm(b, axis=1)[:, None]

@@ -1,8 +1,8 @@
-"""Validation of a timed motion by MuJoCo alone: collisions at every configuration, and the task on its path.
+"""Validation of a timed motion by MuJoCo only: collisions at every configuration, and the task along the path.
 
-The code is independent of the curve, its bounds and its time scaling: the written configurations are placed by MuJoCo's
-kinematics, and measured against the plan's scene and the rows of its task, as `htcp validate` does. The bare tip must
-not pass through the triangles of a mesh, or the discs of a cloud.
+The code is independent of the planner's curve, bounds and time scaling. As in `htcp validate`, MuJoCo's kinematics
+places the arm at the written configurations. These are checked against the plan's scene and the rows of its task. The
+bare tip must not pass through a mesh's triangles or a cloud's discs.
 """
 
 from collections.abc import Callable
@@ -22,20 +22,20 @@ from htcp_jax.validation.task_check import hold_between, holds_tcp, part_between
 from htcp_jax.validation.track import from_line, required_m, scene_of
 from htcp_jax.validation.validate import parts_of
 
-AT_ONCE = 256  # configurations; everything near them is in memory
-EVERY = 16  # interval of measured configurations; most of those between are decided by the arm's displacement
+AT_ONCE = 256  # number of configurations measured at once, with all points near them in memory
+EVERY = 16  # one in EVERY configurations is measured; bounds on the displacement decide most others
 
 
 class TimedCheck(NamedTuple):
-    """Results at n configurations."""
+    """Results of checking a timed motion's n configurations; True in a mask is a failure."""
 
-    touches: Bool[np.ndarray, "n"]  # a body collides, or the bare tip passes through a wall
-    leaves: Bool[np.ndarray, "n"]  # the TCP is further from its path than the tolerance
-    turns_back: Bool[np.ndarray, "n"]  # it has moved against its path since the previous configuration
-    breaks: Bool[np.ndarray, "n"]  # a row of the task does not hold, other than the TCP's position
+    touches: Bool[np.ndarray, "n"]  # a body collides, or the bare tip passes through the wall
+    leaves: Bool[np.ndarray, "n"]  # the TCP is farther from the path than the tolerance
+    turns_back: Bool[np.ndarray, "n"]  # the TCP has moved backwards along the path since the previous one
+    breaks: Bool[np.ndarray, "n"]  # a row of the task, other than the TCP's position, is violated
     beyond: Bool[np.ndarray, "n"]  # a joint is outside its limits
     clearance_min_m: float
-    off_max_m: float  # of the TCP, from the lines between the targets; 0 if the task does not hold it
+    off_max_m: float  # largest distance of the TCP from the lines between targets; 0 if it is unconstrained
 
     @property
     def refuted(self) -> int:
@@ -44,14 +44,16 @@ class TimedCheck(NamedTuple):
 
 
 class _PathConfigurations(NamedTuple):
-    """Configurations at which the task holds, by their rows, and the targets before and after each."""
+    """Configurations at which the task must be satisfied, with their rows in the motion and adjacent targets."""
 
     rows: Int[np.ndarray, "m"]
     x: Float[np.ndarray, "m N"]
     tcp: Float[np.ndarray, "m 3"]
     before: Int[np.ndarray, "m"]
     to: Int[np.ndarray, "m"]
-    span: Float[np.ndarray, "m 2"]  # shares of the way between them, at which its part of the motion begins and ends
+    span: Float[
+        np.ndarray, "m 2"
+    ]  # begin and end of the curve's piece at each, as shares of the line between both targets
 
 
 def check_timed(
@@ -69,10 +71,10 @@ def check_timed(
         timed: The timed motion.
         method: The plan's method.
         scenario: The plan's scenario.
-        progress: Called with the number of configurations that are done and of all.
+        progress: Function that is called with the number of checked configurations and of all configurations.
 
     Raises:
-        InputError: As `open_plans`.
+        InputError: If the folder contains no plans, or if a file is missing or damaged.
     """
     results = read_results(Path(folder))
     track = next(one for one in results.tracks if (one.method, one.scenario) == (method, scenario))
@@ -87,7 +89,9 @@ def check_timed(
     held = _path_configurations(timed, tcp)
     if holds_tcp(task):
         stays = held.span[:, 0] == held.span[:, 1]
-        shares = np.where(stays, held.span.T, np.array([[0.0], [1.0]]))  # the line is that between the targets
+        shares = np.where(
+            stays, held.span.T, np.array([[0.0], [1.0]])
+        )  # the complete line if the arm does not stay at a point
         line = targets[held.to] - targets[held.before]
         begin, end = (targets[held.before] + share[:, None] * line for share in shares)
         off[held.rows] = from_line(held.tcp, begin, end)
@@ -105,7 +109,7 @@ def check_timed(
 
 
 def _path_configurations(timed: TimedMotion, tcp: np.ndarray) -> _PathConfigurations:
-    """Configurations on the path. During a dwell the arm stays at its target."""
+    """Return the configurations on the path; during a dwell the span is 0 to 0, as the arm stays at its target."""
     rows = np.flatnonzero(np.isin(timed.kind, (Kind.PROCESS, Kind.DWELL)))
     dwells = timed.kind[rows] == Kind.DWELL
     to = timed.target[rows] + dwells
@@ -115,10 +119,10 @@ def _path_configurations(timed: TimedMotion, tcp: np.ndarray) -> _PathConfigurat
 
 
 def _turns_back(held: _PathConfigurations, line: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
-    """True if the TCP has moved backwards along its line since the previous configuration.
+    """Return a mask, True where the TCP has moved backwards along the path since the previous configuration.
 
-    It may pass a corner between the two, so it must move backwards along the previous configuration's line, too. A line
-    of no length allows any motion.
+    As the TCP may have passed a corner, it must have moved backwards along the lines of both configurations. If a line
+    has length 0, any motion is allowed.
     """
     length = np.linalg.norm(line, axis=1, keepdims=True)
     forwards = line / np.maximum(length, ONE_POINT_M)
@@ -135,12 +139,12 @@ def _measure(
     contact_m: float | None,
     progress: Callable[[int, int], None],
 ) -> tuple[np.ndarray, ...]:
-    """Measure configurations: the clearance [m], the TCP, and True if the bare tip passes through a wall.
+    """Return each configuration's clearance [m] and TCP, and a mask, True if the bare tip passes through the wall.
 
-    A clearance above 0 and above the minimum so far may be inf if it was not measured.
+    A clearance is inf if it is known to be above 0 and above the minimum so far.
     """
     clearance, tcp, through = np.full(len(x), np.inf), np.empty((len(x), 3)), np.zeros(len(x), bool)
-    rows = np.unique(np.append(np.arange(0, len(x), EVERY), len(x) - 1))  # that are measured
+    rows = np.unique(np.append(np.arange(0, len(x), EVERY), len(x) - 1))  # rows of the measured configurations
     for first in range(0, max(1, len(rows) - 1), AT_ONCE):
         own = rows[first : first + AT_ONCE + 1]
         known = scene.at(x[own], required)

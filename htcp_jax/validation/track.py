@@ -1,5 +1,6 @@
-"""Check of one method's results for one scenario: at the targets, and along the joint paths between them."""
+"""Check of a track, one method's results for one scenario: at its targets, and along the joint paths between them."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,69 +24,81 @@ from htcp_jax.validation.task_check import (
     path_follower,
 )
 
+SAMPLES = 2000  # number of samples on joint paths that are checked together
+
 
 class JointPaths(NamedTuple):
-    """The m straight joint paths that segments consist of."""
+    """The m straight joint paths that form the segments of a track."""
 
-    target: Int[np.ndarray, "m"]  # at the end of the segment
-    row: Int[np.ndarray, "m"]  # of the measured configurations, at the start of the segment
+    target: Int[np.ndarray, "m"]  # target at the end of the segment
+    row: Int[np.ndarray, "m"]  # row of the measured configuration at the start of the segment
     a: Float[np.ndarray, "m N"]
     b: Float[np.ndarray, "m N"]
-    line_a: Float[np.ndarray, "m 3"]  # the line that the TCP follows, or the point where it stays
+    line_a: Float[np.ndarray, "m 3"]  # start of the line that the TCP must follow; in a dwell it is equal to the end
     line_b: Float[np.ndarray, "m 3"]
-    span: Float[np.ndarray, "m 2"]  # shares of the way from the target before at both ends
+    span: Float[np.ndarray, "m 2"]  # both ends of the joint path, as shares of the line from the previous target
 
 
 class TrackCheck(NamedTuple):
-    """Results at the n tracked targets with a configuration, and along the m joint paths to them."""
+    """Results of a track at its n tracked targets with a saved configuration, and along the m joint paths to them."""
 
     method: str
     scenario: int
-    tracked: int  # targets saved as tracked
-    blocked: int  # joint paths to them saved as blocked
+    tracked: int  # number of targets saved as tracked
+    blocked: int  # number of joint paths to tracked targets that are saved as blocked
     target: Int[np.ndarray, "n"]
     tcp_error: Float[np.ndarray, "n"]
     clearance: Float[np.ndarray, "n"]
-    less_cover: Float[np.ndarray, "n"] | None  # clearance to the planner's points on a mesh [m]; None for a cloud
+    less_cover: Float[np.ndarray, "n"] | None  # clearance minus the mesh's covering radius [m]; None for a cloud
     clearance_off: Float[np.ndarray, "n"]
     tcp_off: Float[np.ndarray, "n"]
     target_off: Float[np.ndarray, "n"]
     refuted: list[Refutation]
-    leads_to: Int[np.ndarray, "m"]  # target
+    leads_to: Int[np.ndarray, "m"]  # target at the end of the segment
     touches: Bool[np.ndarray, "m"] | None
-    clearance_between: Float[np.ndarray, "m"] | None  # minimum on the path; inf if larger than at all targets
+    clearance_between: (
+        Float[np.ndarray, "m"] | None
+    )  # minimum on each joint path [m]; inf if it is larger than at all targets
     deviation: Float[np.ndarray, "m"] | None
-    speed: Float[np.ndarray, "m N"]  # ratio to the limit at a feed rate of 1 m/s; 0 where the targets coincide
-    in_place: Float[np.ndarray, "m"]  # largest joint change where the targets coincide [rad or m]
+    speed: Float[np.ndarray, "m N"]  # joint speed / limit at a feed rate of 1 m/s; 0 if targets coincide
+    in_place: Float[np.ndarray, "m"]  # largest joint change if targets coincide [rad or m]
     on_path: Int[np.ndarray, "k"]  # those of the targets that are on the path
-    rows: list[RowCheck]  # rows of the task at these; none if the job has no task
+    rows: list[RowCheck]  # checks of the task's rows at the targets `on_path`; empty if the job has no task
 
 
 def check(
-    results: Results, arm: MujocoArm, wall: Wall, surroundings: MujocoCell | None, track: Track, between: int
+    results: Results,
+    arm: MujocoArm,
+    wall: Wall,
+    surroundings: MujocoCell | None,
+    track: Track,
+    between: int,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> TrackCheck:
-    """Check one track.
+    """Return the check of a track at its targets and along its joint paths.
 
     Args:
         results: The results to which the track belongs.
         arm: The arm, with the track's tool.
         wall: The workpiece.
-        surroundings: The other obstacles; None if there are none.
+        surroundings: Obstacles other than the workpiece; None if there are none.
         track: The track.
-        between: Minimum number of steps per joint path; 0 to skip joint paths.
+        between: Minimum number of steps per joint path; 0: joint paths are not checked.
+        progress: Function that is called with the share of the samples on joint paths that is checked, below 1.
 
     Raises:
-        InputError: If the configuration results in another number of targets than the saved one.
+        InputError: If the number of saved targets differs from the configuration's.
     """
     scene, targets, on_path = scene_of(results, arm, wall, surroundings, track)
     task, settings = track.config.task, track.config.settings
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
     rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
-    at = scene.at(rows, _required(track, t))
+    mesh, hulls = wall.triangles is not None, any(arm.hulls)
+    cover_m = results.workpiece(track.config).cover_m if mesh else 0.0
+    at = scene.at(rows, _required(track, t), cover_m)
     reached = path_follower(task, arm, track.x[t]) if task else at.arm_poses.tcp[1:]
     more = at.clearance[1:] - track.clearance[t]
-    mesh, hulls = wall.triangles is not None, any(arm.hulls)
-    # The saved clearance may be less, by the cover, or because the distance of hulls is only a bound.
+    # A saved clearance may be smaller by the covering radius, or because it is a lower bound.
     bound = mesh or hulls or (surroundings is not None and surroundings.bound)
     found = {
         "tcp_error": np.linalg.norm(reached - targets[t], axis=1) if follows_all(task) else np.zeros(len(t)),
@@ -102,8 +115,8 @@ def check(
     moved, line = np.abs(paths.b - paths.a), paths.line_b - paths.line_a
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
     if track.config.home_rad is not None:
-        in_place[paths.target == 0] = 0.0  # the motion to it begins at home
-    between_rows = _check_paths(scene, at, paths, between, on_path)
+        in_place[paths.target == 0] = 0.0  # the motion to the first target begins at home
+    between_rows = _check_paths(scene, at, paths, between, on_path, progress)
     refuted = _refuted(
         arm, track, t, tolerance, ROUNDING_M if bound and not hulls else RECORD_M, {**found, "through": through}
     )
@@ -120,7 +133,7 @@ def check(
         blocked=int((track.tracked & track.blocked).sum()),
         target=t,
         **found,
-        less_cover=at.less_cover(results.workpiece(track.config).cover_m)[1:] if mesh else None,
+        less_cover=at.less_cover(cover_m)[1:] if mesh else None,
         refuted=refuted,
         leads_to=paths.target,
         **between_rows,
@@ -132,20 +145,20 @@ def check(
 
 
 def required_m(track: Track) -> float:
-    """Smallest saved clearance of a track [m], at least 0."""
+    """Return the smallest saved clearance of a track [m], at least 0."""
     saved = track.clearance[np.isfinite(track.clearance)]
     return max(0.0, float(saved.min()) - ROUNDING_M) if len(saved) else 0.0
 
 
 def _required(track: Track, t: np.ndarray) -> np.ndarray:
-    """Saved clearances at the start, where it is the smallest one of the track, and at targets t [m], at least 0."""
+    """Return the saved clearances at targets t, preceded by the smallest one (for the start), each at least 0 [m]."""
     return np.append(required_m(track), np.maximum(0.0, np.nan_to_num(track.clearance[t]) - ROUNDING_M))
 
 
 def scene_of(
     results: Results, arm: MujocoArm, wall: Wall, surroundings: MujocoCell | None, track: Track
 ) -> tuple[CheckedScene, Float[np.ndarray, "T 3"], int]:
-    """Build the scene of a track.
+    """Return a track's arm in its surroundings, and its targets.
 
     Args:
         results: The results to which the track belongs.
@@ -155,10 +168,10 @@ def scene_of(
         track: The track.
 
     Returns:
-        The arm next to the wall, the targets [m], and the index of the path's first point among them.
+        The scene, the targets, world [m], and the index of the path's first point among them.
 
     Raises:
-        InputError: If the configuration results in another number of targets than the saved one.
+        InputError: If the number of saved targets differs from the configuration's.
     """
     part, pose, workpiece = track.config.workpiece, parameters.of_job(track.config), results.workpiece(track.config)
     rotate, translate = part_pose(part, pose)
@@ -172,7 +185,7 @@ def scene_of(
             f"{len(targets)} by its configuration"
         )
     on_path = len(targets) - len(path)
-    if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach deviates from its lines
+    if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach deviates from straight lines
         targets[1:on_path] = path[0]
     others = () if surroundings is None else (surroundings.distances, surroundings.carried, surroundings.by_hulls)
     own = arm.beside_workpiece()
@@ -194,9 +207,9 @@ def _refuted(
 def _check_task_rows(
     results: Results, arm: MujocoArm, track: Track, scene: CheckedScene, t: np.ndarray, on_path: int
 ) -> list[RowCheck]:
-    """Check the rows of the task at targets t of the path; an empty list without a task.
+    """Return the checks of the task's rows at targets t of the path; empty if the job has no task.
 
-    Without a task the only row is the TCP on the path, which is checked elsewhere.
+    Without a task, the only requirement is the TCP's position, which `check` tests.
     """
     task, settings = track.config.task, track.config.settings
     place = RowPlace(scene.rotate, scene.translate, results.workpiece(track.config), t - on_path)
@@ -204,7 +217,7 @@ def _check_task_rows(
 
 
 def _refuted_rows(track: Track, rows: list[RowCheck], t: np.ndarray) -> list[Refutation]:
-    """Targets t at which a row of the task does not hold."""
+    """Return a refutation for each target in t at which a row of the task is violated."""
     found = []
     for k, target in enumerate(t.tolist()):
         reasons = [reason for number, one in enumerate(rows, 1) if (reason := one.reason(number, k)) is not None]
@@ -216,7 +229,7 @@ def _refuted_rows(track: Track, rows: list[RowCheck], t: np.ndarray) -> list[Ref
 def _refuted_between(
     results: Results, arm: MujocoArm, track: Track, scene: CheckedScene, paths: JointPaths, between: int, on_path: int
 ) -> list[Refutation]:
-    """Segments along the path that are saved as proven, and on which a row of the task does not hold."""
+    """Return a refutation for each proven segment along the path on which a row of the task is violated."""
     task, own = track.config.task, np.flatnonzero(track.proven[paths.target] & (paths.target > on_path))
     if not task or between < 2 or not len(own):
         return []
@@ -231,20 +244,20 @@ def _refuted_between(
     found = []
     for target in np.unique(paths.target[path[~good.all(axis=0)]]).tolist():
         number = int(np.argmin(good[:, paths.target[path] == target].all(axis=1)))
-        reason = f"the segment is recorded as valid, and task.{number + 1} ({task[number]}) does not hold on it"
+        reason = f"the segment is recorded as valid, but violates task.{number + 1} ({task[number]})"
         found.append(Refutation(track.method, track.scenario, target, reason))
     return found
 
 
 def _absolute_difference(difference: np.ndarray) -> np.ndarray:
-    """Absolute difference; infinity if the saved value is missing."""
+    """Return the absolute value of differences; inf for a NaN, which is a missing saved value."""
     return np.where(np.isnan(difference), np.inf, np.abs(difference))
 
 
 def _failure_reasons(
     arm: MujocoArm, tolerance_m: float, record_m: float, x: np.ndarray, recorded: float, found: dict[str, float]
 ) -> list[str]:
-    """Sentences on why a configuration fails."""
+    """Return the reasons why a configuration fails, as sentences."""
     reasons = []
     if found["tcp_error"] > tolerance_m + ROUNDING_M:
         reasons.append(f"the TCP is {1e3 * found['tcp_error']:.3f} mm from its target")
@@ -253,22 +266,24 @@ def _failure_reasons(
     beyond = (x < arm.lower - ROUNDING_M) | (x > arm.upper + ROUNDING_M)
     reasons += [f"{arm.joints[j]} is outside its limits at {x[j]:.6g}" for j in np.flatnonzero(beyond)]
     if found["through"]:
-        reasons.append("the tool's tip goes through the wall")
+        reasons.append("the tool's tip passes through the wall")
     if found["clearance_off"] > record_m:
         reasons.append(f"its clearance is {1e3 * found['clearance']:.3f} mm, {1e3 * recorded:.3f} mm was saved")
     for name in ("tcp", "target"):
         if found[f"{name}_off"] > RECORD_M:
-            reasons.append(f"the saved {name} is {1e3 * found[f'{name}_off']:.3f} mm off")
+            reasons.append(f"the saved {name} is wrong by {1e3 * found[f'{name}_off']:.3f} mm")
     return reasons
 
 
 def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -> JointPaths:
-    """Joint paths to those of the targets t whose previous target is tracked, too, or is the start."""
+    """Return the joint paths to those of the targets t whose previous target, or the start, has a configuration."""
     parts = []
     for k in np.flatnonzero(t == np.concatenate([[-1], t[:-1]])[: len(t)] + 1).tolist():
         x = np.concatenate([rows[k][None], track.via_points[t[k]], rows[k + 1][None]])
         count, to, before = len(x) - 1, targets[t[k]], targets[max(t[k] - 1, 0)]
-        share = np.concatenate([[0.0], track.via_shares[t[k]], [1.0]])  # equal ones: it changes its configuration there
+        share = np.concatenate(
+            [[0.0], track.via_shares[t[k]], [1.0]]
+        )  # equal shares: the arm changes its configuration
         line = before + share[:, None] * (to - before)
         line[-1] = to
         span = np.stack([share[:-1], share[1:]], axis=1)
@@ -280,7 +295,7 @@ def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -
 
 
 def _refuted_segments(track: Track, paths: JointPaths, found: dict[str, Any]) -> list[Refutation]:
-    """Segments that are saved as proven motions and fail."""
+    """Return a refutation for each segment that is saved as a proven motion, but collides or leaves the path."""
     if found["touches"] is None:
         return []
     proven, reasons = track.proven[paths.target], {}
@@ -290,12 +305,12 @@ def _refuted_segments(track: Track, paths: JointPaths, found: dict[str, Any]) ->
         reasons.setdefault(int(paths.target[k]), "the segment is recorded as valid, but collides")
     for k in np.flatnonzero(away).tolist():
         off = f"{1e3 * found['deviation'][k]:.3f} mm"
-        reasons.setdefault(int(paths.target[k]), f"the segment is recorded as valid, and leaves its path by {off}")
+        reasons.setdefault(int(paths.target[k]), f"the segment is recorded as valid, but leaves its path by {off}")
     return [Refutation(track.method, track.scenario, target, reasons[target]) for target in sorted(reasons)]
 
 
 def _refuted_joint_steps(arm: MujocoArm, track: Track, paths: JointPaths, on_path: int) -> list[Refutation]:
-    """Segments along the path on which a joint travels farther than the job allows, via points included."""
+    """Return a refutation for each segment along the path on which a joint travels farther than the job allows."""
     if (most := track.config.settings.max_joint_step_rad) is None:
         return []
     travel = np.zeros(track.x.shape)
@@ -311,19 +326,26 @@ def _refuted_joint_steps(arm: MujocoArm, track: Track, paths: JointPaths, on_pat
 
 
 def _check_paths(
-    scene: CheckedScene, at: TargetClearances, paths: JointPaths, between: int, on_path: int
+    scene: CheckedScene,
+    at: TargetClearances,
+    paths: JointPaths,
+    between: int,
+    on_path: int,
+    progress: Callable[[float], None],
 ) -> dict[str, Any]:
-    """Check the joint paths: collisions, minimum clearance where it is less than at all targets, and path deviation.
+    """Return collision, minimum clearance and path deviation of each joint path, as fields of `TrackCheck`.
 
-    The deviation is the TCP's distance from its line; it is 0 up to the path's first point, `on_path`, as the approach
-    may deviate.
+    A clearance is inf if it is larger than at all targets. The path deviation is the TCP's distance from its line; it
+    is 0 up to the path's first point, target `on_path`, because the approach may deviate.
     """
     if not between:
         return dict.fromkeys(("touches", "clearance_between", "deviation"))
     count = len(paths.target)
     least, deviation = np.full(count, np.inf), np.zeros(count)
-    path, x = samples_between(paths.a, paths.b, between)
-    if len(path):
+    every_path, every_x = samples_between(paths.a, paths.b, between)
+    for first in range(0, len(every_path), SAMPLES):
+        progress(first / len(every_path))
+        path, x = every_path[first : first + SAMPLES], every_x[first : first + SAMPLES]
         arm_poses, clearance = scene.between(x, paths.row[path], at, max(0.0, float(at.clearance.min())))
         np.minimum.at(least, path, clearance)
         off = np.where(
@@ -336,15 +358,15 @@ def _check_paths(
 def samples_between(
     a: Float[np.ndarray, "m N"], b: Float[np.ndarray, "m N"], between: int
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n N"]]:
-    """Sample straight joint paths between their ends; no joint moves by more than STEP_RAD per step.
+    """Return samples inside straight joint paths; no joint moves by more than STEP_RAD per step.
 
     Args:
         a: Starts of the paths [rad or m].
         b: Ends of the paths [rad or m].
-        between: Minimum number of steps of a path that moves.
+        between: Minimum number of steps on a path with different ends.
 
     Returns:
-        The path and the configuration of every sample.
+        For every sample, the index of its path, and its configuration.
     """
     move = b - a
     furthest = abs(move).max(axis=1, initial=0.0)
@@ -354,7 +376,7 @@ def samples_between(
 
 
 def _sampled_fractions(steps: Int[np.ndarray, "m"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Path number and fraction of each point between two steps, for paths of `steps` steps each."""
+    """Return path and fraction (0 to 1) of each point between two steps, for paths with `steps` steps."""
     path = np.repeat(np.arange(len(steps)), steps - 1)
     before = np.cumsum(steps - 1) - (steps - 1)
     return path, (np.arange(len(path)) - before[path] + 1) / steps[path]
@@ -363,7 +385,7 @@ def _sampled_fractions(steps: Int[np.ndarray, "m"]) -> tuple[Int[np.ndarray, "n"
 def from_line(
     points: Float[np.ndarray, "n 3"], a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n"]:
-    """Distance of each point to its straight line from a to b [m].
+    """Return the distance of each point from its line segment a b [m].
 
     Args:
         points: The points [m].
@@ -377,9 +399,16 @@ def from_line(
 
 
 def _speed(arm: MujocoArm, moved: np.ndarray, length: np.ndarray, tolerance_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute `speed` and `in_place` of `TrackCheck`, for joint changes (m, N) along lines of these lengths.
+    """Return the fields `speed` and `in_place` of `TrackCheck`.
 
-    Targets closer than the tolerance coincide; at the feed rate there is no time for a change of configuration there.
+    Targets closer than the tolerance count as coincident, as the feed rate leaves no time for joint motion between
+    them.
+
+    Args:
+        arm: The arm.
+        moved: Joint changes (m, N) [rad or m].
+        length: Lengths of the TCP's lines (m,) [m].
+        tolerance_m: Tolerance of the TCP's position [m].
     """
     apart = length > tolerance_m
     speed = np.divide(moved / arm.speed, length[:, None], out=np.zeros(moved.shape), where=apart[:, None])

@@ -1,14 +1,15 @@
-"""Independent validation of results by MuJoCo's kinematics and distances, without the planner's code.
+"""Independent validation of results, by MuJoCo's kinematics and distances and without the planner's code.
 
-    found = validate("out/workpiece")
+    found = validate_results("out/workpiece")
     found.validated                       # True if every tracked configuration is confirmed
     found.methods["hybrid"].clearance_min_mm
 
-At the targets every tracked configuration must be at its target, be collision-free, keep the joint limits, and have the
-saved clearance, TCP and target; otherwise it is refuted. The clearance to a mesh is to its triangles, and the saved one
-must be a lower bound on it; if the job requires it, the tool's bare tip must not pass through them. Between the targets
-the straight joint path is checked in small steps. A collision, a TCP away from its line or a violated row of the task
-refutes a target only if the segment to it is saved as proven. Otherwise it is counted and saved.
+Every tracked configuration must be at its target, collision-free and within the joint limits, and the saved clearance,
+TCP and target must be correct; otherwise the target is refuted. Clearance from a mesh is measured to its triangles;
+the saved clearance must be a lower bound on it. If the job requires it, the tool's bare tip must not pass through the
+triangles. Between targets, the straight joint paths are checked in small steps. A collision, a path deviation or a
+violated row of the task on a joint path refutes the target at its end if the segment is saved as proven. Other
+collisions are only counted.
 """
 
 import time
@@ -23,6 +24,7 @@ import scipy
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import files
+from htcp_jax.io.robots import model_source
 from htcp_jax.jobs import build, config
 from htcp_jax.runs import plan_folder
 from htcp_jax.validation.mujoco_arm import MujocoArm
@@ -33,7 +35,7 @@ from htcp_jax.validation.result import MethodCheck, RowDeviation, TargetPlace, V
 from htcp_jax.validation.scene_rules import Results, Track
 from htcp_jax.validation.track import TrackCheck, check
 
-LISTED = 100  # refuted configurations that are listed one by one
+LISTED = 100  # maximum number of refuted targets in the list
 
 
 def validate_results(
@@ -41,19 +43,20 @@ def validate_results(
     *,
     between: int = 20,
     feed_mm_s: float = 10.0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[float, int], None] | None = None,
 ) -> Validation:
-    """Check the run or the plan in `folder`.
+    """Validate the results in the folder of a run or a plan.
 
     Args:
         folder: The folder of the run or the plan.
-        between: Minimum number of steps of each joint path, more if a joint would turn by more than `STEP_RAD` in one;
-            0 to check the targets only.
-        feed_mm_s: Speed of the TCP along the straight lines between the targets.
-        progress: Called with the number of checked tracks and of all.
+        between: Minimum number of steps per joint path; a longer path has more, so that no joint moves by more than
+            `STEP_RAD` per step. 0: only the targets are checked.
+        feed_mm_s: Feed rate of the TCP on the path [mm/s], for the joint speeds.
+        progress: Function that is called with the number of checked tracks and of all tracks. The current one counts as
+            the share of its samples that are checked.
 
     Raises:
-        InputError: For a folder without results, for damaged ones, and for numbers out of range.
+        InputError: If the folder contains no results, if results are damaged, or if an argument is out of range.
     """
     if between < 0:
         raise InputError(f"between is {between}; it must be 0 or more")
@@ -61,16 +64,17 @@ def validate_results(
         raise InputError(f"the feed rate is {feed_mm_s:g} mm/s; it must be positive")
     began = time.perf_counter()
     results = read_results(Path(folder))
-    arms: dict[config.RobotConfig, MujocoArm] = {}
+    arms: dict[tuple, MujocoArm] = {}
     walls: dict[tuple, Wall] = {}
     surroundings_by_arm: dict[tuple, MujocoCell] = {}
-    checked = []
+    checked, report = [], progress or (lambda checked, count: None)
     for track in results.tracks:
         arm, wall = _arm_with_tool(arms, results, track), _wall(walls, results, track)
         surroundings = _cell_of_track(surroundings_by_arm, arms, track)
-        checked.append(check(results, arm, wall, surroundings, track, between))
-        if progress is not None:
-            progress(len(checked), results.count)
+        done = len(checked)
+        given = results, arm, wall, surroundings, track, between
+        checked.append(check(*given, lambda share, done=done: report(done + share, results.count)))
+        report(len(checked), results.count)
     joints = next(iter(arms.values())).joints
     methods = {
         name: _sum_up([one for one in checked if one.method == name], joints, feed_mm_s)
@@ -85,7 +89,7 @@ def validate_results(
 
 
 def validation_record(found: Validation) -> dict[str, Any]:
-    """Return a validation as a mapping for JSON."""
+    """Return a validation as a mapping, the contents of validation.json."""
     refuted = [one._asdict() for one in found.refuted[:LISTED]]
     versions = {"mujoco": mujoco.__version__, "scipy": scipy.__version__, "numpy": np.__version__}
     return {
@@ -101,10 +105,9 @@ def validation_record(found: Validation) -> dict[str, Any]:
 
 
 def write_validation(folder: Path, found: Validation) -> None:
-    """Write validation.json and, in the folder of a plan, "validated" in summary.json, atomically.
+    """Write validation.json, and in a plan's folder the value "validated" in summary.json, atomically.
 
-    A stronger validation of the same results is kept, with a warning: one with more points between the targets, at any
-    feed rate.
+    An existing validation of the same results with more samples between the targets is kept, with a warning.
 
     Raises:
         InputError: If the folder cannot be written.
@@ -112,8 +115,8 @@ def write_validation(folder: Path, found: Validation) -> None:
     recorded = validation_record(found)
     if _is_stronger(folder / plan_folder.VALIDATION, recorded):
         warnings.warn(
-            f"{folder / plan_folder.VALIDATION} is kept: it validates the same results with more samples than "
-            f"--between {found.between} does",
+            f"{folder / plan_folder.VALIDATION} is not overwritten: it validates the same results with more samples "
+            f"than --between {found.between}",
             stacklevel=2,
         )
     else:
@@ -124,20 +127,20 @@ def write_validation(folder: Path, found: Validation) -> None:
 
 
 def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
-    """True if the validation in `file` is of the same results, with more points between the targets.
+    """Return True if `file` contains a validation of the same results with more samples between the targets.
 
-    It must have the same verdict and at least the keys of `recorded`.
+    It must also have the same verdict and at least the keys of `recorded`, the new validation.
     """
     try:
         known = files.read_json(file, file.parent)
         same = all(known[key] == recorded[key] for key in ("files", "validated"))
         return same and known["between"] > recorded["between"] and _record_keys(known) >= _record_keys(recorded)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        return False  # there is none, or it is damaged
+        return False  # the file is missing or damaged
 
 
 def _record_keys(recorded: dict[str, Any]) -> set[str]:
-    """Keys of a validation, including its methods'; later versions may have more."""
+    """Return the keys of a validation and of its methods, which depend on the version that wrote it."""
     return {*recorded, *(f"{method}.{key}" for method, check in recorded["methods"].items() for key in check)}
 
 
@@ -145,63 +148,72 @@ def parts_of(results: Results, track: Track) -> tuple[MujocoArm, Wall, MujocoCel
     """Load the arm, the workpiece and the other obstacles of a track.
 
     Raises:
-        InputError: For a model that cannot be read.
+        InputError: If a model cannot be read.
     """
-    arms: dict[config.RobotConfig, MujocoArm] = {}
+    arms: dict[tuple, MujocoArm] = {}
     return _arm_with_tool(arms, results, track), _wall({}, results, track), _cell_of_track({}, arms, track)
 
 
-def _arm_with_tool(arms: dict[config.RobotConfig, MujocoArm], results: Results, track: Track) -> MujocoArm:
-    """The arm with the track's tool. Raises InputError if its number of joints differs from the saved one."""
-    arm = _compiled(arms, track.config.robot)
+def _arm_with_tool(arms: dict[tuple, MujocoArm], results: Results, track: Track) -> MujocoArm:
+    """Return the arm with the track's tool.
+
+    Raises:
+        InputError: If the arm's number of joints differs from the saved plan's.
+    """
+    arm = _compiled(arms, track.config)
     if len(arm.joints) != track.x.shape[1]:
-        raise InputError(f"{results.folder}: {track.x.shape[1]} joints are saved, the model has {len(arm.joints)}")
+        raise InputError(
+            f"{results.folder}: the saved plan has {track.x.shape[1]} joints, but the model has {len(arm.joints)}"
+        )
     return arm
 
 
-def _compiled(arms: dict[config.RobotConfig, MujocoArm], robot: config.RobotConfig) -> MujocoArm:
-    """An arm; each is compiled once."""
-    if robot not in arms:
-        arms[robot] = MujocoArm(
-            robot.file,
+def _compiled(arms: dict[tuple, MujocoArm], job: config.PlanConfig) -> MujocoArm:
+    """Return the arm of a job, or of its cell; each arm is compiled once."""
+    robot, tree = job.robot, job.tree
+    if (robot, tree) not in arms:
+        source = tree or robot.file
+        arms[robot, tree] = MujocoArm(
+            source,
             robot.tool_extension_m,
             robot.limits,
-            tcp="tcp" if robot.tcp is None else robot.tcp,
-            base_m=robot.base_m,
-            base_rpy_rad=robot.base_rpy_rad,
+            tcp=robot.tcp or model_source.default_tcp(source),
+            **({} if tree else {"base_m": robot.base_m, "base_rpy_rad": robot.base_rpy_rad}),
             tool=robot.tool,
             locked=dict(robot.locked),
             pieces=robot.bodies != "capsules",
         )
-    return arms[robot]
+    return arms[robot, tree]
 
 
 def _cell_of_track(
-    surroundings_by_arm: dict[tuple, MujocoCell], arms: dict[config.RobotConfig, MujocoArm], track: Track
+    surroundings_by_arm: dict[tuple, MujocoCell], arms: dict[tuple, MujocoArm], track: Track
 ) -> MujocoCell | None:
-    """Obstacles of the track's arm other than the workpiece; None if there are none."""
-    robot, cell = track.config.robot, track.config.cell
+    """Return the obstacles of a track other than the workpiece; None if there are none."""
+    job, cell = track.config, track.config.cell
     if not (cell.self_collision or cell.model or cell.clouds or cell.obstacles):
         return None
-    if (robot, cell) not in surroundings_by_arm:
-        plain = _compiled(arms, robot.model_copy(update={"tool_extension_m": 0.0}))
-        surroundings_by_arm[robot, cell] = MujocoCell(cell, _compiled(arms, robot), plain)
-    return surroundings_by_arm[robot, cell]
+    key = job.robot, job.tree, cell
+    if key not in surroundings_by_arm:
+        bare = job.robot.model_copy(update={"tool_extension_m": 0.0})
+        plain = _compiled(arms, job.model_copy(update={"robot": bare}))
+        surroundings_by_arm[key] = MujocoCell(cell, _compiled(arms, job), plain)
+    return surroundings_by_arm[key]
 
 
 def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
-    """The track's workpiece; each is loaded once, also for several paths along it."""
+    """Return the wall of a track's workpiece; each is loaded once, even if there are several paths on it."""
     key = (
         build.walls_key(build.workpiece_key(track.config)),
         build.robot_key(track.config),
-    )  # the points on a mesh are as close as the arm needs
+    )  # the density of points on a mesh depends on the arm
     if key not in walls:
         walls[key] = wall_of(track.config.workpiece, results.workpiece(track.config))
     return walls[key]
 
 
 def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: float) -> MethodCheck:
-    """Combine one method's tracks."""
+    """Return a method's results, combined from its tracks."""
     targets = [(one.scenario, target) for one in checked for target in one.target.tolist()]
     paths = [(one.scenario, target) for one in checked for target in one.leads_to.tolist()]
     checked_between = checked[0].touches is not None
@@ -248,7 +260,7 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
 
 
 def _row_deviations(checked: Sequence[TrackCheck]) -> tuple[RowDeviation, ...]:
-    """Every row of the task where it deviates by the largest share of its tolerance."""
+    """Return the deviation with the largest ratio to its tolerance, for every row of the task."""
     found = [
         [_row_deviation(one, number) for number, row in enumerate(one.rows) if not row.unchecked]
         for one in checked
@@ -258,15 +270,15 @@ def _row_deviations(checked: Sequence[TrackCheck]) -> tuple[RowDeviation, ...]:
 
 
 def _unchecked(checked: Sequence[TrackCheck], surroundings_by_arm: Iterable[MujocoCell]) -> tuple[str, ...]:
-    """Sentences on obstacles without shapes, and on rows without a check of their own."""
+    """Return sentences on obstacles without shapes, and on rows without an independent check."""
     obstacles = sorted({name for surroundings in surroundings_by_arm for name in surroundings.unmeasured})
     lines = [f"The obstacle {name!r} is not measured: it has no shapes for MuJoCo." for name in obstacles]
     rows = {f"task.{k} ({row.row})" for one in checked for k, row in enumerate(one.rows, 1) if row.unchecked}
-    return *lines, *(f"The row {row} is not validated: its kind has no deviation." for row in sorted(rows))
+    return *lines, *(f"The row {row} is not validated: its kind defines no method deviation." for row in sorted(rows))
 
 
 def _row_deviation(one: TrackCheck, number: int) -> RowDeviation:
-    """Largest deviation from a row of one track."""
+    """Return the largest deviation from a row of the task in one track."""
     row = one.rows[number]
     k = int(np.argmax(row.off))
     at = one.scenario, int(one.on_path[k])
@@ -278,7 +290,13 @@ def _row_deviation(one: TrackCheck, number: int) -> RowDeviation:
 def _worst(
     which: Callable, values: np.ndarray, places: Sequence[TargetPlace]
 ) -> tuple[float | None, TargetPlace | None]:
-    """The worst of values [m] in mm, and its place; `which` is argmin or argmax."""
+    """Return the worst value, converted from m to mm, and its place; None and None without values.
+
+    Args:
+        which: Function that returns the index of the worst value: argmin or argmax.
+        values: The values [m].
+        places: The place of each value.
+    """
     if not values.size:
         return None, None
     at = int(which(values))

@@ -1,13 +1,13 @@
 """Pictures and movies of plans, and the page in the browser.
 
-`draw_plan` and `draw_cell` draw a plan or a workcell as a picture, `draw_arm` an arm alone. `replay` has plans ready to
-be drawn, and `timed_play` plays them by a program's own time. `Studio` makes pictures of one plan from any side, and
-`movie` writes a sequence of them as GIF or movie, with a `plot_strip` of plots below. `offscreen` finds a platform of
-OpenGL that works without a screen. `glyphs` are the normals along the path.
+`draw_plan` draws a plan, `draw_cell` an arm in its workpiece, `draw_arm` an arm alone. `replay` prepares plans for
+display; `timed_play` samples a robot program for playback. `Studio` renders the pictures and movies of one plan,
+`movie` writes a movie as GIF or MP4, and `plot_strip` draws plots below it. `offscreen` finds an OpenGL platform that
+works without a screen. `glyphs` returns lines along the path's normals.
 
-`Viewer` serves the page with timeline and plots, and restricts who may open it.
+`Viewer` serves the browser page with timeline and plots, and protects it from other pages and machines.
 
-MuJoCo, matplotlib and viser are imported by the modules that need them, when they are used.
+MuJoCo, matplotlib and viser are imported when a module that needs them is used.
 """
 
 import lazy_loader

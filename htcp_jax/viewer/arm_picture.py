@@ -2,8 +2,8 @@
 
 Fitted capsules are coloured by their largest distance from the mesh.
 
-The arm's own file is drawn, by MuJoCo's kinematics, in the configuration nearest to zero within its limits. Drawing
-needs no screen.
+The capsules come from the arm's file, placed by MuJoCo's kinematics in the configuration nearest to zero within the
+joint limits. Drawing needs no screen.
 """
 
 import mujoco
@@ -20,18 +20,18 @@ from htcp_jax.io import robots
 from htcp_jax.viewer.colours import DWELL, INK, PAPER, WALL
 from htcp_jax.viewer.picture import stadium
 
-OWN, DRAWN = DWELL, WALL[1]  # capsules of the model, shapes
+OWN, DRAWN = DWELL, WALL[1]  # colours of capsules from the arm's file, and of the shapes that capsules enclose
 EXCESS = colormaps["plasma"]
-SIDES = {"seen along y": [0, 2], "seen against x": [1, 2]}  # axes to the right and up
-AXES, AXIS_M = ("#c0392b", "#27ae60", "#2c5fd1"), 0.1  # x, y, z of the TCP's frame
+SIDES = {"seen along y": [0, 2], "seen against x": [1, 2]}  # indices of the world axes drawn to the right and up
+AXES, AXIS_M = ("#c0392b", "#27ae60", "#2c5fd1"), 0.1  # colours of the TCP frame's axes, and their length
 
 
 def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
-    """Draw an imported arm, in the configuration nearest to zero.
+    """Draw an imported arm in two views, in the configuration nearest to zero.
 
     Args:
-        arm: The imported arm, with the shapes.
-        text: Contents of its MJCF file.
+        arm: The imported arm, with the shapes that its capsules enclose.
+        text: Contents of the arm's MJCF file.
         title: The title of the figure.
 
     Returns:
@@ -44,13 +44,15 @@ def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
     mujoco.mj_kinematics(model, data)
     figure = Figure(figsize=(14, 10), dpi=110, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(title, color=INK, fontsize=15, fontweight="bold", x=0.015, ha="left")
+    figure.get_layout_engine().set(rect=(0, 0, 1, 0.95))
+    figure.suptitle(title, color=INK, fontsize=15, fontweight="bold", x=0.015, y=0.985, ha="left")
     excess = [1e3 * each for cover in arm.covers.values() for each in cover.excesses.values()]
     scale = ScalarMappable(Normalize(0.0, max(excess, default=0.0) or 1.0), EXCESS)
     both = figure.subplots(1, len(SIDES), sharey=True)
     for axes, (heading, flat) in zip(both, SIDES.items(), strict=True):
         _draw_side(axes, arm, model, data, flat, scale)
         axes.set_title(heading, color=INK, fontsize=12, loc="left")
+    both[0].get_gridspec().set_width_ratios([np.ptp(axes.get_xlim()) for axes in both])  # equal scales
     if excess:
         bar = figure.colorbar(scale, ax=both, shrink=0.6, pad=0.01)
         bar.set_label("largest distance of the capsule's surface from its mesh [mm]", color=INK)
@@ -83,7 +85,7 @@ def _draw_side(
         axes.plot(*ends[:, flat].T, color=colour, linewidth=2.5, zorder=5)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    axes.tick_params(colors=INK, labelsize=9)
+    axes.tick_params(colors=INK, labelsize=9, labelleft=True)  # also for the view on the right, which shares this axis
     axes.set_xlabel(f"{'xyz'[flat[0]]} [m]", color=INK)
     axes.set_ylabel(f"{'xyz'[flat[1]]} [m]", color=INK)
     for spine in axes.spines.values():

@@ -1,4 +1,8 @@
-"""Configurations of the arm in the frames of a movie or of the page."""
+"""Poses of the arm for the frames of a movie or the browser page, relative to the world or to the part.
+
+Plans are relative to the root of the kinematic chain. If the part moves, this root is the part's link. `seen` then
+transforms poses to the world, or keeps them relative to the part.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,36 +14,73 @@ from htcp_jax.device import EXECUTABLES
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.pytree import without_labels
 
+AT_REST = np.eye(4)
+
 
 class ArmPose(NamedTuple):
-    """The arm in one frame, the last target it has reached, -1 before the first, and True if it dwells there."""
+    """Arm in one frame of a movie, with the last reached target (-1: none), and True during a dwell."""
 
     arm: kinematics.ArmShape
     target: int
     dwells: bool = False
+    T_root: Float[np.ndarray, "4 4"] = AT_REST  # T_world_root: pose of the part's link if the part moves
+
+
+def seen(pose: ArmPose, from_part: bool) -> ArmPose:
+    """Return a pose for drawing, relative to the world or to the part.
+
+    Args:
+        pose: The pose; the arm is relative to the chain's root.
+        from_part: True to draw a moving part at rest; False to draw the world at rest.
+    """
+    if from_part or pose.T_root is AT_REST:
+        return pose._replace(T_root=AT_REST)
+    return pose._replace(arm=kinematics.ArmShape(*(moved(part, pose.T_root) for part in pose.arm)))
+
+
+def moved(points: Float[np.ndarray, "*n 3"], T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "*n 3"]:
+    """Return the points transformed by the pose T."""
+    return points @ T[:3, :3].T + T[:3, 3]
 
 
 def arm_poses(
     robot: Robot, x: Float[np.ndarray, "n N"], reached: Int[np.ndarray, "n"], dwells: Bool[np.ndarray, "n"]
 ) -> list[ArmPose]:
-    """Frames of the arm at n configurations.
+    """Return the poses of the arm at n configurations.
 
     Args:
         robot: The robot.
         x: The configurations [rad or m].
-        reached: The last target reached at each, -1 before the first.
-        dwells: True if the arm dwells there.
+        reached: The last target reached at each configuration; -1 before the first target.
+        dwells: True for configurations during a dwell.
     """
     arms = (kinematics.ArmShape(*arm) for arm in zip(*arms_at(robot, x), strict=True))
-    return [ArmPose(*frame) for frame in zip(arms, reached.tolist(), dwells.tolist(), strict=True)]
+    return [ArmPose(*frame) for frame in zip(arms, reached.tolist(), dwells.tolist(), roots_at(robot, x), strict=True)]
 
 
 def together(row: Sequence[ArmPose]) -> kinematics.ArmShape:
-    """Stack the arms in n frames."""
+    """Return the arms of n poses, stacked along a first axis."""
     return kinematics.ArmShape(*map(np.stack, zip(*(pose.arm for pose in row), strict=True)))
 
 
+def roots_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> list[Float[np.ndarray, "4 4"]]:
+    """Return T_world_root at n configurations; AT_REST if the part does not move."""
+    if not robot.part_moves:
+        return [AT_REST] * len(x)
+    return list(np.asarray(EXECUTABLES.call(kinematics.root_poses, without_labels(robot), x)))
+
+
 def arms_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> kinematics.ArmShape:
-    """The arm at n configurations."""
+    """Return the arm at n configurations."""
     shape = EXECUTABLES.call(kinematics.capsules_and_tcp, without_labels(robot), x)
     return kinematics.ArmShape(*map(np.asarray, shape))
+
+
+def pieces_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> list[dict[int, tuple[Float[np.ndarray, "_ 3"], float]]]:
+    """Return the convex pieces at n configurations, by capsule: vertices [m] and the radius about them [m]."""
+    if robot.pieces is None:
+        return [{} for _ in x]
+    poses = np.asarray(EXECUTABLES.call(kinematics.body_poses_at, without_labels(robot), x))
+    vertices, radius = np.asarray(robot.pieces.piece.vertices), np.asarray(robot.pieces.piece.radius)
+    checked = np.flatnonzero(np.asarray(robot.pieces.excess_m) > 0).tolist()
+    return [{k: (moved(vertices[k], T[k]), float(radius[k])) for k in checked} for T in poses]

@@ -1,63 +1,98 @@
-"""Camera of a plan: it faces the side that is cut open, as near as possible with everything in view."""
+"""Camera for a plan: it faces the open side of the workpiece, as near as possible with all objects in view."""
 
+import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.model import kinematics
+from htcp_jax.viewer.arm_pose import AT_REST, ArmPose, moved, seen, together
 from htcp_jax.viewer.colours import is_tool
+from htcp_jax.viewer.playback import pose_at
 from htcp_jax.viewer.replay import Replay
-from htcp_jax.viewer.viewpoints import ABOVE_RAD, View, towards_camera
+from htcp_jax.viewer.viewpoints import ABOVE_RAD, View, Viewpoint, towards_camera
 
-FILLED = 0.94  # largest share of the picture that the objects fill
+FILLED = 0.94  # maximum share of the picture's width or height that the objects fill
 
 
 class CameraPose(NamedTuple):
-    """An upright camera; world [m]."""
+    """Position and direction of an upright camera; world [m]."""
 
     eye: Float[np.ndarray, "3"]
-    look_at: Float[np.ndarray, "3"]  # in the middle of the view, at the depth of the objects' centre
+    look_at: Float[np.ndarray, "3"]  # point in the middle of the view, at the objects' mean depth
 
 
-def open_side(replay: Replay) -> View:
-    """Side from which the cloud is cut open."""
-    return replay.side.view
+def open_side(replay: Replay, from_part: bool = True) -> View:
+    """Return the side from which the cloud is cut open.
+
+    Args:
+        replay: The plan.
+        from_part: True for the side relative to the part, False for the side in the world.
+    """
+    return _side(replay, from_part).view
+
+
+def _side(replay: Replay, from_part: bool) -> Viewpoint:
+    return replay.side if from_part else replay.side_in_world
+
+
+def middle_root(replay: Replay, from_part: bool) -> Float[np.ndarray, "4 4"]:
+    """Return T_world_root for drawing the cloud: of the middle tracked target, or the identity relative to the part."""
+    return AT_REST if from_part else replay.T_root[max(replay.tracked, 1) // 2]
+
+
+def lowest(replay: Replay, from_part: bool) -> float:
+    """Return the floor's height [m], below all objects and at most 0."""
+    poses = [seen(pose_at(replay, target), from_part) for target in range(len(replay.target))]
+    arms, cloud = together(poses), moved(replay.cloud, middle_root(replay, from_part))
+    low = (np.minimum(arms.p, arms.q)[..., 2] - np.asarray(replay.robot.capsule_radius)).min()
+    return float(min(0.0, cloud[:, 2].min(), low))
 
 
 def kept_points(
     replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] | None = None
 ) -> Bool[np.ndarray, "P"]:
-    """Mask of the cloud's points that remain after a cut.
+    """Return the mask of the cloud's points that remain after a cut.
 
     Args:
         replay: The plan.
         share: Share of the cloud's extent that is removed.
-        direction: Unit direction from which it is removed; None: from the open side.
+        direction: Unit direction from the cloud's centre to the removed side; None: the open side.
     """
     depth = replay.cloud @ (open_side(replay).near if direction is None else direction)
     return depth <= depth.max() - share * np.ptp(depth)
 
 
 def camera_pose(
-    replay: Replay, arms: kinematics.ArmShape, fovy_rad: float, aspect: float, close: bool = False
+    replay: Replay,
+    poses: Sequence[ArmPose],
+    fovy_rad: float,
+    aspect: float,
+    close: bool = False,
+    from_part: bool = False,
 ) -> CameraPose:
-    """Camera that shows the cloud, the targets and n arms completely.
+    """Return the nearest camera with the cloud, the targets and the arm in n poses completely in view.
 
     Args:
         replay: The plan.
-        arms: The arms.
-        fovy_rad: Vertical field of view.
-        aspect: Width of the picture by its height.
-        close: True to show only the targets of the path, and only the tools of the arms.
+        poses: The poses, relative to the chain's root.
+        fovy_rad: Vertical field of view [rad].
+        aspect: Width / height of the picture.
+        close: True to leave the arm's links and the targets before the path out of account.
+        from_part: True to draw a moving part at rest; False to draw the world at rest.
     """
-    toward = towards_camera(*replay.side, 0.0)
+    poses = [seen(pose, from_part) for pose in poses]
+    arms, toward = together(poses), towards_camera(*_side(replay, from_part), 0.0)
     azimuth = np.arctan2(-toward[1], -toward[0])
     on_tool = is_tool(replay.robot)
     bodies = on_tool if close else np.ones_like(on_tool)
     ends = np.concatenate([arms.p[:, bodies], arms.q[:, bodies]])
     radii = np.broadcast_to(np.asarray(replay.robot.capsule_radius)[bodies], ends.shape[:2])
     points = np.concatenate([replay.cloud, replay.target[replay.path if close else 0 :]])
+    if any(pose.T_root is not AT_REST for pose in poses):  # includes the moving part's bounding box in all poses
+        box = np.array(list(itertools.product(*np.stack([points.min(axis=0), points.max(axis=0)], axis=1))))
+        points = np.concatenate([moved(box, pose.T_root) for pose in poses])
     centres = np.concatenate([points, ends.reshape(-1, 3)])
     return nearest_camera(centres, np.append(np.zeros(len(points)), radii.ravel()), azimuth, fovy_rad, aspect)
 
@@ -65,14 +100,14 @@ def camera_pose(
 def nearest_camera(
     centres: Float[np.ndarray, "n 3"], radii: Float[np.ndarray, "n"], azimuth: float, fovy_rad: float, aspect: float
 ) -> CameraPose:
-    """Nearest camera that shows all spheres.
+    """Return the nearest camera with all spheres completely in view.
 
     Args:
         centres: Centres of the spheres, world [m].
         radii: Radii of the spheres [m].
-        azimuth: Direction of the view about world z [rad]; it is inclined downwards by ABOVE_RAD.
-        fovy_rad: Vertical field of view.
-        aspect: Width of the picture by its height.
+        azimuth: Angle of the viewing direction about world z [rad]; the camera looks downwards by ABOVE_RAD.
+        fovy_rad: Vertical field of view [rad].
+        aspect: Width / height of the picture.
     """
     level = np.cos(ABOVE_RAD)
     ahead = np.array([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(ABOVE_RAD)])
@@ -80,7 +115,7 @@ def nearest_camera(
     up = np.cross(right, ahead)
     across, depth = centres @ np.stack([right, up], axis=1), centres @ ahead
     slope = FILLED * np.tan(fovy_rad / 2) * np.array([aspect, 1.0])
-    # |across - middle| + radius / cos <= (depth - own) slope, to all four sides and with the largest own depth
+    # |across - middle| + radius / cos <= (depth - own) slope, on all four sides; own: the camera's depth, maximised
     reach = radii[:, None] * np.hypot(1, slope) - depth[:, None] * slope
     more, less = (reach + across).max(axis=0), (reach - across).max(axis=0)
     own, middle = -((more + less) / (2 * slope)).max(), (more - less) / 2

@@ -1,4 +1,4 @@
-"""Styles that pictures of a plan share: targets by status, and the colours of the arm, the wall and the curves."""
+"""Styles for pictures of a plan: marker styles by target status, and colours of the arm, the wall and curves."""
 
 from typing import NamedTuple
 
@@ -10,12 +10,12 @@ from htcp_jax.motion import plans
 from htcp_jax.status import Kind, Status
 
 LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"
-NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # minimum clearance, dwells, the displayed target
-WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter with depth
-OUTSIDE = "#a3917a"  # of the wall
-FIXTURE = "#5b7fb4"  # other obstacles
-NORMAL = "#7a4fbf"  # of the path
-QUIET, RULE = "#5d6b77", "#dfe3e6"  # text next to a plot, lines behind it
+NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # colours of the minimum clearance, dwells, the displayed target
+WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # colours of the wall at the cut, halfway, and at the largest depth
+OUTSIDE = "#a3917a"  # colour of the wall's outside
+FIXTURE = "#5b7fb4"  # colour of other obstacles
+NORMAL = "#7a4fbf"  # colour of the path's normals
+QUIET, RULE = "#5d6b77", "#dfe3e6"  # colours of text next to a plot, and of grid lines
 KINDS = {
     Kind.TRANSFER: "#8d99a6",
     Kind.APPROACH: "#b8860b",
@@ -23,21 +23,30 @@ KINDS = {
     Kind.DWELL: DWELL,
     Kind.RETRACT: "#a0569c",
 }
-JOINTS = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#999933", "#332288"  # in order
+JOINTS = (
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#d55e00",
+    "#56b4e9",
+    "#cc79a7",
+    "#999933",
+    "#332288",
+)  # colours in joint order
 
 
 class TargetStyle(NamedTuple):
-    """Targets of one status, distinguished by colour (for colour-blind readers, too) and by marker."""
+    """Marker style of the targets with one status; colours are safe for colour-blind readers."""
 
     name: str
     where: Bool[np.ndarray, "T"]
     colour: str
-    size: float  # [points^2]
+    size: float  # marker area [points^2]
     marker: str
 
 
 def target_styles(status: Int8[np.ndarray, "T"]) -> list[TargetStyle]:
-    """Styles of the targets by status; the failed one last, on top."""
+    """Return a marker style for each status of the targets; the failed target's is last, so it is drawn on top."""
     failed = ~plans.is_tracked(status) & (status != Status.NOT_ATTEMPTED)
     return [
         TargetStyle("not attempted", status == Status.NOT_ATTEMPTED, "#9aa3ab", 10, "o"),
@@ -48,15 +57,15 @@ def target_styles(status: Int8[np.ndarray, "T"]) -> list[TargetStyle]:
 
 
 def is_tool(robot: Robot) -> Bool[np.ndarray, "K"]:
-    """Mask of the tool's capsules."""
+    """Return a mask of the robot's capsules, True for the tool's."""
     return np.asarray(robot.on_tool).any(axis=1)
 
 
 def joint_colour(joint: int) -> str:
-    """Colour of the joint's curve; repeated for an arm with many joints."""
+    """Return the colour of a joint's curve; colours repeat if there are more joints than colours."""
     return JOINTS[joint % len(JOINTS)]
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Convert #rrggbb to three numbers up to 255."""
+    """Return red, green and blue, 0 to 255, of a colour given as "#rrggbb"."""
     return tuple(int(colour[k : k + 2], 16) for k in (1, 3, 5))

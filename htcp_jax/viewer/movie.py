@@ -1,6 +1,6 @@
-"""Writing of movies: a GIF, which needs no extra, or an MP4, which needs the extra `movie`.
+"""Writing of movies as GIF, or as MP4 with the extra `movie`.
 
-A film draws each frame on request, so that a long one needs no memory.
+A `Film` draws each frame on demand, so its memory does not depend on its length.
 """
 
 import subprocess
@@ -13,21 +13,21 @@ from PIL import Image
 
 from htcp_jax.errors import InputError
 
-RATE = 20  # frames a second
+RATE = 20  # frames per second
 LAST_REPEATS = 20  # number of repetitions of the last frame
-COLOURS, PALETTE_FRAMES = 128, 16  # palette of a GIF, and number of frames that it is computed from
+COLOURS, PALETTE_FRAMES = 128, 16  # number of colours in a GIF's palette, and of frames from which it is computed
 KINDS = "gif", "mp4"
 
 Frame = UInt8[np.ndarray, "H W 3"]
 
 
 class Film:
-    """A sequence of frames, each drawn on request.
+    """Sequence of frames, each drawn on demand.
 
     Args:
         count: The number of frames.
-        draw: Draws the k-th frame.
-        last_repeats: The number of repetitions of the last frame.
+        draw: Function that returns the k-th frame.
+        last_repeats: How many more times the last frame is shown.
     """
 
     def __init__(self, count: int, draw: Callable[[int], Frame], last_repeats: int = LAST_REPEATS):
@@ -38,36 +38,36 @@ class Film:
 
     def __getitem__(self, k: int) -> Frame:
         if not 0 <= k < self._count:
-            raise IndexError(f"no frame {k}; there are {self._count}")
+            raise IndexError(f"no frame {k}; valid: 0 to {self._count - 1}")
         return self._draw(k)
 
     def over(self, strip: Callable[[int], Frame]) -> "Film":
-        """Return the film with `strip(k)`, which has the same width, below the k-th frame."""
+        """Return a film with the picture `strip(k)` below the k-th frame; both must have the same width."""
         return Film(self._count, lambda k: np.concatenate([self[k], strip(k)]), self.last_repeats)
 
 
 def check_kind(kind: str) -> None:
-    """Check that movies of a kind can be written.
+    """Check that movies of this kind (`gif` or `mp4`) can be written.
 
     Raises:
-        InputError: For an unknown kind, and for an MP4 if its encoder is missing.
+        InputError: If the kind is unknown, or if the encoder for MP4 is missing.
     """
     if kind not in KINDS:
-        raise InputError(f"a movie is one of {', '.join(KINDS)}, not {kind!r}")
+        raise InputError(f"{kind!r} is not a kind of movie; valid: {', '.join(KINDS)}")
     if kind == "mp4":
         try:
             import imageio_ffmpeg  # noqa: F401
         except ImportError:
-            raise InputError("an MP4 needs imageio-ffmpeg: pip install 'htcp_jax[movie]'; a GIF does not") from None
+            raise InputError("an MP4 needs imageio-ffmpeg: pip install 'htcp_jax[movie]'; or choose gif") from None
 
 
 def write_movie(file: Path, film: Film, reported: Callable[[int, int], None] = lambda done, count: None) -> None:
     """Write a film as a GIF or an MP4.
 
     Args:
-        file: The file; its suffix is the format.
+        file: The file; its suffix determines the format.
         film: The film; width and height of an MP4's frames must be even.
-        reported: Called after each frame with the number of written frames and of all.
+        reported: Function that is called after each frame with the number of written frames and of all frames.
     """
     (_write_gif if file.suffix.lower() == ".gif" else _write_mp4)(file, film, _one_by_one(film, reported))
 
@@ -79,10 +79,10 @@ def _one_by_one(film: Film, reported: Callable[[int, int], None]) -> Iterator[Fr
 
 
 def _write_gif(file: Path, film: Film, frames: Iterator[Frame]) -> None:
-    """Write a GIF whose frames share the palette of a few, so that fixed parts do not flicker.
+    """Write a GIF whose frames share one palette, so that objects at rest do not flicker.
 
-    The last frame alone is not enough, as the tool may hide blue marks in it. An octree keeps the colours of small
-    marks; a median cut would use them for the shades of the arm.
+    The palette is computed from PALETTE_FRAMES frames, because the tool hides marks in single frames. It is an octree:
+    a median cut would lose the colours of small marks.
     """
     few = np.unique(np.linspace(0, len(film) - 1, PALETTE_FRAMES).round().astype(int))
     mosaic = Image.fromarray(np.concatenate([film[k] for k in few.tolist()]))
@@ -93,9 +93,9 @@ def _write_gif(file: Path, film: Film, frames: Iterator[Frame]) -> None:
 
 
 def _write_mp4(file: Path, film: Film, frames: Iterator[Frame]) -> None:
-    """Write an MP4 by imageio-ffmpeg's ffmpeg.
+    """Write an MP4 with the ffmpeg that imageio-ffmpeg contains.
 
-    It is started as a subprocess, as that package forks, which is unsafe with JAX's threads.
+    `subprocess` starts ffmpeg, because imageio-ffmpeg would fork, which is unsafe with JAX's threads.
     """
     from imageio_ffmpeg import get_ffmpeg_exe
 

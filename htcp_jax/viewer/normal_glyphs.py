@@ -1,4 +1,4 @@
-"""Normal glyphs of a path: lines from its points into the free space, if a task refers to the normals."""
+"""Normal glyphs: lines along the path's normals, drawn if the task refers to normals."""
 
 from collections.abc import Sequence
 
@@ -8,17 +8,17 @@ from jaxtyping import Float
 from htcp_jax.model import TaskRow, Workpiece
 
 LENGTH_M = 0.04
-NormalGlyphs = Float[np.ndarray, "n 2 3"]  # foot and tip, world [m]
+NormalGlyphs = Float[np.ndarray, "n 2 3"]  # foot and tip of each glyph, world [m]
 NO_GLYPHS = np.empty((0, 2, 3))
 
 
 def glyphs(task: Sequence[TaskRow], workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> NormalGlyphs:
-    """Compute one glyph per point of the path; none if no row of the task refers to the normals.
+    """Return one glyph per point of the path, or none if no row of the task refers to the normals.
 
     Args:
         task: Rows of the task.
         workpiece: The workpiece.
-        T_world_workpiece: Its pose.
+        T_world_workpiece: Pose of the workpiece.
     """
     if not any("normals" in row.uses for row in task):
         return NO_GLYPHS

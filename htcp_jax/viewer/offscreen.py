@@ -1,7 +1,7 @@
-"""Off-screen OpenGL for MuJoCo's renderer: EGL if available, else OSMesa.
+"""Off-screen OpenGL for MuJoCo's renderer, by EGL if available, else by OSMesa.
 
-MuJoCo chooses by MUJOCO_GL at its import, which is too early here; PyOpenGL fixes its platform once per process. So
-each is tried in a separate process, and the first that works is used here.
+MuJoCo selects its platform by MUJOCO_GL when it is imported, which is too early here, and PyOpenGL selects its
+platform only once per process. So each platform is tried in a separate process, and the first that works is used.
 """
 
 import os
@@ -31,10 +31,10 @@ class Camera:
 
     Args:
         model: The model; `model.vis.global_.offwidth` and `offheight` are the size of the pictures [pixels].
-        most_geoms: Largest number of geoms in the scene.
+        most_geoms: Maximum number of geoms in the scene.
 
     Raises:
-        InputError: If there is neither EGL nor OSMesa.
+        InputError: If neither EGL nor OSMesa works.
     """
 
     def __init__(self, model: mujoco.MjModel, most_geoms: int = 10_000):
@@ -55,22 +55,22 @@ class Camera:
         self._gl.free()
 
     def shoot(self, data: mujoco.MjData, view: mujoco.MjvCamera) -> UInt8[np.ndarray, "H W 3"]:
-        """Render a state from a view."""
+        """Return a picture of a state of the model, taken by a camera."""
         self._gl.make_current()
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(self._model, data, self._option, None, view, everything, self._scene)
         mujoco.mjr_render(self._rectangle, self._scene, self._renderer)
         pixels = np.empty((self._rectangle.height, self._rectangle.width, 3), np.uint8)
         mujoco.mjr_readPixels(pixels, None, self._rectangle, self._renderer)
-        return pixels[::-1]  # OpenGL counts rows from below
+        return pixels[::-1]  # OpenGL's first row is the lowest
 
 
 @cache
 def platform() -> str:
-    """Return the platform that works here; if MUJOCO_GL names one, only that is tried.
+    """Return the name of the first OpenGL platform that works; if MUJOCO_GL is set, only its platform is tried.
 
     Raises:
-        InputError: If none works.
+        InputError: If no platform works.
     """
     wish = os.environ.get("MUJOCO_GL", "").strip().lower()
     tried = (wish,) if wish in PLATFORMS else PLATFORMS
@@ -91,7 +91,7 @@ def _works(name: str) -> bool:
 
 def _context_class(name: str) -> type:
     if name == "egl":
-        from mujoco.egl import GLContext  # importing it chooses PyOpenGL's platform
+        from mujoco.egl import GLContext  # this import selects PyOpenGL's platform
     else:
         from mujoco.osmesa import GLContext
     return GLContext

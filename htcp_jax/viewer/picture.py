@@ -1,25 +1,31 @@
-"""Picture of a plan: the arm and its capsules in the workpiece cut open, and the clearance along the path.
+"""Picture of a plan: the arm in the workpiece cut open, and the clearance along the path.
 
-The scene is drawn in orthographic projection from the side, in which a capsule's outline is exactly two half circles
-and two lines. Drawing needs no screen.
+The scene is drawn from the side in orthographic projection, in which the outline of a capsule is two half circles and
+two lines. Where the convex piece of a mesh is checked in place of a capsule, its outline is drawn. Drawing needs no
+screen.
 """
 
+import textwrap
+
 import numpy as np
-from jaxtyping import Float
+import scipy
+from jaxtyping import Float, Int8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.transforms import ScaledTranslation
 
 from htcp_jax.model import Robot, Scenario, Workpiece, kinematics, surface
 from htcp_jax.motion import Plans
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
 from htcp_jax.runs import motion_summary
-from htcp_jax.viewer.arm_pose import arms_at
+from htcp_jax.status import Status
+from htcp_jax.viewer.arm_pose import ArmPose, arms_at, moved, pieces_at, roots_at, seen, together
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -38,9 +44,15 @@ from htcp_jax.viewer.normal_glyphs import NO_GLYPHS, NormalGlyphs
 from htcp_jax.viewer.viewpoints import ShownBodies, View, flat_side
 
 DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
-SMALLEST_M = 0.1  # smallest extent of a view: that of a single point
-LEVELS = 32  # of depth: markers of one colour are drawn in a third of the time
-PLACE = {"left": 0.045, "right": 0.985, "bottom": 0.065, "top": 0.925, "wspace": 0.03, "hspace": 0.16}
+THINNEST_M = 1e-5  # half of the width at which a flat shape is drawn
+SMALLEST_M = 0.1  # minimum extent of a view, for example of a single point
+LEVELS = 32  # number of depth levels; drawing markers of one colour together is faster
+FONT_PT, LINE_LENGTH = 9.5, 90  # texts in the clearance plot: size, and maximum characters per line
+CLOSE = 0.03  # lines closer than this share of all targets have their texts left of the first line
+AXIS_PT, TILT = 22.0, 0.35  # axes of a view: length of one across the view; how far down one towards the eye points
+TRIAD_AT = 0.4, -0.42  # origin of the axes, from the view's lower left corner [inches]
+BEHIND = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 1}  # background of a text over a curve
+PLACE = {"left": 0.045, "right": 0.985, "bottom": 0.065, "top": 0.915, "wspace": 0.03, "hspace": 0.25}
 
 
 def draw_plan(
@@ -54,14 +66,14 @@ def draw_plan(
     fixtures: surface.WorldGeometry = surface.NOTHING,
     normals: NormalGlyphs = NO_GLYPHS,
 ) -> Figure:
-    """Draw a plan.
+    """Draw a plan: the arm in the workpiece in two views, and the clearance along the path.
 
     Args:
         robot: The robot, with the scenario's tool.
         workpiece: The workpiece.
         scenario: The scenario.
-        plans: Plans, one of which is of the scenario.
-        row: The row of that plan.
+        plans: The plans, one of which is drawn.
+        row: The row of `plans` with the scenario's plan.
         title: The title of the figure.
         obstruction: The colliding body at the failed target, drawn in red; None if there is none.
         fixtures: The other obstacles.
@@ -72,20 +84,22 @@ def draw_plan(
     """
     figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER)  # a layout engine would draw it three times
     FigureCanvasAgg(figure)
-    figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
+    figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, y=0.985, ha="left")
     grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1), **PLACE)
     T = np.asarray(scenario.T_world_workpiece)
     cloud = workpiece.shown @ T[:3, :3].T + T[:3, 3]
-    x_start = np.asarray(scenario.x_start)[None]
-    view = _draw_scene(figure, grid, robot, cloud, plans, row, x_start, obstruction, fixtures)
+    attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
+    x_start = (obstruction.x if attempted else np.asarray(scenario.x_start))[None]
+    drawn = _draw_scene(figure, grid, robot, cloud, plans, row, x_start, obstruction, fixtures)
     motion = motion_summary.summarise_motion(plans, int(scenario.on_path), row)
-    for axes in figure.axes:
-        axes.add_collection(LineCollection(view.flat(normals), colors=NORMAL, linewidths=0.7, zorder=4))
-        _mark_dwells(axes, view.flat(plans.target[row]), motion)
+    for axes, (view, T) in zip(figure.axes, drawn, strict=True):
+        axes.add_collection(LineCollection(view.flat(moved(normals, T)), colors=NORMAL, linewidths=0.7, zorder=4))
+        _mark_dwells(axes, view.flat(moved(plans.target[row], T)), motion)
     colliding_body = obstruction.description if obstruction is not None else ""
     below = figure.add_subplot(grid[1, :])
-    _draw_motion(below, motion)
-    _draw_clearance(below, plans, row, float(scenario.margin_m), colliding_body)
+    _draw_clearance(below, plans, row, float(scenario.margin_m))
+    _draw_events(below, motion, plans.outcome(row), plans.status.shape[1], colliding_body)
+    below.legend(loc="lower left", frameon=False, ncols=6, bbox_to_anchor=(0.36, 1.0), borderaxespad=0.2)
     return figure
 
 
@@ -99,25 +113,41 @@ def _draw_scene(
     x_start: Float[np.ndarray, "1 N"],
     obstruction: Obstruction | None = None,
     fixtures: surface.WorldGeometry = surface.NOTHING,
-) -> View:
-    """Draw two views from the same side, of everything and of the workpiece, and return that side."""
+) -> list[tuple[View, Float[np.ndarray, "4 4"]]]:
+    """Draw a view of all objects and a close view of the workpiece.
+
+    If the part moves, the first view is relative to the world, with the part's pose at the last configuration. The
+    second view is relative to the part.
+
+    Returns:
+        The side of each view, and the T_world_root with which the view is drawn.
+    """
     shown = shown_targets(plans, row)
     x = plans.x[row, shown] if shown else x_start
-    arm = arms_at(robot, x)
-    view = flat_side(
-        cloud, plans.target[row], ShownBodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot))
-    )
-    for column, heading in enumerate((_pose_heading(shown), "Inside")):
+    arm, roots = arms_at(robot, x), roots_at(robot, x)
+    poses = [ArmPose(kinematics.ArmShape(*one), 0, T_root=T) for *one, T in zip(*arm, roots, strict=True)]
+    drawn = []
+    attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
+    headings = _pose_heading(shown, robot.part_moves, attempted), "From the part" if robot.part_moves else "Inside"
+    pieces = pieces_at(robot, x)
+    for column, heading in enumerate(headings):
         axes = figure.add_subplot(grid[0, column])
-        _draw_wall(axes, view, cloud)
-        _draw_fixtures(axes, view, fixtures)
-        _draw_arm(axes, view, robot, arm)
-        _draw_targets(axes, view, plans, row)
+        frames = [seen(pose, from_part=bool(column)) for pose in poses]
+        T, arm = frames[-1].T_root, together(frames)
+        wall, targets = moved(cloud, T), moved(plans.target[row], T)
+        view = flat_side(wall, targets, ShownBodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot)))
+        _draw_wall(axes, view, wall)
+        _draw_fixtures(axes, view, fixtures.placed(T))
+        outlines = [_outlines(view, robot, *each) for each in zip(frames, pieces, strict=True)]
+        _draw_arm(axes, view, robot, arm, outlines)
+        _draw_targets(axes, view, targets, plans.status[row])
         if obstruction is not None and obstruction.collides:
-            _draw_obstruction(axes, view, robot, obstruction)
-        _set_limits(axes, view.flat(cloud) if column else None)
-        _heading(axes, heading)
-    return view
+            _draw_obstruction(axes, view, robot, obstruction, T)
+        _set_limits(axes, view.flat(wall) if column else None)
+        _draw_triad(axes, view)
+        _heading(axes, f"{heading}, seen from azimuth {np.degrees(np.arctan2(view.near[1], view.near[0])):.0f}°")
+        drawn.append((view, T))
+    return drawn
 
 
 def draw_cell(
@@ -150,13 +180,13 @@ def draw_cell(
 
 
 def shown_targets(plans: Plans, row: int) -> list[int]:
-    """Targets whose configurations are drawn: the first, the middle and the last of the tracked ones."""
+    """Return the targets whose configurations are drawn: the first, middle and last tracked ones."""
     tracked = np.flatnonzero(plans.tracked[row])
     return sorted({int(tracked[i]) for i in (0, tracked.size // 2, -1)}) if tracked.size else []
 
 
 def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
-    """Draw the far half of the cloud, lighter with depth; the cut itself is darkest."""
+    """Draw the half of the cloud behind the cut, darkest at the cut and lighter with depth."""
     depth = cloud @ view.near
     cut = (depth.max() + depth.min()) / 2
     behind = np.flatnonzero(depth <= cut)
@@ -169,7 +199,7 @@ def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
 
 
 def _draw_fixtures(axes: Axes, view: View, fixtures: surface.WorldGeometry) -> None:
-    """Draw the fixtures, transparent, the farthest first."""
+    """Draw the other obstacles, transparent, the farthest first."""
     triangles, clouds = fixtures
     if len(clouds.points):
         flat = view.flat(clouds.points)
@@ -182,15 +212,36 @@ def _draw_fixtures(axes: Axes, view: View, fixtures: surface.WorldGeometry) -> N
     axes.add_collection(PolyCollection(flat, rasterized=True, zorder=1.5, **look))
 
 
-def _draw_arm(axes: Axes, view: View, robot: Robot, arm: kinematics.ArmShape) -> None:
-    """Draw the capsules at several configurations: the last one solid, with its bare tip; the others as shadows."""
-    p, q, radius = arm.p, arm.q, np.asarray(robot.capsule_radius)
+def _outlines(
+    view: View, robot: Robot, pose: ArmPose, pieces: dict[int, tuple[Float[np.ndarray, "_ 3"], float]]
+) -> list[Float[np.ndarray, "_ 2"]]:
+    """Return the outline of each body: of its convex piece if that is checked, else of its capsule."""
+    arm, radius = pose.arm, np.asarray(robot.capsule_radius)
+    found = [stadium(view.flat(p), view.flat(q), r) for p, q, r in zip(arm.p, arm.q, radius, strict=True)]
+    for k, (vertices, thickness) in pieces.items():
+        found[k] = rounded_outline(view.flat(moved(vertices, pose.T_root)), thickness)
+    return found
+
+
+def rounded_outline(points: Float[np.ndarray, "V 2"], radius: float) -> Float[np.ndarray, "W 2"]:
+    """Return the outline of the convex hull of projected points [m], thickened by a radius [m]."""
+    turns = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    circle = max(radius, THINNEST_M) * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    around = (points[:, None] + circle).reshape(-1, 2)
+    return around[scipy.spatial.ConvexHull(around).vertices]
+
+
+def _draw_arm(
+    axes: Axes, view: View, robot: Robot, arm: kinematics.ArmShape, outlines: list[list[Float[np.ndarray, "_ 2"]]]
+) -> None:
+    """Draw the arm at several configurations: the last one solid and with its bare tip, the others as shadows."""
+    p, q = arm.p, arm.q
     colours = np.where(is_tool(robot), TOOL, LINKS)
     for pose in range(len(p)):
         solid = pose == len(p) - 1
         order = np.argsort((p + q)[pose] @ view.near)
         bodies = PolyCollection(
-            [stadium(view.flat(p[pose, k]), view.flat(q[pose, k]), radius[k]) for k in order],
+            [outlines[pose][k] for k in order],
             facecolors=[to_rgba(colour, 0.78 if solid else 0.05) for colour in colours[order]],
             edgecolors=PAPER if solid else [to_rgba(colour, 0.35) for colour in colours[order]],
             linewidths=0.8,
@@ -200,18 +251,27 @@ def _draw_arm(axes: Axes, view: View, robot: Robot, arm: kinematics.ArmShape) ->
     axes.plot(*view.flat(np.stack([arm.tip[-1], arm.tcp[-1]])).T, color=TOOL, linewidth=2.5, zorder=3)
 
 
-def _draw_obstruction(axes: Axes, view: View, robot: Robot, found: Obstruction) -> None:
-    """Draw the colliding body as it would be at the failed target, and its contact point on the wall."""
-    arm, k = arms_at(robot, found.x[None]), robot.capsule_names.index(found.body)
-    outline = stadium(view.flat(arm.p[0, k]), view.flat(arm.q[0, k]), float(robot.capsule_radius[k]))
+def _draw_obstruction(axes: Axes, view: View, robot: Robot, found: Obstruction, T: Float[np.ndarray, "4 4"]) -> None:
+    """Draw the colliding body at the failed target, and its contact point.
+
+    Args:
+        axes: The axes.
+        view: The view.
+        robot: The robot.
+        found: The colliding body.
+        T: T_world_root with which the view is drawn.
+    """
+    x, k = found.x[None], robot.capsule_names.index(found.body)
+    arm = kinematics.ArmShape(*(moved(part[0], T) for part in arms_at(robot, x)))
+    outline = _outlines(view, robot, ArmPose(arm, 0, T_root=T), pieces_at(robot, x)[0])[k]
     body = PolyCollection([outline], facecolors=[to_rgba(FAILED, 0.12)], edgecolors=FAILED, linewidths=1.2, zorder=4)
     body.set_linestyle("--")
     axes.add_collection(body)
-    axes.scatter(*view.flat(found.point[None]).T, s=90, marker="+", color=FAILED, linewidths=1.6, zorder=6)
+    axes.scatter(*view.flat(moved(found.point[None], T)).T, s=90, marker="+", color=FAILED, linewidths=1.6, zorder=6)
 
 
 def stadium(p: Float[np.ndarray, "2"], q: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "64 2"]:
-    """Outline of a projected capsule: two half circles and two lines.
+    """Return the outline of a projected capsule: two half circles and two lines.
 
     Args:
         p: One end of the projected axis [m].
@@ -225,9 +285,8 @@ def stadium(p: Float[np.ndarray, "2"], q: Float[np.ndarray, "2"], radius: float)
     return centres + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def _draw_targets(axes: Axes, view: View, plans: Plans, row: int) -> None:
-    status = plans.status[row]
-    flat = view.flat(plans.target[row])
+def _draw_targets(axes: Axes, view: View, targets: Float[np.ndarray, "T 3"], status: Int8[np.ndarray, "T"]) -> None:
+    flat = view.flat(targets)
     axes.plot(*flat.T, color=INK, linewidth=0.6, alpha=0.5, zorder=4)
     for style in target_styles(status):
         look = {"color": style.colour, "s": style.size, "marker": style.marker, "linewidths": 0.6}
@@ -235,32 +294,44 @@ def _draw_targets(axes: Axes, view: View, plans: Plans, row: int) -> None:
 
 
 def _mark_dwells(axes: Axes, flat: Float[np.ndarray, "T 2"], motion: motion_summary.MotionSummary) -> None:
-    """Draw squares about the targets at which the arm changes its configuration."""
+    """Draw squares around the targets at which the arm dwells, that is, changes its configuration."""
     look = {"s": 90, "marker": "s", "facecolors": "none", "edgecolors": DWELL, "linewidths": 1.6}
     axes.scatter(*flat[list(motion.dwells)].T, zorder=6, **look)
 
 
-def _draw_motion(axes: Axes, motion: motion_summary.MotionSummary) -> None:
-    """Draw lines at dwells, at the guaranteed clearance's minimum, and where the motion ends before the plan does."""
+def _draw_events(
+    axes: Axes, motion: motion_summary.MotionSummary, end: plan_arrays.Outcome, targets: int, colliding_body: str
+) -> None:
+    """Draw vertical lines at dwells, the failed target, the end of the executable motion, and its minimum clearance.
+
+    Each line except a dwell's has a text, on its side with more space; texts are stacked downwards. The range of
+    targets that were not attempted is grey.
+    """
     for k, target in enumerate(motion.dwells):
         axes.axvline(target, label="dwell" if k == 0 else None, color=DWELL, linewidth=1.4, zorder=1)
+    events = []
+    if end.failed is not None:
+        axes.axvspan(end.failed + 0.5, targets, color="#eef0f2", linewidth=0, zorder=0)
+        events.append((end.failed, f"target {end.failed}: {end.status.message}\n{colliding_body}", FAILED, "-"))
+    if end.executable < end.tracked:
+        events.append((end.executable, f"target {end.executable}: {end.segment_status.message}", INK, "--"))
     if motion.clearance_target is not None:
-        _draw_line(axes, motion.clearance_target, f"minimum clearance: {motion.proven}", color=NEAREST, linestyle=":")
-    if (end := motion.end).executable < end.tracked:
-        _draw_line(
-            axes, end.executable, f"target {end.executable}: {end.segment_status.message}", color=INK, linestyle="--"
-        )
-
-
-def _draw_line(axes: Axes, target: int, text: str, **look: str) -> None:
-    """Draw a vertical line with text along it."""
-    axes.axvline(target, linewidth=1.2, zorder=1, **look)
-    how = {"rotation": 90, "ha": "right", "va": "center", "fontsize": 9, "color": look["color"], "zorder": 4}
-    axes.annotate(text, (target, 0.5), (-2, 0), ("data", "axes fraction"), "offset points", **how)
+        events.append((motion.clearance_target, f"minimum clearance: {motion.proven}", NEAREST, ":"))
+    below = 4
+    ends = [target for target, *_ in events]
+    for target, text, colour, line in events:
+        axes.axvline(target, linewidth=1.2, zorder=1, color=colour, linestyle=line)
+        left = target > targets / 2
+        look = {"color": colour, "ha": "right" if left else "left", "va": "top", "fontsize": FONT_PT, "zorder": 4}
+        lines = [part for each in text.splitlines() for part in textwrap.wrap(each, LINE_LENGTH)]
+        beside = min(each for each in ends if each >= target - CLOSE * targets) if left else target
+        place, offset = (beside, 1.0), (-7 if left else 7, -below)
+        axes.annotate("\n".join(lines), place, offset, ("data", "axes fraction"), "offset points", **look, bbox=BEHIND)
+        below += 1.4 * FONT_PT * len(lines)
 
 
 def _set_limits(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
-    """Set equal scales, limits about everything or about the points `around`, and a scale bar."""
+    """Set equal scales and limits that include all objects, or only the points `around`, and draw a scale bar."""
     axes.set_aspect("equal", anchor="NW")
     axes.axis("off")
     if around is None:
@@ -270,45 +341,55 @@ def _set_limits(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
         low, high = around.min(axis=0), around.max(axis=0)
         border = 0.05 * max((high - low).max(), SMALLEST_M)
         axes.set(xlim=(low[0] - border, high[0] + border), ylim=(low[1] - border, high[1] + border))
+    draw_scale(axes, above=True)
+
+
+def draw_scale(axes: Axes, above: bool = False) -> None:
+    """Draw a scale bar in a strip below all objects; its length is 1, 2 or 5 times a power of ten [m].
+
+    Args:
+        axes: The axes, with their limits set.
+        above: True to draw the strip above all objects.
+    """
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    length = 10.0 ** np.floor(np.log10((right - left) / 2))
-    y = top - 0.03 * (top - bottom)
+    longest = (right - left) / 2
+    power = 10.0 ** np.floor(np.log10(longest))
+    length = power * max(step for step in (1, 2, 5) if step * power <= longest or step == 1)
+    strip = 0.08 * (top - bottom)
+    y = top + strip / 2 if above else bottom - strip / 2
+    behind = {"xmin": 0, "xmax": 1, "color": PAPER, "linewidth": 0, "zorder": 5.9}
+    axes.axhspan(*((top, top + strip) if above else (bottom - strip, bottom)), **behind)
     axes.plot([left, left + length], [y, y], color=INK, linewidth=3, solid_capstyle="butt", zorder=6)
-    style = {"textcoords": "offset points", "va": "center", "color": INK}
+    style = {"textcoords": "offset points", "va": "center", "color": INK, "zorder": 6}
     axes.annotate(f"{length:g} m", (left + length, y), (5, 0), **style)
+    axes.set_xlim(left, right)
+    axes.set_ylim(*((bottom, top + strip) if above else (bottom - strip, top)))
 
 
-def _pose_heading(shown: list[int]) -> str:
+def _draw_triad(axes: Axes, view: View) -> None:
+    """Draw the axes x, y and z below the view, as seen from slightly above: one towards the eye points down."""
+    origin = axes.transAxes + ScaledTranslation(*TRIAD_AT, axes.figure.dpi_scale_trans)
+    arrow = {"arrowstyle": "<-", "color": INK, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
+    look = {"ha": "center", "va": "center", "color": INK, "fontsize": FONT_PT, "zorder": 6.5, "arrowprops": arrow}
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        end = AXIS_PT * np.array([view.right @ axis, view.up @ axis - TILT * (view.near @ axis)])
+        axes.annotate(name, (0, 0), tuple(end), origin, "offset points", **look)
+
+
+def _pose_heading(shown: list[int], part_moves: bool, attempted: bool) -> str:
     *shadows, last = shown or ["start"]
-    where = "at its start" if last == "start" else f"at target {last}"
+    at_first = "as near as it came to the failed target" if attempted else "at its start"
+    where = at_first if last == "start" else f"at target {last}"
     others = f" (shadows: at {' and '.join(map(str, shadows))})" if shadows else ""
-    return f"The arm {where}{others}, the workpiece cut open"
+    return f"The arm {where}{others}, {'in the world' if part_moves else 'cut open'}"
 
 
 def _heading(axes: Axes, text: str) -> None:
-    axes.set_title(text, color=INK, fontsize=12, loc="left")
+    axes.set_title(text, color=INK, fontsize=11, loc="left")
 
 
-def _draw_failure(axes: Axes, end: plan_arrays.Outcome, targets: int, colliding_body: str) -> None:
-    """Draw a line at the failed target, its reason on the wider side, and grey over the targets not attempted."""
-    axes.axvspan(end.failed + 0.5, targets, color="#eef0f2", linewidth=0, zorder=0)
-    axes.axvline(end.failed, color=FAILED, linewidth=1.2, zorder=1)
-    side, align = (-7, "right") if end.failed > targets / 2 else (7, "left")
-    axes.annotate(
-        "\n".join(filter(None, (f"target {end.failed}: {end.status.message}", colliding_body))),
-        (end.failed, 1.0),
-        (side, -7),
-        xycoords=("data", "axes fraction"),
-        textcoords="offset points",
-        color=FAILED,
-        ha=align,
-        va="top",
-        zorder=4,
-    )
-
-
-def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, colliding_body: str) -> None:
-    """Draw clearance over target index, on a logarithmic scale, which resolves its minimum."""
+def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float) -> None:
+    """Draw the clearance over the target index, on a logarithmic scale to resolve small values."""
     status, clearance_mm = plans.status[row], 1e3 * plans.clearance[row]
     index = np.arange(len(status))
     axes.plot(index, clearance_mm, color=INK, linewidth=0.8, alpha=0.5, zorder=2)
@@ -321,13 +402,13 @@ def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, collidi
     if margin_m > 0:
         style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
         axes.axhline(1e3 * margin_m, label="required margin", **style)
-    if (end := plans.outcome(row)).failed is not None:
-        _draw_failure(axes, end, len(status), colliding_body)
+    low, high = axes.get_ylim()
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 1e5 else (1,), numticks=99))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_xlim(-1, len(status))
     axes.set_xlabel("target", color=INK)
     axes.grid(axis="y", color="#dfe3e6", linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(loc="lower left", frameon=False, ncols=6, bbox_to_anchor=(0.24, 1.0), borderaxespad=0.2)
-    _heading(axes, "Clearance along the path [mm]")
+    _heading(axes, "Clearance along the path [mm], logarithmic")

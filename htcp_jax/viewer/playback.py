@@ -8,25 +8,27 @@ from htcp_jax.status import Kind
 from htcp_jax.viewer.arm_pose import ArmPose, arm_poses, arms_at
 from htcp_jax.viewer.replay import Replay
 
-STRIDE_M = 0.04  # largest displacement of a point from one configuration to the next
+STRIDE_M = 0.04  # maximum displacement of a point of the arm between consecutive poses
 
 
 def pose_at(replay: Replay, target: int) -> ArmPose:
-    """The arm at a target."""
-    return ArmPose(replay.arm_at(target), target)
+    """Return the pose of the arm at a target."""
+    return ArmPose(replay.arm_at(target), target, T_root=replay.T_root[target])
 
 
 def poses_along(replay: Replay) -> list[ArmPose]:
-    """Configurations up to the last tracked target, interpolated along the straight joint paths.
+    """Return the arm's poses up to the last tracked target, interpolated along the straight joint paths.
 
-    No point of the arm moves by more than STRIDE_M from one to the next.
+    No point of the arm moves by more than STRIDE_M between consecutive poses.
     """
     motion = replay.motion
     if not len(motion.x):
         return [pose_at(replay, 0)]
     leads = motion.target + (motion.kind == Kind.DWELL)
     come = np.where(np.append(np.diff(leads) != 0, True), leads, leads - 1)  # a segment's last row is at its target
-    first = int(len(motion.x) > 1 and (motion.x[0] == motion.x[1]).all() and come[1] == 0)  # it starts at target 0
+    first = int(
+        len(motion.x) > 1 and (motion.x[0] == motion.x[1]).all() and come[1] == 0
+    )  # the plan starts at target 0
     x, come, turns = motion.x[first:], come[first:], motion.kind[first:] == Kind.DWELL
     points = _moving_points(arms_at(replay.robot, x))
     moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1, initial=0.0)
@@ -40,5 +42,5 @@ def poses_along(replay: Replay) -> list[ArmPose]:
 
 
 def _moving_points(shape: kinematics.ArmShape) -> Float[np.ndarray, "n P 3"]:
-    """Points whose displacement limits the stride."""
+    """Return the points of the arm whose displacement limits the step between poses."""
     return np.concatenate([shape.p, shape.q, shape.tcp[:, None]], axis=1)

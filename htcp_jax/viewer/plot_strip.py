@@ -1,4 +1,4 @@
-"""Plot strip below the movie of a robot program: speeds of the TCP and the joints, with a line at the current time."""
+"""Plot strip below a robot program's movie: speeds of the TCP and the joints, with a line at the current time."""
 
 import numpy as np
 from jaxtyping import UInt8
@@ -11,17 +11,17 @@ from htcp_jax.trajectory import PlanProgram
 from htcp_jax.viewer.colours import INK, KINDS, PAPER, QUIET, RULE, joint_colour
 from htcp_jax.viewer.timed_play import BOUNDS, Curves, PlaybackStates
 
-INCHES, ASPECT = 6.4, 0.38  # of the plot strip, for any number of pixels
-SMALL, WORDS = 7, 8.5  # points
-EDGE = 0.25  # of a pixel, so that rounding down loses none
+INCHES, ASPECT = 6.4, 0.38  # nominal width of the plot strip, and height / width
+SMALL, WORDS = 7, 8.5  # font sizes [points]
+EDGE = 0.25  # [pixels] added to a size, so that rounding down does not lose a pixel
 
 
 class PlotStrip:
-    """Plot strip, drawn once; after that only the line and the text change.
+    """Plot strip of a robot program, drawn once; only the line and the text change between frames.
 
     Args:
         made: The robot program.
-        play: The instants of the frames.
+        play: The states at the frames.
         width: Width [pixels].
         speed: Playback rate; 1 is real time.
     """
@@ -45,7 +45,7 @@ class PlotStrip:
         self._empty = self._canvas.copy_from_bbox(self.figure.bbox)
 
     def at(self, frame: int) -> UInt8[np.ndarray, "H W 3"]:
-        """Return the plot strip of a frame."""
+        """Return the picture of the plot strip for a frame."""
         self._canvas.restore_region(self._empty)
         self._now.set_text(self._play.words(frame))
         self.figure.draw_artist(self._now)
@@ -56,7 +56,7 @@ class PlotStrip:
 
 
 def shown_as(speed: float) -> str:
-    """Description of the playback rate."""
+    """Return the playback rate as text."""
     return "in real time" if speed == 1 else f"at {speed:g} times real time"
 
 

@@ -1,4 +1,4 @@
-"""Picture of the part with every target on its path coloured by its reach, from the side and from above."""
+"""Picture of the workpiece, with the path's targets coloured by reach, from the side and from above."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,30 +12,32 @@ from matplotlib.lines import Line2D
 
 from htcp_jax.reachability import Reach
 from htcp_jax.viewer.colours import INK, PAPER, WALL
+from htcp_jax.viewer.picture import draw_scale
 from htcp_jax.viewer.viewpoints import View, view_from_side
 
-PANELS, ACROSS = 12, 3  # most scenarios in one picture, and in a row
-MOST_POINTS = 30_000  # of the part
+PANELS, ACROSS = 12, 3  # maximum numbers of scenarios in a picture, and in a row
+WIDE = 14.0  # width of the figure [inch]
+MOST_POINTS = 30_000  # maximum number of the part's points that are drawn
 ABOVE = View(np.array([1.0, 0, 0]), np.array([0.0, 1, 0]), np.array([0.0, 0, 1]))
 
 
 class ReachPanel(NamedTuple):
-    """One scenario of the picture; world [m]."""
+    """One scenario's data for the picture; world [m]."""
 
     title: str
     cloud: Float[np.ndarray, "P 3"]  # points of the part
     targets: Float[np.ndarray, "T 3"]
-    reach: Int[np.ndarray, "T"]  # numbers of `Reach`
-    base: Float[np.ndarray, "3"]  # the arm's
+    reach: Int[np.ndarray, "T"]  # values of `Reach`
+    base: Float[np.ndarray, "3"]  # position of the arm's base
 
 
 class _Look(NamedTuple):
     colour: str
     marker: str
-    size: float  # [points^2]
+    size: float  # marker area [points^2]
 
 
-LOOKS = {  # drawn in this order; distinguished by colour (for colour-blind readers, too) and by marker
+LOOKS = {  # in drawing order; both colour (also for colour-blind readers) and marker distinguish them
     Reach.REACHABLE: _Look("#1f6fb4", "o", 22),
     Reach.OUT_OF_REACH: _Look("#7c8791", "s", 24),
     Reach.TOOL: _Look("#c8102e", "X", 40),
@@ -46,10 +48,10 @@ LOOKS = {  # drawn in this order; distinguished by colour (for colour-blind read
 
 
 def draw_reach(panels: Sequence[ReachPanel], title: str) -> Figure:
-    """Draw the part with its targets: one scenario from the side and from above, several from the side.
+    """Draw the part and its targets: a single scenario from the side and from above, several from the side only.
 
     Args:
-        panels: The scenarios, of which the first PANELS are drawn.
+        panels: The scenarios; only the first PANELS are drawn.
         title: The title of the figure.
 
     Returns:
@@ -60,14 +62,16 @@ def draw_reach(panels: Sequence[ReachPanel], title: str) -> Figure:
     drawn = [(panel, heading, view) for panel in shown for heading, view in views]
     across = min(ACROSS, len(drawn))
     rows = -(-len(drawn) // across)
-    size = 14, 1.6 + rows * (6.0 if across < ACROSS else 4.2)
+    drawn = [(panel, heading, view or _side_of(panel)) for panel, heading, view in drawn]
+    wide = [_width(drawn[k]) for k in range(2)] if len(views) > 1 else None
+    widths = wide or [min(_width(each) for each in drawn)] * across
+    size = WIDE, 1.4 + rows * min(6.0 if across < ACROSS else 4.2, 1.07 * WIDE / sum(widths) + 0.4)
     figure = Figure(figsize=size, dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 1, 1))
+    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 1, 1 - 0.5 / size[1]))
     more = f"; the first {len(shown)} of {len(panels)} scenarios" if len(shown) < len(panels) else ""
-    figure.suptitle(title + more, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
-    drawn = [(panel, heading, view or _side_of(panel)) for panel, heading, view in drawn]
-    wide = [_width(*drawn[k::2]) for k in range(2)] if len(views) > 1 else None
+    title_at = {"x": 0.015, "y": 1 - 0.15 / size[1], "va": "top", "ha": "left"}
+    figure.suptitle(title + more, color=INK, fontsize=16, fontweight="bold", **title_at)
     axes = figure.subplots(rows, across, squeeze=False, width_ratios=wide).reshape(-1)
     for each in axes:
         each.axis("off")
@@ -90,7 +94,7 @@ def _side_of(panel: ReachPanel) -> View:
 
 
 def _width(drawn: tuple[ReachPanel, str, View]) -> float:
-    """Return a panel's width for equal heights, without unit; at least 0.4."""
+    """Return a panel's width / height, at least 0.4."""
     panel, _, view = drawn
     wide, high = np.ptp(view.flat(np.concatenate([panel.cloud, panel.targets, panel.base[None]])), axis=0)
     return float(np.clip(wide / max(high, 1e-6), 0.4, 2.5))
@@ -110,16 +114,4 @@ def _draw(axes: Axes, panel: ReachPanel, view: View) -> None:
     axes.set_aspect("equal", anchor="NW")
     axes.margins(0.06)
     axes.autoscale_view()
-    _draw_scale(axes)
-
-
-def _draw_scale(axes: Axes) -> None:
-    """Draw a scale bar below everything, within the panel's width."""
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    length = 10.0 ** np.floor(np.log10((right - left) / 2))
-    y = bottom - 0.05 * (top - bottom)
-    axes.plot([left, left + length], [y, y], color=INK, linewidth=3, solid_capstyle="butt", zorder=6)
-    style = {"textcoords": "offset points", "va": "center", "color": INK}
-    axes.annotate(f"{length:g} m", (left + length, y), (5, 0), **style)
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom - 0.1 * (top - bottom), top)
+    draw_scale(axes)

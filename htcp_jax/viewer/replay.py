@@ -1,10 +1,10 @@
-"""Plans for display: the arm, the cloud and the targets, target by target.
+"""Plans prepared for display: arm, workpiece and results at every target.
 
-    replays = open_replays("out/workpiece")     # a run of htcp sweep, a plan of htcp plan; or `replays_of` a Plan
+    replays = open_replays("out/workpiece")     # folder of htcp sweep or htcp plan; `replays_of` for a plan in memory
     replay = replays.replay(12, "nspace-sqp")
     replay.x[40]                                # the configuration at target 40
 
-A picture or a viewer needs only a `Replay`.
+Pictures and the viewer only need a `Replay`.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -20,7 +20,7 @@ from jaxtyping import Float, Int8
 from htcp_jax.clearance import Obstacles, contacts, rows_of, surface_points
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import PlanConfig
-from htcp_jax.model import Robot, Scenario, Workpiece, kinematics
+from htcp_jax.model import Robot, Scenario, Task, Workpiece, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.model import surface as surfaces
 from htcp_jax.motion import Motion, Plans
@@ -29,91 +29,95 @@ from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstruction_module
 from htcp_jax.runs import PlanSet, motion_summary, open_plans
+from htcp_jax.viewer.arm_pose import moved, roots_at
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.normal_glyphs import NormalGlyphs, glyphs
-from htcp_jax.viewer.viewpoints import ShownBodies, Viewpoint, camera_view
+from htcp_jax.viewer.viewpoints import ShownBodies, ShownScene, Viewpoint, camera_view, camera_view_of
 from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
 
-VIEW_SAMPLES = 5  # number of configurations by which the viewpoint is chosen
-SEGMENT_SAMPLES = 33  # samples of one segment, of which the minimum is taken
+VIEW_SAMPLES = 5  # number of configurations that determine the viewpoint
+SEGMENT_SAMPLES = 33  # number of samples on a segment for its minimum distance
 
 
 class Witness(NamedTuple):
-    """Pair of points of the minimum distance, at each of T targets."""
+    """Pair of nearest points on the arm and on the obstacles, at each of T targets."""
 
-    body: list[str]  # the capsule's name
-    arm: Float[np.ndarray, "T 3"]  # on its surface, world [m]
-    cloud: Float[np.ndarray, "T 3"]  # the cloud's point, or the one on the hull that the capsule's end has crossed
+    body: list[str]  # name of the nearest capsule
+    arm: Float[np.ndarray, "T 3"]  # point on this capsule's surface, world [m]
+    cloud: Float[np.ndarray, "T 3"]  # point of the obstacle, or of the hull that the capsule's end has crossed
 
     def rows(self, which: slice) -> "Witness":
-        """Select some of the configurations."""
+        """Return the pairs of nearest points for a slice of the targets."""
         return Witness(*(part[which] for part in self))
 
 
 class NarrowSegment(NamedTuple):
-    """Segment with the least guaranteed clearance, and the minimum distance sampled there."""
+    """Segment with the smallest guaranteed clearance, and the minimum distance sampled on it."""
 
-    target: int  # at the end of the segment
-    proven_m: float  # D all along it, at least
-    seen_m: float  # minimum of SEGMENT_SAMPLES samples
-    body: str  # the capsule's name
-    arm: Float[np.ndarray, "3"]  # on its surface, world [m]
-    cloud: Float[np.ndarray, "3"]
+    target: int  # target at the end of the segment
+    proven_m: float  # guaranteed clearance along the segment
+    seen_m: float  # minimum distance at SEGMENT_SAMPLES samples
+    body: str  # name of the nearest capsule
+    arm: Float[np.ndarray, "3"]  # nearest point on this capsule's surface, world [m]
+    cloud: Float[np.ndarray, "3"]  # nearest point of the obstacle, world [m]
 
 
 class Replay(NamedTuple):
-    """Plan of one scenario by one method.
+    """Plan of one scenario by one method, prepared for display.
 
-    At the failed target the arm is displayed in collision; at targets not attempted it stays at the last tracked one.
+    At the failed target, the arm is displayed in collision. At targets that were not attempted, it is displayed at the
+    last tracked one.
     """
 
     method: str
-    number: int  # of the scenario
-    label: str  # its number and its varied parameters
+    number: int  # number of the scenario
+    label: str  # number and varied parameters of the scenario
     robot: Robot  # with the scenario's tool
-    surface: surfaces.Surface  # of the cloud; world [m], like everything below
-    path: int  # first target of the tool path; the ones before lead to it
+    surface: surfaces.Surface  # surface of the cloud; world [m], like all positions below
+    path: int  # first target of the tool path; targets before it are the approach
     target: Float[np.ndarray, "T 3"]
     status: Int8[np.ndarray, "T"]
     clearance: Float[np.ndarray, "T"]  # NaN where not tracked
     residual: Float[np.ndarray, "T"]
-    orientation_error: Float[np.ndarray, "T"]  # [rad]; NaN if the task holds no orientation
+    orientation_error: Float[np.ndarray, "T"]  # [rad]; NaN if the task does not constrain the orientation
     x: Float[np.ndarray, "T N"]
-    shape: kinematics.ArmShape  # the arm at these
+    shape: kinematics.ArmShape  # the arm at the displayed configurations
+    T_root: Sequence[Float[np.ndarray, "4 4"]]  # T_world_root at the displayed configurations
     witness: Witness
     motion: Motion  # motion up to the last tracked target
-    summary: motion_summary.MotionSummary  # of the executable part
-    narrow: NarrowSegment | None  # of the executable part
+    summary: motion_summary.MotionSummary  # figures of the executable part
+    narrow: NarrowSegment | None  # narrowest segment of the executable part
     segment_status: Int8[np.ndarray, "T"]  # `status.SegmentStatus`
-    segment_clearance: Float[np.ndarray, "T"]  # D all along it, at least
-    obstruction: Obstruction | None  # at the target that failed
-    side: Viewpoint  # viewpoint
+    segment_clearance: Float[np.ndarray, "T"]  # guaranteed clearance along the segment to each target
+    obstruction: Obstruction | None  # colliding body at the failed target
+    side: Viewpoint  # viewpoint relative to the part
+    side_in_world: Viewpoint  # viewpoint in the world
     fixtures: surfaces.WorldGeometry  # other obstacles
-    normals: NormalGlyphs  # of the path, if the task refers to them
+    normals: NormalGlyphs  # normals of the path; empty if the task does not refer to them
 
     @property
     def cloud(self) -> Float[np.ndarray, "P 3"]:
-        """Points to draw; the clearance is to all of the workpiece's."""
+        """Points of the workpiece that are drawn, a subset of the points to which clearance is measured."""
         return self.surface.points
 
     @property
     def p(self) -> Float[np.ndarray, "T K 3"]:
-        """First ends of the capsules' axes."""
+        """First ends of the capsules' axes at every target."""
         return self.shape.p
 
     @property
     def q(self) -> Float[np.ndarray, "T K 3"]:
-        """Second ends of the capsules' axes."""
+        """Second ends of the capsules' axes at every target."""
         return self.shape.q
 
     @property
     def tcp(self) -> Float[np.ndarray, "T 3"]:
-        """Tool centre points."""
+        """Tool centre points at every target."""
         return self.shape.tcp
 
     @property
     def outcome(self) -> plan_arrays.Outcome:
-        """Outcome of the scenario, without its joint paths."""
+        """Outcome of the plan, by the statuses of its targets only."""
         return plan_arrays.outcomes(self.status[None]).of(0)._replace(scenario=self.number)
 
     @property
@@ -123,23 +127,23 @@ class Replay(NamedTuple):
 
     @property
     def failed(self) -> int | None:
-        """First target that is not tracked."""
+        """First target that is not tracked; None if all are."""
         return self.outcome.failed
 
     def arm_at(self, target: int) -> kinematics.ArmShape:
-        """The arm at one target."""
+        """Return the arm at one target."""
         return kinematics.ArmShape(*(part[target] for part in self.shape))
 
 
 class Replays:
-    """Plans for display: several scenarios by several methods.
+    """Plans for display, of several scenarios by several methods.
 
     Args:
         name: Name of the plans, for messages.
         methods: Names of the methods.
-        plans: Function for the plans of a method; row s is scenario s.
-        cells: The workcells.
-        labels: The scenarios' varied parameters, by number.
+        plans: Function that returns a method's plans; row s is scenario s.
+        cells: The workcells of the scenarios.
+        labels: The scenarios' varied parameters as text, by number; None: no labels.
     """
 
     def __init__(
@@ -154,10 +158,10 @@ class Replays:
         self.plans, self.cells = lru_cache(maxsize=None)(plans), cells
 
     def outcomes(self, method: str) -> list[plan_arrays.Outcome]:
-        """Outcomes of all scenarios that the method has planned; failed ones first, each group in order.
+        """Return the outcomes of the scenarios that a method has planned: failed ones first, each group by number.
 
         Raises:
-            InputError: For a method without results.
+            InputError: If the method has no results.
         """
         if method not in self.methods:
             raise InputError(f"{self.name} has no results of {method!r}; it has {', '.join(self.methods)}")
@@ -166,10 +170,10 @@ class Replays:
         return sorted(found, key=lambda outcome: outcome.complete)
 
     def replay(self, number: int, method: str) -> Replay:
-        """Return the plan of a scenario by a method.
+        """Return a scenario's plan by a method, prepared for display.
 
         Raises:
-            InputError: For an unknown scenario or method, with a list of the known.
+            InputError: If the scenario or the method is unknown; the message lists the valid ones.
         """
         numbers = sorted(outcome.scenario for outcome in self.outcomes(method))
         if number not in numbers:
@@ -188,7 +192,12 @@ class Replays:
         shape = kinematics.ArmShape(*map(np.asarray, kinematics.capsules_and_tcp(robot, jnp.asarray(x))))
         surface = cell.surface.placed(placement.T_world_workpiece)
         target, status = plans.target[number, there], plans.status[number, there]
-        arm = _arm_at_targets(shape, robot, np.flatnonzero(plan_arrays.is_tracked(status)), on_path)
+        shown = _shown_targets(np.flatnonzero(plan_arrays.is_tracked(status)), on_path)
+        path, T_root = target[on_path:] if len(target) > on_path + 1 else target, roots_at(robot, x)
+        side = camera_view(surface.points, path, _bodies(robot, shape, shown))
+        side_in_world = side
+        if robot.part_moves:
+            side_in_world = camera_view_of([_scene_at(surface, path, robot, shape, T_root, t) for t in shown.tolist()])
         return Replay(
             method=method,
             number=number,
@@ -203,6 +212,7 @@ class Replays:
             orientation_error=plans.orientation_error[number, there],
             x=x,
             shape=shape,
+            T_root=T_root,
             witness=witness.rows(slice(len(x))),
             motion=motions.motions(alone, on_path, np.logical_and.accumulate(alone.tracked, axis=1)).of(0),
             summary=summary,
@@ -210,44 +220,56 @@ class Replays:
             segment_status=plans.segment_status[number, there],
             segment_clearance=plans.segment_clearance[number, there],
             obstruction=blocked,
-            side=camera_view(surface.points, target[on_path:] if len(target) > on_path + 1 else target, arm),
+            side=side,
+            side_in_world=side_in_world,
             fixtures=cell.fixtures,
             normals=glyphs(cell.config.task, cell.workpiece, placement.T_world_workpiece),
         )
 
     def label(self, number: int) -> str:
-        """A scenario's number and its varied parameters."""
+        """Return a scenario's number and varied parameters as text."""
         return f"{number}: {self.labels[number]}" if self.labels.get(number) else str(number)
 
     def obstructions(self, method: str, numbers: Sequence[int] | None = None) -> dict[int, Obstruction]:
-        """Colliding bodies in the failed scenarios, all or those of some numbers; one call can do hundreds."""
-        plans, together = self.plans(method), dict[Hashable, dict[int, int]]()
+        """Return the colliding body by scenario, for the scenarios in which a method failed.
+
+        Args:
+            method: The method.
+            numbers: The scenarios to include; None: all.
+        """
+        plans, together = self.plans(method), dict[tuple[Hashable, Task | None], dict[int, int]]()
         for number in range(len(plans.status)) if numbers is None else numbers:
             if (target := obstruction_module.blocked_target(plans, number)) is not None:
-                together.setdefault(self.cells.key(number), {})[number] = target
+                together.setdefault((self.cells.key(number), self.cells.task(number)), {})[number] = target
         found = {}
-        for key, targets in together.items():
-            found |= self._colliding_bodies(self.cells.cell(key), plans, targets)
+        for (key, task), targets in together.items():
+            found |= self._colliding_bodies(self.cells.cell(key), task, plans, targets)
         return {number: found[number] for number in sorted(found)}
 
-    def _colliding_bodies(self, cell: Workcell, plans: Plans, targets: dict[int, int]) -> dict[int, Obstruction]:
-        """Colliding bodies in scenarios of one workcell, with the failed target of each.
+    def _colliding_bodies(
+        self, cell: Workcell, task: Task | None, plans: Plans, targets: dict[int, int]
+    ) -> dict[int, Obstruction]:
+        """Return the colliding body by scenario, for scenarios with the same workcell and task.
 
-        It is empty if the job has a task, whose goals are not saved.
+        Args:
+            cell: The workcell.
+            task: The task; None: the TCP's position.
+            plans: The plans.
+            targets: The failed target by scenario.
         """
-        if cell.config.task:
-            return {}
         where = jax.tree.map(lambda *leaves: np.stack(leaves), *map(self.cells.placement, targets))
         s, t = np.array(list(targets)), np.array(list(targets.values()))
-        how = plans.before(s, t), plans.target[s, t], cell.config.settings
+        goals = plans.target[s, t] if task is None else np.stack([self.cells.goals(n)[k] for n, k in targets.items()])
+        how = plans.before(s, t), goals, cell.config.settings, task
         return dict(zip(targets, obstruction_module.obstructions(cell.robot, cell.obstacle, where, *how), strict=True))
 
 
 def open_replays(folder: str | Path) -> Replays:
-    """Open the plans in the folder of a sweep or of one plan.
+    """Open the plans in the folder of a sweep or of a plan.
 
     Raises:
-        InputError: As `open_plans`, and for a plan that does not match the configuration next to it.
+        InputError: If the folder contains no plans, if a file is missing or damaged, or if a plan does not match its
+            configuration.
     """
     return recorded_replays(open_plans(folder))
 
@@ -257,7 +279,7 @@ def recorded_replays(found: PlanSet, plans: Callable[[str], Plans] | None = None
 
     Args:
         found: The saved plans.
-        plans: Function for the plans of a method, if they are read already.
+        plans: Function that returns a method's plans, if they have been read already; None: read them.
 
     Raises:
         InputError: As `open_replays`.
@@ -267,7 +289,7 @@ def recorded_replays(found: PlanSet, plans: Callable[[str], Plans] | None = None
 
 @runtime_checkable
 class PlannedJob(Protocol):
-    """A job and its result, as `htcp_jax.plan` returns it; the robot has its tool."""
+    """Interface of a job with its result, such as `htcp_jax.plan` returns; the robot includes the tool."""
 
     job: PlanConfig
     robot: Robot
@@ -277,20 +299,34 @@ class PlannedJob(Protocol):
 
 
 def replays_of(name: str, plan: PlannedJob) -> Replays:
-    """Return the replay of a plan in memory, as `Replays`."""
+    """Return the `Replays` of a plan in memory.
+
+    Args:
+        name: Name of the plan, for messages.
+        plan: The plan.
+    """
     cells = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
     return Replays(name, (plan.job.method,), lambda _: plan.plans, cells)
 
 
-def _arm_at_targets(shape: kinematics.ArmShape, robot: Robot, tracked: np.ndarray, path: int) -> ShownBodies:
-    """The arm at a few tracked targets, on the tool path if possible; else at the first target."""
+def _shown_targets(tracked: np.ndarray, path: int) -> np.ndarray:
+    """Return a few tracked targets, on the tool path if possible; the first target if none is tracked."""
     shown = tracked[tracked >= path] if (tracked >= path).any() else tracked if tracked.size else np.zeros(1, int)
-    shown = shown[np.linspace(0, len(shown) - 1, VIEW_SAMPLES).round().astype(int)]
+    return shown[np.linspace(0, len(shown) - 1, VIEW_SAMPLES).round().astype(int)]
+
+
+def _scene_at(surface: surfaces.Surface, path, robot: Robot, shape, T_root, target: int) -> ShownScene:
+    """Return cloud, path and arm at a target, relative to the world, for a moving part."""
+    T, own = T_root[target], _bodies(robot, shape, np.array([target]))
+    return ShownScene(moved(surface.points, T), moved(path, T), own._replace(p=moved(own.p, T), q=moved(own.q, T)))
+
+
+def _bodies(robot: Robot, shape: kinematics.ArmShape, shown: np.ndarray) -> ShownBodies:
     return ShownBodies(shape.p[shown], shape.q[shown], np.asarray(robot.capsule_radius), is_tool(robot))
 
 
 def _segment_samples(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:
-    """Configurations along the straight joint paths to a target, evenly spaced; the start if the target is None."""
+    """Return evenly spaced configurations on the segment to a target; copies of the start if the target is None."""
     if target is None:
         return np.repeat(plans.start, SEGMENT_SAMPLES, axis=0)
     x = np.concatenate([plans.before(0, target)[None], plans.via_points.on_segment(0, target), plans.x[:1, target]])
@@ -299,7 +335,12 @@ def _segment_samples(plans: Plans, target: int | None) -> Float[np.ndarray, "n N
 
 
 def _narrow(summary: motion_summary.MotionSummary, seen: Witness) -> NarrowSegment | None:
-    """Minimum distance of the sampled configurations in the segment with the least guaranteed clearance."""
+    """Return the segment with the smallest guaranteed clearance; None if no segment is executable.
+
+    Args:
+        summary: Figures of the motion.
+        seen: Nearest points at samples of the segment.
+    """
     if summary.clearance_target is None:
         return None
     apart = np.linalg.norm(seen.arm - seen.cloud, axis=1)
@@ -317,7 +358,7 @@ def _witness(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[np.nd
 
 @jax.jit
 def _nearest_points(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.Array, "T N"]):
-    """Witness of the minimum distance (row, point on the body, point of the obstacle), of every configuration."""
+    """Return the nearest pair at every configuration: row of the contact, point on the arm, point on the obstacle."""
     rows = rows_of(robot, obstacle)
 
     def one(x):
@@ -331,14 +372,14 @@ def _nearest_points(robot: Robot, obstacle: Obstacles, where: Placement, x: Floa
 
 
 def _without_gaps(x: Float[np.ndarray, "T N"], start: Float[np.ndarray, "N"]) -> Float[np.ndarray, "T N"]:
-    """Replace unknown configurations by the last known one."""
+    """Replace each unknown configuration by the last known one before it, at first by the start."""
     rows = np.concatenate([start[None], x])
     known = np.where(np.isnan(rows).any(axis=1), 0, np.arange(len(rows)))
     return rows[np.maximum.accumulate(known)][1:]
 
 
 def _spans(numbers: list[int]) -> str:
-    """Format sorted numbers as spans: 0 to 3, 7."""
+    """Return sorted numbers as text with spans, such as "0 to 3, 7"."""
     parts, first = [], 0
     for k, number in enumerate(numbers):
         if k + 1 == len(numbers) or numbers[k + 1] != number + 1:

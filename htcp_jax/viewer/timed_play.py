@@ -1,4 +1,4 @@
-"""Playback and plots of a robot program: kind of motion, speeds of the TCP and the joints."""
+"""Samples of a robot program for playback and plots: kind of motion, speeds of the TCP and the joints."""
 
 from typing import NamedTuple
 
@@ -11,36 +11,36 @@ from htcp_jax.viewer.arm_pose import ArmPose, arm_poses
 from htcp_jax.viewer.movie import RATE
 
 INSTANTS = 600
-BOUNDS = 0.1, 100.0  # of a joint's limit [%]: on the path joints are slower by two orders of magnitude
-HEADROOM = 1.5  # factor on the required feed rate; elsewhere the TCP may be faster, and its curve leaves the plot
+BOUNDS = 0.1, 100.0  # axis range of joint speed / limit [%]; logarithmic, as joints are slow along the path
+HEADROOM = 1.5  # top of the TCP speed axis / required feed rate; fast air moves exceed it
 
 
 class PlaybackStates(NamedTuple):
-    """States at n instants of a robot program."""
+    """States of a robot program at n times."""
 
     time_s: Float[np.ndarray, "n"]
     x: Float[np.ndarray, "n N"]  # [rad or m]
     kind: Int8[np.ndarray, "n"]  # `status.Kind`
-    target: Int[np.ndarray, "n"]  # the last one reached, -1 before the first
+    target: Int[np.ndarray, "n"]  # last reached target; -1 before the first target
     tcp_m_s: Float[np.ndarray, "n"]  # speed of the TCP
-    share: Float[np.ndarray, "n N"]  # speed of each joint by its limit [1]
+    share: Float[np.ndarray, "n N"]  # speed / limit of each joint [1]
 
     def words(self, k: int) -> str:
-        """Description of the motion at the k-th instant."""
+        """Return a description of the motion at the k-th time."""
         return f"{self.time_s[k]:.2f} s: {Kind(int(self.kind[k])).words}, TCP {1e3 * self.tcp_m_s[k]:.1f} mm/s"
 
 
 class Curves(NamedTuple):
-    """Curves of a robot program at n equidistant instants, from its begin to its end."""
+    """Curves of a robot program at n equidistant times, from its beginning to its end."""
 
     time_s: Float[np.ndarray, "n"]
     tcp_mm_s: dict[Kind, Float[np.ndarray, "n"]]  # by kind of motion; NaN during other kinds
-    feed_mm_s: float  # required
-    share_percent: dict[str, Float[np.ndarray, "n"]]  # by joint: its speed by its limit
+    feed_mm_s: float  # required feed rate
+    share_percent: dict[str, Float[np.ndarray, "n"]]  # joint speed / limit [%], by joint
 
     @classmethod
     def of(cls, made: PlanProgram, instants: int = INSTANTS) -> "Curves":
-        """Compute the curves of a robot program."""
+        """Compute the curves of a robot program at `instants` times."""
         play = sample_program(made, np.linspace(0, made.program.duration_s, instants))
         tcp = {
             kind: np.where(play.kind == kind, 1e3 * play.tcp_m_s, np.nan) for kind in Kind if (play.kind == kind).any()
@@ -50,7 +50,7 @@ class Curves(NamedTuple):
 
     @property
     def top_mm_s(self) -> float:
-        """Upper limit of the plot of the TCP's speed."""
+        """Upper end of the TCP speed axis [mm/s]."""
         return HEADROOM * self.feed_mm_s
 
 
@@ -64,27 +64,27 @@ def sample_program(made: PlanProgram, time_s: Float[np.ndarray, "n"]) -> Playbac
 
 
 def arms_of(made: PlanProgram, play: PlaybackStates) -> list[ArmPose]:
-    """The arm at each instant."""
+    """Return the arm's pose at each time of `play`."""
     return arm_poses(made.robot, play.x, play.target, play.kind == Kind.DWELL)
 
 
 def frame_times(duration_s: float, speed: float = 1.0) -> Float[np.ndarray, "n"]:
-    """Times of a movie's frames, in the time of the robot program [s].
+    """Return the times of a movie's frames, in the time of the robot program [s].
 
-    The movie has RATE frames a second and takes the program's duration over `speed`, to within a frame.
+    The movie has RATE frames per second and takes the program's duration / `speed`, to within a frame.
 
     Args:
-        duration_s: The program's duration.
-        speed: Playback rate; 1 is real time [1].
+        duration_s: The robot program's duration.
+        speed: Playback rate [1]; 1 is real time.
     """
     return np.arange(int(duration_s * RATE / speed) + 1) * speed / RATE
 
 
 def _come_to(program: Program, time_s: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Last target reached at each time.
+    """Return the last target reached at each time; -1 before the first target.
 
-    Of the program's configurations that lead to a target, the last one is at it; during the retract each is at its
-    target or past it.
+    Of a program's configurations that lead to a target, the last one is at the target. During the retract, every
+    configuration is at its target or beyond it.
     """
     passed = program.at_configurations()
     back = passed.kind == Kind.RETRACT

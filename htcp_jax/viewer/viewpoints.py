@@ -1,8 +1,8 @@
-"""Viewpoint of a plan: the side from which the arm and the workpiece, cut open, hide least of the path and the tool.
+"""Choice of a viewpoint: the side from which the arm and the cut workpiece hide least of the path and the tool.
 
-Horizontal directions all round are tried. Occlusion is measured along parallel rays, without the half of the cloud that
-faces the camera. There are penalties for a side from which the path is foreshortened, and for one whose cut removes the
-wall along the path. The result is deterministic.
+DIRECTIONS horizontal directions are compared. Occlusion is measured along parallel rays, without the half of the cloud
+that faces the camera. Penalties apply to sides from which the path is foreshortened, and to sides whose cut removes
+the wall along the path. The result is deterministic.
 """
 
 from collections.abc import Sequence
@@ -13,34 +13,34 @@ import scipy
 from jaxtyping import Bool, Float
 
 DIRECTIONS = 16
-ABOVE_RAD = np.radians(16.0)  # downward angle of a camera
-ASIDE_RAD = np.radians(-28.0), np.radians(28.0)  # angles of a camera to the side that is cut open
-SQUARE = 0.05  # bonus of the view perpendicular to the path, in shares hidden
-FORESHORTENED, CUT_OFF = 0.3, 0.3  # weights, in shares hidden
-MOST_POINTS, ALONG = 3000, 12  # samples of the cloud, and of an axis
+ABOVE_RAD = np.radians(16.0)  # angle by which a camera looks downwards
+ASIDE_RAD = np.radians(-28.0), np.radians(28.0)  # horizontal angles between a camera and the normal of the open side
+SQUARE = 0.05  # bonus for the view perpendicular to the path, in units of the hidden share
+FORESHORTENED, CUT_OFF = 0.3, 0.3  # weights of the penalties, in units of the hidden share
+MOST_POINTS, ALONG = 3000, 12  # maximum number of samples of the cloud, and number of samples of a capsule's axis
 
 
 class View(NamedTuple):
-    """A side view of the world: a point projects to (right @ p, up @ p), nearer ones have larger near @ p."""
+    """A side view of the world: point p is projected to (right @ p, up @ p); near @ p is larger for nearer points."""
 
     right: Float[np.ndarray, "3"]
     up: Float[np.ndarray, "3"]
     near: Float[np.ndarray, "3"]
 
     def flat(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-        """Project points along the view [m]."""
+        """Return points projected along the view [m]."""
         return np.stack([points @ self.right, points @ self.up], axis=-1)
 
 
 class Viewpoint(NamedTuple):
-    """The side that is cut open, and the camera's angle to it [rad]."""
+    """The open side, and the camera's horizontal angle to its normal [rad]."""
 
     view: View
     aside_rad: float
 
 
 class ShownBodies(NamedTuple):
-    """Capsules at F configurations: their ends, world [m], and a mask of the tool's."""
+    """Capsules at F configurations: ends of the axes, world [m], radii, and a mask of the tool's capsules."""
 
     p: Float[np.ndarray, "F K 3"]
     q: Float[np.ndarray, "F K 3"]
@@ -48,53 +48,77 @@ class ShownBodies(NamedTuple):
     tool: Bool[np.ndarray, "K"]
 
 
+class ShownScene(NamedTuple):
+    """The cloud, the path and the arm at some configurations; world [m]."""
+
+    cloud: Float[np.ndarray, "P 3"]
+    path: Float[np.ndarray, "T 3"]
+    arm: ShownBodies
+
+
 def flat_side(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], arm: ShownBodies) -> View:
-    """Choose the side of an orthographic, horizontal view.
+    """Return the best side for a horizontal, orthographic view.
 
     Args:
         cloud: The workpiece, world [m].
         path: The targets of the path, world [m].
         arm: The arm at some configurations.
     """
-    return _best_view(cloud, path, arm, (0.0,), 0.0).view
+    return _best_view([ShownScene(cloud, path, arm)], (0.0,), 0.0).view
 
 
 def camera_view(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], arm: ShownBodies) -> Viewpoint:
-    """Choose the side of a camera that is inclined downwards, at an angle to the cut.
+    """Return the best side and horizontal angle for a camera that looks downwards.
 
     Args:
         cloud: The workpiece, world [m].
         path: The targets of the path, world [m].
         arm: The arm at some configurations.
     """
-    return _best_view(cloud, path, arm, ASIDE_RAD, ABOVE_RAD)
+    return _best_view([ShownScene(cloud, path, arm)], ASIDE_RAD, ABOVE_RAD)
+
+
+def camera_view_of(scenes: Sequence[ShownScene]) -> Viewpoint:
+    """Return the best viewpoint for a moving part, which is not cut: the best mean over the scenes."""
+    return _best_view(scenes, ASIDE_RAD, ABOVE_RAD, cut=False)
 
 
 def view_from_side(cloud: Float[np.ndarray, "P 3"], targets: Float[np.ndarray, "T 3"]) -> View:
-    """Horizontal view, perpendicular to the direction of the targets, from the side of the cloud opposite to them."""
+    """Return the horizontal view perpendicular to the path, with the last target behind the cloud's centre."""
     ahead = (targets[-1] - targets[0]) * [1, 1, 0]
     ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0, 0])
     near = np.cross(ahead, [0.0, 0, 1])
     return _view(-near if near @ (targets[-1] - cloud.mean(axis=0)) > 0 else near)
 
 
-def _best_view(cloud, path, arm: ShownBodies, asides: Sequence[float], above_rad: float) -> Viewpoint:
-    cloud = cloud[:: -(-len(cloud) // MOST_POINTS)]
-    square = view_from_side(cloud, path)
+def _best_view(scenes: Sequence[ShownScene], asides: Sequence[float], above_rad: float, cut: bool = True) -> Viewpoint:
+    scenes = [each._replace(cloud=each.cloud[:: -(-len(each.cloud) // MOST_POINTS)]) for each in scenes]
+    cloud = scenes[0].cloud
+    square = view_from_side(cloud, scenes[0].path)
     apart = np.median(scipy.spatial.cKDTree(cloud).query(cloud, k=2)[0][:, 1]) if len(cloud) > 1 else 0.0
     turns = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     best, least = Viewpoint(square, asides[0]), np.inf
-    for turn in turns:  # the square side first: among equals the first is taken
+    for turn in turns:  # the perpendicular side first; it wins if others are equally good
         view = _view(np.cos(turn) * square.near + np.sin(turn) * square.right)
-        depth = cloud @ view.near
-        cut = (depth.max() + depth.min()) / 2
-        kept, lost = cloud[depth <= cut], CUT_OFF * (path @ view.near > cut).mean() - SQUARE * (turn == 0)
+        drawn = [_after_the_cut(scene, view) if cut else (scene, 0.0) for scene in scenes]
         for aside in asides:
             toward = towards_camera(view, aside, above_rad)
-            badness = hidden(kept, 1.5 * apart, path, arm, toward) + FORESHORTENED * _foreshortened(path, toward) + lost
+            badness = np.mean([_badness(*each, 1.5 * apart, toward) for each in drawn]) - SQUARE * (turn == 0)
             if badness < least - 1e-9:
                 best, least = Viewpoint(view, aside), badness
     return best
+
+
+def _after_the_cut(scene: ShownScene, view: View) -> tuple[ShownScene, float]:
+    """Return the scene with the cloud that remains after a cut, and the penalty for targets on the removed side."""
+    depth = scene.cloud @ view.near
+    cut = (depth.max() + depth.min()) / 2
+    return scene._replace(cloud=scene.cloud[depth <= cut]), CUT_OFF * (scene.path @ view.near > cut).mean()
+
+
+def _badness(scene: ShownScene, lost: float, radius: float, toward: Float[np.ndarray, "3"]) -> float:
+    cloud, path, arm = scene
+    return hidden(cloud, radius, path, arm, toward) + FORESHORTENED * _foreshortened(path, toward) + lost
 
 
 def _view(near: Float[np.ndarray, "3"]) -> View:
@@ -103,11 +127,11 @@ def _view(near: Float[np.ndarray, "3"]) -> View:
 
 
 def towards_camera(view: View, aside_rad: float, above_rad: float) -> Float[np.ndarray, "3"]:
-    """Unit direction towards a camera.
+    """Return the unit direction towards a camera.
 
     Args:
-        view: The side.
-        aside_rad: Horizontal angle from the side to the camera.
+        view: The open side.
+        aside_rad: Horizontal angle from the side's normal to the camera.
         above_rad: Angle of the camera above the horizontal.
     """
     level = np.cos(aside_rad) * view.near + np.sin(aside_rad) * view.right
@@ -121,9 +145,9 @@ def hidden(
     arm: ShownBodies,
     toward: Float[np.ndarray, "3"],
 ) -> float:
-    """Share of the path and the tool that a distant camera does not see, as the mean over the arm's configurations.
+    """Return the share of the path and the tool that is hidden from a distant camera, as mean over configurations.
 
-    Links of the arm hide them, and discs about the cloud's points.
+    The arm's links and discs around the cloud's points hide them.
 
     Args:
         cloud: The workpiece, world [m].
@@ -132,7 +156,7 @@ def hidden(
         arm: The arm at some configurations.
         toward: Unit direction towards the camera.
     """
-    plane = np.linalg.svd(toward[None])[2][1:].T  # two directions across
+    plane = np.linalg.svd(toward[None])[2][1:].T  # two directions perpendicular to the view
     shares = np.linspace(0, 1, ALONG)[:, None, None]
     path = path[:: -(-len(path) // 40)]
     wall = scipy.spatial.cKDTree(cloud @ plane) if len(cloud) else None
@@ -153,7 +177,7 @@ def hidden(
 
 
 def _foreshortened(path: Float[np.ndarray, "T 3"], toward: Float[np.ndarray, "3"]) -> float:
-    """Share of the path's length that is lost by projection along a direction."""
+    """Return the share of the path's length that is lost by projection along a direction."""
     legs = np.diff(path, axis=0)
     whole = np.linalg.norm(legs, axis=1).sum()
     across = np.linalg.norm(legs - (legs @ toward)[:, None] * toward, axis=1).sum()

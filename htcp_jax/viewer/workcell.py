@@ -1,4 +1,4 @@
-"""Workcells of a plan set: robot, workpiece and settings, and their placement in each scenario."""
+"""Workcells of saved plans: robot, workpiece and settings, and the workpiece's placement in each scenario."""
 
 from collections.abc import Hashable
 from functools import cached_property, lru_cache
@@ -12,17 +12,17 @@ from htcp_jax.clearance.obstacles import of_workpiece
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import PlanConfig, build
 from htcp_jax.kinds import numbers_of
-from htcp_jax.model import Robot, Scenario, Workpiece
+from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model import surface as surfaces
 from htcp_jax.runs import PlanSet, parameters, plan_folder
 from htcp_jax.runs import open as plan_sets
 
-MOST_CELLS = 8  # largest number of workcells in memory
+MOST_CELLS = 8  # maximum number of workcells in memory
 
 
 class Placement(NamedTuple):
-    """Workpiece pose, interior plane and tool extension of one scenario, as `HasWorkpiecePose` requires."""
+    """One scenario's workpiece pose, interior plane and tool extension; implements `HasWorkpiecePose`."""
 
     T_world_workpiece: Float[np.ndarray, "4 4"]
     interior_plane: Float[np.ndarray, "4"]
@@ -31,36 +31,36 @@ class Placement(NamedTuple):
 
 
 class Workcell:
-    """A robot and a workpiece, and the configuration that their scenarios share."""
+    """Robot, workpiece and configuration that several scenarios share."""
 
     def __init__(self, config: PlanConfig, robot: Robot, workpiece: Workpiece):
         self.config, self.robot, self.workpiece = config, robot, workpiece
 
     @property
     def approach(self) -> int:
-        """Number of targets before the tool path."""
+        """Number of approach targets, which precede the tool path."""
         return self.config.on_path
 
     @cached_property
     def obstacle(self) -> Obstacles:
-        """The workpiece and the other obstacles, for clearance queries."""
+        """Workpiece and other obstacles, for clearance queries."""
         return of_workpiece.all_obstacles(self.workpiece, build.obstacles_of(self.config.cell, self.robot))
 
     @cached_property
     def fixtures(self) -> surfaces.WorldGeometry:
-        """The other obstacles, for drawing."""
+        """Obstacles other than the workpiece, for drawing."""
         return build.drawn_of(self.config.cell, self.robot)
 
     @cached_property
     def surface(self) -> surfaces.Surface:
-        """The workpiece, for drawing."""
+        """Workpiece surface, for drawing."""
         return surfaces.surface_of(self.workpiece.shown)
 
 
 class RecordedCells:
-    """Workcells of saved plans, built from the configurations at first use; the last few are cached.
+    """Workcells of saved plans, built at first use; the last MOST_CELLS are cached.
 
-    `cell(key)` is the workcell of the scenarios with that key. It raises InputError for files that cannot be read.
+    `cell(key)` returns the workcell of the scenarios with that key. It raises InputError if a file cannot be read.
     """
 
     def __init__(self, found: PlanSet):
@@ -68,19 +68,28 @@ class RecordedCells:
         self.cell = lru_cache(maxsize=MOST_CELLS)(self._make)
 
     def key(self, number: int) -> Hashable:
-        """Key that is equal for scenarios that share a workcell.
+        """Return the key of a scenario's workcell; scenarios that share a workcell have equal keys.
 
-        The paths of a run's scenarios do not matter, as the targets are saved.
+        The key does not depend on the scenario's path, because targets are saved with the plans.
         """
         return self._keys[number] if self._found.mixed else None
 
     def placement(self, number: int) -> Placement:
-        """Placement of a scenario in its workcell."""
+        """Return the workpiece's placement in a scenario."""
         cell = self.cell(self.key(number))
         found = self._found
         kinds = (found.jobs[number] if found.mixed else found.config).cell.obstacles
         placement = _placement(cell.robot, cell.workpiece, found.parameters[number])
         return placement._replace(obstacle_numbers=numbers_of(kinds) if kinds else None)
+
+    def task(self, number: int) -> Task | None:
+        """Task of a scenario; None: the default one."""
+        return _task_of(self._found.jobs[number], self.cell(self.key(number)).robot)
+
+    def goals(self, number: int) -> Float[np.ndarray, "T G"]:
+        """Goals of a scenario's task, which are computed again from its job, as they are not saved."""
+        cell, job = self.cell(self.key(number)), self._found.jobs[number]
+        return np.asarray(build.scenario_of(job, cell.robot, cell.workpiece, number, "record").goals)
 
     @cached_property
     def _keys(self) -> dict[int, Hashable]:
@@ -90,14 +99,15 @@ class RecordedCells:
         found = self._found
         first = next(number for number in found.parameters if self.key(number) == key)
         config = found.jobs[first] if found.mixed else found.config
-        robot = build.robot_of(config.robot, config.cell)
+        robot = build.robot_of(config.robot, config.cell, config.tree)
         return Workcell(config, robot, build.workpiece_of(config.workpiece, robot))
 
 
 class GivenCell:
-    """Workcell in memory, with one placement for all scenarios, by the interface of `RecordedCells`."""
+    """Workcell in memory, with one placement for all scenarios; has the interface of `RecordedCells`."""
 
     def __init__(self, cell: Workcell, scenario: Scenario):
+        self._scenario = scenario
         T, plane = np.asarray(scenario.T_world_workpiece), np.asarray(scenario.interior_plane)
         self._cell, self._placement = (
             cell,
@@ -105,44 +115,60 @@ class GivenCell:
         )
 
     def key(self, number: int) -> Hashable:
-        """Key of every scenario: None."""
+        """Return None, the key of the only workcell."""
         del number
         return None
 
     def cell(self, key: Hashable) -> Workcell:
-        """The only workcell."""
+        """Return the only workcell."""
         del key
         return self._cell
 
     def placement(self, number: int) -> Placement:
-        """Placement of every scenario."""
+        """Return the placement, which is the same in every scenario."""
         del number
         return self._placement
+
+    def task(self, number: int) -> Task | None:
+        """Task of every scenario; None: the default one."""
+        del number
+        return _task_of(self._cell.config, self._cell.robot)
+
+    def goals(self, number: int) -> Float[np.ndarray, "T G"]:
+        """Goals of the task in every scenario."""
+        del number
+        return np.asarray(self._scenario.goals)
 
 
 Workcells = RecordedCells | GivenCell
 
 
+def _task_of(job: PlanConfig, robot: Robot) -> Task | None:
+    return build.task_of_job(job, robot) if job.task else None
+
+
 def cells_of(found: PlanSet) -> RecordedCells:
-    """Return the workcells of saved plans, with the first one built.
+    """Return the workcells of saved plans; the first one is built at once to check it.
 
     Raises:
-        InputError: If it cannot be built, and for a plan whose number of targets or joints differs from its
-            configuration's.
+        InputError: If the workcell cannot be built, or if the number of targets or joints differs between the plan's
+            files.
     """
     cells = RecordedCells(found)
     cell = cells.cell(cells.key(min(found.parameters)))
     if isinstance(found, plan_sets.FolderPlan):
         shape = cell.approach + len(cell.workpiece.path), len(cell.robot.joint_names)
-        if found.plans(found.methods[0]).x.shape[1:] != shape:
+        saved = found.plans(found.methods[0]).x.shape[1:]
+        if saved != shape:
             raise InputError(
-                f"{found.folder / plan_folder.TRAJECTORY} is not a plan of the configuration next to it; damaged"
+                f"{found.folder / plan_folder.TRAJECTORY} contains {saved[0]} targets and {saved[1]} joints, but "
+                f"{plan_folder.SUMMARY} describes {shape[0]} and {shape[1]}: the folder is damaged"
             )
     return cells
 
 
 def _shared(job: PlanConfig) -> tuple:
-    """Properties that scenarios in one workcell share."""
+    """Return the values of a job that are equal in all scenarios of a workcell."""
     return build.robot_key(job), build.workpiece_key(job), job.approach, job.settings, job.cell
 
 

@@ -1,7 +1,6 @@
 """Distances of capsules from points, half-spaces and solids.
 
-Every index (tree, bounding discs, sweeps) may only skip what a bound proves to be irrelevant, so the distances are
-exact. `cloud` is a point cloud with its indices; `solids` has convex shapes; `segments` the distance of two segments.
-`convex_pieces` has convex polyhedra as bodies, which are also measured against each other; `gjk` finds their nearest
-points.
+The distances are exact: an index (tree, bounding discs, sweep) skips only pairs that a bound proves to be irrelevant.
+`cloud` is a point cloud with its index, `solids` has convex shapes, and `segments` computes the distance of two
+segments. `convex_pieces` computes distances of convex polyhedra from all shapes; `gjk` finds nearest points.
 """

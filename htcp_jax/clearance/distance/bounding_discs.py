@@ -7,9 +7,9 @@ closest to m, and v the unit vector from m to c. Every point of the segment lies
 
     distance(segment, cluster) >= |c - m| - |v.n| e - sqrt(1 - (v.n)^2) r,
 
-which for a patch of a wall seen face on is exact up to the wall's thickness. It is 32-bit, rounded down by `SLACK`.
-The middle is very nearly that of the smallest circle about the cluster: about its most central point instead, discs
-would be a fifth larger, and a search would measure half as many leaves again.
+For a patch of a wall that faces the segment, the bound is exact up to the wall's thickness. It is computed in 32-bit
+floats and reduced by `SLACK`. The middle m is nearly the centre of the smallest circle about the cluster. With the
+cluster's most central point as m, discs would be a fifth larger, and a search would measure 50 % more leaves.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ SLACK = 1e-5  # [m]; a bound in 32-bit floats is wrong by less than this within 
 
 
 class LineSegments(NamedTuple):
-    """Segments p + s d, 0 <= s <= 1: coordinates first, then the bodies, so that bodies can be picked and broadcast."""
+    """Line segments p + s d [m], 0 <= s <= 1, with coordinates along the first axis and bodies along the others."""
 
     p: Float[Array, "3 *K"]
     d: Float[Array, "3 *K"]
@@ -35,12 +35,12 @@ def as_segments(p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> LineSegments:
     """Return the segments between p and q [m]."""
     d = q - p
     square = jnp.sum(d * d, axis=1)
-    # A segment shorter than 1e-15 m is as good as a point; its inverse would be infinite in 32-bit.
+    # A segment shorter than 1e-15 m is treated as a point: its inverse would be infinite in 32-bit floats.
     return LineSegments(p.T, d.T, 1 / jnp.maximum(square, 1e-30))
 
 
 def single(segments: LineSegments) -> LineSegments:
-    """Convert the segments to 32-bit."""
+    """Return the segments in 32-bit floats."""
     return jax.tree.map(lambda a: a.astype(jnp.float32), segments)
 
 
@@ -53,7 +53,7 @@ def lever_arm(segment: LineSegments, points):
     """Return the vector from the closest point of the segment to each point (3, ...)."""
     a = [points[i] - segment.p[i] for i in range(3)]
     s = sum(a[i] * segment.d[i] for i in range(3)) * segment.inverse
-    s = jnp.where(s > 0, s, 0)  # one instruction each; jnp.clip takes two more, to pass on a NaN
+    s = jnp.where(s > 0, s, 0)  # one instruction per `where`; jnp.clip takes two more, as it propagates NaN
     s = jnp.where(s < 1, s, 1)
     return [a[i] - s * segment.d[i] for i in range(3)]
 
@@ -65,12 +65,12 @@ def squared_distance(segment: LineSegments, points):
 
 
 def lower_bounds(segment: LineSegments, bound):
-    """Return lower bounds on the distance to discs (8, ...) [m]."""
+    """Return lower bounds on the distance from a segment to the points inside bounding discs (8, ...) [m]."""
     a = lever_arm(segment, bound)
     square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
     distance = jnp.sqrt(square)
     along = a[0] * bound[3] + a[1] * bound[4] + a[2] * bound[5]  # |c - m| (v.n), up to its sign
-    # The difference cancels where the patch is seen face on: 2e-6 is more than its rounding.
+    # The difference nearly cancels for a patch that faces the segment; its rounding error is below 2e-6.
     rest = square - along * along
     across = jnp.sqrt(jnp.where(rest > 0, rest, 0) + 2e-6 * square)
     reach = (jnp.abs(along) * bound[6] + across * bound[7]) / jnp.maximum(distance, 1e-12)
@@ -90,9 +90,10 @@ def bounding_discs(groups: Float[np.ndarray, "n points 3"]) -> Float[np.ndarray,
 
 
 def _middle(a, b):
-    """Return the middle of the smallest circle about the points (a, b) of each group, to about 1 % of its radius.
+    """Return the centre of the smallest circle about the points (a, b) of each group, to about 1 % of its radius.
 
-    The search begins in the middle of their box; its steps towards the furthest point become shorter and shorter.
+    The search begins in the middle of the points' bounding box, and steps towards the furthest point, each time by
+    less.
     """
     x, y = (a.max(1) + a.min(1)) / 2, (b.max(1) + b.min(1)) / 2
     groups = np.arange(len(a))

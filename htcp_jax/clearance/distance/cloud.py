@@ -1,8 +1,8 @@
-"""A workpiece's points: the paper's D, the distance from a capsule's segment to the nearest point, less the radius.
+"""A point cloud as an obstacle. D is the distance from a capsule's axis to the nearest point, less the radius.
 
-Where the points were sampled on a mesh, D is reduced by their covering radius: a bound on the clearance to the mesh
-itself. The nearest point is found once and then fixed, so the gradient is that of a distance to a fixed point: exact
-wherever D is differentiable, and one of its one-sided gradients elsewhere.
+If the points were sampled on a mesh, D is reduced by their covering radius, and is a lower bound on the clearance to
+the mesh. The nearest point is found once and then fixed. The gradient is therefore that of a distance to a fixed point:
+exact wherever D is differentiable, and one of the one-sided gradients elsewhere.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,10 @@ from htcp_jax.types import Bool, Float, Int, Scalar
 @register_pytree
 @dataclass(frozen=True)
 class Cloud(Obstacle):
-    """P points in the workpiece frame, their index, and the covering radius [m], by which every body is thickened."""
+    """Point cloud of a workpiece: P points in the workpiece frame [m], and their search index.
+
+    For every distance, bodies are thickened by the covering radius `cover` [m].
+    """
 
     points: Float[jax.Array, "P 3"]
     index: CloudIndex
@@ -44,9 +47,10 @@ class Cloud(Obstacle):
         return found if robot.pieces is None else self._by_pieces(robot, where, bodies, found)
 
     def closest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
-        """Return the contact of every body with the point nearest to any of them: one search, as in `smallest`.
+        """Return the contact of every body with one point: the cloud's point that is nearest to the arm.
 
-        For an arm with pieces those of `contacts`: another body may be the nearest by its piece.
+        One search for all bodies is enough, as for `smallest`. For an arm with pieces the result is that of
+        `contacts`, as the nearest piece may belong to another body than the nearest capsule.
         """
         if robot.pieces is not None:
             return self.contacts(robot, where, bodies)
@@ -57,7 +61,7 @@ class Cloud(Obstacle):
     def _contacts(
         self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, witness: Float[jax.Array, "K 3"]
     ) -> Contacts:
-        """Return the contact of every body with a given point."""
+        """Return the contact of every body with the given point of the cloud, `witness` (K, 3), workpiece frame [m]."""
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         p, q = bodies.p_workpiece, bodies.q_workpiece
         radius = robots.radius_to_workpiece(robot) + self.cover
@@ -71,7 +75,7 @@ class Cloud(Obstacle):
         )
 
     def _by_pieces(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, capsules: Contacts) -> Contacts:
-        """Return the contacts of capsules, or of the pieces in them where these are in doubt, see `narrow_phase`."""
+        """Return the contacts of capsules; for capsules in doubt, of the pieces in them, see `narrow_phase`."""
         limit = narrow_phase.limit_m(where)
         doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
         found = lowest_points(
@@ -106,7 +110,7 @@ class Cloud(Obstacle):
         return capsule_point_distance(p, q, radius[body], self.points[row])
 
     def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
-        """Return True in collision.
+        """Return True if any body touches the cloud.
 
         Cheaper than `smallest`, because the search skips all points beyond the capsules' radii.
         """
@@ -136,9 +140,13 @@ class Cloud(Obstacle):
         q: Float[jax.Array, "n 3"],
         within: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if a point is closer to any of n segments in the world than its `within` [m].
+        """Return True if any of n segments has a point of the cloud closer than its `within`.
 
-        A segment with a negative `within` is ignored.
+        Args:
+            where: A scenario, or another `HasWorkpiecePose`.
+            p: First ends of the segments, world [m].
+            q: Second ends, world [m].
+            within: Distance per segment [m]; a segment with a negative one is ignored.
         """
         own = in_workpiece(where, p), in_workpiece(where, q)
         return nearest_body(self.index, *own, within + self.cover, below=0.0).row >= 0
@@ -152,7 +160,7 @@ class Cloud(Obstacle):
         radius: Float[jax.Array, "n"],
         moves: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if a capsule is certainly too near to a point."""
+        """Return True if a capsule certainly has less clearance than the margin, see `Obstacle.surely_touches`."""
         return self.any_within(where, p, q, radius + margin_m - moves)
 
     def touches_along(
@@ -163,7 +171,7 @@ class Cloud(Obstacle):
         body: Int[jax.Array, ""],
         requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if a point is within the body's radius at any of the marked configurations."""
+        """Return True if the body touches a point at any of the configurations marked in `requested`."""
         within = jnp.where(requested, robots.radius_to_workpiece(robot)[body] + self.cover, -1.0)
         return jnp.any(nearest_rows(self.index, bodies.p_workpiece[:, body], bodies.q_workpiece[:, body], within) >= 0)
 

@@ -6,12 +6,12 @@ from htcp_jax.types import Array, Float, Int
 
 
 class CloudIndex(NamedTuple):
-    """A cloud and its tree.
+    """A cloud and its tree of clusters.
 
-    Rows of a bound: middle xyz, normal xyz, half thickness, radius [m]. A level has a group of clusters for each
-    cluster of the level above; there are two levels or more, and one group at the top.
+    A level has a group of clusters for each cluster of the level above. There are two levels or more, and one group at
+    the top. The 8 rows of a level are the clusters' bounding discs: middle xyz, normal xyz, half thickness, radius [m].
     """
 
     levels: tuple[Float[Array, "groups 8 clusters"], ...]
-    points: Float[Array, "leaves 3 points"]
+    points: Float[Array, "leaves 3 points"]  # [m]
     rows: Int[Array, "leaves points"]  # row of the cloud that each point came from

@@ -1,7 +1,8 @@
 """Distance of a cloud's points from convex pieces, by the planes that enclose each piece.
 
-A point is as far from a piece as it is above one of its planes, or farther: the largest height is exact inside and
-above faces, and has the right sign everywhere. Planes over sharp edges and corners keep it within 10 % for a box.
+The distance is the largest height of the point over the piece's planes. This is a lower bound on the true distance. It
+is exact inside and above faces, and has the right sign everywhere. Planes at sharp edges and corners limit its error to
+10 % for a box.
 """
 
 from typing import NamedTuple
@@ -17,11 +18,11 @@ from htcp_jax.types import Array, Float
 
 
 class PointHeights(NamedTuple):
-    """The lowest point of a cloud over each of K pieces."""
+    """The point of a cloud that is nearest to each of K pieces, by its height over the piece's planes."""
 
     height: Float[Array, "K"]  # [m]
     point: Float[Array, "K 3"]  # in the cloud's frame [m]
-    normal: Float[Array, "K 3"]  # of the plane, outwards, in the cloud's frame
+    normal: Float[Array, "K 3"]  # outward normal of the plane with this height, in the cloud's frame
 
 
 def lowest_points(
@@ -41,8 +42,8 @@ def lowest_points(
         T_cloud_link: Poses of the links in the cloud's frame.
         p: First ends of the capsules' axes, in the cloud's frame [m].
         q: Second ends [m].
-        within: The distances [m]; a negative one: no point is measured.
-        highest: The height that is returned without a lower point [m].
+        within: Distance from each capsule's axis within which points are measured [m]; negative: no point is.
+        highest: Upper limit of the returned heights [m]; it is returned if no measured point is lower.
     """
     return _lowest_points((index, planes), *jax.lax.stop_gradient((T_cloud_link, p, q, within, highest)))
 

@@ -1,15 +1,15 @@
 """Lower bound on a moving capsule's clearance to a cloud, to second order.
 
-Let the ends of its axis move by p(s) = p + s p' with an error below b, for |s| <= h, and let n be the unit vector
-from a point w of the cloud to the nearest point of the axis at the middle (Ericson, Real-Time Collision Detection,
-section 5.1.2). The plane through w normal to n keeps the axis from w by at least as much as the lower of its two ends,
-so that on the complete motion
+Let the ends p, q of the capsule's axis move by p(s) = p + s p' and q(s) = q + s q' with an error below b, for |s| <= h.
+Let n be the unit vector from a point w of the cloud to the nearest point of the axis at s = 0 (Ericson, Real-Time
+Collision Detection, section 5.1.2). The axis is at least as far from w as its lower end is above the plane through w
+normal to n. On the complete motion therefore
 
     distance >= min(n.(p - w) - h |n.p'|, n.(q - w) - h |n.q'|) - b.
 
-Only motion towards the point reduces it, as in the directed bounds of conservative advancement (Tang, Kim and Manocha,
-C2A, ICRA 2009): motion along a wall costs nothing, while a bound by travel needs that much clearance. Points farther
-away than the body's travel are skipped by the bounds of their clusters.
+Only motion towards the point reduces the bound, as in the directed bounds of conservative advancement (Tang, Kim and
+Manocha, C2A, ICRA 2009). Motion along a wall does not, whereas a bound by travel subtracts all of the travel. Points
+farther away than the body's travel are skipped by the bounds of their clusters.
 """
 
 import jax
@@ -34,18 +34,18 @@ def clear_along(
     requested: Bool[Array, "K"],
     wanted: RequiredClearance,
 ) -> Float[Array, "K"]:
-    """Return lower bounds on the clearance [m] of bodies along a sweep.
+    """Return lower bounds on the clearance of bodies along a sweep [m].
 
-    Once a body has less than `wanted.least`, the search ends, for the other bodies as well.
+    Once a body has less than `wanted.least`, the search ends for all bodies.
 
     Args:
         index: The cloud's tree.
-        p: First ends of the bodies' axes, in the cloud's frame like all positions here [m].
-        q: Second ends [m].
+        p: First ends of the bodies' axes, in the cloud's frame [m].
+        q: Second ends, in the cloud's frame [m].
         sweep: The bodies' motion.
         reach: Radii of the bodies [m].
-        requested: True for the bodies to bound.
-        wanted: Clearance required, and the largest to compute.
+        requested: True for the bodies that a bound is computed for.
+        wanted: The required clearance, and the clearance above which the bound need not be exact [m].
 
     Returns:
         The bounds; at most `wanted.enough`, which is also the value of bodies not in `requested`.
@@ -78,7 +78,10 @@ def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach,
 
 
 def _stays_clear(segment: LineSegments, p, q, p_moves, q_moves, bend, travel, reach, points):
-    """Return one body's least clearance to points (3, n), by the plane between it and each point, or by its travel."""
+    """Return a lower bound on the clearance between a body of radius `reach` and points (3, n) along the sweep [m].
+
+    It is the larger of two bounds: by the plane between the body and each point, and by the body's travel.
+    """
     towards = [-a for a in lever_arm(segment, points)]
     distance = jnp.sqrt(sum(a * a for a in towards))
     first, second = (

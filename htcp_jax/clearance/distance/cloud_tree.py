@@ -1,9 +1,9 @@
 """Exact nearest point of a cloud to a line segment, by branch and bound over a tree of clusters.
 
 The cloud is cut once into balanced leaves of 16 points; 16 neighbouring leaves make a cluster, 16 of these the next
-larger one, and so on up to a small top level. Each is bounded by a flat disc (see `bounding_discs`). A search opens
-every cluster whose bound is not above the smallest distance found: that is the certificate, and nothing is returned
-without it. The implementation depends on the machine: `cloud_tree_walk`, and `cloud_tree_gpu` for GPUs.
+larger one, and so on up to a small top level. Each cluster is bounded by a flat disc (see `bounding_discs`). A search
+opens every cluster whose bound is not above the smallest distance found, so the result is certified to be the nearest
+point. `cloud_tree_walk` is the implementation for CPUs, `cloud_tree_gpu` the one for GPUs.
 """
 
 from typing import NamedTuple
@@ -21,12 +21,12 @@ from htcp_jax.clearance.distance.cloud_index import CloudIndex
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
 
-TOP = 31  # clusters at the top, at most: a search keeps them as bits of one number
+TOP = 31  # maximum number of clusters at the top: a search stores them as bits of one number
 
 
 def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
-    """Build the index of a cloud of P >= 1 points [m]. Clusters with too few points repeat one of their own."""
-    return jax.device_put(_host_index(points))  # in its types: JAX would compile an executable for every conversion
+    """Build the index of a cloud of P >= 1 points [m]. Clusters with too few points repeat one of them."""
+    return jax.device_put(_host_index(points))  # in the final types: JAX compiles every conversion
 
 
 @cached_by_values(2)
@@ -49,7 +49,7 @@ def _host_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
 
 
 def _nested_clusters(points, rows, parts: int, levels: int):
-    """Cut rows into `parts` clusters, each of these into FAN, and so on: (parts, FAN, ..., FAN)."""
+    """Return nested clusters of the rows, (parts, FAN, ..., FAN): `parts` clusters, cut into FAN each, and so on."""
     groups = branch_and_bound.cut_rows(points, rows, parts)
     if levels == 1:
         return np.stack([branch_and_bound.padded_cluster(group) for group in groups])
@@ -57,7 +57,7 @@ def _nested_clusters(points, rows, parts: int, levels: int):
 
 
 class NearestPoint(NamedTuple):
-    """The nearest pair of a segment and a point of the cloud, by their numbers; -1, -1 if none is within the limit."""
+    """Indices of the nearest pair of a body and a point of the cloud; -1, -1 if no pair is within the limit."""
 
     body: Int[Array, ""]
     row: Int[Array, ""]
@@ -69,9 +69,9 @@ def nearest_rows(
     q: Float[Array, "K 3"],
     within: Float[Array, "K"] | None = None,
 ) -> Int[Array, "K"]:
-    """Return the row of the cloud nearest to each of K segments, exact (ties: one of the nearest).
+    """Return the row of the cloud's point nearest to each of K segments; any of several equally near points.
 
-    An integer carries no gradient: differentiate the distance to the point with that number.
+    The search is exact. A row has no gradient: differentiate the distance to the point in this row.
 
     Args:
         index: The cloud's tree.
@@ -92,15 +92,14 @@ def nearest_body(
 ) -> NearestPoint:
     """Return the pair of body and point with the smallest distance(segment, point) - radius.
 
-    Cheaper than the nearest point of every body, because each point found excludes all points of other bodies farther
-    away.
+    This is cheaper than `nearest_rows`, because a point found for one body limits the search of all other bodies.
 
     Args:
         index: The cloud's tree.
         p: First ends of the bodies' axes [m].
         q: Second ends [m].
         radius: Radii of the bodies [m].
-        below: Upper limit of the difference [m], see `NearestPoint`.
+        below: Upper limit of distance - radius [m]; pairs above it are not returned, see `NearestPoint`.
     """
     return _nearest_body(index, *jax.lax.stop_gradient((p, q, radius, jnp.asarray(below, float))))
 
@@ -120,7 +119,7 @@ def _nearest_body(index: CloudIndex, p, q, radius, below):
 def _search_rows(index: CloudIndex, p, q, radius, limit, shared: bool):
     """Return the row of the nearest point of each of K bodies, -1 if none has distance - radius below its limit.
 
-    With a shared limit only the body that is nearest of all gets a row.
+    With a shared limit, only the nearest body gets a row; all other bodies get -1.
     """
     search = cloud_tree_gpu if backend().has_kernels else cloud_tree_walk
     leaf = search.nearest_leaves(index, p, q, radius, limit, shared)
@@ -129,7 +128,7 @@ def _search_rows(index: CloudIndex, p, q, radius, limit, shared: bool):
 
 
 def _row_of_least(square: Float[Array, "K FAN"], rows: Int[Array, "K FAN"]) -> Int[Array, "K"]:
-    """Return the row with the smallest square, by halves: an argmin takes three times as long."""
+    """Return the row with the smallest squared distance, by repeated halving: an argmin takes three times as long."""
     while square.shape[1] > 1:
         (a, b), (row_a, row_b) = jnp.split(square, 2, axis=1), jnp.split(rows, 2, axis=1)
         square, rows = jnp.minimum(a, b), jnp.where(a <= b, row_a, row_b)

@@ -1,7 +1,7 @@
-"""The searches of `cloud_tree` and `cloud_sweep` as GPU kernels: an instance per body, or per configuration.
+"""The searches of `cloud_tree` and `cloud_sweep` as GPU kernels, with one instance per body or per configuration.
 
-As XLA loops every iteration would be a launch that reads and writes the keys of all bodies. An instance treats a tree
-of any depth as two levels: the clusters of 16 leaves, its branches, and these leaves.
+In an XLA loop, every iteration would be a kernel launch that reads and writes the keys of all bodies. A kernel instance
+treats a tree of any depth as two levels: branches, which are clusters of 16 leaves, and leaves.
 """
 
 from collections.abc import Callable
@@ -20,9 +20,9 @@ from htcp_jax.types import Array, Float, Int
 
 
 def nearest_leaves(index, p, q, radius, limit, shared: bool) -> Int[Array, "K"]:
-    """Return the leaf of each body's nearest point, -1 for none below the body's limit.
+    """Return the leaf of each body's nearest point; -1 if no point is below the body's limit.
 
-    With a shared limit it is returned for the nearest body only.
+    With a shared limit, all bodies except the nearest one get -1.
     """
     bodies, count = p.shape[0], _branch_count(index)
     search = partial(_tree_kernel, shared, count, bodies)
@@ -38,11 +38,11 @@ def least_in_reach(index: CloudIndex, p, q, reach, start, measure: Callable, *ro
         index: The cloud's tree.
         p (Array): First ends of the bodies' axes (K, 3) [m].
         q (Array): Second ends (K, 3) [m].
-        reach (Array): Distance (K,) of the points to measure from each body [m], none if negative; some others may be
-            measured, too.
-        start (Array): Largest result of each body (K,).
+        reach (Array): Distance (K,) from each body within which points are measured [m]; none if negative. Points
+            farther away may be measured, too.
+        start (Array): Upper limit of each body's result (K,).
         measure: The function to minimise.
-        *rows (Array): Tables (K,), or (K, 3), from which a body's row is a list.
+        *rows (Array): Tables (K,) or (K, 3), of which `measure` gets the body's rows; a row of 3 is passed as a list.
     """
     least = partial(_least_of_branch, measure, _branch_count(index), len(rows))
     tables = p, q, reach, start, *rows, _branches(index), index.points
@@ -54,7 +54,7 @@ def _branch_count(index: CloudIndex) -> int:
 
 
 def _branches(index: CloudIndex) -> Float[Array, "8 n"]:
-    """Return the branches' discs in one row, padded to a power of two."""
+    """Return the branches' bounding discs as columns, padded to a number of columns that is a power of two."""
     branches = index.levels[-2].transpose(1, 0, 2).reshape(8, -1)
     missing = (1 << (branches.shape[1] - 1).bit_length()) - branches.shape[1]
     return jnp.pad(branches, ((0, 0), (0, missing)), mode="edge")
@@ -79,7 +79,7 @@ def _tree_kernel(shared, branch_count, bodies, p, q, radius, limit, branches, le
 
 
 def _nearest_leaf(branch_count, p, q, radius, branches, leaves, points, body, limit):
-    """Return (limit, leaf): one body's limit lowered to the distance found, and the leaf with that distance."""
+    """Return one body's limit, lowered to the smallest distance found, and the leaf with this distance."""
     segment, r = _segment(p, q, body), radius[body]
 
     def measure(leaf, state):
@@ -97,14 +97,17 @@ def _nearest_leaf(branch_count, p, q, radius, branches, leaves, points, body, li
     def nearest_middle(load):
         return least_number(squared_distance(single(segment), [load(i) for i in range(3)]))
 
-    # The leaf whose middle is nearest gives the first limit.
+    # The leaf whose middle is nearest is measured first; its distance is the first limit.
     first = jnp.minimum(nearest_middle(lambda i: branches[i, :]), branch_count - 1)
     start = measure(first * FAN + nearest_middle(lambda i: leaves[first, i, :]), (limit, jnp.int32(-1)))
     return _for_each_cluster(segment, lambda i: branches[i, :], branch_count, reach, descend, start)
 
 
 def _least_of_branch(measure, branch_count, rows, p, q, reach, start, *refs):
-    """Measure all points of a branch at once: with 32 threads, selecting leaves takes longer."""
+    """Kernel of `least_in_reach`: minimise `measure` for one body.
+
+    All points of a branch are measured at once: with 32 threads, selecting leaves takes longer.
+    """
     *refs, branches, points, out = refs
     body = pl.program_id(0)
     segment, within = _segment(p, q, body), reach[body]
@@ -121,12 +124,12 @@ def _least_of_branch(measure, branch_count, rows, p, q, reach, start, *refs):
 
 
 def _row_of_body(table, body):
-    """Return one body's row: a number, or a list of coordinates."""
+    """Return one body's row of a table: a number, or a list of coordinates."""
     return table[body] if len(table.shape) == 1 else [table[body, i] for i in range(table.shape[1])]
 
 
 def _segment(p, q, body) -> LineSegments:
-    """Return one body's segment."""
+    """Return the axis of one body as a segment."""
     start, end = _row_of_body(p, body), _row_of_body(q, body)
     along = [b - a for a, b in zip(start, end, strict=True)]
     square = along[0] * along[0] + along[1] * along[1] + along[2] * along[2]
@@ -136,10 +139,10 @@ def _segment(p, q, body) -> LineSegments:
 def _for_each_cluster(
     segment: LineSegments, load: Callable, count: int, reach: Callable, take: Callable, state: Any
 ) -> Any:
-    """Return state after state = take(cluster, state) for each of `count` clusters, in the order of their bounds.
+    """Apply state = take(cluster, state) to each of `count` clusters, in the order of their bounds; return the state.
 
-    Clusters that cannot have a point within reach(state) [m] of the segment are skipped. `load` reads a row of their
-    discs, which may continue after the last one.
+    Clusters that cannot have a point within reach(state) [m] of the segment are skipped. `load(i)` returns coordinate i
+    of all discs, and may be padded after the last disc.
     """
     keys = order_keys(jnp.maximum(lower_bounds(single(segment), [load(i) for i in range(8)]), 0.0))
     mask = number_mask(len(keys))

@@ -1,10 +1,9 @@
-"""The search of `cloud_tree` in plain JAX, for a CPU: level by level, every cluster within the search radius.
+"""The search of `cloud_tree` in plain JAX, for CPUs: it opens every cluster within a search radius, level by level.
 
-It begins with two quick descents for all bodies in parallel: from each of the two nearest clusters at the top to the
-child with the nearest middle, down to a leaf, which is measured. The result is usually within millimetres of the
-minimum. So the search needs no priority order: it opens every cluster within that radius, one body after the other, and
-each level before the next. Iterations do not depend on each other's results, so a CPU overlaps them; a best-first
-search waits for every square root, and takes two and a half times as long.
+The search radius comes from two quick descents, for all bodies in parallel: from each of the two nearest clusters at
+the top to the child with the nearest middle, down to a leaf, which is measured. The smaller distance is usually within
+millimetres of the minimum, so the search needs no priority order. Its iterations are independent, so a CPU overlaps
+them. A best-first search waits for every square root and takes two and a half times as long.
 """
 
 from collections.abc import Callable
@@ -27,9 +26,9 @@ from htcp_jax.types import Array, Int, Scalar
 
 
 class _OpenClusters(NamedTuple):
-    """Groups of clusters, the first `count` of a list.
+    """List of opened groups of clusters at one level of the tree; the first `count` entries are valid.
 
-    Each has its number, and a bit mask of its clusters within the search radius, never 0.
+    Each entry has the group's number, and a bit mask of the group's clusters within the search radius, which is not 0.
     """
 
     group: Int[Array, "n"]
@@ -37,13 +36,13 @@ class _OpenClusters(NamedTuple):
     count: Int[Array, ""]
 
 
-Lists = list[_OpenClusters]  # one per level, from the second
+Lists = list[_OpenClusters]  # one per level, from the second level on
 
 
 def nearest_leaves(index: CloudIndex, p, q, radius, limit, shared: bool) -> Int[Array, "K"]:
-    """Return the leaf of each body's nearest point, -1 for none below the body's limit.
+    """Return the leaf of each body's nearest point; -1 if no point is below the body's limit.
 
-    With a shared limit it is returned for the nearest body only.
+    With a shared limit, all bodies except the nearest one get -1.
     """
     segments, body = as_segments(p, q), jnp.arange(p.shape[0])
     distance, leaf = _descend(index, segments)
@@ -66,7 +65,7 @@ def nearest_leaves(index: CloudIndex, p, q, radius, limit, shared: bool) -> Int[
 
 
 def _descend(index: CloudIndex, segments: LineSegments):
-    """Return the nearer of the two leaves that the descents end at: its distance from each body, and its number."""
+    """Descend to two leaves per body; return the distance [m] and the number of the nearer leaf."""
     segments32 = with_axes(single(segments), 1)
 
     def descent(cluster):
@@ -83,7 +82,7 @@ def _descend(index: CloudIndex, segments: LineSegments):
 
 
 def _search_one(index: CloudIndex, segment: LineSegments, radius, limit, top, lists: Lists):
-    """Return one body's limit, lowered to the distance found, the leaf with that distance or -1, and the lists."""
+    """Search for one body; return the lowered limit [m], the leaf of the point found (-1: none), and the lists."""
 
     def measure(leaf, state):
         limit, best = state
@@ -95,7 +94,7 @@ def _search_one(index: CloudIndex, segment: LineSegments, radius, limit, top, li
 
 
 def empty_lists(index: CloudIndex) -> Lists:
-    """Return lists of maximum length, made once: clearing them would cost more than a search."""
+    """Return lists of maximum length for all searches to share: making lists per search costs more than a search."""
     return [_OpenClusters(*jnp.zeros((2, len(level)), jnp.int32), jnp.int32(0)) for level in index.levels[1:]]
 
 
@@ -108,14 +107,14 @@ def for_each_leaf(
     state: Any,
     lists: Lists,
 ) -> tuple[Any, Lists]:
-    """Return state after state = take(leaf, state) for every leaf that may have a point near a segment, and the lists.
+    """Apply state = take(leaf, state) to every leaf that may have a point near a segment; return state and lists.
 
     Args:
         index: The cloud's tree.
         segment: The segment.
-        reach: Distance of the points from the segment [m].
-        top: The clusters at the top that are `in_reach`.
-        take: Function of a leaf and a state.
+        reach: Search radius: largest distance of the points from the segment [m].
+        top: Bit mask of the clusters at the top that are `in_reach`.
+        take: Function (leaf, state) that returns the new state.
         state: The initial state.
         lists: From `empty_lists`, or from the previous search.
     """
@@ -138,7 +137,7 @@ def for_each_leaf(
 
 
 def _for_each(opened: _OpenClusters, fan: int, take: Callable, state):
-    """Return state after state = take(cluster, state) for every opened cluster, in order."""
+    """Apply state = take(cluster, state) to every opened cluster, in order; return the state."""
 
     def step(carry):
         entry, bits, state = carry
@@ -155,7 +154,7 @@ def _for_each(opened: _OpenClusters, fan: int, take: Callable, state):
 def in_reach(segment: LineSegments, bound, reach):
     """Return a bit mask of the discs (8, ..., n) that may have a point within `reach` [m] of the segment.
 
-    It is empty if `reach` is negative.
+    The mask is 0 if `reach` is negative.
     """
     reach32 = jnp.where(reach < 0, -jnp.inf, jnp.minimum(reach * (1 + 1e-6), 1e30)).astype(jnp.float32)
     near = lower_bounds(segment, bound) <= reach32
@@ -164,9 +163,10 @@ def in_reach(segment: LineSegments, bound, reach):
 
 
 def _distance_to_points(segment: LineSegments, points):
-    """Return the distance from a segment to the nearest of points (3, ..., n).
+    """Return the distance from a segment to the nearest of points (3, ..., n) [m].
 
-    Squares order like their bits, and an integer minimum takes half the time: there is no NaN among them.
+    The minimum is taken over the bits of the squared distances as integers: without NaN these have the same order, and
+    it takes half the time.
     """
     bits = jax.lax.bitcast_convert_type(squared_distance(segment, points), jnp.int64)
     return jnp.sqrt(jax.lax.bitcast_convert_type(jnp.min(bits, axis=-1), float))

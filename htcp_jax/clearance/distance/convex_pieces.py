@@ -4,11 +4,12 @@ The signed distance of two convex bodies A and B is the largest, over all unit n
 
     f(n) = min n.a - max n.b    over all points a of A and b of B.
 
-Apart, n joins their nearest points, see `gjk`. Where they overlap, n is normal to a face of A - B: to a face of A or B,
-or to an edge of each whose arcs of normals cross on the Gauss sphere (Gregorius, The separating axis test between
-convex polyhedra, GDC 2013). A pair of edges bounds f(n) from above even where the arcs do not cross, so f(n) is
-evaluated for the pair with the highest bound, until no bound is higher. Every distance is f(n) of a known n: rounding
-can make it smaller than the true one, never larger.
+For separate bodies, n is the direction between their nearest points, see `gjk`. For overlapping bodies, n is normal to
+a face of A - B: to a face of A or B, or to an edge of A and an edge of B whose arcs of normals cross on the Gauss
+sphere (Gregorius, The separating axis test between convex polyhedra, GDC 2013). A pair of edges bounds f(n) from above
+even if the arcs do not cross. Pairs are therefore evaluated in the order of their bounds, until no bound is higher than
+the largest f(n) found. Every distance is f(n) of a known n: rounding can make it smaller than the true distance, never
+larger.
 
 Segments, points and boxes are pieces, too; a capsule is a segment with a radius.
 """
@@ -27,10 +28,10 @@ from htcp_jax.model import ConvexPiece, convex_piece
 from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.types import Array, Float, Int, Pose, Scalar, Vector3
 
-ROUNDING_M = 1e-12  # error of the height of an edge's end over a face
+ROUNDING_M = 1e-12  # rounding error of the height of an edge's end over a face
 PARALLEL = 1e-9  # sine of the angle below which two edges have no common normal
-CLOSE_M = 1e-6  # below this distance the normal between nearest points is rounded; a face's is not
-APART_M = 0.01  # distance at which the points of contact of overlapping bodies are found
+CLOSE_M = 1e-6  # below this distance a normal from the nearest points is inaccurate; faces' normals are used
+APART_M = 0.01  # distance to which overlapping bodies are moved apart to find their contact points
 
 
 class PlacedPiece(NamedTuple):
@@ -41,7 +42,7 @@ class PlacedPiece(NamedTuple):
 
 
 class PieceContact(NamedTuple):
-    """Signed distance of a piece from another body, and where it is attained: distance = normal . (point - witness)."""
+    """Signed distance of a piece from another body, and its nearest points: distance = normal . (point - witness)."""
 
     distance: Scalar  # signed [m]
     normal: Vector3  # from the other body to the piece, unit, world
@@ -58,10 +59,11 @@ def _cube() -> ConvexPiece:
 
 
 def piece_contact(placed: PlacedPiece, other: Body) -> PieceContact:
-    """Return the contact of a piece with another body; a point is a rod with p = q and radius 0.
+    """Return the contact of a piece with another body.
 
-    Distance and points are differentiable in the pose of the piece, in that of another piece, and in the ends of a rod:
-    the points move with their bodies (envelope theorem). Rows under `jax.vmap` do not affect each other.
+    The other body may be a point: a rod with p = q and radius 0. Distance and points are differentiable in the poses of
+    pieces and in the ends of a rod: the points move with their bodies (envelope theorem). Rows under `jax.vmap` do not
+    affect each other.
     """
     still, fixed = jax.lax.stop_gradient((_in_world(placed), other))
     if isinstance(fixed, HalfSpace):
@@ -79,17 +81,17 @@ def piece_contact(placed: PlacedPiece, other: Body) -> PieceContact:
 
 
 def face_contact(placed: PlacedPiece, other: PlacedPiece) -> PieceContact:
-    """Return the contact of two pieces; where they overlap, by the faces of both alone.
+    """Return the contact of two pieces; overlapping pieces are compared along the normals of their faces only.
 
-    The distance is exact apart, and has the right sign. Overlapping pieces may be closer by their edges: then it is a
-    lower bound, at a tenth of the cost of `piece_contact`. Without a gradient.
+    The distance is exact for separate pieces. For overlapping ones it is a lower bound with the right sign, as pairs of
+    edges are not tested. It takes a tenth of the time of `piece_contact`, and has no gradient.
     """
     a, b = jax.lax.stop_gradient((_in_world(placed), _in_world(other)))
     near = nearest(lambda direction: _lowest(a, direction), lambda direction: _lowest(b, direction))
 
     def overlapping() -> tuple[Scalar, Vector3, Vector3]:
         distance, normal, k = _best(a, b, jnp.concatenate([b.normals, -a.normals]))
-        by_own = k >= len(b.normals)  # a face of `a`, nearest to a corner of `b`
+        by_own = k >= len(b.normals)  # True: the normal is that of a face of `a`, nearest to a corner of `b`
         corner = _lowest(b, -normal) + distance * normal
         return distance, normal, jnp.where(by_own, corner, _lowest(a, normal))
 
@@ -113,7 +115,7 @@ def _in_world(placed: PlacedPiece) -> ConvexPiece:
 
 
 def _polyhedron(other: PlacedPiece | Rod | Box) -> ConvexPiece:
-    """Return a body in the world as a piece; of a rod its axis."""
+    """Return a body as a convex piece in the world; for a rod, its axis without the radius."""
     if isinstance(other, PlacedPiece):
         return _in_world(other)
     if isinstance(other, Rod):
@@ -130,7 +132,7 @@ def _polyhedron(other: PlacedPiece | Rod | Box) -> ConvexPiece:
 
 
 def _moved_with(body: Body, point: Vector3) -> Vector3:
-    """Return a point as one that moves with a body."""
+    """Return the point, differentiable as a point fixed to the body."""
     point = jax.lax.stop_gradient(point)
     if isinstance(body, PlacedPiece):
         R, t = body.T_world[:3, :3], body.T_world[:3, 3]
@@ -143,7 +145,7 @@ def _moved_with(body: Body, point: Vector3) -> Vector3:
 
 
 def _argmax(values: Float[Array, "n"]) -> Int[Array, ""]:
-    """Return the first index of the largest value; on a CPU in half of the time that `jnp.argmax` takes."""
+    """Return the first index of the largest value; on a CPU this takes half the time of `jnp.argmax`."""
     numbers = jnp.arange(values.size, dtype=jnp.int32)
     return jnp.min(jnp.where(values == jnp.max(values), numbers, values.size - 1))
 
@@ -173,10 +175,9 @@ def _highest(body: ConvexPiece | Cylinder, normals: Float[Array, "n 3"]) -> Floa
 
 
 def _contact(a: ConvexPiece, b: ConvexPiece | Cylinder) -> tuple[Scalar, Vector3, Vector3]:
-    """Return distance, normal and the point on `a`, without the radii.
+    """Return the signed distance [m], the normal, and the contact point on `a` [m], without the bodies' radii.
 
-    The point of contact of bodies that overlap or nearly do is the nearest one once they are moved apart along the
-    normal.
+    Bodies that overlap or nearly do are first moved apart along the normal, to find the contact point.
     """
 
     def close() -> tuple[Scalar, Vector3, Vector3]:
@@ -194,7 +195,7 @@ def _contact(a: ConvexPiece, b: ConvexPiece | Cylinder) -> tuple[Scalar, Vector3
 
 
 def _least_penetration(a: ConvexPiece, b: ConvexPiece | Cylinder) -> tuple[Scalar, Vector3]:
-    """Return the largest f(n) of all candidates for the normal of least penetration, and its n."""
+    """Return the largest f(n) [m] over all candidates n for the normal of least penetration, and this n."""
     if isinstance(b, ConvexPiece):
         return _best_with_edges(a, b, _best(a, b, jnp.concatenate([-a.normals, b.normals]))[:2])
     ends = product(a.vertices - b.centre[None], b.rotation)[a.edges]
@@ -205,17 +206,17 @@ def _least_penetration(a: ConvexPiece, b: ConvexPiece | Cylinder) -> tuple[Scala
 def _best(
     a: ConvexPiece, b: ConvexPiece | Cylinder, normals: Float[Array, "n 3"]
 ) -> tuple[Scalar, Vector3, Int[Array, ""]]:
-    """Return the largest f(n) of unit normals [m], its n and its number. Those of length 0 are ignored."""
+    """Return the largest f(n) over unit normals [m], this normal n, and its row. Normals of length 0 are ignored."""
     f = jnp.where(jnp.any(normals != 0, axis=1), -_highest(a, -normals) - _highest(b, normals), -jnp.inf)
     k = _argmax(f)
     return f[k], normals[k], k
 
 
 def _best_with_edges(a: ConvexPiece, b: ConvexPiece, best: tuple[Scalar, Vector3]) -> tuple[Scalar, Vector3]:
-    """Return f(n) and n of the best pair of edges, or `best` if none is better.
+    """Return f(n) and n of the best pair of edges d and e, or `best` if no pair is better.
 
-    An edge d whose sides have the normals m1 and m2, d along m1 x m2, has a positive multiple of d x e on its arc if
-    m1.e >= 0 >= m2.e. A pair's bound on f(n) is n.(p - q) for a point p and q on each edge.
+    Let m1 and m2 be the normals of the faces at edge d, with d along m1 x m2. The arc of normals of d contains a
+    positive multiple of d x e if m1.e >= 0 >= m2.e. A pair's bound on f(n) is n.(p - q), for points p of d and q of e.
     """
     p, q = a.vertices[a.edges], b.vertices[b.edges]
     d, e = p[:, 1] - p[:, 0], q[:, 1] - q[:, 0]

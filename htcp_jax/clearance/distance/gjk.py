@@ -1,10 +1,10 @@
 """Nearest points of two convex bodies, by the algorithm of Gilbert, Johnson and Keerthi (1988).
 
-A body is given by its support function: its point that is lowest along a direction. The search keeps a simplex of
-differences a - b, at most three corners, and adds the difference that is lowest along the simplex's own nearest point
-to the origin. The distance is bounded from above by that point's length, and from below by the differences' least
-height along it; the search ends where both agree or rounding allows no progress, after two to ten rounds for
-polyhedra, twenty for a cylinder.
+A body is given by its support function: its point that is lowest along a direction. The search keeps a simplex of at
+most three differences a - b. Let x be the simplex's nearest point to the origin. Each round adds the difference that is
+lowest along x. The distance is at most the length of x, and at least the least height of any difference along x. The
+search ends when both bounds agree or rounding allows no progress: after two to ten rounds for polyhedra, twenty for a
+cylinder.
 """
 
 from collections.abc import Callable
@@ -17,25 +17,22 @@ from htcp_jax.numerics import product, safe_divide
 from htcp_jax.types import Array, Bool, Float, Int, Scalar, Vector3
 
 CONVERGED_M = 1e-11  # difference of the bounds on the distance
-TOUCHES_M = 1e-9  # below this distance a normal would be rounding
-ROUNDS = 64  # at most
+TOUCHES_M = 1e-9  # below this distance a normal would consist of rounding errors
+ROUNDS = 64  # maximum number of rounds
 
 Support = Callable[[Vector3], Vector3]  # from a direction to the body's point [m] that is lowest along it
 
 
 class Nearest(NamedTuple):
-    """Nearest points of two bodies, or a simplex on the way to them.
-
-    Overlapping bodies have no positive `lower`.
-    """
+    """State and result of the search for the nearest points of two bodies. `lower` is 0 or less if they overlap."""
 
     difference: Vector3  # the simplex's point nearest to the origin
     square: Scalar  # its squared length
-    weights: Float[Array, "3"]  # of the corners at this point; 0: unused
-    corners: Float[Array, "3 3"]
-    points: Float[Array, "3 3"]  # of the corners, on the first body
+    weights: Float[Array, "3"]  # barycentric weights of the corners at this point; 0: unused corner
+    corners: Float[Array, "3 3"]  # corners of the simplex: differences a - b [m]
+    points: Float[Array, "3 3"]  # the corners' points a on the first body [m]
     lower: Scalar  # lower bound on the distance [m]
-    normal: Vector3  # from the second body to the first, unit: at `lower` a plane with this normal separates them
+    normal: Vector3  # unit, from the second body to the first: along it they are at least `lower` apart
     done: Bool[Array, ""]
     rounds: Int[Array, ""]
 
@@ -75,7 +72,7 @@ def nearest(a: Support, b: Support) -> Nearest:
         stops = ~first & ((length - lower <= CONVERGED_M) | ~(square < now.square))
         return jax.tree.map(lambda old, new: jnp.where(stops, old, new), stays, moves)
 
-    x, nothing = jnp.array([1.0, 0.0, 0.0]), jnp.zeros((3, 3))  # no simplex: the first round goes along x
+    x, nothing = jnp.array([1.0, 0.0, 0.0]), jnp.zeros((3, 3))  # no simplex yet: the first direction is the x axis
     unknown = jnp.full((), -jnp.inf), jnp.zeros(3), jnp.zeros((), bool), jnp.zeros((), int)
     start = Nearest(x, jnp.ones(()), jnp.zeros(3), nothing, nothing, *unknown)
     return jax.lax.while_loop(lambda now: ~now.done & (now.rounds <= ROUNDS), step, start)
@@ -84,11 +81,19 @@ def nearest(a: Support, b: Support) -> Nearest:
 def _nearest_of_simplex(
     w: Vector3, corners: Float[Array, "3 3"], used: Bool[Array, "3"], may_enclose: Bool[Array, ""]
 ) -> tuple[Scalar, Vector3, Float[Array, "3"]]:
-    """Return the nearest point to the origin of the simplex of w and the used corners.
+    """Return the point of a simplex that is nearest to the origin; the simplex has w and the used corners.
 
-    The candidates are w, three edges, three triangles and the inside, each with w. Returned are the squared distance,
-    the point and the weights of the corners; that of w is the rest to 1. `may_enclose`: no plane separates the simplex
-    from the origin, so a point inside is no rounding.
+    The candidates are w, and the three edges, the three triangles and the inside with w.
+
+    Args:
+        w: The new corner [m].
+        corners: The other corners [m].
+        used: True for the corners in use.
+        may_enclose: True if no plane is known that separates the simplex from the origin. Only then the inside is a
+            candidate.
+
+    Returns:
+        The squared distance, the point, and the weights of `corners`; the weight of w is 1 minus their sum.
     """
     eye = jnp.eye(3)
     e = jnp.where(used[:, None], corners - w[None], 0.0)

@@ -1,8 +1,8 @@
-"""The facet of a convex hull that a point has crossed, for the clearance's interior rule.
+"""Search for the facet of a convex hull that a point has crossed, for the interior rule of the clearance.
 
-Usually there is none. Most points lie inside a small polytope within the hull, its core, which is tested in 32-bit with
-a tolerance for its error. The others, one in ten, are measured against every facet in 64-bit: one after another on a
-CPU, in parallel on a GPU (`half_spaces_gpu`).
+Usually no facet is crossed: most points lie inside the hull's core, a smaller polytope. This is tested in 32-bit floats
+with a tolerance for rounding. The other points, one in ten, are measured against every facet in 64-bit floats: one
+after another on a CPU, in parallel on a GPU (`half_spaces_gpu`).
 """
 
 from functools import partial
@@ -19,14 +19,15 @@ from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float, Int
 
 ROUNDING_M = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m of the origin
-CORE_VERTICES = 96  # at most
-FAN = 16  # facets in a row of the table, as an argmax takes ten times as long as a maximum
+CORE_VERTICES = 96  # maximum number of vertices of the core
+FAN = 16  # facets in a row of the table: the argmax, ten times slower than a maximum, then covers fewer numbers
 
 
 class HalfSpaces(NamedTuple):
-    """The convex set normal @ x <= offset, unit normals outwards, F facets.
+    """The convex set normal @ x <= offset with F facets and unit outward normals.
 
-    Its core likewise, C facets; and the facets again as a table, padded with the last one: normal xyz, offset.
+    `core_normal` and `core_offset` are the C facets of its core. `table` has all F facets again (normal xyz, offset),
+    padded with the last one.
     """
 
     normal: Float[Array, "F 3"]
@@ -39,12 +40,12 @@ class HalfSpaces(NamedTuple):
 def half_spaces(
     normal: Float[np.ndarray, "F 3"], offset: Float[np.ndarray, "F"], vertices: Float[np.ndarray, "V 3"]
 ) -> HalfSpaces:
-    """Return the set with F facets and its core.
+    """Return a convex set with F facets, and its core, as half-spaces.
 
     Args:
         normal: Unit outward normals of the facets.
         offset: Their offsets [m].
-        vertices: Points of the set [m] that extend well into its corners.
+        vertices: Points of the set near its corners [m]; the core is the hull of some of them.
     """
     core = _core(vertices) if len(offset) else np.zeros((0, 4))
     facets = np.column_stack([normal, offset])
@@ -54,7 +55,7 @@ def half_spaces(
 
 
 def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
-    """Return planes of the hull of the vertices that are outermost along directions spread evenly (golden angle)."""
+    """Return the facets of the core: the hull of the outermost vertices along evenly spread directions."""
     k = np.arange(CORE_VERTICES) + 0.5
     z, turn = 1 - 2 * k / CORE_VERTICES, np.pi * (1 + 5**0.5) * k
     directions = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])
@@ -62,11 +63,14 @@ def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
     try:
         return scipy.spatial.ConvexHull(vertices[outermost]).equations
     except scipy.spatial.QhullError:
-        return np.array([[0.0, 0.0, 0.0, 1.0]])  # too thin for one: the empty set
+        return np.array([[0.0, 0.0, 0.0, 1.0]])  # too thin for a core: the empty set
 
 
 def crossed_facets(hull: HalfSpaces, points: Float[Array, "n 3"], requested: Bool[Array, "n"]) -> Int[Array, "n"]:
-    """Return the facet that each requested point is furthest beyond, -1 for points inside and all others; F >= 1."""
+    """Return the facet that each point is furthest beyond; -1 for points inside the hull or not in `requested`.
+
+    The hull must have at least one facet.
+    """
     return _crossed(hull, *jax.lax.stop_gradient((points, requested)))
 
 
@@ -90,7 +94,7 @@ def _depths(hull: HalfSpaces, points, requested):
 
 
 def _measured(hull: HalfSpaces, take, left, points, results):
-    """Return `results`, replaced by take(highest facet) for the points in `left`."""
+    """Return `results`, with the rows of the points in `left` replaced by take(highest facet)."""
     if backend().has_kernels:
         return jnp.where(left, take(_Highest(*highest(hull.table, points, left))), results)
     if not backend().is_cpu:
@@ -107,7 +111,7 @@ def _measured(hull: HalfSpaces, take, left, points, results):
 
 
 class _Highest(NamedTuple):
-    """The facet that a point is highest above, or least deep below, and the height [m]."""
+    """The facet with the largest signed height of a point above it, and this height [m]."""
 
     facet: Int[Array, ""]
     height: Float[Array, ""]
@@ -125,7 +129,7 @@ def _heights(facets, point):
 
 
 def _core_heights(hull: HalfSpaces, points):
-    """Return the heights of the points above each facet of the core, 32-bit (n, C)."""
+    """Return the heights (n, C) of the points above each facet of the core [m], in 32-bit floats."""
     x, y, z = (a.astype(jnp.float32)[:, None] for a in points.T)
     core = [a.astype(jnp.float32)[None] for a in (*hull.core_normal.T, hull.core_offset)]
     return _heights(core, (x, y, z))

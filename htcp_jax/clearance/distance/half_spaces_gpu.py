@@ -1,6 +1,6 @@
-"""The facet of a hull that a point is highest above, as a GPU kernel.
+"""GPU kernel that finds the facet of a hull that a point is highest above.
 
-One instance per point, which returns at once if the point need not be measured.
+It has one instance per point, which returns at once if the point need not be measured.
 """
 
 import jax
@@ -10,16 +10,16 @@ from jax.experimental import pallas as pl
 from htcp_jax.pallas import kernel
 from htcp_jax.types import Array, Bool, Float, Int
 
-BLOCK = 256  # facets at a time
+BLOCK = 256  # facets per block
 
 
 def highest(
     table: Float[Array, "4 rows FAN"], points: Float[Array, "n 3"], left: Bool[Array, "n"]
 ) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
-    """Return, for each point in `left`, the first of the facets that it is highest above, and the height [m].
+    """Return the facet that each point in `left` is highest above (the first of several), and the height [m].
 
     Args:
-        table: The facets: normal xyz, offset; it repeats the last one.
+        table: The facets: normal xyz, offset [m]; padded with the last facet.
         points: The points [m].
         left: True for the points to measure.
     """

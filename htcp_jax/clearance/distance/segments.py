@@ -1,11 +1,11 @@
 """Nearest points of two segments.
 
-Either both lie within their segments, or one is an end. The first case is Ericson's (Real-Time Collision Detection,
-section 5.1.9), which loses precision for nearly parallel segments; there an end is as near. All five candidates are
-measured.
+There are five candidates: a point of each segment's inside, or one of the four ends. All are measured. The first is
+computed as by Ericson (Real-Time Collision Detection, section 5.1.9), which is inaccurate for nearly parallel segments;
+but then an end is as near.
 
-`nearest_columns` does the same for many pairs. Their coordinates lie one after the other, and a CPU measures several
-pairs at once. Results may differ in the last digit.
+`nearest_columns` solves the same problem for many pairs in columns, so that a CPU measures several pairs at once. Its
+results may differ from those of `nearest_points` in the last digit.
 """
 
 from typing import NamedTuple
@@ -18,12 +18,12 @@ from htcp_jax.types import Array, Float
 
 
 class NearestPoints(NamedTuple):
-    """Nearest points of two segments, row by row: parameters from 0 to 1, and the points [m]."""
+    """Nearest points of two segments, row by row."""
 
-    t: Float[Array, "*n"]
-    u: Float[Array, "*n"]
-    on_first: Float[Array, "*n 3"]
-    on_second: Float[Array, "*n 3"]
+    t: Float[Array, "*n"]  # parameter on the first segment, 0 to 1
+    u: Float[Array, "*n"]  # parameter on the second segment, 0 to 1
+    on_first: Float[Array, "*n 3"]  # [m]
+    on_second: Float[Array, "*n 3"]  # [m]
 
 
 def nearest_points(
@@ -31,7 +31,7 @@ def nearest_points(
 ) -> NearestPoints:
     """Return the nearest points of the segments p q and r s, row by row.
 
-    The parameters carry no gradient, which leaves the gradient of the distance unchanged.
+    The parameters have no gradient; the gradient of the distance is nevertheless exact (envelope theorem).
 
     Args:
         p: First ends of the first segments [m].

@@ -4,13 +4,17 @@ The signed distance of a segment to a convex solid S is the largest, over all un
 
     min(n.p, n.q) - h(n),    h(n) = max n.x over all x of S.
 
-Outside, n points from the nearest point of S to the nearest of the segment, which closed forms find: for a half-space
-and a capsule at once; for a box the slope of the squared distance along the segment is piecewise linear, and its zero
-lies between two of eight places; for a cylinder it is found by bisection; for a convex piece the nearest is an end of
-the segment above a face, or a point of an edge. Where the segment crosses S, n is the best of finitely many candidates:
-normals of S swept along the segment, whose surface is nearest within a face and never at an edge. For a box and a piece
-these are the normals of faces, and those perpendicular to the segment and an edge; for a cylinder those of its caps and
-side, and one perpendicular to the segment, found by bisection, too.
+If the segment is outside S, n points from the nearest point of S to the segment's nearest point:
+
+    half-space, capsule   closed form
+    box                   the slope of the squared distance along the segment is piecewise linear; its zero lies between
+                          two of eight places
+    cylinder              bisection along the segment
+    convex piece          an end of the segment above a face, or a point of an edge
+
+If the segment crosses S, n is the best of finitely many candidates: normals of S swept along the segment. For a box and
+a convex piece they are the normals of its faces, and normals perpendicular to the segment and an edge. For a cylinder
+they are the normals of its caps and side, and one perpendicular to the segment, found by bisection.
 """
 
 from collections.abc import Callable
@@ -23,28 +27,28 @@ from htcp_jax.clearance.distance.segments import nearest_points
 from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.types import Array, Bool, Float, Int, Scalar, Vector3
 
-HALVINGS = 48  # bisections of a segment: to 1e-14 of its length
-TOUCHES_M = 1e-9  # below this distance a normal would be rounding
+HALVINGS = 48  # halvings of a segment, to 1e-14 of its length
+TOUCHES_M = 1e-9  # below this distance a normal would consist of rounding errors
 
 
 class SolidContact(NamedTuple):
-    """Signed distance from a solid to a segment, and the place at which it is attained."""
+    """Signed distance from a solid to a segment, and the point of the segment at which it is attained."""
 
     t: Scalar  # parameter on the segment, 0 to 1
     normal: Vector3  # from the solid to the segment, unit
     distance: Scalar  # signed [m]
-    plane: Bool[Array, ""]  # True: the distance is to the plane n.x = h(n), not to a point
-    extent: Scalar  # from the fixed point to the solid's surface [m]
+    plane: Bool[Array, ""]  # True: the distance is to the plane n.x = h(n); False: to a fixed point
+    extent: Scalar  # distance from the fixed point to the solid's surface [m]
 
 
 class HalfSpace(NamedTuple):
-    """The half-space below a plane: normal . x <= offset."""
+    """The half-space below a plane: normal . x <= offset [m]."""
 
     normal: Float[Array, "*n 3"]
     offset: Float[Array, "*n"]
 
     def contact(self, p: Vector3, q: Vector3) -> SolidContact:
-        """Return the contact with a segment, at its lower end, see `SolidContact`."""
+        """Return the contact with the segment from p to q, at the segment's lower end, see `SolidContact`."""
         heights = jnp.stack([product(p, self.normal), product(q, self.normal)]) - self.offset
         return SolidContact(
             jnp.argmin(heights).astype(float), self.normal, jnp.min(heights), jnp.ones((), bool), jnp.zeros(())
@@ -52,14 +56,14 @@ class HalfSpace(NamedTuple):
 
 
 class Rod(NamedTuple):
-    """A capsule, or with p = q a sphere."""
+    """A capsule with the axis from p to q [m]; a sphere if p = q."""
 
     p: Float[Array, "*n 3"]
     q: Float[Array, "*n 3"]
     radius: Float[Array, "*n"]
 
     def contact(self, p: Vector3, q: Vector3) -> SolidContact:
-        """Return the contact with a segment, see `SolidContact`; where the axes cross, there is no normal."""
+        """Return the contact with the segment from p to q, see `SolidContact`; the normal is 0 where the axes cross."""
         t, _, on, other = nearest_points(p, q, self.p, self.q)
         length = safe_norm(on - other)
         normal = safe_divide(on - other, jnp.broadcast_to(length, (3,)))
@@ -67,7 +71,7 @@ class Rod(NamedTuple):
 
 
 class Box(NamedTuple):
-    """A box with these half sizes about its centre."""
+    """A box with the half sizes `half` along its own axes [m]."""
 
     rotation: Float[Array, "*n 3 3"]
     centre: Float[Array, "*n 3"]
@@ -97,7 +101,7 @@ class Box(NamedTuple):
 
 
 class Cylinder(NamedTuple):
-    """A cylinder with a radius and a half length along its own z."""
+    """A cylinder with a radius and a half length along its own z axis [m]."""
 
     rotation: Float[Array, "*n 3 3"]
     centre: Float[Array, "*n 3"]
@@ -126,9 +130,10 @@ class Cylinder(NamedTuple):
         return _least_penetration(normals, p, q, extent, places.at[4].set(self._nearest_side(p, d, normals[4])))
 
     def penetration_normals(self, p: Vector3, q: Vector3) -> Float[Array, "12 3"]:
-        """Return the candidates for the normal of least penetration of a body with an edge, in the cylinder's frame.
+        """Return candidates for the normal of least penetration by a body's edge, in the cylinder's frame.
 
-        They are unit or zero: the normals of the caps, of the side at both ends, and those perpendicular to the edge.
+        They have length 1 or 0: the normals of the caps, of the side at the edge's ends, and normals perpendicular to
+        the edge.
         """
         z, flat = jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 1.0, 0.0])
         d = q - p
@@ -137,12 +142,12 @@ class Cylinder(NamedTuple):
         return _both(one_way)
 
     def _rim(self, p: Vector3, d: Vector3, side: Vector3) -> Vector3:
-        """Return the best normal perpendicular to a segment through p, upwards on a given side.
+        """Return the normal of least penetration that is perpendicular to a segment through p, on the given side.
 
-        In the projection along the segment the cylinder is an ellipse swept up and down, p a point (u, v) about the
-        upper one's centre. The normal at the ellipse's angle f leads to it where u sin f - v c cos f = r s^2 sin f cos
-        f, with `c` and `s` the segment's rise and run. Of two such f, which exist where v < 0, the larger one is a
-        nearest point; they are on both sides of tan^3 f = -v c / u.
+        In the projection along the segment, the cylinder is an ellipse swept up and down, and p is a point (u, v)
+        relative to the upper ellipse's centre. The normal at angle f of the ellipse passes through p if
+        u sin f - v c cos f = r s^2 sin f cos f, with `c` and `s` the segment's rise and run. For v < 0 two such f may
+        exist, one on each side of tan^3 f = -v c / u; the larger one belongs to the nearest point.
         """
         along = _units(d[None])[0]
         aside = _towards(_units(jnp.array([[-d[1], d[0], 0.0]]))[0], p)
@@ -173,12 +178,15 @@ class Cylinder(NamedTuple):
 
 
 class Polyhedron(NamedTuple):
-    """A convex polyhedron in the world; stacked ones repeat the last face and edge."""
+    """A convex polyhedron in the world [m].
 
-    corners: Float[Array, "*n F 3 3"]  # of its triangles
-    normal: Float[Array, "*n F 3"]  # theirs, unit, outwards
-    edges: Float[Array, "*n E 2 3"]
-    adjacent: Int[Array, "*n E 2"]  # the faces on both sides of an edge
+    In a stack of polyhedra, those with fewer faces or edges are padded with their last face and edge.
+    """
+
+    corners: Float[Array, "*n F 3 3"]  # corners of the F triangles [m]
+    normal: Float[Array, "*n F 3"]  # outward unit normals of the triangles
+    edges: Float[Array, "*n E 2 3"]  # both ends of each edge [m]
+    adjacent: Int[Array, "*n E 2"]  # indices of the triangles on both sides of each edge
 
     def contact(self, p: Vector3, q: Vector3) -> SolidContact:
         """Return the contact with a segment, see `SolidContact`."""
@@ -200,7 +208,7 @@ class Polyhedron(NamedTuple):
         return jnp.sum(self.normal * self.corners[:, 0], axis=1)
 
     def _above(self, x: Vector3) -> Float[Array, "F 3"]:
-        """Return the vector from every face to a point above it; infinite for faces that it is not above."""
+        """Return the perpendicular from every face to x [m]; infinite for faces that x is not above."""
         height = product(self.normal, x) - self._offset
         sides = jnp.roll(self.corners, -1, axis=1) - self.corners
         inwards = jnp.cross(self.normal[:, None], sides)
@@ -208,16 +216,16 @@ class Polyhedron(NamedTuple):
         return jnp.where(over[:, None], height[:, None] * self.normal, jnp.inf)
 
     def _clipped(self, heights: Float[Array, "2 F"]) -> Bool[Array, ""]:
-        """Return True if a part of the segment is inside, by its ends' heights over all faces."""
+        """Return True if a part of the segment is inside, given the heights of its ends over all faces [m]."""
         at = safe_divide(heights[0], heights[0] - heights[1])
         enters = jnp.max(jnp.where(heights[0] > 0, jnp.where(heights[1] > 0, 2.0, at), 0.0))
         leaves = jnp.min(jnp.where((heights[1] > 0) & (heights[0] <= 0), at, 1.0))
         return enters <= leaves
 
     def _normals(self, p: Vector3, q: Vector3):
-        """Return the normals of the faces and of planes along silhouette edges as seen along the segment.
+        """Return the arguments of `_least_penetration` for a segment that crosses the polyhedron.
 
-        With them the segment's ends, the support values h(n), and the segment's parameters nearest to the surface.
+        The candidates are the normals of the faces, and of planes along the silhouette edges as seen along the segment.
         """
         sides = product(self.normal, q - p)[self.adjacent]
         outline = sides[:, 0] * sides[:, 1] <= 0
@@ -242,7 +250,7 @@ def _rotated_to_world(solid: Box | Cylinder, seen: SolidContact) -> SolidContact
 
 
 def _outside(t: Scalar, arm: Vector3) -> SolidContact:
-    """Return the contact with a segment outside, from the vector between the nearest points."""
+    """Return the contact with a segment outside a solid, from the vector `arm` between the nearest points [m]."""
     length = safe_norm(arm)
     normal = safe_divide(arm, jnp.broadcast_to(length, (3,)))
     return SolidContact(t, normal, length, length <= TOUCHES_M, jnp.zeros(()))
@@ -253,7 +261,12 @@ def _least_penetration(
 ) -> SolidContact:
     """Return the contact along the normal of least penetration.
 
-    `extent` is h(n), `places` are the segment's parameters nearest to the surface. A normal of length 0 is ignored.
+    Args:
+        normals: Candidates; normals of length 0 are ignored.
+        p: First end of the segment [m].
+        q: Second end [m].
+        extent: h(n) of each normal [m].
+        places: Parameter on the segment for each normal, 0 to 1.
     """
     ends = product(jnp.stack([p, q]), normals.T)
     depth = jnp.where(jnp.any(normals != 0, axis=1), jnp.min(ends, axis=0) - extent, -jnp.inf)
@@ -262,25 +275,25 @@ def _least_penetration(
 
 
 def _lower(normals: Float[Array, "n 3"], p: Vector3, q: Vector3) -> Float[Array, "n"]:
-    """Return the end that is lower along each normal: 0 or 1."""
+    """Return the parameter of the end that is lower along each normal: 0 for p, 1 for q."""
     return (product(normals, q - p) < 0).astype(float)
 
 
 def _level(
     normals: Float[Array, "n 3"], p: Vector3, q: Vector3, points: Float[Array, "n 3"], edges: Float[Array, "n 3"]
 ) -> Float[Array, "n"]:
-    """Return the segment's parameter at which it passes over an edge through each point.
+    """Return the parameter at which the segment crosses each edge, as seen along the normal.
 
-    Both are projected along a normal perpendicular to both.
+    An edge is a line through a point of `points`; its normal is perpendicular to the edge and to the segment.
     """
     over = jnp.sum(jnp.cross(points - p[None], edges) * normals, axis=1)
     return jnp.clip(safe_divide(over, jnp.sum(jnp.cross((q - p)[None], edges) * normals, axis=1)), 0, 1)
 
 
 def _bisected_parameter(short: Callable[[Scalar], Bool[Array, ""]], low: Scalar) -> Scalar:
-    """Bisect between `low` and 1 for the place where `short` becomes false.
+    """Return the parameter between `low` and 1 at which `short` becomes false, by bisection.
 
-    The result is exactly `low` or 1 if it is false or true everywhere.
+    The result is exactly `low` if `short` is false everywhere, and exactly 1 if it is true everywhere.
     """
 
     def halve(_, between):
@@ -299,7 +312,7 @@ def _outside_or_across(outside: SolidContact, across: SolidContact) -> SolidCont
 
 
 def _towards(normal: Vector3, p: Vector3) -> Vector3:
-    """Return a normal or its opposite, whichever points from the origin to p's side."""
+    """Return `normal` or -`normal`, whichever points to the side of the origin on which p lies."""
     return jnp.where(product(normal, p) < 0, -1.0, 1.0) * normal
 
 

@@ -6,16 +6,16 @@ from htcp_jax.types import Array, Float, Scalar
 
 
 class BodySweep(NamedTuple):
-    """Bounds on the motion of K bodies about their positions, along a joint path that extends to both sides."""
+    """Bounds on the motion of K bodies on an interval of a joint path, relative to their positions at its middle."""
 
-    p: Float[Array, "K 3"]  # travel of each axis's first end along its velocity, to either side [m]
-    q: Float[Array, "K 3"]  # the same for the second end
-    bend: Float[Array, "K"]  # largest distance of any point of the axis from that linear motion [m]
-    travel: Float[Array, "K"]  # largest distance from its position in the middle [m]
+    p: Float[Array, "K 3"]  # linear motion of each axis's first end from the middle to either end of the interval [m]
+    q: Float[Array, "K 3"]  # linear motion of the second end [m]
+    bend: Float[Array, "K"]  # largest distance of any point of the axis from its linear motion [m]
+    travel: Float[Array, "K"]  # largest displacement of any point from its position at the middle [m]
 
 
 class RequiredClearance(NamedTuple):
-    """Clearance that bodies have to keep [m]."""
+    """Clearance that a proof requires along a motion [m]."""
 
-    least: Scalar  # required
-    enough: Scalar  # larger values need not be computed
+    least: Scalar  # the required clearance [m]
+    enough: Scalar  # clearances above this value need not be computed exactly [m]

@@ -1,17 +1,16 @@
-"""Obstacles: collision objects of the arm, behind one protocol, `htcp_jax.clearance.Obstacle`.
+"""Obstacles: everything that the arm must not collide with. All kinds derive from `htcp_jax.clearance.Obstacle`.
 
-`of_workpiece` makes the obstacles of a part, all of them or its own alone; `of_cell` those of a work cell: solid
-fixtures and clouds that stay where they are. `self_collision` keeps the arm clear of itself; `self_exclusions` finds
-the pairs of capsules that need no check, from sampled configurations. `tip_guard` keeps the bare tip of the tool out of
-the part's triangles.
+`of_workpiece` makes the obstacles of a workpiece. `of_cell` makes those of a work cell: solids and point clouds that
+are fixed in the world. `self_collision` is the arm itself as an obstacle; `self_exclusions` finds the pairs of capsules
+that need no check, from sampled configurations. `tip_guard` tests whether the bare tip of the tool passes through a
+wall of the workpiece.
 
-`obstacle_kind` has the base class of kinds that other packages add, and their registry; `given_obstacle` their
-distances to bodies.
+`obstacle_kind` has the base class for obstacles of other packages; `given_obstacle` computes their distances to bodies.
 
-`linearisation` has task and clearance at one configuration to first order, as the step QP needs them. `contact_model`
-holds the contacts of one configuration fixed, to predict distances near it without another search.
+`linearisation` computes task and clearance at one configuration to first order, for the step QP. `contact_model`
+predicts distances near a configuration from its contacts, without another search.
 
-The distances to a tuple of these obstacles are functions of package `clearance`.
+Package `clearance` has the functions for the distances to a tuple of these obstacles.
 """
 
 import lazy_loader

@@ -1,9 +1,9 @@
-"""Clearance predicted from the contacts seen so far: an upper bound, exact where they were seen, and cheap.
+"""Clearance predicted from known contacts: a cheap upper bound, exact at the configurations of these contacts.
 
-A contact seen at one configuration stays valid for its body at every other one: the obstacle's point is still there, or
-moved with its link. So the distance to it bounds the row's from above, and the smallest over all contacts seen is a
-model of D that equals D once the right ones have been seen. A plane in place of the point would be cheaper still, but
-wrong away from the configuration at which it was seen: it excludes configurations that are clear.
+A contact is measured at one configuration. At any other configuration the obstacle's point is at the same place, or has
+moved with its link. The distance to this point is therefore an upper bound on the row's distance. The smallest distance
+to all known contact points is a model of D; it equals D once the nearest points are among them. A tangent plane in
+place of the point would be cheaper, but would reject some clear configurations.
 """
 
 from functools import partial
@@ -19,24 +19,31 @@ from htcp_jax.types import Array, Bool, Float, Joints
 
 
 class ContactModel(NamedTuple):
-    """Contacts of all rows in order, from one observation or several (H = R, 2 R, ...)."""
+    """Contacts of all R rows at one or several measured configurations, concatenated (H = R, 2 R, ...)."""
 
     witness: Float[Array, "H 3"]  # the obstacle's point, in the frame of its link or the world [m]
-    plane: Bool[Array, "H"]  # True: a plane instead, crossed by an end of the body:
-    end: Float[Array, "H 3"]  # that end, in the frame of the body's link
-    normal: Float[Array, "H 3"]  # of the plane, inwards, world
-    offset: Float[Array, "H"]  # distance = normal . end - offset
-    radius: Float[Array, "H"]  # distance = from the axis to the witness - reach
+    plane: Bool[Array, "H"]  # True: the contact is a plane that an end of the body has crossed
+    end: Float[Array, "H 3"]  # the end of the body's axis that crossed the plane, in the frame of its link [m]
+    normal: Float[Array, "H 3"]  # inward normal of the plane, world
+    offset: Float[Array, "H"]  # for a plane [m]: distance = normal . end - offset
+    radius: Float[Array, "H"]  # for a point [m]: distance = |axis to witness| - radius
 
 
 def hold_contacts(robot: Robot, x: Joints, rows: RowPairs, touch: Contacts) -> ContactModel:
-    """Return the contacts at x in the frames of their links."""
+    """Return the model of the contacts measured at x, fixed in the frames of their links.
+
+    Args:
+        robot: The robot.
+        x: The configuration [rad or m].
+        rows: The pair of each of the R clearance rows: a body, and an obstacle or second body.
+        touch: The contacts at x.
+    """
     T = _link_poses(robot, x, _links(robot, rows))
     witness = touch.witness
     if _has_moving_bodies(rows):
         witness = _brought_back(_link_poses(robot, x, rows.other), witness)
     radius = touch.radius
-    if robot.pieces is not None:  # a piece's contact is held as that of a thinner capsule
+    if robot.pieces is not None:  # a piece's contact is modelled by a thinner capsule
         p, q = (_transformed(T, each[jnp.asarray(rows.body)]) for each in (robot.capsule_p, robot.capsule_q))
         radius = capsule_point_distance(p, q, 0.0, touch.witness) - touch.distance
     return ContactModel(
@@ -53,13 +60,13 @@ def hold_contacts(robot: Robot, x: Joints, rows: RowPairs, touch: Contacts) -> C
 def predict_distances(
     robot: Robot, x: Joints, rows: RowPairs, held: ContactModel
 ) -> tuple[Float[Array, "H"], Float[Array, "H N"]]:
-    """Return the distance at x [m] by each contact held, and its gradient [m/rad].
+    """Return the distance at x to each contact of the model [m], and its gradient [m/rad].
 
     Args:
         robot: The robot.
         x: The configuration [rad or m].
-        rows: The pairs of one observation.
-        held: The contacts of one or several observations.
+        rows: The pairs of the R rows.
+        held: The model, with contacts from one or several configurations.
     """
     rounds = held.offset.shape[0] // len(rows.body)
     T = _link_poses(robot, x, _links(robot, rows))

@@ -1,17 +1,19 @@
 """Solids of the work cell as an obstacle, fixed in the world.
 
-A body that is fixed in the world, such as the arm's base, is not checked. Nor are bodies of the first link against a
-solid that they touch at x = 0: an arm stands on its pedestal; nor those of links that a solid's fixture excludes.
+Some pairs are not checked: bodies that are fixed in the world, such as the arm's base; a body of the first link with a
+solid that it touches at x = 0, such as the arm's pedestal; and bodies of links that the solid's fixture excludes.
 
-Half-spaces, capsules, boxes and cylinders are all measured. Convex pieces are measured only if their bounding ball is
-nearer than the smallest distance so far: one after the other, the nearest ball first.
+All half-spaces, capsules, boxes and cylinders are measured. A convex piece is measured only if its bounding ball is
+nearer than the smallest distance so far; the pieces with the nearest balls come first.
 """
 
 import dataclasses
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from itertools import count as counting
 from itertools import product
 from types import MappingProxyType
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,12 +22,12 @@ import numpy as np
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid, SolidContact
 from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle
-from htcp_jax.model import ConvexPiece, Robot, convex_piece, kinematics
+from htcp_jax.model import ConvexPiece, Robot, convex_piece
 from htcp_jax.numerics import one_by_one
 from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Array, Bool, Float, Int
 
-SIDES = 48  # of the prism about a cylinder: 0.2 % wider than it
+SIDES = 48  # sides of the prism about a cylinder, which is 0.2 % wider than the cylinder
 CUBE = np.array(list(product((-1.0, 1.0), repeat=3)))
 
 Ends = Float[Array, "K 3"]
@@ -34,14 +36,17 @@ Ends = Float[Array, "K 3"]
 @register_pytree
 @dataclass(frozen=True)
 class Fixtures(Obstacle):
-    """Solids in the world, stacked by kind, and the mask of pairs of solid and body (K bodies) that are checked."""
+    """Solids fixed in the world, stacked by kind, and the pairs of solid and body that are checked.
+
+    Each stack is padded to one of few lengths. Padding is not checked against any body.
+    """
 
     simple: tuple[HalfSpace | Rod | Box | Cylinder, ...]
     pieces: Polyhedron | None
-    balls: Float[jax.Array, "P 4"]  # about the pieces: centre, radius [m]
-    is_checked: Bool[jax.Array, "G K"]  # True: the pair is checked; the simple solids first
-    names: tuple[str, ...] = field(metadata=LABEL)
-    solids: ConvexPiece | None = None  # all but half-spaces in the order of the names, for an arm with pieces
+    balls: Float[jax.Array, "P 4"]  # bounding balls of the pieces: centre, radius [m]
+    is_checked: Bool[jax.Array, "G K"]  # True: solid g is checked against body k; simple solids first, then pieces
+    names: tuple[str, ...] = field(metadata=LABEL)  # names of the solids in the rows of `is_checked`; "" for padding
+    solids: ConvexPiece | None = None  # all solids except half-spaces, in the order of `names`; for an arm with pieces
 
     in_pairs = True
 
@@ -52,9 +57,9 @@ class Fixtures(Obstacle):
         return self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.is_checked)
 
     def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> narrow_phase.Doubts:
-        """Return the bodies whose capsules are in doubt, and the solids near them."""
+        """Return the bodies whose capsules are in doubt, and their pairs with solids, see `narrow_phase`."""
         if self.solids is None and not all(isinstance(kind, HalfSpace) for kind in (*self.simple, self.pieces) if kind):
-            raise ValueError("fixtures for an arm without pieces are measured for an arm with pieces")
+            raise ValueError("the fixtures were made for an arm without pieces; make them for this arm")
         capsules = self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.is_checked)
         limit = narrow_phase.limit_m(where)
         doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
@@ -75,19 +80,19 @@ class Fixtures(Obstacle):
         body: Int[jax.Array, ""],
         requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if a body touches at any of the marked configurations."""
+        """Return True if one body touches a solid at any of the configurations marked in `requested`."""
         is_checked = self.is_checked[:, body, None] & requested[None]
         radius = jnp.broadcast_to(robot.capsule_radius[body], requested.shape)
         return jnp.any(self._nearest(bodies.p[:, body], bodies.q[:, body], radius, is_checked).distance <= 0)
 
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "G K"]:
-        """Return the distance of every solid to every body, in the order of the names, without the mask."""
+        """Return the distance of every solid to every body's capsule [m], including pairs that are not checked."""
         kinds = (*self.simple, *(() if self.pieces is None else (self.pieces,)))
         found = jnp.concatenate([_each_seen(kind, p, q).distance for kind in kinds])
         return found - robot.capsule_radius[None]
 
     def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
-        """Return the name of the solid nearest to a body, by its capsule or the piece in it, for messages."""
+        """Return the name of the solid nearest to a body, for messages."""
         return f"the fixture {self.names[int(_distances_alone(self, robot, where, bodies)[:, row].argmin())]!r}"
 
     def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"], is_checked: Bool[Array, "G K"]) -> Contacts:
@@ -99,7 +104,7 @@ class Fixtures(Obstacle):
         return _constant_contacts(seen, p, q, radius)
 
     def _simple(self, p: Ends, q: Ends, is_checked: Bool[Array, "G K"]) -> SolidContact:
-        """Return the nearest of the solids that are always measured."""
+        """Return the contact of each capsule with the nearest of the solids that are always measured."""
         parts = [_each_seen(kind, p, q) for kind in self.simple]
         seen = jax.tree.map(lambda *each: jnp.concatenate(each), *parts)
         distance = jnp.where(is_checked[: len(seen.distance)], seen.distance, jnp.inf)
@@ -110,44 +115,74 @@ class Fixtures(Obstacle):
 def fixtures(
     robot: Robot, named: list[tuple[str, Solid]], excluded: Mapping[str, Collection[int]] = MappingProxyType({})
 ) -> Fixtures:
-    """Return the obstacle of at least one named solid for a robot.
+    """Return an obstacle that consists of one or more named solids.
 
     Args:
         robot: The robot.
         named: The solids with their names.
-        excluded: By name the links that a solid is not tested against; none for other names.
+        excluded: Name of a solid -> indices of links whose bodies are not checked against this solid.
     """
     order = (HalfSpace, Rod, Box, Cylinder, Polyhedron)
-    named = sorted(named, key=lambda each: order.index(type(each[1])))
-    stacks = [[solid for _, solid in named if isinstance(solid, kind)] for kind in order]
-    *simple, pieces = [_stacked(own) for own in stacks if own] + ([] if stacks[-1] else [None])
-    balls = np.array([_ball(piece) for piece in stacks[-1]]).reshape(-1, 4)
+    stacks = [_padded([each for each in named if isinstance(each[1], kind)]) for kind in order]
+    *simple, pieces = [_stacked([row.solid for row in own]) for own in stacks if own] + ([] if stacks[-1] else [None])
+    balls = np.array([_ball(row.solid) for row in stacks[-1]]).reshape(-1, 4)
+    rows = [row for own in stacks for row in own]
     links = np.array(robot.capsule_link)
-    is_checked = jnp.broadcast_to(jnp.asarray(links >= 0)[None], (len(named), len(links)))
-    names = tuple(name for name, _ in named)
-    found = Fixtures(tuple(simple), pieces, jnp.asarray(balls), is_checked, names, _as_pieces(robot, named))
-    drawn = kinematics.capsule_segments(robot, jnp.zeros(len(robot.slides)))
-    stands = (np.asarray(_solid_distances(found, robot, *drawn)) <= 0) & _may_stand(robot)[None]
-    stands |= np.array([np.isin(links, [*excluded.get(name, ())]) for name, _ in named])
-    return dataclasses.replace(found, is_checked=is_checked & ~stands)
+    without = np.array([np.isin(links, [*excluded.get(row.name, ())]) for row in rows])
+    is_checked = np.array([row.is_checked for row in rows])[:, None] & (links >= 0)[None] & ~without
+    for body in np.flatnonzero(_may_stand(robot)).tolist():
+        is_checked[:, body] &= ~_stands(robot, body, rows)
+    names = tuple(row.name for row in rows)
+    mask = jax.device_put(is_checked)
+    return Fixtures(tuple(simple), pieces, jax.device_put(balls), mask, names, _as_pieces(robot, rows))
+
+
+class _Row(NamedTuple):
+    """A solid in a stack."""
+
+    name: str
+    solid: Solid
+    is_checked: bool = True  # False: padding
+
+
+def _padded(named: list[tuple[str, Solid]]) -> list[_Row]:
+    """Return solids of one kind as rows, padded to one of few lengths, so that most cells share compiled code."""
+    rows = [_Row(*each) for each in named]
+    return rows + [_Row("", rows[-1].solid, False)] * (_padded_count(len(rows)) - len(rows)) if rows else []
+
+
+def _padded_count(count: int) -> int:
+    """Return the smallest of 1, 2, 4, 6, 8, 12, 16, 24, 32, ... that is not less than `count`."""
+    return next(n for k in counting() for n in (2**k, 3 * 2**k // 2) if n >= count and n != 3)
+
+
+def _stands(robot: Robot, body: int, rows: list[_Row]) -> Bool[np.ndarray, "G"]:
+    """Return True for solids that a body of the first link touches at x = 0."""
+    T, radius = np.asarray(robot.T_parent_joint)[0], np.asarray(robot.capsule_radius)[body]
+    p, q = (T[:3, :3] @ np.asarray(end)[body] + T[:3, 3] for end in (robot.capsule_p, robot.capsule_q))
+    alone = (jax.tree.map(lambda leaf: leaf[0], _host_stacked([row.solid])) for row in rows)
+    return np.array([np.asarray(_distance(solid, p, q)) <= radius for solid in alone])
+
+
+_distance = jax.jit(lambda solid, p, q: solid.contact(p, q).distance)  # compiled once per kind of solid
 
 
 def _may_stand(robot: Robot) -> Bool[np.ndarray, "K"]:
-    """Return True for the bodies of the first link; for none if the part moves: it stands nowhere."""
+    """Return True for bodies that may stand on a solid: bodies of the first link; no body if the arm moves the part."""
     if robot.part_moves:
         return np.zeros(len(robot.capsule_link), bool)
     return (np.array(robot.capsule_link) == 0) & ~np.isin(np.arange(len(robot.capsule_link)), robot.attached)
 
 
-def _as_pieces(robot: Robot, named: list[tuple[str, Solid]]) -> ConvexPiece | None:
-    """Return the solids but half-spaces as pieces in the world; None for an arm without pieces, and without solids.
+def _as_pieces(robot: Robot, rows: list[_Row]) -> ConvexPiece | None:
+    """Return the solids except half-spaces as convex pieces in the world; None if there are none.
 
-    Of a cylinder it is the prism of SIDES sides about it.
+    A cylinder becomes a prism about it with SIDES sides. The result is also None for an arm without pieces.
     """
-    solids = [solid for _, solid in named if not isinstance(solid, HalfSpace)]
+    solids = [row.solid for row in rows if not isinstance(row.solid, HalfSpace)]
     if robot.pieces is None or not solids:
         return None
-    return jax.tree.map(jnp.asarray, convex_piece.stack_pieces([_as_piece(solid) for solid in solids]))
+    return jax.device_put(convex_piece.stack_pieces([_as_piece(solid) for solid in solids]))
 
 
 def _as_piece(solid: Rod | Box | Cylinder | Polyhedron) -> ConvexPiece:
@@ -160,17 +195,14 @@ def _as_piece(solid: Rod | Box | Cylinder | Polyhedron) -> ConvexPiece:
 
 
 def _prism(radius: float, half: float) -> Float[np.ndarray, "P 3"]:
-    """Return the corners of the prism about a cylinder along z."""
+    """Return the corners [m] of the prism with SIDES sides about a cylinder along z."""
     angle, outer = 2 * np.pi * np.arange(SIDES) / SIDES, radius / np.cos(np.pi / SIDES)
     return np.array([[outer * np.cos(a), outer * np.sin(a), z] for a in angle for z in (-half, half)])
 
 
-_solid_distances = jax.jit(Fixtures.distances)
-
-
 @jax.jit
 def _distances_alone(own: Fixtures, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[Array, "G K"]:
-    """Return the distance of every body to every solid, as if there were no other."""
+    """Return the distance of every body to every solid [m], each computed as if there were no other solid."""
 
     def alone(mask: Bool[Array, "G K"]) -> Float[Array, "K"]:
         return dataclasses.replace(own, is_checked=mask).contacts(robot, where, bodies).distance
@@ -179,12 +211,17 @@ def _distances_alone(own: Fixtures, robot: Robot, where: HasWorkpiecePose, bodie
 
 
 def _stacked(solids: list[Solid]) -> Solid:
-    """Stack several solids of a kind; pieces are padded to the faces and edges of the largest with their last one."""
+    """Stack several solids of a kind, on the device."""
+    return jax.device_put(_host_stacked(solids))  # `jnp.asarray` would compile an executable for every shape
+
+
+def _host_stacked(solids: list[Solid]) -> Solid:
+    """Stack several solids of a kind as numpy arrays; faces and edges of pieces are padded with the last one."""
     if isinstance(solids[0], Polyhedron):
-        faces, edges = (max(len(each) for each in column) for column in list(zip(*solids, strict=True))[1:3])
+        faces, edges = (_padded_count(max(map(len, column))) for column in list(zip(*solids, strict=True))[1:3])
         sizes = Polyhedron(faces, faces, edges, edges)
         solids = [Polyhedron(*map(_repeated, piece, sizes)) for piece in solids]
-    return jax.tree.map(lambda *each: jnp.stack(list(map(jnp.asarray, each))), *solids)
+    return jax.tree.map(lambda *each: np.stack(list(map(np.asarray, each))), *solids)
 
 
 def _repeated(rows: np.ndarray, count: int) -> np.ndarray:
@@ -208,7 +245,7 @@ def _nothing(bodies: int) -> SolidContact:
 
 
 def _constant_contacts(seen: SolidContact, p: Ends, q: Ends, radius: Float[Array, "K"]) -> Contacts:
-    """Return the contacts, fixed: their distances depend on the ends alone, exactly to first order."""
+    """Return the contacts with constant points and normals, so that only the bodies' ends have a gradient."""
     seen = jax.lax.stop_gradient(seen)
     point = p + seen.t[:, None] * (q - p)
     still = jax.lax.stop_gradient(point)
@@ -218,7 +255,7 @@ def _constant_contacts(seen: SolidContact, p: Ends, q: Ends, radius: Float[Array
 
 @one_by_one
 def _with_pieces(search, is_checked, p, q, radius, seen):
-    """Return `seen`, or the contact with a piece where one is nearer."""
+    """Return the contacts `seen`, each replaced by the contact with a piece if a piece is nearer."""
     pieces, balls = search
     lower = jnp.where(is_checked, narrow_phase.ball_bounds(p, q, jnp.zeros(len(p)), balls), jnp.inf)
 

@@ -1,13 +1,14 @@
-"""Obstacles of some `obstacle_kind.ObstacleKind`: distances of bodies from that of a point.
+"""Obstacles of kinds that other packages define (`ObstacleKind`): a body's distance, computed from that of points.
 
-The nearest point of a body's axis is searched for on it: by golden sections for a convex obstacle, whose distance is
-a convex function along a line. For any other, PIECES equal intervals of length h are measured. The distance of a
-point changes by no more than the point moves, so on an interval it is at least (d_i + d_i+1 - h) / 2 (Piyavskii, An
-algorithm for finding the absolute extremum of a function, 1972): the free radius is that, and the distance itself is
-refined about the smallest.
+The nearest point of a body's axis is found by a search along the axis. For a convex obstacle this is a golden section
+search, as the distance is a convex function along a line. For other obstacles the distance d_i is measured at the ends
+of PIECES equal intervals of length h. A point's distance changes by no more than the point moves. On an interval the
+distance is therefore at least (d_i + d_i+1 - h) / 2 (Piyavskii, An algorithm for finding the absolute extremum of a
+function, 1972). The smallest of these bounds is the free radius. The distance itself is refined about the smallest
+measured value.
 
-Bodies that are fixed in the world are not checked. Nor are bodies of the first link that touch at x = 0: an arm stands
-on its pedestal. See docs/add-an-obstacle.md.
+Bodies that are fixed in the world are not checked, nor are bodies of the first link that touch the obstacle at x = 0,
+such as the arm's pedestal. See docs/add-an-obstacle.md.
 """
 
 from collections.abc import Sequence
@@ -26,20 +27,20 @@ from htcp_jax.numerics import safe_norm
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Scalar, Vector3
 
-PIECES, SECTIONS = 128, 48  # of an axis that is not searched by sections alone; golden sections
+PIECES, SECTIONS = 128, 48  # intervals of an axis, if the obstacle is not convex; steps of the golden section search
 GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 @register_pytree
 @dataclass(frozen=True)
 class GivenObstacle(Obstacle):
-    """An obstacle of some kind; its numbers are the scenario's, from `first` on."""
+    """An obstacle of an `ObstacleKind`; its parameters are the scenario's `obstacle_numbers` from index `first` on."""
 
     template: Template = field(metadata={"static": True})
     first: int = field(metadata={"static": True})
 
     @property
-    def names(self) -> tuple[str, ...]:  # type: ignore[override]  # nobody sets an obstacle's names
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]  # names are never set
         """The kind's name, as a tuple."""
         return (self.template.kind.name,)
 
@@ -48,7 +49,7 @@ class GivenObstacle(Obstacle):
         return self._measured(robot, where, bodies)[0]
 
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
-        """Return lower bounds on the distances."""
+        """Return a lower bound on the distance of every body [m]."""
         return self._measured(robot, where, bodies)[1]
 
     def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
@@ -70,7 +71,7 @@ class GivenObstacle(Obstacle):
         return Contacts(distance - radius + far, point, normal, radius, distance <= 0), least - radius + far
 
     def _checked_bodies(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
-        """True for bodies that are checked."""
+        """Return True for bodies that are checked against the obstacle."""
         links = np.array(robot.capsule_link)
         first = np.setdiff1d(np.flatnonzero(links == 0), robot.attached)
         is_checked = jnp.asarray(links >= 0)
@@ -82,7 +83,7 @@ class GivenObstacle(Obstacle):
 
 
 def _nearest(own: ObstacleKind, p: Vector3, q: Vector3) -> tuple[Vector3, Scalar, Scalar]:
-    """Return the point of an axis nearest to an obstacle, its distance, and a lower bound on that [m]."""
+    """Return the point of the axis p q nearest to an obstacle, its distance [m], and the axis's free radius [m]."""
 
     def at(t: Scalar) -> Scalar:
         return jnp.asarray(own.distance(p + t * (q - p)), float).reshape(())
@@ -109,22 +110,35 @@ def _nearest(own: ObstacleKind, p: Vector3, q: Vector3) -> tuple[Vector3, Scalar
 
 
 def given_obstacles(kinds: Sequence[ObstacleKind]) -> Obstacles:
-    """Return the obstacles of some kinds; their numbers, `numbers_of(kinds)`, belong into the scenarios."""
+    """Return the obstacles for some kinds.
+
+    Their parameters, `numbers_of(kinds)`, must be in the scenarios' `obstacle_numbers`.
+    """
     templates = [template_of(each) for each in kinds]
     first = np.cumsum([0, *(each.size for each in templates)]).tolist()
     return tuple(GivenObstacle(each, k) for each, k in zip(templates, first, strict=False))
 
 
 def with_given(obstacles: Sequence[Obstacle | ObstacleKind], scenarios: Scenario) -> tuple[Obstacles, Scenario]:
-    """Return obstacles and stacked scenarios in which kinds are obstacles with numbers.
+    """Convert each `ObstacleKind` into an obstacle, and write the parameters into the stacked scenarios.
 
-    Raises InputError if the scenarios have such numbers already.
+    Args:
+        obstacles: Obstacles and kinds.
+        scenarios: Stacked scenarios.
+
+    Returns:
+        The obstacles, and the scenarios with `obstacle_numbers`.
+
+    Raises:
+        InputError: If the scenarios have `obstacle_numbers` already.
     """
     kinds = [each for each in obstacles if isinstance(each, ObstacleKind)]
     others = tuple(each for each in obstacles if not isinstance(each, ObstacleKind))
     if not kinds:
         return others, scenarios
     if scenarios.obstacle_numbers is not None:
-        raise InputError("the scenarios have obstacles of a job; add these there, to cell.obstacles")
+        raise InputError(
+            "the scenarios already contain the obstacles of their job; add further ones to cell.obstacles of that job"
+        )
     numbers = np.tile(numbers_of(kinds), (len(scenarios.number), 1))
     return (*others, *given_obstacles(kinds)), replace(scenarios, obstacle_numbers=numbers)

@@ -1,8 +1,9 @@
-"""The interior rule: outside the tunnel is negative.
+"""The interior rule: deep inside the workpiece, a body outside the cloud's convex hull has a negative clearance.
 
-A capsule end in the interior (deeper than a set depth behind where the cloud begins, along its inlet's direction) must
-lie in the cloud's convex hull; where it does not, the body's clearance is at most minus its distance outside. A body
-whose deep ends lie inside is infinitely far from this obstacle. The crossed facet is found once and then fixed.
+The interior begins at a plane, at a set depth behind the cloud's inlet. An end of a capsule's axis beyond this plane is
+called deep, and must lie in the cloud's convex hull. Otherwise the body's clearance is at most minus the end's distance
+outside the hull. A body whose deep ends all lie inside the hull is infinitely far from this obstacle. The crossed facet
+is found once and then fixed.
 """
 
 from dataclasses import dataclass
@@ -17,23 +18,26 @@ from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Int, Scalar
 
-NEAR_M = 0.05  # distance before the interior within which the depth in the hull is computed
+NEAR_M = 0.05  # distance in front of the plane within which the depth in the hull is computed
 
 
 @register_pytree
 @dataclass(frozen=True)
 class Interior(Obstacle):
-    """The hull in the workpiece frame, F >= 1 facets; the plane where the interior begins is the scenario's."""
+    """The hull of the cloud in the workpiece frame, with at least one facet.
+
+    The plane at which the interior begins is in the scenario, see `HasWorkpiecePose`.
+    """
 
     hull: HalfSpaces
 
     of_workpiece = True
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
-        """Return, for every body, the facet that its furthest deep end has crossed, if any."""
+        """Return the contact of every body with the facet that its outermost deep end has crossed, if any."""
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         outside, second, inwards = self._outside(where, bodies)
-        # Through the workpiece frame, as for the cloud: the same end is the same point to the last bit.
+        # Transformed from the workpiece frame, as for the cloud, so that the same end is the same point bit for bit.
         end = jnp.where(second[:, None], bodies.q_workpiece, bodies.p_workpiece)
         return Contacts(
             distance=jnp.where(outside > 0, -outside, jnp.inf),
@@ -44,16 +48,20 @@ class Interior(Obstacle):
         )
 
     def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
-        """Return minus the largest distance of an end outside; infinite if none is outside."""
+        """Return minus the largest distance of a deep end outside the hull [m]; infinite if none is outside."""
         outside, _, _ = self._outside(where, bodies)
         return jnp.min(jnp.where(outside > 0, -outside, jnp.inf))
 
     def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
-        """Return True if any deep end lies outside."""
+        """Return True if any deep end lies outside the hull."""
         return jnp.any(self._outside(where, bodies)[0] > 0)
 
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
-        """Return the ends' distance before the interior or depth inside the hull, whichever is more."""
+        """Return each body's free radius [m]: the smaller one of its two ends.
+
+        The free radius of an end is its distance to the interior's plane or its depth inside the hull, whichever is
+        larger.
+        """
         beyond = _depth_of_ends(where, bodies.p, bodies.q)
         requested = beyond > -NEAR_M
         depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), requested)
@@ -66,9 +74,15 @@ class Interior(Obstacle):
         q: Float[jax.Array, "n 3"],
         moves: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if a deep end of any of n segments in the world is outside by more than it can move [m].
+        """Return True if an end of any of n segments is certainly deep and outside the hull.
 
-        An end is deep if it is beyond the plane by more than it can move, too.
+        This is certain if the end is beyond the plane and outside the hull by more than it can move.
+
+        Args:
+            where: A scenario, or another `HasWorkpiecePose`.
+            p: First ends of the segments, world [m].
+            q: Second ends, world [m].
+            moves: Largest displacement of each segment's ends [m].
         """
         own, moves = in_workpiece(where, jnp.concatenate([p, q])), jnp.concatenate([moves, moves])
         facet = crossed_facets(self.hull, own, _depth_of_ends(where, p, q) > moves)
@@ -84,7 +98,7 @@ class Interior(Obstacle):
         radius: Float[jax.Array, "n"],
         moves: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if an end of a capsule is certainly outside, and deep."""
+        """Return True if an end of a capsule is certainly deep and outside the hull, see `Obstacle.surely_touches`."""
         return self.any_outside(where, p, q, moves)
 
     def touches_along(
@@ -95,15 +109,16 @@ class Interior(Obstacle):
         body: Int[jax.Array, ""],
         requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if a deep end of the body lies outside at any of the marked configurations."""
+        """Return True if a deep end of the body lies outside at any of the configurations marked in `requested`."""
         deep = _depth_of_ends(where, bodies.p[:, body], bodies.q[:, body]) > 0
         ends = jnp.concatenate([bodies.p_workpiece[:, body], bodies.q_workpiece[:, body]])
         return jnp.any(crossed_facets(self.hull, ends, jnp.concatenate([requested, requested]) & deep) >= 0)
 
     def _outside(self, where: HasWorkpiecePose, bodies: BodyAxes):
-        """Return for every body the distance [m] of its furthest deep end outside the hull, -inf if none is outside.
+        """Return the distance of every body's outermost deep end outside the hull [m], -inf if no end is outside.
 
-        With it, True if that is the second end, and the inward normal of the facet it crossed, in the workpiece frame.
+        Also return True for bodies whose second end is the outermost, and the inward normal of the facet that this end
+        crossed, in the workpiece frame.
         """
         both = jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece])
         facet = crossed_facets(self.hull, both, _depth_of_ends(where, bodies.p, bodies.q) > 0)
@@ -121,5 +136,5 @@ class Interior(Obstacle):
 def _depth_of_ends(
     where: HasWorkpiecePose, p: Float[jax.Array, "n 3"], q: Float[jax.Array, "n 3"]
 ) -> Float[jax.Array, "ends"]:
-    """Return the distances of the ends, all p then all q, beyond the plane [m]."""
+    """Return the distances by which the ends, first all p, then all q, are beyond the plane [m]."""
     return product(jnp.concatenate([p, q]), where.interior_plane[:3]) - where.interior_plane[3]

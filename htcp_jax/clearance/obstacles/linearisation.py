@@ -14,15 +14,15 @@ from htcp_jax.types import Array, Float, Joints
 class TaskRows(NamedTuple):
     """The task at one configuration, to first order."""
 
-    value: Float[Array, "V"]  # the features, which are compared with the goals [m]
-    jacobian: Float[Array, "V N"]
+    value: Float[Array, "V"]  # C(x): points [m] and directions of the arm that are compared with the goals
+    jacobian: Float[Array, "V N"]  # d value / dx [m/rad or m/m; 1/rad for directions]
 
 
 class Linearisation(NamedTuple):
     """Task and clearance at one configuration, to first order."""
 
     task: TaskRows
-    clearance: ClearanceRows  # all rows, or the one of the smallest distance
+    clearance: ClearanceRows  # all rows, or only the one with the smallest distance
 
 
 def linearise(
@@ -33,9 +33,9 @@ def linearise(
     task: Task = tasks.TCP_POSITION,
     smallest: bool = False,
 ) -> Linearisation:
-    """Return task and clearance at x, with their Jacobian and gradients.
+    """Return task and clearance at x, with the task's Jacobian and the clearance's gradients.
 
-    Equations (6) and (7) for the task, (8), the convex feasible set, for the clearance.
+    The task is linearised by equations (6) and (7), the clearance by (8), the convex feasible set.
 
     Args:
         robot: The robot.
@@ -43,10 +43,10 @@ def linearise(
         where: A scenario, or another `HasWorkpiecePose`.
         x: The configuration [rad or m].
         task: The task; by default the TCP's position.
-        smallest: True: only the clearance row of the smallest distance, which costs less.
+        smallest: True to return only the clearance row with the smallest distance, which costs less.
 
     Raises:
-        InputError: For an x of another shape.
+        InputError: If x does not have one value per joint.
     """
     held = TaskRows(task.value(robot, x), task.jacobian(robot, x))
     rows = clearance_rows(robot, obstacles, where, x, smallest)

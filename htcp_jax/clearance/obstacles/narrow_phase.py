@@ -1,14 +1,15 @@
-"""The narrow phase: distances of the convex pieces of an arm's meshes, where its capsules are in doubt.
+"""Narrow phase: distances of the convex pieces of an arm's meshes, for rows that its capsules do not decide.
 
-A row's capsules answer first. If their distance is below `limit_m`, the margin plus CLOSE_M, and not so small that the
-meshes collide all the same, the pieces in them are measured. The row's distance is then
+A row's capsules are measured first. The row is in doubt if their distance is below the limit, which is the margin plus
+CLOSE_M, and not so small that the meshes certainly collide. For a row in doubt the pieces in the capsules are measured.
+The row's distance is then
 
-    max(D of the capsules, min(D of the pieces, limit)),
+    max(D of the capsules, min(D of the pieces, limit)).
 
-continuous, and a lower bound on the distance of the meshes. The contact, and so the gradient, is that of the
-representation that decided.
+It is continuous, and a lower bound on the distance of the meshes. The contact and the gradient are those of the larger
+term.
 
-The pairs of all obstacles are measured by one search, so that a program contains it once, see `decide_together`.
+The pairs of all obstacles are measured by one search, so that compiled code contains it once, see `decide_together`.
 """
 
 from collections.abc import Sequence
@@ -27,44 +28,50 @@ from htcp_jax.numerics import one_by_one, safe_norm, segment_parameter
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Array, Bool, Float, Int, Pose, Scalar
 
-CLOSE_M = 0.005  # above the margin: a step QP may go this far by the capsules before it sees the pieces
+CLOSE_M = 0.005  # distance above the margin below which pieces are measured
 
 
 class Doubts(NamedTuple):
-    """R rows of an obstacle, and the P pairs of pieces that decide those in doubt.
+    """R rows of an obstacle, and the P pairs of pieces that decide the rows in doubt.
 
-    The second body of a pair is a body of the robot if there are neither planes nor solids; else a plane, or a solid
-    after the planes.
+    `first` is the index of a pair's body. If there are no planes and no solids, `second` is the index of another body.
+    Otherwise it is the index of a plane or, from the number of planes on, of a solid.
     """
 
     capsules: Contacts
-    rows: Bool[Array, "R"]  # True: in doubt
-    known: Contacts  # without the pairs
+    rows: Bool[Array, "R"]  # True: the row is in doubt
+    known: Contacts  # the results for rows in doubt unless a pair is nearer
     first: Int[Array, "P"]
     second: Int[Array, "P"]
-    row: Int[Array, "P"]
-    lower: Float[Array, "P"]  # bounds on the pairs' distances [m]; infinite for those that are not measured
+    row: Int[Array, "P"]  # index of the row that the pair belongs to
+    lower: Float[Array, "P"]  # lower bounds on the pairs' distances [m]; infinite for pairs that are not measured
     solids: ConvexPiece | None = None  # stacked, in the world
     planes: HalfSpace | None = None  # stacked
 
 
 def margin_m(where: HasWorkpiecePose) -> Scalar:
-    """Return the margin [m]: a scenario's, 0 for a pose alone."""
+    """Return the required clearance [m] of a scenario; 0 for an object that has only a workpiece pose."""
     return jnp.asarray(getattr(where, "margin_m", 0.0), float)
 
 
 def limit_m(where: HasWorkpiecePose) -> Scalar:
-    """Return the distance below which capsules are in doubt [m]."""
+    """Return the distance below which capsules are in doubt [m], see the module's docstring."""
     return margin_m(where) + CLOSE_M
 
 
 def in_doubt(distance: Float[Array, "R"], excess_m: Float[Array, "R"], limit: Scalar) -> Bool[Array, "R"]:
-    """Return True for distances of capsules that their pieces may raise above 0 [m]."""
+    """Return True for rows in doubt: their capsules are below the limit, but their pieces may be clear.
+
+    Args:
+        distance: Distances of the capsules [m].
+        excess_m: Largest amount by which the pieces' distance can exceed the capsules'.
+        limit: See `limit_m` [m].
+    """
     return (excess_m > 0) & (distance < limit) & (distance > -excess_m)
 
 
 def undecided(capsules: Contacts, limit: Scalar) -> Contacts:
-    """Return the contacts of capsules with the distance `limit` [m] at the same witness."""
+    """Return the capsules' contacts at the same points, with all distances set to `limit` [m]."""
     return capsules._replace(
         distance=jnp.broadcast_to(limit, capsules.distance.shape),
         radius=capsules.radius + capsules.distance - limit,
@@ -72,27 +79,27 @@ def undecided(capsules: Contacts, limit: Scalar) -> Contacts:
 
 
 def chosen(take: Bool[Array, "R"], new: Contacts, old: Contacts) -> Contacts:
-    """Return the new contacts in rows where `take` is True, else the old ones."""
+    """Return the contacts of `new` in rows where `take` is True, else those of `old`."""
     return jax.tree.map(lambda a, b: jnp.where(take.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
 
 
 def decided(capsules: Contacts, pieces: Contacts, doubt: Bool[Array, "R"]) -> Contacts:
-    """Return the contacts of the pieces for rows in doubt where their distance is larger, else the capsules'."""
+    """Return the pieces' contacts for rows in doubt whose pieces have the larger distance, else the capsules'."""
     return chosen(doubt & (pieces.distance > capsules.distance), pieces, capsules)
 
 
 def decide(robot: Robot, bodies: BodyAxes, every: Sequence[Doubts]) -> list[Contacts]:
-    """Return the contacts of each obstacle: the capsules', or those of the pieces where they decide.
+    """Return the contacts of each obstacle, with rows in doubt decided by the pieces.
 
     Args:
         robot: The robot, with pieces.
         bodies: The bodies.
-        every: The doubts of each obstacle.
+        every: The rows in doubt and the pairs, one entry per obstacle.
     """
     pairs, known, solids, planes = [], [], [], []
     for each in every:
         second = each.second
-        if each.planes is not None or each.solids is not None:  # planes are numbered from -1 downwards
+        if each.planes is not None or each.solids is not None:  # planes get -1, -2, ...; solids follow the bodies
             above = 0 if each.planes is None else len(each.planes.offset)
             plane = -1 - second - sum(len(own.offset) for own in planes)
             solid = second - above + len(robot.capsule_link) + sum(len(own.radius) for own in solids)
@@ -115,7 +122,7 @@ def decide(robot: Robot, bodies: BodyAxes, every: Sequence[Doubts]) -> list[Cont
 
 @one_by_one
 def _nearest_pieces(shared, is_exact, radius, p, q, T, lower, known):
-    """Return the known contacts, or in each row that of the pair of pieces with a smaller distance."""
+    """Return the known contacts, each replaced by the contact of the row's nearest pair of pieces if that is nearer."""
     pieces, (first, second, row), solids, planes = shared
     sizes = [max(own[k].shape[1] for own in (pieces, *solids)) for k in (0, 1)]
 
@@ -173,7 +180,7 @@ def _padded(rows: Float[Array, "n 3"], count: int) -> Float[Array, "m 3"]:
 @register_pytree
 @dataclass(frozen=True)
 class _Decided(Obstacle):
-    """An obstacle whose contacts at the current configuration are known."""
+    """The obstacle `kind` at one configuration, where its contacts `found` are known."""
 
     kind: Obstacle
     found: Contacts
@@ -190,7 +197,11 @@ class _Decided(Obstacle):
 
 
 def decide_together(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, bodies: BodyAxes) -> Obstacles:
-    """Return the obstacles for queries at one configuration: those whose pieces are measured in pairs by one search."""
+    """Return the obstacles for queries at one configuration.
+
+    For an arm with pieces, one search computes the contacts of all obstacles with `in_pairs`. For other arms the
+    obstacles are returned unchanged.
+    """
     in_pairs = [] if robot.pieces is None else [each for each in obstacles if each.in_pairs]
     if not in_pairs:
         return obstacles
@@ -201,7 +212,7 @@ def decide_together(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose,
 def ball_bounds(
     p: Float[Array, "K 3"], q: Float[Array, "K 3"], radius: Float[Array, "K"], balls: Float[Array, "n 4"]
 ) -> Float[Array, "n K"]:
-    """Return lower bounds on the distances of capsules from what is in balls [m]."""
+    """Return lower bounds on the distances of K capsules from anything inside n balls (centre, radius) [m]."""
     p_, q_, centre = jnp.broadcast_arrays(p[None], q[None], balls[:, None, :3])
     apart = p_ + segment_parameter(p_, q_, centre)[..., None] * (q_ - p_) - centre
     return safe_norm(apart) - balls[:, 3:] - radius[None]

@@ -1,10 +1,10 @@
-"""The obstacle protocol: rows of distances, and cheap queries about them.
+"""The base class of obstacles: rows of distances, and cheap queries about them.
 
-A kind of obstacle is a small pytree that derives from `Obstacle`, in a file of its own. Its rows are distances [m]
-between a body of the arm and something: the surroundings, or another body. Kinds with `per_body` have one row per body,
-which they share: the nearest counts. Any other kind has its own rows.
+A kind of obstacle is a small pytree that derives from `Obstacle`, in a file of its own. Each of its rows is a distance
+[m] between a body of the arm and the surroundings, or another body. All kinds with `per_body` share one row per body,
+with the distance of the nearest obstacle. Any other kind has its own rows.
 
-`obstacle_kind` has the plainer protocol for obstacles of other packages.
+`obstacle_kind` has a simpler base class for obstacles of other packages.
 """
 
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
@@ -20,42 +20,50 @@ from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar
 
 @runtime_checkable
 class HasWorkpiecePose(Protocol):
-    """Workpiece pose: a scenario, or any object with these fields."""
+    """Protocol of objects with a workpiece pose, such as a scenario."""
 
     T_world_workpiece: Pose
-    interior_plane: Float[jax.Array, "4"]  # unit normal n, offset [m]: ends with n @ x > offset must lie in the tunnel
+    interior_plane: Float[jax.Array, "4"]  # unit normal n, offset [m]: ends with n @ x > offset must lie in the hull
 
 
 class RowPairs(NamedTuple):
-    """The pairs that R rows of distances are between; static."""
+    """Both sides of each of R rows of distances: a body, and the link that the obstacle is fixed to; static in JAX."""
 
-    body: tuple[int, ...]  # the number of the capsule
-    other: tuple[int, ...]  # the link, before the body's, that the obstacle's nearest point is fixed to; -1: the world
+    body: tuple[int, ...]  # index of the capsule
+    other: tuple[int, ...]  # link that the obstacle's nearest point is fixed to, nearer to the base; -1: the world
 
     @classmethod
     def of_bodies(cls, robot: Robot) -> "RowPairs":
-        """Return one row per body, against the world: the rows of every kind with `per_body`."""
+        """Return one row per body, with the world as its other side: the rows of every kind with `per_body`."""
         bodies = len(robot.capsule_link)
         return cls(tuple(range(bodies)), (-1,) * bodies)
 
 
 class Contacts(NamedTuple):
-    """Nearest points per row: the point on the body's axis, and the direction away from the obstacle."""
+    """Contact of each row: the distance, the nearest point on the body's axis, and the direction from the obstacle."""
 
     distance: Float[jax.Array, "R"]  # D [m]
     point: Float[jax.Array, "R 3"]  # on the body's axis, world [m]
     normal: Float[jax.Array, "R 3"]  # unit, from the obstacle to the body, world
-    radius: Float[jax.Array, "R"]  # distance from the axis at which D is 0 [m], see `witness`
-    plane: Bool[jax.Array, "R"]  # True: a plane fixed in the world that an end of the body has crossed
+    radius: Float[jax.Array, "R"]  # distance from the axis at which D is 0 [m]
+    plane: Bool[jax.Array, "R"]  # True: the obstacle is a plane fixed in the world that an end of the body has crossed
 
     @property
     def witness(self) -> Float[jax.Array, "R 3"]:
-        """The obstacle's points, world [m]."""
+        """The obstacle's nearest points, world [m]."""
         return self.point - self.normal * (self.distance + self.radius)[:, None]
+
+    @property
+    def by_interior_rule(self) -> Bool[jax.Array, "R"]:
+        """True for rows whose distance comes from the interior rule: an end of the body's axis is outside the hull."""
+        return self.plane & (self.radius == 0)
 
 
 def surface_points(robot: Robot, rows: RowPairs, touch: Contacts) -> Float[jax.Array, "R 3"]:
-    """Return the points of the bodies' surfaces in contacts, world [m]: of a capsule, or of the piece that decided."""
+    """Return the nearest point on each body's surface, world [m].
+
+    The surface is that of the convex piece if the distance is the piece's, else that of the capsule.
+    """
     radius = robot.capsule_radius[jnp.asarray(rows.body)]
     if robot.pieces is not None:  # contacts of pieces are on their surface, or on that of the mesh's cover
         radius = jnp.minimum(radius, touch.radius)
@@ -63,18 +71,18 @@ def surface_points(robot: Robot, rows: RowPairs, touch: Contacts) -> Float[jax.A
 
 
 def by_pieces(robot: Robot, rows: RowPairs, touch: Contacts) -> Bool[jax.Array, "R"]:
-    """Return True for contacts whose distance a convex piece decided, not the capsule."""
+    """Return True for rows whose distance is that of a convex piece, False for those of a capsule."""
     if robot.pieces is None:
         return jnp.zeros(touch.radius.shape, bool)
     of_capsules = touch.radius >= robot.capsule_radius[jnp.asarray(rows.body)]
-    return ~(of_capsules | (touch.plane & (touch.radius == 0)))  # the last: an end of an axis, by the interior rule
+    return ~(of_capsules | touch.by_interior_rule)
 
 
 class BodyAxes(NamedTuple):
     """Ends of the bodies' axes [m], in the world and in the workpiece frame."""
 
-    p: Float[jax.Array, "*S K 3"]
-    q: Float[jax.Array, "*S K 3"]
+    p: Float[jax.Array, "*S K 3"]  # first ends, world
+    q: Float[jax.Array, "*S K 3"]  # second ends, world
     p_workpiece: Float[jax.Array, "*S K 3"]
     q_workpiece: Float[jax.Array, "*S K 3"]
     T: Float[jax.Array, "*S K 4 4"] | None = None  # poses of the bodies' links in the world, for an arm with pieces
@@ -88,7 +96,7 @@ def bodies_at(robot: Robot, where: HasWorkpiecePose, x: Joints) -> BodyAxes:
 
 
 def in_workpiece(where: HasWorkpiecePose, points: Float[jax.Array, "n 3"]) -> Float[jax.Array, "n 3"]:
-    """Return world points [m] in the workpiece's frame."""
+    """Transform points from the world to the workpiece's frame [m]."""
     rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
     return product(points - translate[None, :], rotate)
 
@@ -96,12 +104,16 @@ def in_workpiece(where: HasWorkpiecePose, points: Float[jax.Array, "n 3"]) -> Fl
 class Obstacle:
     """Base class of all kinds of obstacle.
 
-    A kind defines `contacts`; it may define the others, where it has something better than the defaults. Distances are
-    exact or lower bounds, in metres; `bodies` are those at one configuration.
+    A kind must define `contacts`. It may override the other methods to be faster or tighter than the defaults.
+    Distances are exact or lower bounds, in metres; `bodies` are the bodies at one configuration.
 
-    per_body: its rows are the K bodies', shared with other such kinds; a kind of its own rows defines `rows`, too.
-    of_workpiece: it is a part of the workpiece, in messages. sweeps: it defines `clear_along`. names: of its parts.
-    in_pairs: for an arm with pieces it defines `doubts`, and no other query.
+    Attributes:
+        per_body: True if the kind has one row for each of the K bodies, shared with other such kinds. If False, the
+            kind must define `rows`.
+        of_workpiece: True if messages describe the obstacle as the workpiece.
+        sweeps: True if the kind defines `clear_along`.
+        in_pairs: True if, for an arm with pieces, the kind defines `doubts` and no other query.
+        names: Names of the obstacle's parts.
     """
 
     per_body: ClassVar[bool] = True
@@ -111,30 +123,27 @@ class Obstacle:
     names: ClassVar[tuple[str, ...]] = ()
 
     def rows(self, robot: Robot) -> RowPairs:
-        """Return the pairs that its rows are between."""
+        """Return both sides of each row; by default, one row per body."""
         return RowPairs.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return every row's contact.
 
-        At other configurations, a fixed contact must never predict less than the true distance, see `contact_model`.
-        For a kind with `per_body`, a body without a contact has infinite distance.
+        At any other configuration, the distance to a contact's fixed point must not be less than the true distance,
+        see `contact_model`. For a kind with `per_body`, a body without a contact has infinite distance.
         """
         raise NotImplementedError
 
     def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Any:
-        """Return the `narrow_phase.Doubts`, for a kind with `in_pairs` and an arm with pieces."""
+        """Return the rows in doubt as `narrow_phase.Doubts`, for a kind with `in_pairs` and an arm with pieces."""
         raise NotImplementedError
 
     def closest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
-        """Return contacts of which only the one with the smallest distance has to be exact.
-
-        The others may be overestimated.
-        """
+        """Return every row's contact; only the smallest distance must be exact, others may be overestimated."""
         return self.contacts(robot, where, bodies)
 
     def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
-        """Return the smallest distance of all rows."""
+        """Return the smallest distance of all rows [m]."""
         return jnp.min(self.contacts(robot, where, bodies).distance)
 
     def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
@@ -142,10 +151,10 @@ class Obstacle:
         return self.smallest(robot, where, bodies) <= 0
 
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "R"]:
-        """Return each row's free radius; at most 0 in collision.
+        """Return each row's free radius [m]; at most 0 in collision.
 
-        It is a displacement of all points of the row's body, in any direction, as seen from the link of the row's
-        other, within which the body is proven to stay clear.
+        A body stays clear if every point of it moves by less than the free radius, in any direction, relative to the
+        row's other side.
         """
         return self.contacts(robot, where, bodies).distance
 
@@ -157,9 +166,16 @@ class Obstacle:
         body: Int[jax.Array, ""],
         requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if one body touches at any of the S configurations marked in `requested`.
+        """Return True if one body touches the obstacle at any of the S configurations marked in `requested`.
 
-        `bodies` are those at all of them. For kinds with `per_body`.
+        Only for kinds with `per_body`.
+
+        Args:
+            robot: The robot.
+            where: A scenario, or another `HasWorkpiecePose`.
+            bodies: The bodies at all S configurations.
+            body: Index of the body.
+            requested: True for the configurations to test.
         """
         distance = jax.vmap(lambda own: self.contacts(robot, where, own).distance)(bodies)
         return jnp.any(requested & (distance[:, body] <= 0))
@@ -173,10 +189,10 @@ class Obstacle:
         requested: Bool[jax.Array, "K"],
         wanted: RequiredClearance,
     ) -> Float[jax.Array, "K"]:
-        """Return a lower bound on the clearance of each body in `requested` along the sweep.
+        """Return a lower bound on the clearance of each body in `requested` along the sweep [m].
 
-        It is tighter than distance minus travel. Once a body has less than `wanted.least`, the values of the others are
-        arbitrary. For kinds with `per_body`.
+        The bound is tighter than distance minus travel. If any body has less than `wanted.least`, the values of the
+        other bodies are arbitrary. Only for kinds with `per_body`.
         """
         raise NotImplementedError
 
@@ -189,15 +205,20 @@ class Obstacle:
         radius: Float[jax.Array, "n"],
         moves: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if one of n capsules surely has less clearance than a margin.
+        """Return True if any of n capsules certainly has less clearance than a margin; False if this is not known.
 
-        The capsules are in the world; their points may be anywhere within `moves` [m]. False where that is not known;
-        margin_m [m].
+        Args:
+            where: A scenario, or another `HasWorkpiecePose`.
+            margin_m: The margin [m].
+            p: First ends of the capsules' axes, world [m].
+            q: Second ends, world [m].
+            radius: Radii of the capsules [m].
+            moves: Largest displacement of any point of each capsule [m].
         """
         return jnp.zeros((), bool)
 
     def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
-        """Return the name of its part nearest to the body of a row, by what decides there, for messages."""
+        """Return the name of the obstacle's part that is nearest to the body of a row, for messages."""
         return f"the obstacle {type(self).__name__!r}"
 
 
@@ -205,13 +226,13 @@ Obstacles = tuple[Obstacle, ...]
 
 
 def rows_of(robot: Robot, obstacles: Obstacles) -> RowPairs:
-    """Return the pairs that the rows of all obstacles together are between."""
+    """Return both sides of each row of all obstacles together."""
     parts = [own[0].rows(robot) for own in grouped(obstacles)]
     return RowPairs(*(sum(columns, start=()) for columns in zip(*parts, strict=True)))
 
 
 def grouped(obstacles: Obstacles) -> list[Obstacles]:
-    """Return the obstacles that share the bodies' rows as one group, then every other one by itself."""
+    """Return the obstacles in groups: first all obstacles with `per_body`, then one group per other obstacle."""
     shared = tuple(each for each in obstacles if each.per_body)
     return [own for own in (shared, *((each,) for each in obstacles if not each.per_body)) if own]
 
@@ -224,12 +245,12 @@ def slopes(
     point: Float[jax.Array, "R 3"],
     witness: Float[jax.Array, "R 3"],
 ) -> Float[jax.Array, "R N"]:
-    """Return the rate at which a point of each row's body leaves the obstacle's along the normal [m/rad].
+    """Return the gradient of each row's distance: the rate at which its nearest points separate [m/rad].
 
     Args:
         robot: The robot.
         x: The configuration [rad or m].
-        rows: The pairs.
+        rows: Both sides of each row.
         normal: Unit vectors from the obstacle to the body, world.
         point: Points of the bodies at x, world [m].
         witness: Points of the obstacles at x, world [m].

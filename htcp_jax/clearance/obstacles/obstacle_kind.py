@@ -1,6 +1,6 @@
-"""Kinds of obstacles of other packages, fixed in the world: one class with one method, the distance of a point.
+"""Base class for obstacles of other packages, fixed in the world: its main method is the distance of a point.
 
-See `given_obstacle` and docs/add-an-obstacle.md. This module does without JAX, as it reads a job.
+See `given_obstacle` and docs/add-an-obstacle.md. This module does not import JAX, as it is loaded to read a job.
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,12 @@ from htcp_jax.types import Scalar, Vector3
 class ObstacleShape(NamedTuple):
     """A shape in the world for MuJoCo and for pictures, in metres and radians.
 
-    type: plane, box, sphere, capsule or cylinder. size_m: as in MuJoCo: sphere (radius,); capsule and cylinder (radius,
-    half length), along z; box: half its edges; a plane (), whose free side is +z. rpy_rad: about world x, then y, then
-    z.
+    Attributes:
+        type: plane, box, sphere, capsule or cylinder.
+        size_m: Sizes as in MuJoCo. Sphere: radius. Capsule and cylinder, along z: radius, half length. Box: half of
+            each edge. Plane: none; its free side is +z.
+        position_m: Position of the shape's frame.
+        rpy_rad: Rotations about world x, then y, then z.
     """
 
     type: str
@@ -27,9 +30,10 @@ class ObstacleShape(NamedTuple):
 
 
 class ObstacleKind(ExtensionKind):
-    """A kind of obstacle: derive a frozen dataclass from it, and define `name` and `distance`.
+    """Base class of a kind of obstacle: derive a frozen dataclass from it, and define `name` and `distance`.
 
-    convex: True if the obstacle is convex: distances are exact then, and cheaper.
+    Attributes:
+        convex: Set it to True for a convex obstacle: distances of bodies are then exact and cheaper.
     """
 
     convex: ClassVar[bool] = False
@@ -37,12 +41,15 @@ class ObstacleKind(ExtensionKind):
     def distance(self, point: Vector3) -> Scalar:
         """Return the signed distance of a point in the world from the obstacle's surface [m], negative inside.
 
-        Computed by jax.numpy: exact, or a lower bound. It must not change by more than the point moves.
+        Compute the distance by jax.numpy. It may be a lower bound, and must not change by more than the point moves.
         """
         raise NotImplementedError
 
     def shapes(self) -> Sequence[ObstacleShape]:
-        """Return the shapes that it is made of, exactly, for `htcp validate` and for pictures; none: not known."""
+        """Return the shapes that the obstacle consists of exactly, for `htcp validate` and for pictures.
+
+        Return none (the default) if they are not known.
+        """
         return ()
 
 

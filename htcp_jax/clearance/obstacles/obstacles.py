@@ -1,8 +1,8 @@
 """The paper's D(x, O), equation (2): the smallest distance between the arm and its obstacles, and its contact.
 
-O is a tuple of obstacles, see `obstacle`; a workpiece's are its points and, if it has one, the interior rule. Their
-rows are combined here: those of the bodies first, each with the nearest contact of all kinds with `per_body`, then
-those of every other kind.
+O is a tuple of obstacles, see `obstacle`. A workpiece's obstacles are its points and, if it has one, the interior rule.
+This module concatenates the rows of all obstacles: first one row per body, with the nearest contact of all kinds with
+`per_body`, then the rows of every other kind.
 """
 
 from collections.abc import Callable
@@ -39,10 +39,15 @@ class ClearanceRows(NamedTuple):
 def contacts(
     robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints, smallest: bool = False
 ) -> Contacts:
-    """Return the nearest contact of every row at configuration x [rad]; the robot's tool is the scenario's.
+    """Return the nearest contact of every row at configuration x [rad or m].
 
-    smallest: only the row of the smallest distance has to be exact, others may be overestimated, see
-    `Obstacle.closest`.
+    Args:
+        robot: The robot, with the scenario's tool.
+        obstacles: The obstacles O.
+        where: A scenario, or another `HasWorkpiecePose`.
+        x: The configuration [rad or m].
+        smallest: True: only the row with the smallest distance has to be exact; other distances may be overestimated,
+            see `Obstacle.closest`.
     """
     bodies = bodies_at(robot, where, x)
     obstacles = decide_together(robot, obstacles, where, bodies)
@@ -54,7 +59,7 @@ def contacts(
 def clearances(
     robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints, smallest: bool = False
 ) -> Float[jax.Array, "R"]:
-    """Return D per row [m].
+    """Return the distance D of every row [m].
 
     Its derivative in x [m/rad] is n' (J_body - J_other) at the nearest points, which are fixed (envelope theorem).
 
@@ -73,9 +78,9 @@ def clearances(
 
 @jax.jit
 def clearance(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Scalar:
-    """Return D(x, O) [m], the smallest over all rows, exact; its derivative is that row's.
+    """Return D(x, O) [m], the smallest distance of all rows; its derivative is that of the smallest row.
 
-    Cheaper than `clearances`.
+    This is cheaper than `clearances`.
 
     Args:
         robot: The robot, with the scenario's tool.
@@ -96,13 +101,19 @@ def is_clear(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joi
 def all_clear(
     robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Float[jax.Array, "S N"]
 ) -> Bool[jax.Array, ""]:
-    """Return True if D(x_s, O) > 0 at all of S >= 1 configurations that lie close together: a path.
+    """Return True if D(x_s, O) > 0 at all of S >= 1 configurations, such as samples of a short joint path.
 
-    Only the middle one is measured completely. A body is clear wherever its ends, and so all its points, have moved
-    from there by less than its free radius; where they have moved further, it is tested for collision. Obstacle kinds
-    without `per_body` are tested everywhere.
+    On a GPU, and for arms with convex pieces, every configuration is tested. Otherwise only the middle configuration is
+    measured completely: a body is clear wherever its ends have moved by less than its free radius, and is tested for
+    collision elsewhere. Obstacle kinds without `per_body` are tested at every configuration.
+
+    Args:
+        robot: The robot, with the scenario's tool.
+        obstacles: The obstacles O.
+        where: A scenario, or another `HasWorkpiecePose`.
+        x: The configurations (S, N) [rad or m], in the order of the path.
     """
-    if not backend().is_cpu or robot.pieces is not None:  # where a loop costs more than what it saves
+    if not backend().is_cpu or robot.pieces is not None:  # a loop would cost more than it saves
         return jnp.all(jax.vmap(partial(is_clear, robot, obstacles, where))(x))
     middle = x.shape[0] // 2
     bodies = jax.vmap(partial(bodies_at, robot, where))(x)
@@ -135,7 +146,7 @@ def free_radius(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: 
 def clearance_rows(
     robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints, smallest: bool = False
 ) -> ClearanceRows:
-    """Return the distances and their gradients at x: `clearances` and its autodiff Jacobian, from one evaluation."""
+    """Return the distances and their gradients at x: `clearances` and its Jacobian, from one evaluation."""
     return ClearanceRows(*value_and_jacobian(lambda x: clearances(robot, obstacles, where, x, smallest), x))
 
 
@@ -148,7 +159,7 @@ def _smallest_distance(x: Joints, robot: Robot, obstacles: Obstacles, where: Has
 def _distance_and_gradient(
     x: Joints, robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose
 ) -> tuple[Scalar, Joints]:
-    """Return the smallest distance and, in closed form, its gradient."""
+    """Return the smallest distance [m] and its gradient in closed form [m/rad]."""
     rows = _distances_and_gradients(True, x, robot, obstacles, where)
     lowest = jnp.argmin(rows.distance)
     return rows.distance[lowest], rows.gradient[lowest]
@@ -160,7 +171,7 @@ _smallest = with_gradient(_smallest_distance, _distance_and_gradient)
 def _distances_and_gradients(
     smallest: bool, x: Joints, robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose
 ) -> ClearanceRows:
-    """Return the distances and, in closed form, their gradients."""
+    """Return the distances [m] and their gradients in closed form [m/rad]."""
     touch, rows = contacts(robot, obstacles, where, x, smallest), rows_of(robot, obstacles)
     return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, touch.witness))
 
@@ -169,7 +180,7 @@ _clearances, _bodies_at = jax.jit(clearances), jax.jit(bodies_at)
 
 
 def nearest_to(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints, row: int) -> str:
-    """Return a description of the obstacle nearest to a row's body at x."""
+    """Return a description, for messages, of the obstacle nearest to a row's body at x."""
     if all(each.of_workpiece for each in obstacles):
         return "the workpiece"
     rows = 0
@@ -189,7 +200,7 @@ def nearest_to(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: J
 
 
 def _nearest_contacts(parts: list[Contacts]) -> Contacts:
-    """Return row by row the contact with the smallest distance; the first of equals."""
+    """Return for each row the contact with the smallest distance; the first of several equal ones."""
     nearest = parts[0]
     for other in parts[1:]:
         decides = other.distance < nearest.distance

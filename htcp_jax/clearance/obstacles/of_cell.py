@@ -1,7 +1,7 @@
 """Obstacles of the work cell, fixed in the world.
 
-A mesh that is closed and convex is a solid. Any other is sampled by points, as a workpiece's is; every body is
-thickened by their covering radius.
+A mesh that is closed and convex becomes a solid. Any other mesh is sampled by points, like a workpiece's mesh, and the
+points' covering radius is subtracted from every distance.
 """
 
 import dataclasses
@@ -38,12 +38,15 @@ class _PlacedFrame(NamedTuple):
 @register_pytree
 @dataclass(frozen=True)
 class PlacedCloud(Obstacle):
-    """A cloud fixed in the world. Bodies that are fixed in the world, and those of excluded links, are not checked."""
+    """A point cloud fixed in the world.
+
+    Bodies that are fixed in the world, and bodies of excluded links, are not checked.
+    """
 
     cloud: Cloud
     T_world: Pose
     name: str = field(metadata=LABEL)
-    excluded: tuple[int, ...] = field(default=(), metadata={"static": True})  # links
+    excluded: tuple[int, ...] = field(default=(), metadata={"static": True})  # links whose bodies are not checked
 
     sweeps = True
 
@@ -52,7 +55,7 @@ class PlacedCloud(Obstacle):
         return self.cloud.contacts(*self._seen(robot, where, bodies))
 
     def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
-        """Return the smallest distance of all bodies."""
+        """Return the smallest distance of all bodies [m]."""
         return self.cloud.smallest(*self._seen(robot, where, bodies))
 
     def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
@@ -60,7 +63,7 @@ class PlacedCloud(Obstacle):
         return self.cloud.touches(*self._seen(robot, where, bodies))
 
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
-        """Return the distance, which is a free radius."""
+        """Return each body's distance [m]: it is a free radius, as the cloud does not move."""
         return self.cloud.free_radius(*self._seen(robot, where, bodies))
 
     def clear_along(
@@ -72,7 +75,7 @@ class PlacedCloud(Obstacle):
         requested: Bool[jax.Array, "K"],
         wanted: RequiredClearance,
     ) -> Float[jax.Array, "K"]:
-        """Return lower bounds on the clearance along the sweep, to second order."""
+        """Return lower bounds on the clearance along the sweep [m], to second order."""
         return self.cloud.clear_along(*self._seen(robot, where, bodies), sweep, requested, wanted)
 
     def touches_along(
@@ -83,7 +86,7 @@ class PlacedCloud(Obstacle):
         body: Int[jax.Array, ""],
         requested: Bool[jax.Array, "S"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if a body touches at any of the marked configurations."""
+        """Return True if one body touches the cloud at any of the configurations marked in `requested`."""
         return self.cloud.touches_along(*self._seen(robot, where, bodies), body, requested)
 
     @property
@@ -96,9 +99,9 @@ class PlacedCloud(Obstacle):
         return f"the fixture {self.name!r}"
 
     def _seen(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> tuple[Robot, _PlacedFrame, BodyAxes]:
-        """Return robot, pose and bodies for the cloud's own methods, with the bodies in the cloud's frame.
+        """Return the arguments for the methods of `Cloud`: robot, pose, and bodies in the cloud's frame.
 
-        Bodies that are not checked become infinitely thin.
+        Bodies that are not checked get the radius -FAR_M, so that they are far from everything.
         """
         R, t = self.T_world[:3, :3], self.T_world[:3, 3].reshape((1,) * (bodies.p.ndim - 1) + (3,))
         own = bodies._replace(p_workpiece=product(bodies.p - t, R), q_workpiece=product(bodies.q - t, R))
@@ -120,10 +123,10 @@ def make_fixtures(
     Args:
         robot: The robot.
         shapes: The shapes.
-        excluded: By name the links that a shape is not tested against; none for other names.
+        excluded: Name of a shape -> indices of links whose bodies are not checked against this shape.
 
     Raises:
-        InputError: For a mesh without an area, which the message names.
+        InputError: If a mesh has no area; the message names it.
     """
     solids = [(each.name, found) for each in shapes if (found := solid_of(each)) is not None]
     meshes = [each for each in shapes if each.kind == "mesh" and not each.convex]
@@ -144,19 +147,19 @@ def placed_cloud(
     name: str,
     excluded: Collection[int] = (),
 ) -> PlacedCloud:
-    """Return a cloud at a pose: the given points, or if there are triangles, points on their mesh.
+    """Return a cloud at a pose: the given points or, if there are triangles, points sampled on them.
 
     Args:
-        robot: The robot; the thinnest of its bodies that reach a mesh determines the spacing of points on it.
+        robot: The robot. Its thinnest body that can reach the mesh determines the spacing of the points.
         points: The points [m].
-        triangles: The mesh [m]; none for a cloud of the given points.
+        triangles: The mesh [m]; empty for a cloud of the given points.
         T_world: The pose [m].
         source: Name of the mesh in messages.
         name: Name of the obstacle.
-        excluded: Links that it is not tested against.
+        excluded: Indices of links whose bodies are not checked against the obstacle.
 
     Raises:
-        InputError: As `mesh_points.cover_mesh` does.
+        InputError: For a mesh without an area, and if it needs too many points.
     """
     is_mesh = len(triangles) > 0
     found = _covered(robot, triangles, T_world, source, excluded) if is_mesh else mesh_points.PointCover(points, 0.0)
@@ -172,7 +175,7 @@ def _covered(
 ) -> mesh_points.PointCover:
     base = T_world[:3, :3].T @ (np.asarray(robot.T_parent_joint)[0, :3, 3] - T_world[:3, 3])
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    distance = float(np.linalg.norm(np.maximum(np.maximum(low - base, base - high), 0.0)))  # to their bounding box
+    distance = float(np.linalg.norm(np.maximum(np.maximum(low - base, base - high), 0.0)))  # to the mesh's bounding box
     return mesh_points.cover_mesh(triangles, source, body=mesh_points.thinnest_nearby(robot, distance, excluded))
 
 
@@ -200,7 +203,7 @@ def convex_piece(points: HostFloat[np.ndarray, "V 3"]) -> Polyhedron:
     corners[backwards] = corners[backwards, ::-1]
     edges, adjacent = [], []
     for face, neighbours in enumerate(hull.neighbors):
-        for side, other in enumerate(neighbours):  # the neighbour is opposite of the corner
+        for side, other in enumerate(neighbours):  # neighbour i is opposite corner i
             if face < other:
                 edges.append(points[np.delete(hull.simplices[face], side)])
                 adjacent.append((face, other))

@@ -11,10 +11,9 @@ from htcp_jax.model import Workpiece
 
 @cached_for_last(2)
 def make_obstacle(workpiece: Workpiece) -> Obstacles:
-    """Return a workpiece's obstacles, on the device: its points, and its interior rule.
+    """Return a workpiece's obstacles, on the device: its points and, if it has one, its interior rule.
 
-    Without a cloud there are none. Those of the last two workpieces are kept for the next plan, as long as the
-    workpiece lives.
+    A workpiece without a cloud has no obstacles. The obstacles of the last two workpieces are cached for the next plan.
     """
     if not len(workpiece.cloud):
         return ()
@@ -25,14 +24,12 @@ def make_obstacle(workpiece: Workpiece) -> Obstacles:
 
 
 def all_obstacles(workpiece: Workpiece, others: Obstacles) -> Obstacles:
-    """Return the workpiece's obstacles and the others.
+    """Return one tuple of the workpiece's obstacles and other obstacles.
 
     Raises:
-        InputError: If there are none.
+        InputError: If there are no obstacles at all.
     """
     found = (*make_obstacle(workpiece), *others)
     if not found:
-        raise InputError(
-            "there is nothing to keep clear of: no cloud, no cell, and no self-collision; give one of them"
-        )
+        raise InputError("no obstacles: set workpiece.cloud, cell.model or cell.clouds, or cell.self_collision: true")
     return found

@@ -19,14 +19,17 @@ class Scene(NamedTuple):
 
     @property
     def rows(self) -> RowPairs:
-        """The pairs that the rows of clearance are between."""
+        """Both sides of each row of clearance, see `RowPairs`."""
         return rows_of(self.robot, self.obstacles)
 
     def without_labels(self) -> "Scene":
-        """Return the scene without what only messages and files need, as functions are compiled for it."""
+        """Return the scene without names and other data that only messages and files need.
+
+        Functions are compiled for such a scene, so that other names do not cause another compilation.
+        """
         return self._replace(robot=without_labels(self.robot), obstacles=tuple(map(without_labels, self.obstacles)))
 
 
 def own_scene(scene: Scene, tool_extension_m: Scalar) -> Scene:
-    """Return the scene with a scenario's own tool."""
+    """Return the scene with the tool lengthened by a scenario's extension [m]."""
     return scene._replace(robot=robots.lengthen_tool(scene.robot, tool_extension_m))

@@ -1,7 +1,7 @@
 """The arm's own bodies as an obstacle: pairs of capsules that must not touch.
 
-A row is a body against the bodies of one link before it; its contact is that of the nearest pair. Of many pairs, only
-these contacts are made, and the others' distances alone.
+A row is a body against all bodies of one link nearer to the base; its contact is that of the nearest pair. If there are
+many pairs, contacts are computed only for the nearest pair of each row, distances for all pairs.
 
 Pairs that need no check are excluded, see self_exclusions.py.
 """
@@ -34,12 +34,12 @@ from htcp_jax.numerics import one_by_one, safe_divide, safe_norm
 from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Array, Float, Int, Scalar
 
-FEW_PAIRS = 128  # up to which all contacts are made: arms made by hand
-USUAL = 0.99  # a start is refused where an excluded pair is deeper than in this share of random configurations
+FEW_PAIRS = 128  # number of pairs up to which the contacts of all pairs are computed
+USUAL = 0.99  # a start is refused if an excluded pair overlaps more than in this share of random configurations
 RULES = {
     "a": "by the model",
     "b": "that nearly always overlap",
-    "c": "whose links do not touch where they overlap",
+    "c": "whose links do not touch where the capsules overlap",
     "d": "by the job",
 }
 Ends = Float[jax.Array, "K 3"]
@@ -48,7 +48,10 @@ Ends = Float[jax.Array, "K 3"]
 @register_pytree
 @dataclass(frozen=True)
 class SelfCollision(Obstacle):
-    """Pairs of bodies by their numbers, the one further out first: at least one checked pair, and the excluded ones."""
+    """The arm's own bodies as an obstacle: the checked pairs of bodies, at least one, and the excluded pairs.
+
+    A pair has the indices of two capsules, first the one nearer to the tool.
+    """
 
     pairs: Pairs = field(metadata={"static": True})
     excluded: tuple[robots.Exclusion, ...] = field(default=(), metadata=LABEL)
@@ -57,11 +60,11 @@ class SelfCollision(Obstacle):
     in_pairs = True
 
     def rows(self, robot: Robot) -> RowPairs:
-        """Return one row per body and link before it with a checked pair."""
+        """Return one row for each body and each link nearer to the base, if they have a checked pair."""
         return RowPairs(*zip(*self._rows(robot), strict=True))
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
-        """Return the nearest points of the axes of the nearest pair of every row."""
+        """Return the contact of every row's nearest pair."""
         return self._contacts(robot, where, bodies, _measured(robot, self.pairs, bodies.p, bodies.q))
 
     def _contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, every: "_MeasuredPairs") -> Contacts:
@@ -70,7 +73,7 @@ class SelfCollision(Obstacle):
         return every.contacts(self._nearest_of(every.distance, list(self._rows(robot).values())))
 
     def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> narrow_phase.Doubts:
-        """Return the rows whose capsules are in doubt, and their pairs."""
+        """Return the rows whose capsules are in doubt, and their pairs, see `narrow_phase`."""
         return self._doubts(robot, where, _measured(robot, self.pairs, bodies.p, bodies.q))
 
     def _doubts(self, robot: Robot, where: HasWorkpiecePose, every: "_MeasuredPairs") -> narrow_phase.Doubts:
@@ -90,43 +93,43 @@ class SelfCollision(Obstacle):
         return narrow_phase.Doubts(capsules, capsules.distance < limit, known, first, second, row_of_pair, lower)
 
     def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
-        """Return the name of the capsule nearest to the body of a row, by it or the piece in it, for messages."""
+        """Return the name of the other link's capsule that is nearest to the body of a row, for messages."""
         numbers = self._table(list(self._rows(robot).values()))[row]
         nearest = numbers[int(_distances_alone(self, robot, where, bodies, numbers, row).argmin())]
         return robots.capsule_label(robot, robot.capsule_names[self.pairs[nearest][1]])
 
     def described(self, robot: Robot) -> str:
-        """Describe the number of checked pairs and of excluded pairs by rule."""
+        """Return a text with the number of checked pairs, and of excluded pairs by rule."""
         counts = Counter(each.rule for each in self.excluded)
         excluded = ", ".join(f"{counts[rule]} {RULES[rule]}" for rule in RULES if counts[rule])
         return f"{len(self.pairs)} pairs of bodies" + (f"; excluded: {excluded}" if excluded else "")
 
     def _rows(self, robot: Robot) -> dict[tuple[int, int], list[int]]:
-        """Return the pairs' numbers by each row's body and link."""
+        """Return the rows' keys, (body, link), with the indices of each row's pairs."""
         found = {}
         for number, (a, b) in enumerate(self.pairs):
             found.setdefault((a, robot.capsule_link[b]), []).append(number)
         return found
 
     def _table(self, rows: list[list[int]]) -> np.ndarray:
-        """Return the pairs' numbers, one row each, filled up with its last one."""
+        """Return the indices of each row's pairs as a table; shorter rows are padded with their last pair."""
         most = max(map(len, rows))
         return np.array([(own + own[-1:] * most)[:most] for own in rows])
 
     def _nearest_of(self, distance: Float[jax.Array, "n"], rows: list[list[int]]) -> Int[jax.Array, "R"]:
-        """Return the number of the pair with the smallest distance in every row."""
+        """Return the index of the pair with the smallest distance in every row."""
         table = self._table(rows)
         best = jnp.argmin(distance[table], axis=1)
         return jnp.take_along_axis(jnp.asarray(table), best[:, None], axis=1)[:, 0]
 
 
 def self_collision(robot: Robot) -> SelfCollision | None:
-    """Return the robot's pairs, with its current tool; None if no pair is left to check.
+    """Return a robot's own bodies as an obstacle, with its current tool; None if there is no pair to check.
 
-    A UserWarning names excluded pairs with the job's own tool.
+    If pairs with the job's own tool are excluded, a UserWarning names them.
 
     Raises:
-        InputError: For a model that excludes every pair.
+        InputError: If the model excludes every pair.
     """
     excluded = (*robot.exclusions, *_found(_Hashable(robot)))
     ours = {(each.first, each.second) for each in excluded}
@@ -134,18 +137,22 @@ def self_collision(robot: Robot) -> SelfCollision | None:
     pairs = tuple(sorted(pair for pair in known if pair not in ours))
     if not pairs and robot.listed and any(each.rule == "a" for each in excluded):
         raise InputError(
-            f"robot {robot.name}: all {len(known)} pairs of capsules are excluded; nothing is left to check"
+            f"robot {robot.name}: all {len(known)} pairs of capsules are excluded; remove exclusions to check some"
         )
     if tool := [each for each in excluded if {each.first, each.second} & set(robot.mounted) and each.rule == "b"]:
         names = ", ".join(f"{robot.capsule_names[a]} and {robot.capsule_names[b]}" for a, b, *_ in tool)
         warnings.warn(
-            f"not checked against each other, as they nearly always overlap: {names}", UserWarning, stacklevel=2
+            f"not checked against each other: {names}; the capsules overlap, or are within 1 mm, in at least 95 % of "
+            "the sampled configurations; to check them, begin the tool's or fixture's body farther out, or fit the arm "
+            "closer (htcp robot --fit-tolerance)",
+            UserWarning,
+            stacklevel=2,
         )
     return SelfCollision(pairs, excluded) if pairs else None
 
 
 class RefusedPair(NamedTuple):
-    """An excluded pair that collides all the same, by the numbers of its capsules."""
+    """An excluded pair that nevertheless collides at a start: indices of its capsules, depth and reason."""
 
     first: int
     second: int
@@ -154,10 +161,11 @@ class RefusedPair(NamedTuple):
 
 
 def refused_pair(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) -> RefusedPair | None:
-    """Return an excluded pair that nevertheless collides at a start x [rad or m]; None without one.
+    """Return an excluded pair that nevertheless collides at a start x [rad or m]; None if there is none.
 
-    A pair of rule c collides if the meshes in it touch. One of rule a or b does if its links are not adjacent and it is
-    deeper than in USUAL of the `samples`. One of rule d never does.
+    The test depends on the rule by which `self_exclusions` excludes a pair. Rule c: the meshes in its capsules overlap
+    by more than TOUCHING_M. Rules a and b: its links are not adjacent, and it overlaps more than in the share USUAL of
+    the `samples`. Rule d: never.
     """
     link, names = robot.capsule_link, robot.capsule_names
     pairs = [each for each in own.excluded if link[each.first] != link[each.second]]
@@ -170,7 +178,7 @@ def refused_pair(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) ->
         if each.rule == "c" and robot.meshes and d > 0:
             touch_m = robot.meshes.deepest_m(names[each.first], names[each.second], x)
             if touch_m > robots.TOUCHING_M:
-                reason = f"the meshes in {pair} touch by {1e3 * touch_m:.3g} mm"
+                reason = f"the meshes in {pair} overlap by {1e3 * touch_m:.3g} mm"
                 return RefusedPair(each.first, each.second, touch_m, reason)
         elif each.rule in "ab" and link[each.first] > link[each.second] + 1 and d > max(usual, 0.0):
             reason = f"{pair} overlap by {1e3 * d:.3g} mm, more than in {USUAL:.0%} of random configurations"
@@ -179,9 +187,9 @@ def refused_pair(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) ->
 
 
 class _Hashable:
-    """A robot that compares equal to another one with the same numbers.
+    """A robot as a key of a cache, equal to any robot with the same values.
 
-    The numbers are on the host, so that a cache of results for robots holds no memory of a device.
+    The values are on the host, so that the cache does not occupy device memory.
     """
 
     def __init__(self, robot: Robot):
@@ -203,16 +211,16 @@ def _found(arm: _Hashable) -> tuple[robots.Exclusion, ...]:
 
 @lru_cache(maxsize=256)
 def _usual_depths(arm: _Hashable, pairs: Pairs) -> Float[np.ndarray, "R"]:
-    """Return the depth that each pair exceeds in 1 - USUAL of the `samples` [m]: the same for every start."""
+    """Return the overlap of each pair that only a share 1 - USUAL of the `samples` exceeds [m]."""
     robot = jax.device_put(arm.robot)
     return np.quantile(-distances(robot, pairs, samples(robot)), USUAL, axis=0)
 
 
 class _MeasuredPairs(NamedTuple):
-    """Pairs of capsules at one configuration."""
+    """Distances of n pairs of capsules at one configuration, and a function that computes contacts of some pairs."""
 
     distance: Float[jax.Array, "n"]  # [m]
-    contacts: Callable[[Int[jax.Array, "R"]], Contacts]  # of pairs by their numbers
+    contacts: Callable[[Int[jax.Array, "R"]], Contacts]  # returns the contacts of the pairs with these indices
 
 
 def _measured(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> _MeasuredPairs:
@@ -261,7 +269,7 @@ def _distances_alone(
     numbers: Int[Array, "n"],
     row: Int[Array, ""],
 ) -> Float[Array, "n"]:
-    """Return the distances of n pairs of a row, each as if the row had no other."""
+    """Return the distances of n pairs of a row [m], each computed as if it were the row's only pair."""
     every = _measured(robot, own.pairs, bodies.p, bodies.q)
 
     def alone(number: Int[Array, ""]) -> Scalar:

@@ -1,14 +1,14 @@
 """Pairs of capsules that need no check against each other.
 
-Capsules are larger than links, so some of them overlap in every configuration. A pair is excluded only if
+Capsules are larger than links, so that some overlap in every configuration. A pair is excluded only if
 
 a  the model excludes it: an <exclude> of MJCF, a <disable_collisions> of SRDF; or
 b  it overlaps, or is within NEAR_M, in at least 95 % of 10,000 random configurations within the joint limits; or its
-   links are joined by a slide, telescopes, and some of their capsules overlap in as many; or
-c  it overlaps in some of them, although the parts of the vendor's meshes in the two capsules touch by more than 1 mm in
-   none. Without meshes this applies to adjacent links only.
+   links are joined by a slide, as in a telescope, and some of their capsules overlap in at least 95 % of them; or
+c  it overlaps in some of these configurations, but in none of them the vendor's meshes in the two capsules overlap by
+   more than 1 mm. Without meshes this applies to adjacent links only.
 
-A pair with a capsule of the job's own tool, or of a fixture on a link, is excluded by b alone, or if
+A pair with a capsule of the job's own tool, or of a fixture on a link, is excluded only by rule b, or if
 
 d  the job excludes the fixture from tests against the link.
 """
@@ -28,7 +28,7 @@ from htcp_jax.types import Float, Joints
 
 SAMPLES, SEED = 10_000, 0
 ALWAYS = 0.95
-NEAR_M = 1e-3 + 1e-9  # a pair that is always within 1 mm could not satisfy a usual margin; with rounding
+NEAR_M = 1e-3 + 1e-9  # a pair that is always within 1 mm could not satisfy a usual margin; 1e-9 is for rounding
 SLIDE_M = 1.0  # range of a slide without limits, to either side
 TOGETHER = 500  # configurations measured at a time
 
@@ -38,7 +38,7 @@ Touch = Callable[[tuple[int, int], Bool[np.ndarray, "n"]], bool]
 
 
 def candidates(robot: Robot) -> Pairs:
-    """Return all pairs of capsules that can move relative to each other, the one further out first."""
+    """Return all pairs of capsules on different links; in each pair the capsule nearer to the tool is first."""
     link, bodies = robot.capsule_link, range(len(robot.capsule_link))
     return tuple((a, b) for a in bodies for b in bodies if link[a] > link[b])
 
@@ -46,7 +46,7 @@ def candidates(robot: Robot) -> Pairs:
 def samples(robot: Robot) -> Samples:
     """Return random configurations, uniform within the joint limits [rad or m].
 
-    Joints without limits are within half a turn, or SLIDE_M, of zero.
+    Hinges without limits are sampled from -pi to pi, slides without limits from -SLIDE_M to SLIDE_M.
     """
     free = np.where(robot.slides, SLIDE_M, np.pi)
     lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
@@ -60,17 +60,18 @@ def distances(robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples) -> Flo
 
 
 def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[robots.Exclusion, ...]:
-    """Return the pairs that rules b and c exclude and the model does not.
+    """Return the pairs that rules b and c exclude, without those that the model excludes.
 
     Args:
         robot: The robot.
-        touch: Function of a pair and of a mask of the `samples`: True if the vendor's meshes in the two capsules touch
-            in some of the marked samples. None: there are no meshes.
+        touch: Function of a pair and of a mask of the `samples` that returns True if the vendor's meshes in the two
+            capsules touch in any of the marked samples. None: there are no meshes.
     """
     stated = {(each.first, each.second) for each in robot.exclusions}
     pairs = [pair for pair in candidates(robot) if pair not in stated]
     if robot.listed:
         pairs = [pair for pair in pairs if set(pair) & set(robot.mounted)]
+    pairs = [pair for pair in pairs if not any(set(pair) <= set(own) for own in robot.listed_together)]
     if not pairs:
         return ()
     measured = distances(robot, pairs, samples(robot))

@@ -1,12 +1,12 @@
-"""Test for walls that the tool's bare tip, the segment between the last body and the TCP, passes through.
+"""Test whether the tool's bare tip, the segment from the last body to the TCP, passes through a wall.
 
-The tip has to come near the wall, so it is not a collision body. But a wall that it crosses, except with its very end,
-lies between the tool and its target. The walls are the triangles of a mesh, or for a cloud one flat disc per point, as
-in pictures: each extends beyond its point's eighth neighbour, so that discs overlap where points are spread evenly.
+The tip must come near the wall, so it is not a collision body. Only its end at the TCP may be in a wall; the rest must
+not pass through one. The walls are the triangles of a mesh or, for a cloud, one flat disc per point. A disc extends
+beyond its point's eighth neighbour, so that discs overlap where points are spread evenly.
 
-A triangle or disc lies in a ball about its middle; the radius of the largest of these balls is the grain. The tip is
-cut into samples of a grain at most: anything that a sample crosses has its middle within one and a half grains of the
-sample's. The candidates from a tree of the middles are tested exactly.
+A triangle or disc lies in a ball about its middle. The grain is the radius of the largest of these balls. The tip is
+cut into pieces no longer than the grain. Anything that a piece crosses then has its middle within 1.5 grains of the
+piece's middle. A tree finds these candidates, which are then tested exactly.
 """
 
 from typing import NamedTuple
@@ -18,14 +18,15 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.caching import cached_for_last
 from htcp_jax.model import Workpiece, mesh_points
 from htcp_jax.model import surface as surfaces
+from htcp_jax.numerics import ragged_rows
 
 GRAINS = 100_000  # approximate number of pieces that a mesh is cut into for the search
-INCLUSIVE = 1e-9  # tolerance relative to a triangle's size: a line through an edge meets one of its triangles
+INCLUSIVE = 1e-9  # tolerance relative to a triangle's size, so that no line passes between neighbouring triangles
 Ends = Float[np.ndarray, "n 3"]
 
 
 class WallTriangles:
-    """The triangles of a mesh, in pieces of about the same size; their middles, and the grain [m]."""
+    """Walls of a mesh: its triangles, cut into pieces of about the same size; `middle` of each, and `grain` [m]."""
 
     def __init__(self, triangles: Float[np.ndarray, "F 3 3"]):
         edges = triangles - np.roll(triangles, 1, axis=1)
@@ -35,10 +36,10 @@ class WallTriangles:
         self.grain = float(np.linalg.norm(self._corners - self.middle[:, None], axis=2).max())
 
     def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
-        """Return True where the straight line from p to q passes through the piece in that row.
+        """Return True where the segment from p to q passes through the triangle in the given row.
 
-        By Moeller and Trumbore: the line meets the plane between its ends, at a point with barycentric coordinates u,
-        v, 1 - u - v that are not negative. A line within the plane passes through nothing.
+        Algorithm of Moeller and Trumbore: the segment crosses the plane at a point whose barycentric coordinates u, v,
+        1 - u - v are not negative. A segment within the plane does not pass through the triangle.
         """
         a, b, c = np.moveaxis(self._corners[rows], 1, 0)
         move, ab, ac = q - p, b - a, c - a
@@ -52,15 +53,15 @@ class WallTriangles:
 
 
 class WallDiscs:
-    """The flat discs of a cloud's points; their middles, and the grain [m]."""
+    """Walls of a cloud: one flat disc per point; `middle` of each, and `grain` [m]."""
 
     def __init__(self, surface: surfaces.Surface):
         self._surface, self.middle, self.grain = surface, surface.points, float(surface.radius.max())
 
     def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
-        """Return True where the straight line from p to q passes through the disc in that row.
+        """Return True where the segment from p to q passes through the disc in the given row.
 
-        Its ends lie on both sides of the plane, and its point in the plane within the disc.
+        The ends must lie on different sides of the disc's plane, and the segment must cross the plane within the disc.
         """
         disc = self._surface.only(rows)
         before, after = _rows_dot(p - disc.points, disc.normals), _rows_dot(q - disc.points, disc.normals)
@@ -70,7 +71,10 @@ class WallDiscs:
 
 
 class TipGuard:
-    """Walls that the tip must not pass through, in the workpiece frame; its end of length `contact_m` [m] may touch."""
+    """Walls that the tip must not pass through, in the workpiece frame.
+
+    The part of the tip within `contact_m` [m] of the TCP may be in a wall.
+    """
 
     def __init__(self, wall: WallTriangles | WallDiscs, contact_m: float):
         self._wall, self._contact = wall, contact_m
@@ -95,7 +99,7 @@ class TipGuard:
 
 @cached_for_last(2)
 def make_tip_guard(workpiece: Workpiece) -> TipGuard | None:
-    """Return the guard of a workpiece, cached for the next plan; None if its tip may touch anywhere."""
+    """Return the tip guard of a workpiece, cached for the next plan; None if the tip may touch anywhere."""
     if workpiece.tip_contact_m is None:
         return None
     wall = (
@@ -112,10 +116,9 @@ class _Samples(NamedTuple):
 
 
 def _wall_samples(p: Ends, move: Ends, counts: Int[np.ndarray, "n"]) -> _Samples:
-    """Cut the segments that begin at p into `counts` equal samples each; return their segment numbers and middles."""
-    row = np.repeat(np.arange(len(p)), counts)
-    before = np.cumsum(counts) - counts
-    fraction = (np.arange(len(row)) - before[row] + 0.5) / counts[row]
+    """Return the segment and the middle of each piece, after cutting each segment p, p + move into `counts` pieces."""
+    row, nth = ragged_rows(counts)
+    fraction = (nth + 0.5) / counts[row]
     return _Samples(row, p[row] + fraction[:, None] * move[row])
 
 

@@ -1,14 +1,14 @@
-"""Proofs about motions: lower bounds on clearance and bounds on task errors between two configurations.
+"""Proofs about motions: lower bounds on clearance, and bounds on task errors, between two configurations.
 
 Each module begins with the inequality that it implements. `motion_proof` proves or refutes that a straight joint path
-is clear; its `Tube` bounds where the TCP may be meanwhile. `motion_bound` bounds how far points of the arm move, and
-`bisection` is the search that both use: a `Proof` with a `PathVerdict` for each path, and `Bisection` for one in
-progress.
+is clear; its `Tube` is the region in which the TCP must stay. `motion_bound` bounds how far points of the arm move.
+`bisection` has the result, a `Proof` with a `PathVerdict`, and the state of a search in progress, `Bisection`.
 
-`row_proof` proves that a path stays within the task's rows. `arm_exclusion` proves that no configuration in a cell of
-tool orientations reaches a target.
+`row_proof` proves that a path satisfies the task's rows. `exclusion` proves, from the tool's bodies, that no
+configuration with the tool's orientation in a given cell is clear; `branch_exclusion` and `arm_exclusion` use the rest
+of the arm, too.
 
-A proof holds for every configuration on the path; rounding is part of the bounds.
+A proof is valid for every configuration on the path; the bounds include rounding errors.
 """
 
 import lazy_loader

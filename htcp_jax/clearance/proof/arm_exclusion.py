@@ -1,10 +1,10 @@
-"""Exclusion proofs for an arm with a spherical wrist: the arm before the wrist, joined to the exclusion of the tool.
+"""Exclusion proofs for an arm with a spherical wrist, from the tool and the arm before the wrist together.
 
-If the last three joints are hinges whose axes meet in a point, the wrist, that point is fixed to the tool and to the
-arm before it. A cell of the tool's orientations puts the wrist into a ball, a box of the joints before it another. A
-configuration is in one of either kind, and its wrist in both balls. So a target has no clear configuration if, among
-the cells that are not proven to collide, no ball of one kind meets one of the other. Joint limits of the last three are
-ignored.
+If the axes of the last three hinges meet in a point, the wrist, this point is fixed both to the tool and to the arm
+before the wrist. There are two kinds of cells: a cell of tool orientations, and a box of values of the joints before
+the wrist. Each cell confines the wrist to a ball. Every configuration is in one cell of each kind, and its wrist is in
+both balls. Therefore, if no ball of one kind meets a ball of the other kind, among the cells that are not proven to
+collide, the target has no clear configuration. Limits of the last three joints are ignored.
 """
 
 from typing import NamedTuple
@@ -30,27 +30,30 @@ from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product, safe_divide, safe_norm
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
-WRIST = 3  # joints
+WRIST = 3  # number of wrist joints
 
 
 class Wrist(NamedTuple):
     """The point in which the last three axes meet."""
 
-    on_arm: Vector3  # in the frame of the link of the first of them [m]
+    on_arm: Vector3  # in the frame of the link that the first of these joints moves [m]
     on_tool: Vector3  # in the last link's frame [m]
-    missed_m: Scalar  # distance between the axes [m]
+    missed_m: Scalar  # largest distance between the axes, 0 if they meet [m]
 
 
 class CellBounds(NamedTuple):
-    """Bounds on a cell of configurations."""
+    """Result for a cell of configurations: True if all collide, and a ball that contains the wrist."""
 
-    collides: Bool[Array, ""]  # True: all of them collide
-    wrist: Vector3  # position for one of them, world [m]
-    moves: Scalar  # bound on its distance from there for all others [m]
+    collides: Bool[Array, ""]  # True: all configurations collide
+    wrist: Vector3  # centre of the ball: the wrist's position at the cell's middle, world [m]
+    moves: Scalar  # radius of the ball [m]
 
 
 def has_wrist(robot: Robot) -> bool:
-    """Return True if the last three joints are hinges whose axes meet, behind others whose slides all have limits."""
+    """Return True if the arm has a spherical wrist, and all its slides have limits.
+
+    In a spherical wrist the last three joints are hinges whose axes meet in a point.
+    """
     if len(robot.slides) <= WRIST or any(robot.slides[-WRIST:]):
         return False
     endless = np.array(robot.slides) & ~np.isfinite(np.asarray(robot.upper - robot.lower))
@@ -58,9 +61,9 @@ def has_wrist(robot: Robot) -> bool:
 
 
 def wrist(robot: Robot) -> Wrist:
-    """Return the point of the second of the last three axes nearest to the first of them.
+    """Return the wrist of an arm: the point on the second-last joint's axis that is nearest to the third-last one's.
 
-    For an arm with fewer joints `missed_m` is infinite.
+    `missed_m` is infinite for an arm with fewer than three joints.
     """
     if len(robot.slides) < WRIST:
         return Wrist(jnp.zeros(3), jnp.zeros(3), jnp.asarray(jnp.inf))
@@ -84,7 +87,7 @@ def tool_cell(
     rho: Scalar,
     bodies: Int[Array, ""] | Bodies = Bodies.ARM,
 ) -> CellBounds:
-    """Return the cell of all configurations of `exclusion.tool_collides`.
+    """Return the bounds of a cell of tool orientations: all configurations with the tool rotated by at most rho.
 
     Args:
         scene: The scene.
@@ -92,8 +95,8 @@ def tool_cell(
         margin_m: Required clearance.
         target: The target, world [m].
         quaternion: Orientation of the last link, w first, without a unit.
-        rho: Largest angle from it [rad].
-        bodies: The `Bodies` to use.
+        rho: Largest rotation from this orientation [rad].
+        bodies: The bodies that the proof may use, see `Bodies`.
     """
     arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
     moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
@@ -110,10 +113,10 @@ def arm_cell(
     turns: Joints,
     use: Int[Array, ""] | Bodies = Bodies.ARM,
 ) -> CellBounds:
-    """Return the cell of all configurations near x that have the TCP within the tolerance of the target.
+    """Return the bounds of a cell of the joints before the wrist: all configurations near x with the TCP on the target.
 
-    They also collide if the wrist is too near to the target for the tool, or too far; see docs/equations.md, section
-    Exclusion.
+    `collides` is also True if the wrist is too near to the target for the length of the tool, or too far away; see
+    docs/equations.md, section Exclusion.
 
     Args:
         scene: The scene.
@@ -121,8 +124,8 @@ def arm_cell(
         margin_m: Required clearance.
         target: The target, world [m].
         x: Middle of the cell [rad or m]; the values of the last three joints are ignored.
-        turns: Largest distance of every joint from x [rad or m]; likewise.
-        use: The `Bodies` to use.
+        turns: Largest distance of every joint from x [rad or m]; values of the last three joints are ignored.
+        use: The bodies that the proof may use, see `Bodies`.
     """
     robot, tool = scene.robot, wrist(scene.robot)
     first = len(robot.slides) - WRIST
@@ -140,9 +143,12 @@ def arm_cell(
 
 
 def _before_wrist(robot: Robot):
-    """Return the pieces of the bodies up to the link that carries the wrist, in their links' frames, and their links.
+    """Return the pieces of all bodies up to the wrist's first link, in the frames of their links.
 
-    That link turns with the first joint of the wrist: its bodies are placed on that axis, with their distance from it.
+    The angle of the wrist's first joint is ignored: the bodies of its link are moved onto the joint's axis.
+
+    Returns:
+        Ends p and q [m], radius [m], distance from the joint's axis [m], and link of each piece.
     """
     first = len(robot.slides) - WRIST
     links = np.array(robot.capsule_link)

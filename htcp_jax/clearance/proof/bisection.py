@@ -11,12 +11,12 @@ from jax.typing import ArrayLike
 
 from htcp_jax.types import Array, Bool, Int, Scalar
 
-WHOLE_DEPTH = 52  # places on a path are multiples of 2^-52; the depth must stay below
+WHOLE_DEPTH = 52  # places on a path are multiples of 2^-52; the maximum depth is smaller
 WHOLE = 1 << WHOLE_DEPTH
 
 
 class PathVerdict(enum.IntEnum):
-    """Result for a joint path; the same numbers as `status.SegmentStatus`, which has the texts."""
+    """Result for a joint path; its values are those of `status.SegmentStatus`, which has the descriptions."""
 
     VALID = 0
     IN_COLLISION = 1  # refuted: a body touches
@@ -26,20 +26,20 @@ class PathVerdict(enum.IntEnum):
 
 
 class Proof(NamedTuple):
-    """Result of the bisection of a joint path, or of a chunk of one."""
+    """Result of the bisection of a joint path, or of a chunk of a path."""
 
     verdict: Int[Array, ""]
-    place: Scalar  # 0 to 1: the middle of the interval that is refuted or undecided; 1 if all are proven
+    place: Scalar  # 0 to 1: the middle of the refuted or undecided interval; 1 if all intervals are proven
     clearance: Scalar  # lower bound on D along the proven part [m]
-    queries: Int[Array, ""]  # checked intervals
-    depth: Int[Array, ""]  # halvings of the shortest interval
+    queries: Int[Array, ""]  # number of checked intervals
+    depth: Int[Array, ""]  # number of halvings that led to the shortest interval
 
 
 class Bisection(NamedTuple):
     """State of the proof for a chunk of a joint path.
 
-    It is proven up to interval number `index` of those of length 2^-depth, which is next. It ends at `end`, in units of
-    1/WHOLE.
+    The path's parameter runs from 0 to 1. Its interval [index, index + 1] 2^-depth is checked next; everything before
+    is proven. The chunk ends at end / WHOLE. `proof` is the result so far.
     """
 
     index: Int[Array, "*n"]
@@ -65,9 +65,9 @@ def initial_state() -> Bisection:
 
 
 def proven_result(proof: Proof) -> Proof:
-    """Return the proof; for a path that is not proven only its verdict and place, and initial values otherwise.
+    """Return the proof; if the path is not proven, only verdict and place are kept.
 
-    The other values would depend on the order of the checks.
+    All other fields then get their initial values, as they would depend on the order of the checks.
     """
     proven = proof.verdict == PathVerdict.VALID
     reported = jax.tree.map(partial(jnp.where, proven), proof, initial_state().proof)

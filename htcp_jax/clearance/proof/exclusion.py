@@ -1,12 +1,13 @@
 """Exclusion proofs: every configuration of a cell collides.
 
-A configuration in a cell is known up to a bound on the distance of each point of a body from its position in the cell's
-middle. A body whose axis comes so near to a wall that it still touches after moving by that much touches in all of
-them; so does one with an end further outside of the interior's hull than it can move.
+In a cell of configurations, the displacement of each point of a body from its position at the cell's middle is bounded.
+If a body at the middle is so near to a wall that it touches the wall after any such displacement, it collides in all
+configurations of the cell. The same is true for a body with an end that is outside the interior's hull by more than the
+end can move.
 
-With its tip on the target, the tool is known except for its orientation: turned by at most rho, a point of it at
-distance r from the tip moves by at most 2 r sin(rho / 2). The link before it turns about the last joint's axis, which
-moves with the tool: as seen from the axis, a body of that link is never further away than its own distance from it.
+The tool's tip is on the target. If the tool rotates by at most rho, a point of the tool at distance r from the tip
+moves by at most 2 r sin(rho / 2). The link before the tool rotates about the last joint's axis, which moves with the
+tool. A point of this link stays at the same distance from the axis.
 """
 
 from enum import IntEnum
@@ -25,35 +26,35 @@ from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Int, Scalar, Vector3
 
-UNUSED_M = 1e6  # displacement of bodies that a proof does not use: they touch nothing for sure
-PIECES = 3  # per capsule: the part near the tip moves less than the complete one
+UNUSED_M = 1e6  # displacement of bodies that a proof does not use, so that they never certainly touch anything
+PIECES = 3  # pieces per capsule: a piece near the tip moves less than the complete capsule
 
 
 class Bodies(IntEnum):
-    """The bodies of the arm that a proof uses; each value includes those before it."""
+    """The bodies of the arm that a proof uses; each value includes the bodies of all smaller values."""
 
-    NONE = 0  # the proof is by the arm's lengths and the task alone
-    TOOL = 1  # those of the last link
-    WRIST = 2  # and of the link before it
-    ARM = 3  # and of all links up to the wrist
+    NONE = 0  # no body: only the arm's lengths and the task
+    TOOL = 1  # bodies of the last link
+    WRIST = 2  # in addition, bodies of the link before the last
+    ARM = 3  # in addition, bodies of all links up to the wrist
 
 
 class SweptCapsules(NamedTuple):
-    """Capsules, and bounds on the displacement of each one's points."""
+    """Capsules, and bounds on the displacement of their points."""
 
-    p: Float[Array, "n 3"]  # ends of the axes [m]
-    q: Float[Array, "n 3"]
+    p: Float[Array, "n 3"]  # first ends of the axes [m]
+    q: Float[Array, "n 3"]  # second ends [m]
     radius: Float[Array, "n"]  # [m]
-    moves: Float[Array, "n"]  # [m]
+    moves: Float[Array, "n"]  # largest displacement of any point of the capsule [m]
 
 
 def surely_touches(
     obstacles: Obstacles, where: HasWorkpiecePose, margin_m: Scalar, bodies: SweptCapsules
 ) -> Bool[jax.Array, ""]:
-    """Return True if some body surely has less clearance than margin_m [m].
+    """Return True if one of the bodies certainly has less clearance than margin_m [m].
 
-    The points of each body may be anywhere within `moves` of its segment, in the world. Obstacles that cannot decide
-    this are ignored. By the triangle inequality (docs/equations.md, section Exclusion).
+    Each point of a body may be displaced by up to the body's `moves`. Bodies are in the world. Obstacles without such a
+    test are ignored. See docs/equations.md, section Exclusion.
     """
     p, q, radius, moves = bodies
     moves, found = moves + ROUNDING_M, jnp.zeros((), bool)
@@ -71,10 +72,10 @@ def tool_collides(
     rho: Scalar,
     bodies: Int[Array, ""] | Bodies = Bodies.ARM,
 ) -> Bool[jax.Array, ""]:
-    """Return True if the tool, or the link before it, has less than the margin in every configuration of a cell.
+    """Return True if the tool, or the link before it, has too little clearance in every configuration of a cell.
 
-    The cell has the TCP within the tolerance of the target, and the last link turned by at most rho from the
-    quaternion; see docs/equations.md, section Exclusion.
+    The cell has all configurations with the TCP within the tolerance of the target, and the last link rotated by at
+    most rho from the quaternion; see docs/equations.md, section Exclusion.
 
     Args:
         scene: The scene.
@@ -82,8 +83,8 @@ def tool_collides(
         margin_m: Required clearance, the margin.
         target: The target, world [m].
         quaternion: Orientation of the last link, w first, without a unit.
-        rho: Largest angle from it [rad].
-        bodies: The `Bodies` to use.
+        rho: Largest rotation from this orientation [rad].
+        bodies: The bodies that the proof may use, see `Bodies`.
     """
     R, own = rotations.quaternion_matrix(quaternion), _about_tip(scene.robot, bodies)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
@@ -98,9 +99,9 @@ def tool_collides(
 
 
 def _about_tip(robot: Robot, bodies: Int[Array, ""] | Bodies) -> SweptCapsules:
-    """Return the tool's bodies relative to the TCP, in the last link's frame, and those of the link before it.
+    """Return the bodies of the last two links relative to the TCP, in the last link's frame.
 
-    The latter are placed on the last joint's axis.
+    The bodies of the link before the last are moved onto the last joint's axis.
     """
     last = len(robot.slides) - 1
     links, tip = np.array(robot.capsule_link), robot.T_link_tcp[:3, 3]
@@ -116,14 +117,14 @@ def _about_tip(robot: Robot, bodies: Int[Array, ""] | Bodies) -> SweptCapsules:
 
 
 def unused_m(bodies: Int[Array, ""] | Bodies, own: Bodies) -> Scalar:
-    """Return the displacement of bodies for not being used [m]: 0 if `bodies` includes `own`, else UNUSED_M."""
+    """Return the displacement to add to the bodies `own` [m]: 0 if `bodies` includes them, else UNUSED_M."""
     return jnp.where(bodies >= own, 0.0, UNUSED_M)
 
 
 def _on_axis(robot: Robot, points: Float[Array, "n 3"]):
-    """Return the points of the last joint's axis nearest to points of the link before it, and their distances.
+    """Return the points of the last joint's axis nearest to given points of the link before it, and the distances [m].
 
-    They are in the last link's frame.
+    The returned points are in the last link's frame [m].
     """
     T, axis = robot.T_parent_joint[-1], robot.axis[-1]
     own = product(points - T[None, :3, 3], T[:3, :3])
@@ -131,13 +132,13 @@ def _on_axis(robot: Robot, points: Float[Array, "n 3"]):
 
 
 def seen_from(axis: Vector3, points: Float[Array, "n 3"]):
-    """Return the points of an axis through the origin nearest to others, and their distances [m]."""
+    """Return, for each given point, the nearest point on an axis through the origin, and its distance [m]."""
     on = product(points, axis)[:, None] * axis[None]
     return on, safe_norm(points - on)
 
 
 def cut_capsules(bodies: SweptCapsules) -> SweptCapsules:
-    """Return the capsules, each cut into PIECES."""
+    """Return the capsules, each cut into PIECES along its axis."""
     p, q, radius, moves = bodies
     ends = [p + (q - p) * (k / PIECES) for k in range(PIECES + 1)]
     many = partial(jnp.tile, reps=PIECES)

@@ -1,8 +1,8 @@
-"""Lower bound on the clearance on an interval of a straight joint path, from its middle.
+"""Lower bound on the clearance on an interval of a straight joint path, computed at the interval's middle.
 
-First by each body's travel, in any direction. If that is too much, by the obstacle's own bound for moving bodies
-(`Obstacle.clear_along`), if it has one. Adaptive bisection by such bounds is Schwarzer, Saha and Latombe's (Adaptive
-Dynamic Collision Checking for Single and Multiple Articulated Robots, T-RO 2005).
+The first bound is the distance at the middle minus each body's travel. If this bound is too small, the obstacle's own
+bound for moving bodies is used (`Obstacle.clear_along`), if it has one. Adaptive bisection by such bounds is from
+Schwarzer, Saha and Latombe (Adaptive Dynamic Collision Checking for Single and Multiple Articulated Robots, T-RO 2005).
 """
 
 from typing import NamedTuple
@@ -30,8 +30,8 @@ from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 class Interval(NamedTuple):
     """Clearance on an interval of a joint path."""
 
-    middle: Scalar  # lower bound on D in its middle [m]
-    clear: Scalar  # lower bound on D on all of it [m]
+    middle: Scalar  # lower bound on D at the interval's middle [m]
+    clear: Scalar  # lower bound on D on the complete interval [m]
     proven: Bool[Array, ""]  # True: `clear` is at least the required clearance
 
 
@@ -53,26 +53,26 @@ def on_interval(
         robot: The robot.
         obstacles: The obstacles.
         where: A scenario, or another `HasWorkpiecePose`.
-        x: The middle [rad or m].
-        rates: Its derivative in s [rad or m].
+        x: The interval's middle [rad or m].
+        rates: The path's derivative in s [rad or m].
         half: Half of the interval's length.
         least: Required clearance [m].
-        kept: Share of D in the middle that is required, too, where `keeps`.
-        keeps: True: `kept` is required.
-        requested: True: obstacles' own bounds are used; False: only the bodies' travel.
+        kept: Share of D at the middle that is also required if `keeps` is True.
+        keeps: True to require the share `kept`.
+        requested: True to use the obstacles' own bounds, too; False to use only the bodies' travel.
     """
     bodies, moves = bodies_at(robot, where, x), body_sweep(robot, x, rates, half)
     measured = narrow_phase.decide_together(robot, obstacles, where, bodies)
     free_radius = [each.free_radius(robot, where, bodies) for each in measured]
     middle = jnp.min(jnp.concatenate(free_radius))
     good = jnp.maximum(kept * middle, least)
-    # A larger bound than required is computed, as it is recorded.
+    # The computed bound may exceed the required one, as it is recorded as the proven clearance.
     wanted = RequiredClearance(jnp.where(keeps, good, least), jnp.maximum(jnp.sqrt(kept) * middle, least))
     clear = []
     for each, own in zip(obstacles, free_radius, strict=True):
         rows = each.rows(robot)
         travel = moves.travel if rows == RowPairs.of_bodies(robot) else row_travel_bound(robot, rows, x, rates, half)
-        if robot.pieces is not None:  # the row's distance may be a piece's, unless it is above the limit
+        if robot.pieces is not None:  # a distance up to the limit may be that of a piece
             own_turn = piece_turn_bound(robot, rows, half * jnp.abs(rates))
             travel = travel + jnp.where(own <= narrow_phase.limit_m(where), own_turn, 0.0)
         by_travel = own - travel
@@ -97,28 +97,29 @@ def _closer(
     wanted: RequiredClearance,
     requested: Bool[Array, ""],
 ) -> Float[Array, "K"]:
-    """Return a lower bound on the bodies' clearance, by the obstacle's own bound for those that travel too far.
+    """Return lower bounds on the bodies' clearance [m], by the obstacle's own bound for bodies that travel too far.
 
-    It is skipped if it can hardly succeed for one of them: if the body would come too near even along a flat wall.
+    The obstacle's bound is not computed if it would probably fail for one of these bodies, because the body would come
+    too near even to a flat wall.
     """
-    open_, nearer = by_travel < good, moves.travel**2 / (2 * robot.capsule_radius)  # of a point that it moves towards
+    open_, nearer = by_travel < good, moves.travel**2 / (2 * robot.capsule_radius)  # `nearer`: estimate, for a point
     requested &= jnp.all(~open_ | (free_radius - moves.bend >= wanted.least) & (nearer <= 4 * free_radius))
     by_sweep = kind.clear_along(robot, where, bodies, moves, open_ & requested, wanted)
-    if robot.pieces is not None:  # whose free radius may be larger than what the capsule's sweep proves
-        failed = jnp.any(open_ & requested & (by_sweep < wanted.least))  # then other values are arbitrary
+    if robot.pieces is not None:  # a piece's free radius may prove more than the sweep of its capsule
+        failed = jnp.any(open_ & requested & (by_sweep < wanted.least))  # True: the other values are arbitrary
         by_sweep = jnp.where(failed, by_travel, jnp.maximum(by_sweep, by_travel))
     return jnp.where(open_ & requested, by_sweep, by_travel)
 
 
 def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Joints) -> Float[Array, "R"]:
-    """Return bounds on what a turn adds to the displacement of points of the rows' pieces [m].
+    """Return bounds on the displacement that rotation adds to points of the rows' pieces [m].
 
-    A capsule is symmetric about its axis, so that the ends of its axis bound its motion. A piece is not: its points are
-    up to the capsule's radius r away from the axis, and move about it by |(R - 1) v| <= r min(angle, 2).
+    A capsule is symmetric about its axis, so that the ends of its axis bound its motion. A piece is not symmetric: its
+    points are up to the capsule's radius r away from the axis, and move about it by |(R - 1) v| <= r min(angle, 2).
 
     Args:
         robot: The robot, with pieces.
-        rows: The pairs; a body is seen from the link of the row's other.
+        rows: Both sides of each row; displacements are relative to the other side's link.
         turns: Largest distance of every joint from the middle [rad or m].
     """
     hinge, body = ~np.array(robot.slides), np.array(rows.body)
@@ -131,22 +132,22 @@ def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Joints) -> Float[Array
 
 
 def row_travel_bound(robot: Robot, rows: RowPairs, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
-    """Return `travel_bound` of each row's body, relative to the link of the row's other, before it in the chain [m].
+    """Return a bound on the displacement of each row's body relative to the link on the row's other side [m].
 
-    All joints up to that link are at rest.
+    This link is nearer to the base, so only the joints between both links move the body, see `travel_bound`.
 
     Args:
         robot: The robot.
-        rows: The pairs.
-        x: The middle [rad or m].
-        rates: Its derivative in s [rad or m].
-        half: Half of the interval's length.
+        rows: Both sides of each row.
+        x: The middle of the path x + s `rates` [rad or m].
+        rates: The path's derivative in s [rad or m].
+        half: Largest |s|.
 
     Raises:
-        ValueError: For a row whose body does not lie beyond the link of its other.
+        ValueError: If a row's body does not lie after the link on its other side, in the chain.
     """
     if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
-        raise ValueError("the body of a row must lie beyond the link of its other")
+        raise ValueError("each row's body must lie after the link on the row's other side, in the chain")
     seen_from = sorted(set(rows.other))
     moving = np.arange(len(robot.slides))[None, :] > np.array(seen_from)[:, None]
     found = jax.vmap(lambda moving: travel_bound(robot, x, jnp.where(moving, rates, 0.0), half))(moving)

@@ -1,26 +1,27 @@
-"""Bounds on the motion of the arm while every joint stays within a distance of its position.
+"""Bounds on the motion of the arm while every joint stays within a given distance of its value.
 
-Let joint j turn by at most d_j to either side. In the frame of the link before it, a point of a body moves by
+Let joint j move by at most d_j to either side. In the frame of the link before it, a point of a body moves by
 
     M_j <= M_{j+1} + d_j (r_j + M_{j+1}),
 
-where r_j is the point's distance to the joint's axis at the middle, and M_{j+1} bounds what the joints beyond add
-(0 beyond the body's own link). A slide adds d_j alone. A body is rigid and convex, so its ends bound all its points.
+where r_j is the point's distance to the joint's axis at the middle, and M_{j+1} bounds the motion due to the joints
+after j, up to the body's link (0 after it). A slide adds only d_j. A body is rigid and convex, so its ends bound all
+of its points.
 
-On a straight joint path x(s) with x' = t, a point has p'' = sum_ij t_i t_j d2p / dq_i dq_j. The column of a hinge j is
-z_j x (p - o_j), as long as p is far from its axis, and turns with every hinge i before it (Siciliano et al., Robotics,
-section 3.1); so, with r_j bounded as above, and over the joints that move the point,
+On a straight joint path x(s) with x' = t, a point has p'' = sum_ij t_i t_j d2p / dq_i dq_j. The Jacobian's column of a
+hinge j is z_j x (p - o_j). Its length is the distance of p from the axis, and it rotates with every hinge i before j
+(Siciliano et al., Robotics, section 3.1). With r_j bounded as above, and sums over the joints that move the point,
 
     |p''| <= sum_j |t_j| r_j (|t_j| + 2 sum_{i < j} |t_i|).
 
-A slide's own column is of length 1, does not change along itself, and turns with the hinges before it alone. With
+The column of a slide has length 1. It does not depend on the slide, and rotates only with the hinges before it. With
 |p''| <= A within h of the middle m,
 
     |p(s) - p(m)| <= h |p'(m)| + A h^2 / 2,
 
-which accounts for joints that cancel each other's motion, as they do near a tool that hardly moves.
+This bound is small if joints cancel each other's motion, as they do near a tool that hardly moves.
 
-Seen from a link before it in the chain, a body moves by the joints beyond that link alone: as if the others rested.
+Relative to a link nearer to the base, a body is moved only by the joints between both links.
 """
 
 from typing import NamedTuple
@@ -34,24 +35,24 @@ from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import safe_norm
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
 
-OUTSIDE_M = 1e-6  # a convex piece may be outside of its capsule by this
-ROUNDING_M = 1e-9  # above the rounding error of any position; margin of every proof
+OUTSIDE_M = 1e-6  # distance by which a convex piece may extend beyond its capsule
+ROUNDING_M = 1e-9  # upper bound on the rounding error of any position; margin of every proof
 
 
 class TcpSweep(NamedTuple):
-    """Motion of the TCP about its position."""
+    """Motion of the TCP on a joint path x + s rates, about its position at s = 0."""
 
     position: Vector3  # world [m]
-    velocity: Vector3
-    bend: Scalar  # bound on its second derivative |p''| [m]
+    velocity: Vector3  # derivative in s [m]
+    bend: Scalar  # bound on the second derivative |p''| [m]
 
 
 class _Bounds(NamedTuple):
     """Bounds on the motion of P points that are fixed to links."""
 
-    velocity: Float[Array, "P 3"]
-    moved: Float[Array, "P"]  # bound on each one's displacement [m]
-    bend: Float[Array, "P"]  # bound on its |p''| [m]
+    velocity: Float[Array, "P 3"]  # derivative in s [m]
+    moved: Float[Array, "P"]  # bound on each point's displacement [m]
+    bend: Float[Array, "P"]  # bound on each point's |p''| [m]
 
 
 def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
@@ -100,7 +101,7 @@ def body_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> BodySwee
 def tcp_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> TcpSweep:
     """Return the motion of the TCP on a straight joint path.
 
-    In a function that also calls `body_sweep`, it costs next to nothing.
+    If the same compiled function also calls `body_sweep`, this costs almost nothing.
 
     Args:
         robot: The robot.
@@ -154,7 +155,7 @@ def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[Array,
 
 
 def _axis_ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
-    """Return both ends of every body's axis, the first ones first, and their links."""
+    """Return both ends of every body's axis [m], first all p, then all q, and their links."""
     return jnp.concatenate(segments), jnp.tile(jnp.asarray(robot.capsule_link), 2)
 
 
@@ -166,7 +167,7 @@ def _larger(bounds: Float[Array, "P"]) -> Float[Array, "K"]:
 def _bounds(
     robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> _Bounds:
-    """Return bounds for points at x, while every joint stays within `turns` of x, and moves by `rates`."""
+    """Return bounds for points at x [m]: every joint stays within `turns` of x, and moves at `rates` [rad or m]."""
     columns = kinematics.point_jacobians(robot, x, points, links).swapaxes(1, 2)
     speeds, hinge, bend = jnp.abs(rates), ~np.array(robot.slides), jnp.zeros(len(points))
     own = jnp.where(~hinge[None] & (np.arange(len(hinge))[None] <= links[:, None]), 1.0, safe_norm(columns))
@@ -180,11 +181,11 @@ def _bounds(
 def lever_bounds(
     levers: Float[Anywhere, "*L P N"], turns: Float[Anywhere, "*T N"], hinge: Bool[np.ndarray, "N"]
 ) -> tuple[list[Float[Anywhere, "... P"]], Float[Anywhere, "... P"]]:
-    """Return r_j + M_{j+1} for each joint (r_j for a slide) and M_1, numpy or JAX.
+    """Return r_j + M_{j+1} for each joint (r_j for a slide), and M_1, see the module's docstring; numpy or JAX.
 
     Args:
-        levers: r_j of points [m], 0 of a joint that does not move the point.
-        turns: d_j [rad or m].
+        levers: r_j of each point and joint [m]; 0 for a joint that does not move the point.
+        turns: d_j, the largest distance of every joint from its value [rad or m].
         hinge: True for hinges.
     """
     bounds, moved = [], 0.0

@@ -1,15 +1,15 @@
 """Proof that a straight joint path is a motion: the arm is clear along it, and the TCP stays in a tube about a line.
 
-By bisection. An interval of the path is proven when every body's free radius in the middle is larger than the motion of
-its points within the interval, relative to the obstacle, and the TCP can neither leave the tube nor reverse. It is
-refuted when the middle itself is in collision, out of the tube, or moving backwards; otherwise it is halved. So there
-are three results: proven, refuted at a place, and undecided at the finest subdivision.
+The proof is by bisection. An interval of the path is proven if every body's free radius at the middle is larger than
+the motion of the body's points within the interval, relative to the obstacle, and the TCP can neither leave the tube
+nor reverse. It is refuted if the middle itself is in collision, outside the tube, or moving backwards. Otherwise it is
+halved. There are three results: proven, refuted at a place, and undecided at the finest subdivision.
 
 The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-width h about m,
 
     |p(s) - p(m) - (s - m) p'(m)| <= A h^2 / 2        |p'(s) - p'(m)| <= A h,
 
-and as the distance to a line is convex, the ends of the straight piece p(m) +- h p'(m) bound it on all of the piece.
+As the distance to a line is convex, the ends of the straight piece p(m) +- h p'(m) bound the distance on the piece.
 
 The task's other rows are bounded in the same way, see `row_proof`.
 """
@@ -33,23 +33,22 @@ from htcp_jax.numerics import capsule_point_distance, product, safe_norm
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
-RESOLUTION_M = 1e-5  # penetration that `path_clear` may miss, as grazing paths take many halvings to prove
-KEPT_DEPTH = 6  # halvings to raise the proven clearance
-DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
+RESOLUTION_M = 1e-5  # penetration that `path_clear` may miss, as proofs of grazing paths take many halvings
+KEPT_DEPTH = 6  # maximum number of halvings to increase the proven clearance
+DEEPEST = 30  # maximum number of halvings; on the shortest interval a joint moves by less than 1e-8 rad
 
 
 class Tube(NamedTuple):
     """Allowed region of the TCP: within `radius` of the line from `start` to `end`, along which it only advances.
 
-    If the two are one point it may move in any direction; with an infinite radius it may be anywhere. The task's other
-    goals are constraints in addition to it.
+    If start and end are one point, the TCP may move in any direction. With an infinite radius the TCP may be anywhere.
     """
 
     start: Vector3  # world [m]
     end: Vector3
     radius: Scalar  # [m]
-    goals: Float[Array, "2 G"] | None = None  # of the task, at the previous target and at this one; None: the paper's
-    required: Bool[Array, ""] | None = None  # True: these are required on the segment
+    goals: Float[Array, "2 G"] | None = None  # goals of the task at both targets; None: the paper's task
+    required: Bool[Array, ""] | None = None  # True: the goals are required on all of the segment
 
 
 def prove(
@@ -62,7 +61,7 @@ def prove(
     deepest: Int[ArrayLike, ""] = DEEPEST,
     kept: Float[ArrayLike, ""] = 0.0,
 ) -> Proof:
-    """Prove or refute that a straight joint path is clear, and keeps the TCP in the tube, if there is one.
+    """Return a proof or refutation that a straight joint path is clear, and that the TCP stays in the tube, if any.
 
     Args:
         scene: The scene.
@@ -70,10 +69,10 @@ def prove(
         a: Start of the path [rad or m].
         b: End of the path [rad or m].
         tube: Allowed region of the TCP; None: anywhere.
-        resolution_m: D is proven to be more than minus that; sampled configurations have to be clear in any case.
-        deepest: Most halvings; with fewer, near contacts remain undecided.
-        kept: Share of D in the middle that must remain on all of an interval; else it is halved further, up to
-            KEPT_DEPTH times. With 0, the proven clearance may be almost 0 where D is not.
+        resolution_m: The proof is D > -resolution_m on all of the path, and D > 0 at the sampled configurations.
+        deepest: Maximum number of halvings. With fewer halvings, more paths near obstacles remain undecided.
+        kept: Share of D at an interval's middle that must be proven on all of the interval. Otherwise the interval is
+            halved further, up to KEPT_DEPTH times. With 0, the proven clearance may be much smaller than D.
     """
     look = query_on(scene, where, a, b, tube, resolution_m, deepest, kept)
     return jax.lax.while_loop(lambda far: far.going, look, initial_state()).proof
@@ -89,7 +88,7 @@ def query_on(
     deepest: Int[ArrayLike, ""],
     kept: Float[ArrayLike, ""],
 ) -> Callable[[Bisection], Bisection]:
-    """Return the function that `prove` repeats: it checks the next interval of the bisection."""
+    """Return a function that checks the next interval of the bisection; `prove` repeats it."""
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)
@@ -131,11 +130,11 @@ def query_on(
 def path_clear(scene: Scene, settings: Settings, where: HasWorkpiecePose, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
     """Return True if the straight joint path from a to b, without its ends, is clear by `settings.path_test`.
 
-    The test is `bisection`, or `samples`, which tests a number of places and nothing between them.
+    With `bisection` the path is proven to be clear. With `samples` only some configurations on the path are tested.
 
     Args:
         scene: The scene.
-        settings: `path_test`, and the number of steps for `samples`.
+        settings: `path_test` and, for `samples`, the number of steps.
         where: A scenario, or another `HasWorkpiecePose`.
         a: Start of the path [rad or m].
         b: End of the path [rad or m].
@@ -149,12 +148,12 @@ def path_clear(scene: Scene, settings: Settings, where: HasWorkpiecePose, a: Joi
 
 
 def proven_clear(scene: Scene, where: HasWorkpiecePose, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
-    """Return True if D > 0 wherever bisection samples the path, and D > -RESOLUTION_M is proven everywhere else."""
+    """Return True if D > 0 at the configurations that bisection tests, and D > -RESOLUTION_M is proven elsewhere."""
     return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == PathVerdict.VALID
 
 
 def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, half: Scalar):
-    """Return True if the TCP is proven to stay in the tube on an interval about x, and the verdict at x itself."""
+    """Return True if the TCP is proven to stay in the tube on an interval about x, and the `PathVerdict` at x."""
     p, v, bend = tcp_sweep(scene.robot, x, rates, half)
     bend = bend * half
     off, before, after = _off_line(tube, jnp.stack([p, p - half * v, p + half * v]))
@@ -173,7 +172,7 @@ def _off_line(tube: Tube, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
 
 
 def next_interval(index, depth):
-    """Return the interval after number `index` of those of length 2^-depth: the longest that begins there."""
+    """Return index and depth of the longest interval that begins where interval `index` of length 2^-depth ends."""
     index = index + 1
     up = jnp.minimum(jax.lax.population_count((index & -index) - 1), depth)
     return index >> up, depth - up

@@ -1,8 +1,9 @@
-"""Proof that the rows of a task hold between two targets, on an interval of a straight joint path.
+"""Proof that the rows of a task are satisfied between two targets, on an interval of a straight joint path.
 
-Each row states its allowed region between the targets, see `model.row_bounds`; here are the bounds on the motion of its
-features, to second order. A row's slack is the displacement of the point [m], or of the vectors as a chord, that it
-still permits: a motion that stays that close to the joint path satisfies the row, see `trajectory.row_slack`.
+Each row defines its allowed region between the targets, see `model.row_bounds`. This module bounds the motion of the
+row's features, to second order. The slack of a row is the displacement that the row still allows: of its point [m], or
+of the ends of its unit vectors. A motion whose deviation from the joint path is below the slack satisfies the row, see
+`trajectory.row_slack`.
 """
 
 from collections.abc import Callable
@@ -18,15 +19,17 @@ from htcp_jax.model import Robot, Task, row_bounds, task_rows
 from htcp_jax.model import task as tasks
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
-IN_TUBE = task_rows.TaskPoint()  # the TCP at a place, which its tube constrains
+IN_TUBE = task_rows.TaskPoint()  # the row that constrains the TCP's position, which the tube bounds
 
 
 def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region | None, ...]:
-    """Return the constraint of every part of a task between two targets; None for the TCP at a place.
+    """Return the allowed region of every part of a task between two targets.
+
+    The region is None for the part that constrains the TCP's position, which the tube bounds.
 
     Args:
         task: The task.
-        goals: The goals of the two targets.
+        goals: The task's goals at the two targets.
     """
     return tuple(
         None
@@ -37,7 +40,7 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region |
 
 
 def checked(parts: tuple[task_rows.Row, ...]) -> tuple[task_rows.Row, ...]:
-    """Return the parts of a task that `row_slack` covers."""
+    """Return the parts of a task that `rows_left` covers: all but the TCP's position."""
     return tuple(part for part in parts if part != IN_TUBE)
 
 
@@ -49,14 +52,14 @@ def rows_left(
     rates: Joints,
     half: Scalar,
 ) -> row_bounds.RowSlack:
-    """Return the slack of each of the `checked` parts on a straight joint path.
+    """Return the slack of each part in `checked(parts)` on a straight joint path.
 
     Args:
         robot: The robot.
         parts: All parts of the task.
-        requested: Their constraints, see `between`.
+        requested: The parts' allowed regions, see `between`.
         x: The middle of the path x + s `rates` [rad or m].
-        rates: Its derivative in s [rad or m].
+        rates: The path's derivative in s [rad or m].
         half: Largest |s|.
     """
     given = [(part, own) for part, own in zip(parts, requested, strict=True) if own is not None]
@@ -72,7 +75,10 @@ def rows_hold(
     rates: Joints,
     half: Scalar,
 ) -> tuple[Bool[Array, "P"], Bool[Array, "P"]]:
-    """Return True for parts proven to hold on the joint path of `row_slack`, and True for parts violated at x."""
+    """Return True for parts proven to be satisfied on a joint path, and True for parts violated at its middle.
+
+    The arguments are those of `rows_left`.
+    """
     found = rows_left(robot, parts, requested, x, rates, half)
     return found.left >= 0, found.broken
 
@@ -89,27 +95,27 @@ class _FeatureSweep(row_bounds.FeatureMotion):
 
     @property
     def turning(self) -> Scalar:
-        """Sum of the hinges' turns."""
+        """Sum of the hinges' |rates| [rad]."""
         return jnp.sum(jnp.where(np.array(self.robot.slides), 0.0, jnp.abs(self.rates)))
 
     @property
     def fastest(self) -> Scalar:
-        """Largest joint change."""
+        """Largest |rate| of a joint [rad or m]."""
         return jnp.max(jnp.abs(self.rates))
 
     def moving(self, k: int) -> tuple[Vector3, Vector3]:
-        """Return a feature's position or direction, and its velocity."""
+        """Return the position or direction of feature number k at x, and its derivative in s."""
         return jax.jvp(partial(tasks.feature_at, self.robot, feature=self.features[k]), (self.x,), (self.rates,))
 
     def bend(self, k: int) -> Scalar:
-        """Return a bound on the acceleration of a point."""
+        """Return a bound on the second derivative in s of feature number k, a point [m]."""
         feature, (point, _) = self.features[k], self.moving(k)
         link = len(self.robot.slides) - 1 if feature.link is None else feature.link
         moves = self.half * jnp.abs(self.rates)
         return point_bend_bound(self.robot, self.x, self.rates, moves, point[None], jnp.array([link]))[0]
 
     def velocity(self, function: Callable) -> tuple[Array, Array]:
-        """Return a function of the features' vectors, and its derivative."""
+        """Return the value of a function of the features' vectors at x, and its derivative in s."""
 
         def of(x: Joints) -> Array:
             return function(*(tasks.feature_at(self.robot, x, feature) for feature in self.features))

@@ -1,4 +1,4 @@
-"""Columns of a table: coordinates of points with their unit, and directions, by the header's names or by place."""
+"""Columns of a table: coordinates with their unit, and directions, found by the header's names or by position."""
 
 import re
 import warnings
@@ -26,50 +26,50 @@ SUFFIX = re.compile(rf"(.+)[_ ]({'|'.join(PER_METRE)})")  # x_mm
 KEY = "workpiece.path_columns"
 NEARLY_ALL = 0.95
 NEARLY_UNIT = 0.01
-MOST_NAMES = 200  # characters of a header in a message
+MOST_NAMES = 200  # maximum number of a header's characters in a message
 
 
 class TablePoints(NamedTuple):
-    """P points, with normals if known."""
+    """P points, with normals if the table has any."""
 
     xyz: Float[np.ndarray, "P 3"]  # [m]
-    normals: Float[np.ndarray, "P 3"] | None = None  # unit, or 0 where a point has none; None without such columns
+    normals: Float[np.ndarray, "P 3"] | None = None  # unit, or 0 for a point without one; None: no such columns
 
 
 class Heading(NamedTuple):
-    """Head of a column."""
+    """A column's name in the header."""
 
-    text: str  # as it stands in the file
-    name: str  # plain: small letters, without its unit
-    unit: str | None  # as it states it, in small letters; None if it states none
+    text: str  # as in the file
+    name: str  # in lower case, without the unit
+    unit: str | None  # in lower case; None if the text contains no unit
 
 
 class ColumnIndices(NamedTuple):
-    """Columns of coordinates and normals in a table of `width` columns, by their indices from 0."""
+    """Indices, from 0, of the columns of coordinates and normals in a table of `width` columns."""
 
     width: int
     xyz: tuple[int, ...]
     normals: tuple[int, ...] | None
-    named: bool  # by a header or by the caller; otherwise the normals are a guess that `points` checks
-    unit: str | None = None  # of the coordinates, as the header states it; None if it states none
-    numbered: bool = False  # True if the first column counts the rows, and is ignored
+    named: bool  # True if a header or the caller names the columns; otherwise `points` checks the guessed normals
+    unit: str | None = None  # unit of the coordinates in the header; None if the header contains none
+    numbered: bool = False  # True if the first column counts the rows and is ignored
 
     def points(self, xyz: np.ndarray, normals: np.ndarray | None, source: str, unit: str | None = None) -> TablePoints:
-        """Return the points from these columns' numbers; a Note reports a guess.
+        """Return points [m] and normals from the numbers in these columns; a Note reports guessed normals.
 
         Args:
             xyz: Coordinates (P, 3), in `unit`.
             normals: Normals (P, 3), of any length; None without such columns.
             source: The file, for the Note.
-            unit: One of PER_METRE; None: the header's, or m without one.
+            unit: A key of PER_METRE; None: the header's unit, or m if the header has none.
 
         Raises:
-            InputError: If the header states a unit that is none of PER_METRE.
+            InputError: If the header's unit is not a key of PER_METRE.
         """
         unit = unit or self.unit or "m"
         if unit not in PER_METRE:
             valid = f"{', '.join(PER_METRE)}, or workpiece.path_unit for a path"
-            raise InputError(f"{source}: the header states the unit {unit!r}; valid: {valid}")
+            raise InputError(f"{source}: the unit in the header is {unit!r}; valid: {valid}")
         normals = None if normals is None else _normalised(normals, certain=self.named)
         if not self.named and self.width > 3:
             rest = "and the others ignored" if normals is None else "the others as normals"
@@ -82,7 +82,7 @@ class ColumnIndices(NamedTuple):
 
 
 def headings(line: str) -> list[Heading]:
-    """Return the heads of the columns in a header line."""
+    """Split a header line into the names of its columns."""
     marked = _marked(line.strip())
     found = [_heading(cell) for cell in cells_of(marked)]
     is_blank_separated = "," not in marked and ";" not in marked
@@ -90,7 +90,7 @@ def headings(line: str) -> list[Heading]:
 
 
 def _marked(line: str) -> str:
-    """Return a line with the texts in brackets directly behind the names, without separators."""
+    """Remove the blanks and separators between names and texts in brackets, as in "x [m]"."""
     return BRACKETS.sub(lambda found: f"[{SEPARATORS.sub('_', found[1] or found[2] or '')}]", line)
 
 
@@ -105,7 +105,7 @@ def _heading(cell: str) -> Heading:
 
 
 def cells_of(line: str) -> list[str]:
-    """Return the cells of a line, which semicolons, commas or blanks separate."""
+    """Split a line into cells at semicolons, commas or blanks."""
     for separator in (";", ","):
         if separator in line:
             return line.split(separator)
@@ -123,15 +123,16 @@ def columns_of(
 ) -> ColumnIndices:
     """Find the columns of a table.
 
-    By its header's names if one family of COORDINATES is among them, else the first three, and in a table of six
-    columns the last three for normals; both one column further if the first column counts the rows.
+    If the header contains one family of COORDINATES, the columns are found by name. Otherwise the first three columns
+    are coordinates, and the last three of a table with six columns are normals. A first column that counts the rows is
+    skipped.
 
     Args:
-        header: The header; None without one.
+        header: The header; None if the table has none.
         width: Number of columns.
         source: The file, for messages.
         numbered: True if the first column counts the rows.
-        needs_names: True to refuse a repeated name of a tangent or quaternion, too.
+        needs_names: True to refuse repeated names of tangents and quaternions, too.
 
     Raises:
         InputError: If the header repeats a name, names two sets of coordinates, or contradicts the table.
@@ -145,9 +146,7 @@ def columns_of(
     if len(names) == width and (found := coordinates_in(names)):
         if len(found) > 1:
             sets = " and ".join(" ".join(family) for family in found)
-            raise InputError(
-                f"{source}: the header names {sets}: {listed(header)}; {KEY} chooses one of them for a path"
-            )
+            raise InputError(f"{source}: the header names {sets}: {listed(header)}; for a path, choose one with {KEY}")
         normals = next((family for family in NORMALS if all(name in names for name in family)), None)
         xyz = tuple(names.index(name) for name in found[0])
         indices = None if normals is None else tuple(names.index(name) for name in normals)
@@ -168,7 +167,7 @@ def columns_of(
 
 
 def coordinates_in(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the families of COORDINATES whose names are all in a header; x, y, z alone if they are."""
+    """Return the families of COORDINATES whose names are all in a header; only x, y, z if that family is found."""
     found = [family for family in COORDINATES if all(name in names for name in family)]
     return found[:1] if XYZ in found else found
 
@@ -176,11 +175,11 @@ def coordinates_in(names: Sequence[str]) -> list[tuple[str, ...]]:
 def chosen_columns(
     chosen: Mapping[str, int | str], header: Sequence[Heading] | None, width: int, source: str
 ) -> dict[str, int]:
-    """Return the indices of columns that the caller names.
+    """Return the indices, from 0, of the columns that the caller chooses.
 
     Args:
-        chosen: Names in the header, or numbers from 1, by what the columns hold: x, y, z, nx, ...
-        header: The header; None without one.
+        chosen: The column of each quantity x, y, z, nx, ...: its name in the header, or its number from 1.
+        header: The header; None if the table has none.
         width: Number of columns.
         source: The file, for messages.
 
@@ -210,16 +209,16 @@ def chosen_columns(
             (k,) = same
         if k in found.values():
             other = next(other for other, place in found.items() if place == k)
-            raise InputError(f"{where}: column {k + 1} is {other} already; {there}")
+            raise InputError(f"{where}: column {k + 1} is already used as {other}; {there}")
         found[role] = k
     return found
 
 
 def unit_of(header: Sequence[Heading], xyz: Sequence[int], source: str) -> str | None:
-    """Return the unit that a header states for the coordinates; None if it states none.
+    """Return the unit of the coordinates in a header; None if the header contains none.
 
     Raises:
-        InputError: If it states several.
+        InputError: If the coordinates have different units.
     """
     units = list(dict.fromkeys(head.unit for head in (header[k] for k in xyz if k < len(header)) if head.unit))
     if len(units) > 1:
@@ -228,7 +227,10 @@ def unit_of(header: Sequence[Heading], xyz: Sequence[int], source: str) -> str |
 
 
 def _normalised(vectors: np.ndarray, certain: bool) -> Float[np.ndarray, "P 3"] | None:
-    """Normalise vectors, 0 for those without a direction; None for a guess unless NEARLY_ALL are unit vectors."""
+    """Normalise vectors; vectors without a direction become 0.
+
+    None if the columns are only a guess (`certain` is False) and a share of less than NEARLY_ALL are unit vectors.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(vectors, axis=1, keepdims=True)
     if not certain and not np.mean(np.abs(length - 1.0) < NEARLY_UNIT) >= NEARLY_ALL:

@@ -1,9 +1,9 @@
 """Seams of the generated duct that a job may name: its weld, and the beads in the table below.
 
-A bead lies on the wall, on a straight line in the coordinates of `duct.surface`: a side seam has a constant angle, a
-girth a constant depth, and on a helix both change linearly. Its points are equally spaced by arc length, from the inlet
-inwards or, on a girth, clockwise as seen from the inlet. Depths and angles are round numbers; the deep girth begins
-where it is hardest to follow.
+A bead is a straight line on the wall in the coordinates of `duct.surface`: a side seam has a constant angle, a girth
+seam a constant depth, and on a helix both change linearly. Its points are equally spaced by arc length, from the inlet
+inwards; on a girth seam they run clockwise as seen from the inlet. Depths and angles are round numbers; the deep girth
+seam begins where it is hardest to follow.
 """
 
 from typing import NamedTuple
@@ -15,10 +15,10 @@ from htcp_jax.model import duct
 
 
 class Bead(NamedTuple):
-    """Begin and end of a bead.
+    """Depths and angles at the first and the last point of a bead.
 
-    Seen from the inlet, z up, angles run clockwise from the left side: 90 degrees is the crown, the line along the top,
-    180 the right side, 270 the invert, the line along the bottom.
+    As seen from the inlet with z up, angles run clockwise from the left side: 90 degrees is the crown (the line along
+    the top), 180 the right side, 270 the invert (the line along the bottom).
     """
 
     x_m: tuple[float, float]

@@ -1,9 +1,9 @@
 """A script: `python parsers.py KIND FILE FOLDER MEMORY` parses FILE and writes its arrays into FOLDER.
 
-A parser that is written in C++ may crash, hang, fill the memory or print if a file is damaged, so it runs in its own
-process. `scan.parsed` starts the process, sets its limits and reads the result: FOLDER/arrays.npz, or the exception in
-FOLDER/error.txt. The package is not imported, so the start is fast. The process is no worker of a pool: the memory
-limit depends on the file, and a process cannot raise its own limit again.
+For a damaged file, a parser that is written in C++ may crash, hang, fill the memory or print. It therefore runs in its
+own process. `scan.parsed` starts the process, sets its limits and reads the result: FOLDER/arrays.npz, or the exception
+in FOLDER/error.txt. The script does not import the package, so it starts fast. A pool of processes cannot be used: the
+memory limit depends on the file, and a process cannot raise its own limit again.
 """
 
 import contextlib
@@ -16,13 +16,13 @@ import numpy as np
 
 CHORD_DEVIATION_MM = 0.05  # largest distance of the triangles from a curved STEP face
 TURN_RAD = 0.2
-MOST_COLUMNS = 1000  # of a PCD cloud
+MOST_COLUMNS = 1000  # maximum number of columns of a PCD cloud
 # Limit of the points' size: [bytes], and times the file's size; LZF reaches 88.
 LEAST_LIMIT, GROWTH = 2**26, 100
 
 
 def pcd(file: Path) -> dict[str, np.ndarray]:
-    """Read the points of a PCD cloud, in the order and the frame of the file, and its normals if it has any."""
+    """Read the points of a PCD cloud, in the file's order and frame, and its normals if it has any."""
     from pypcd4 import MetaData, PointCloud
 
     lines = []
@@ -39,7 +39,7 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
     cloud = PointCloud.from_path(file)
     data = cloud.pc_data
     if len(data) != cloud.metadata.points:
-        raise ValueError(f"{cloud.metadata.points} points are declared, there are {len(data)}")
+        raise ValueError(f"the header declares {cloud.metadata.points} points, the file contains {len(data)}")
     normals = ["normal_x", "normal_y", "normal_z"]
     arrays = {"points": np.stack([data[name].astype(np.float64) for name in "xyz"], axis=-1)}
     if all(name in data.dtype.names for name in normals):
@@ -54,10 +54,12 @@ def las(file: Path) -> dict[str, np.ndarray]:
     with file.open("rb") as stream:
         head = stream.read(104)
     if int.from_bytes(head[100:104], "little") * 54 > file.stat().st_size:  # laspy would try to read them all
-        raise ValueError("more variable length records than fit into the file")
+        raise ValueError("it declares more variable length records than fit into the file")
     cloud = laspy.read(file)
     if len(cloud.points) != cloud.header.point_count:
-        raise ValueError(f"{cloud.header.point_count} points are declared, there are {len(cloud.points)}")
+        raise ValueError(
+            f"the header declares {cloud.header.point_count} points, the file contains {len(cloud.points)}"
+        )
     return {"points": np.array(cloud.xyz, dtype=np.float64)}
 
 
@@ -73,13 +75,13 @@ def e57(file: Path) -> dict[str, np.ndarray]:
 
 
 def step(file: Path) -> dict[str, np.ndarray]:
-    """Read the triangles [m] of all solids and faces in a STEP file, which states its unit."""
+    """Read the triangles [m] of all solids and faces in a STEP file; the file contains its unit."""
     import cascadio
     import trimesh
 
     glb = cascadio.load(file.read_bytes(), tol_linear=CHORD_DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False)
     if not glb:
-        raise ValueError("no shapes in it")
+        raise ValueError("the file contains no shapes")
     scene = trimesh.load_scene(io.BytesIO(glb), file_type="glb", process=False)
     placed = [np.empty((0, 3, 3))]
     for node in scene.graph.nodes_geometry:

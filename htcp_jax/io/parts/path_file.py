@@ -1,4 +1,4 @@
-"""Points, normals, tangents and orientations in a path's file."""
+"""Reader of a path's file: points, normals, tangents and orientations."""
 
 import warnings
 from collections.abc import Mapping
@@ -15,11 +15,11 @@ from htcp_jax.io.parts import columns
 from htcp_jax.io.parts.table import read_named
 from htcp_jax.model import PathFrames
 
-GUESSED = ("i", "j", "k")  # normals only if they are unit vectors; otherwise perhaps numbers of cells
+GUESSED = ("i", "j", "k")  # read as normals only if they are unit vectors; they may also be indices of cells
 
 
 class PathPoints(NamedTuple):
-    """Points of a path, and directions as far as its file has them."""
+    """Points of a path, and the directions in its file."""
 
     xyz: Float[np.ndarray, "T 3"]  # [m]
     frames: PathFrames
@@ -28,17 +28,17 @@ class PathPoints(NamedTuple):
 def read_path_points(
     path: Path, chosen: Mapping[str, int | str] = MappingProxyType({}), unit: str | None = None
 ) -> PathPoints:
-    """Read a path's file: points, and normals, tangents and quaternions as far as its header or the caller names them.
+    """Read a path's file: points, and the normals, tangents and quaternions that its header or the caller names.
 
     Args:
         path: The file.
-        chosen: Columns by what they hold, see `columns.chosen_columns`; empty: those that the header names, or the
-            first three.
-        unit: Of the points, one of `columns.PER_METRE`; None: the header's, or m without one.
+        chosen: The column of each quantity, see `columns.chosen_columns`; empty: the columns that the header names, or
+            the first three.
+        unit: Unit of the points, a key of `columns.PER_METRE`; None: the header's unit, or m if the header has none.
 
     Raises:
-        InputError: As `read_named` does, for a normal or tangent that is not of length 1, and for a quaternion of
-            length 0.
+        InputError: As `read_named` does, for a normal or tangent whose length is not 1, and for a quaternion of length
+            0.
     """
     xyz, found = read_named(path, columns.DIRECTIONS, chosen, unit)
     vectors = {}
@@ -48,7 +48,7 @@ def read_path_points(
                 vectors[what] = _unit_vectors(found[names], names, what, path)
     quaternions = next((found[names] for names in columns.QUATERNIONS if names in found), None)
     if quaternions is not None and len(wrong := np.flatnonzero(~(np.linalg.norm(quaternions, axis=1) > 1e-9))):
-        raise InputError(f"{path}: the quaternion of point {wrong[0] + 1} has the length 0")
+        raise InputError(f"{path}: the quaternion at point {wrong[0] + 1} has the length 0")
     rotations = None
     if quaternions is not None:
         rotations = scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
@@ -58,9 +58,11 @@ def read_path_points(
 def _unit_vectors(values: np.ndarray, names: tuple[str, ...], what: str, path: Path) -> np.ndarray | None:
     length = np.linalg.norm(values, axis=1)
     if len(wrong := np.flatnonzero(~(np.abs(length - 1.0) < columns.NEARLY_UNIT))):
-        off = f"of point {wrong[0] + 1} has the length {length[wrong[0]]:.4g}"
+        off = f"at point {wrong[0] + 1} has the length {length[wrong[0]]:.4g}"
         if names != GUESSED:
-            raise InputError(f"{path}: the {what} {off}; 1 is needed")
-        warnings.warn(f"{path}: i, j, k are ignored: as a {what}, that {off}, not 1", Note, stacklevel=4)
+            raise InputError(f"{path}: the {what} {off}; it must be 1")
+        warnings.warn(
+            f"{path}: columns i, j, k are ignored: as a {what}, the vector {off} instead of 1", Note, stacklevel=4
+        )
         return None
     return values / length[:, None]

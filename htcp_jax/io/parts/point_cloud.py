@@ -1,8 +1,8 @@
 """Point clouds and tables of points from files.
 
-A reader returns points or raises InputError with one line. It accepts regular files of at most 2 GB, runs no code from
-a file (no pickles), and follows no reference from one file to another (textures, materials). Parsers that are not
-written in Python run in their own process, see `scan`.
+A reader returns points, or raises InputError with one line. It accepts regular files of at most 2 GiB, runs no code
+from a file (no pickles), and follows no reference to another file (textures, materials). Parsers that are not written
+in Python run in their own process, see `scan`.
 """
 
 import io
@@ -32,7 +32,7 @@ PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\d{1,12})[ \t\r]*$
 
 
 class Geometry(NamedTuple):
-    """Content of a file: P points and no triangles, or F triangles with their P corners [m]."""
+    """Content of a file [m]: P points without triangles, or F triangles with their P corners."""
 
     points: Float[np.ndarray, "P 3"]
     triangles: Float[np.ndarray, "F 3 3"]
@@ -41,7 +41,8 @@ class Geometry(NamedTuple):
 def load_geometry(path: str | Path) -> Geometry:
     """Read the points of a cloud file, or the triangles of a mesh [m].
 
-    Clouds: .xyz .csv .txt .npy .pcd .e57 .las .laz, a .ply or .obj without faces; meshes: .stl .obj .ply .step .stp.
+    Formats of clouds: .xyz .csv .txt .npy .pcd .e57 .las .laz, and .ply or .obj without faces. Formats of meshes: .stl
+    .obj .ply .step .stp.
 
     Raises:
         InputError: For a file that cannot be read, for NaN and infinite points, and for fewer than 4 points in a cloud.
@@ -57,7 +58,7 @@ def load_geometry(path: str | Path) -> Geometry:
 
 
 def load_cloud(path: str | Path, *, spacing: float | None = None) -> Float[np.ndarray, "P 3"]:
-    """Read the points [m] of a cloud file, or return points that cover a mesh, see `mesh_points.cover_mesh`.
+    """Read the points [m] of a cloud file, or cover the mesh in a file with points, see `mesh_points.cover_mesh`.
 
     Args:
         path: The file.
@@ -71,12 +72,12 @@ def load_cloud(path: str | Path, *, spacing: float | None = None) -> Float[np.nd
 
 
 def read_points(path: str | Path) -> TablePoints:
-    """Read the points [m] of a table (which may be a tool path) or a scan, and their normals if the file has any.
+    """Read the points [m] of a table, such as a tool path, or of a scan, and their normals if the file has any.
 
-    Endings: .xyz .csv .txt .npy .pcd .e57 .las .laz.
+    Formats: .xyz .csv .txt .npy .pcd .e57 .las .laz.
 
     Raises:
-        InputError: For a file that cannot be read; `load_cloud` checks more.
+        InputError: For a file that cannot be read. Values and number of points are checked by `load_cloud` only.
     """
     path = Path(path)
     ending = known_ending(path, (*TABLES, *SCANS))
@@ -89,12 +90,12 @@ def _read_mesh(path: Path, ending: str) -> Geometry:
     vertices, triangles = _geometry(path, ending)
     corners = triangles.reshape(-1, 3)
     if not np.isfinite(corners).all() or np.abs(corners).max(initial=0.0) > arrays.LARGEST_COORDINATE:
-        raise InputError(f"{path}: a vertex of the mesh is NaN, infinite or absurdly far away")
+        raise InputError(f"{path}: a vertex of the mesh is NaN, infinite or too far from the origin")
     return Geometry(corners if len(corners) else vertices, triangles)
 
 
 def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "F 3 3"]]:
-    """Read all vertices and triangles of a mesh file; the parser gets its bytes, so that it opens no other file."""
+    """Read all vertices and triangles of a mesh file; the parser gets the file's bytes and cannot open other files."""
     if ending in PARTS:
         triangles = read_part(path, ending)
         return triangles.reshape(-1, 3), triangles
@@ -105,7 +106,7 @@ def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[
     if ending == ".obj" or (ending == ".stl" and not binary_stl):
         data = data.decode("utf-8", "replace").encode()  # trimesh would guess at the encoding, slowly
     if ending == ".obj" and RELATIVE_FACE.search(data.replace(b"\\\n", b"")):
-        raise InputError(f"{path}: a face with a negative vertex number or 0; number the vertices from 1")
+        raise InputError(f"{path}: a face has a vertex number below 1; number the vertices from 1")
     try:
         with quiet():
             stream = io.BytesIO(data)
@@ -126,14 +127,14 @@ def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[
 
 
 def _check_ply_is_complete(path: Path, data: bytes, vertices: int, triangles: int, raw: list) -> None:
-    """Check that a PLY file is complete; trimesh accepts truncated ones. `raw` are the faces as trimesh has read them.
+    """Check that a PLY file is complete, as trimesh accepts truncated files. `raw` are the faces that trimesh has read.
 
     Raises:
-        InputError: For a truncated text, and for a face with fewer corners than promised.
+        InputError: For a truncated text, and for a face with fewer corners than declared.
     """
     promised = dict(PLY_ELEMENT.findall(data.partition(b"end_header")[0]))
     if vertices != int(promised.get(b"vertex", vertices)) or triangles < int(promised.get(b"face", 0)):
-        raise InputError(f"{path}: damaged, it holds fewer vertices or faces than its header says")
+        raise InputError(f"{path}: damaged: fewer vertices or faces than its header declares")
     for faces in raw:  # of a binary file: numbers of corners and corners, a column for each list
         for name in getattr(getattr(faces, "dtype", None), "names", None) or ():
             if faces[name].dtype.names == ("f0", "f1"):
@@ -149,4 +150,4 @@ def _check_ply_is_complete(path: Path, data: bytes, vertices: int, triangles: in
 def _check_corners(path: Path, promised: np.ndarray, there: np.ndarray) -> None:
     if (bad := np.flatnonzero(promised > there)).size:
         k = bad[0]
-        raise InputError(f"{path}: damaged, face {k + 1} has {there[k]} corners in place of {promised[k]:.0f}")
+        raise InputError(f"{path}: damaged: face {k + 1} has {there[k]} corners instead of {promised[k]:.0f}")

@@ -1,6 +1,6 @@
 """Reading of scans and CAD parts by other libraries: .pcd .e57 .las .laz clouds, .step .stp parts.
 
-Each library is an extra. It runs in its own process, see `parsers`, with limits on time and memory.
+Each library is an optional dependency. It runs in its own process with limits on time and memory, see `parsers`.
 """
 
 import importlib.util
@@ -22,11 +22,11 @@ from htcp_jax.unfinished import temporary_folder
 
 
 class ScanFormat(NamedTuple):
-    """Parser and libraries for files with an ending."""
+    """Parser and libraries for one file format."""
 
-    parser: str  # a function in parsers.py
+    parser: str  # name of a function in parsers.py
     libraries: tuple[str, ...]
-    extra: str  # that installs them
+    extra: str  # the package's extra that installs the libraries
 
 
 SCANS = {
@@ -37,13 +37,13 @@ SCANS = {
 }
 PARTS = {ending: ScanFormat("step", ("cascadio",), "cad") for ending in (".step", ".stp")}
 LONGEST_S = 600
-MEMORY = 4 * 2**30  # and 40 times the file's size
+MEMORY = 4 * 2**30  # memory limit [bytes], to which 40 times the file's size is added
 
 
 def read_scan(path: Path, ending: str) -> TablePoints:
     """Read the points [m] of a scan, and its normals if it has any.
 
-    NaN points, which PCD files contain where the scanner measured nothing, are excluded with a Note.
+    NaN points are excluded with a Note; a PCD file contains them where the scanner measured nothing.
 
     Raises:
         InputError: For an invalid file.
@@ -51,7 +51,7 @@ def read_scan(path: Path, ending: str) -> TablePoints:
     arrays = parsed(path, SCANS[ending])
     points, normals = arrays["points"], arrays.get("normals")
     if ending == ".pcd" and (empty := np.isnan(points).any(axis=1)).any():
-        warnings.warn(f"{path}: {empty.sum()} of {len(points)} points are NaN and excluded", Note, stacklevel=3)
+        warnings.warn(f"{path}: {empty.sum()} of {len(points)} points are NaN and are ignored", Note, stacklevel=3)
         points, normals = points[~empty], None if normals is None else normals[~empty]
     return ColumnIndices(3, (0, 1, 2), None, named=True).points(points, normals, str(path))
 
@@ -66,7 +66,7 @@ def read_part(path: Path, ending: str) -> Float[np.ndarray, "F 3 3"]:
 
 
 def parsed(path: Path, kind: ScanFormat, longest_s: int = LONGEST_S) -> dict[str, np.ndarray]:
-    """Return the arrays of a file, see `parsers`.
+    """Parse a file in a separate process and return its arrays, see `parsers`.
 
     Args:
         path: The file.
@@ -74,7 +74,7 @@ def parsed(path: Path, kind: ScanFormat, longest_s: int = LONGEST_S) -> dict[str
         longest_s: Time limit.
 
     Raises:
-        InputError: If the extra is missing, for an invalid file, and for one that takes longer.
+        InputError: If the extra is not installed, for an invalid file, and if parsing takes longer than the limit.
     """
     ending = path.suffix.lower()
     if any(importlib.util.find_spec(library) is None for library in kind.libraries):

@@ -33,12 +33,13 @@ DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 def read_table(path: Path) -> TablePoints:
     """Read rows of x, y, z and further columns from a text file, separated by commas, semicolons or blanks.
 
-    Text after a # is a comment, and so is a line that begins with //. The first other line may be a header without
-    numbers. A header, or the last comment before the first row, may name the columns, see `columns_of`.
+    Text after a # is a comment, and so is a line that begins with //. The first line that is not a comment may be a
+    header without numbers. This header, or the last comment before the first row, may name the columns, see
+    `columns_of`.
 
     Raises:
-        InputError: Naming the line, for too few columns, rows of different lengths, NaN, text that is no number, and
-            decimal commas.
+        InputError: For too few columns, rows of different lengths, NaN, text that is not a number, and decimal commas;
+            the message names the line.
     """
     reader = _TableReader(path)
     reader.take_all()
@@ -46,7 +47,7 @@ def read_table(path: Path) -> TablePoints:
 
 
 class NamedColumns(NamedTuple):
-    """Points of a table, and further columns by what they hold."""
+    """Points of a table, and further columns by their quantities."""
 
     xyz: Float[np.ndarray, "P 3"]  # [m]
     found: dict[tuple[str, ...], Float[np.ndarray, "P k"]]  # by family of names
@@ -58,19 +59,19 @@ def read_named(
     chosen: Mapping[str, int | str] = MappingProxyType({}),
     unit: str | None = None,
 ) -> NamedColumns:
-    """Read points, and further columns of a text file by name: each family (P, k) whose names are all in the header.
+    """Read the points of a text file, and further columns by name.
 
     Args:
         path: The file.
-        families: Names of further columns.
-        chosen: Columns by what they hold, see `columns.chosen_columns`, in place of those that the header names; with
-            x, y and z, or empty.
-        unit: Unit of the coordinates, one of `columns.PER_METRE`; None: the header's, or m without one. A UserWarning
-            reports another one in the header.
+        families: Names of further columns; a family of k names is read, as (P, k), if all of them are in the header.
+        chosen: The column of each quantity, see `columns.chosen_columns`, in place of the header's names; empty, or
+            with x, y and z.
+        unit: Unit of the coordinates, a key of `columns.PER_METRE`; None: the header's unit, or m if the header has
+            none. A UserWarning reports a header with a different unit.
 
     Raises:
-        InputError: As `read_table` and `chosen_columns` do, and for values that are not finite numbers, naming the
-            point.
+        InputError: As `read_table` and `chosen_columns` do, and for values that are not finite numbers; the message
+            names the point.
     """
     reader = _TableReader(path, keep=True, chosen=chosen)
     reader.take_all()
@@ -78,7 +79,7 @@ def read_named(
     if reader.columns is None:
         return NamedColumns(xyz, found)
     if unit not in (None, reader.columns.unit or unit):
-        text = f"the header says {reader.columns.unit}, the job {unit}, which is used"
+        text = f"the unit is {reader.columns.unit} in the header and {unit} in the job; the job's is used"
         warnings.warn(f"{path}: {text}", UserWarning, stacklevel=3)
     header = reader.header if reader.columns.named and len(reader.header or ()) == reader.columns.width else None
     names = [head.name for head in header or ()]
@@ -95,9 +96,9 @@ def read_named(
 
 
 class _TableReader:
-    """A reader of lines; the first row determines the columns.
+    """Reader of a table line by line; the first row determines the columns.
 
-    Rows whose first column counts, 0 1 2 or 1 2 3, are kept until one does not, or all do.
+    As long as the first column counts the rows, from 0 or 1, rows are stored: it is ignored only if it counts all rows.
     """
 
     def __init__(self, path: Path, keep: bool = False, chosen: Mapping[str, int | str] = MappingProxyType({})):
@@ -141,13 +142,15 @@ class _TableReader:
         if self.columns is None:
             return TablePoints(np.empty((0, 3)))
         if self.whole:
-            raise self._error(self.first, ": decimal commas? A whole number in every column; write decimal points")
+            raise self._error(
+                self.first, ": all columns contain whole numbers; if the file has decimal commas, write decimal points"
+            )
         xyz = np.array(self.xyz, dtype=np.float64).reshape(-1, 3)
         normals = None if self.normals is None else np.array(self.normals, dtype=np.float64)
         return self.columns.points(xyz, normals, str(self.path), unit)
 
     def _remark(self, comment: str) -> None:
-        """Take a comment as a header if it names coordinates."""
+        """Use a comment as the header if it names coordinates."""
         found = headings(comment)
         if coordinates_in([head.name for head in found]):
             self.header = found
@@ -166,13 +169,13 @@ class _TableReader:
         self._take_row(number, content, cells)
 
     def _know(self, number: int, cells: list[str]) -> None:
-        """Learn the number of columns from the first row."""
+        """Set the number of columns from the first row."""
         self.first, self.width = number, len(cells)
         if not self._has_header_line and self.header is not None and len(self.header) != self.width:
             self.header = None
 
     def _counts(self, cells: list[str]) -> bool:
-        """True if all rows so far count in a first column that the header does not name, or has no name for."""
+        """True if the first column counts all rows so far, and the header does not use it for a quantity."""
         names = [head.name for head in self.header or ()]
         if (
             self.width < 4
@@ -211,7 +214,7 @@ class _TableReader:
                 raise self._error(number, _decimal_commas(content) or wrong)
             row.append(float(cells[k]))
         if not all(map(math.isfinite, row)):
-            raise self._error(number, " holds NaN or an infinite number")
+            raise self._error(number, " contains NaN or an infinite number")
         self.xyz.append(row)
         if self.keep:
             self.rows.append(cells)
@@ -235,13 +238,13 @@ def read_npy(path: Path) -> TablePoints:
     """Read the points of a .npy file, an array of numbers (P, 3 or more).
 
     Raises:
-        InputError: For any other array; pickles are not read.
+        InputError: For an array of any other shape or type; pickles are refused.
     """
     array = read_array(read_bytes(path), str(path))
     if array.dtype.kind == "b":
-        raise InputError(f"{path}: an array of bool, numbers are needed")
+        raise InputError(f"{path}: an array of bool; it must be an array of numbers")
     if array.ndim != 2 or array.shape[1] < 3:
-        raise InputError(f"{path}: an array of shape {array.shape}, (points, 3 or more) is needed")
+        raise InputError(f"{path}: the array has the shape {array.shape}; it must be (points, 3 or more)")
     columns = columns_of(None, array.shape[1], str(path))
     xyz, *normals = (
         np.ascontiguousarray(array[:, which], dtype=np.float64)
@@ -275,7 +278,7 @@ def _is_numeric_cell(cell: str) -> bool:
 
 
 def _decimal_commas(line: str) -> str:
-    """Return a suggestion if numbers of a line have decimal commas, else ""."""
+    """Return a hint for an error message if a line's numbers have decimal commas, else ""."""
     cells = re.split(r"[;\s]+", line.strip("; \t"))
     decimal = [cell for cell in cells if DECIMAL_COMMA.fullmatch(cell)]
     others = [cell for cell in cells if "," in cell and cell not in decimal]

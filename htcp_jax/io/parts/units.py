@@ -1,8 +1,8 @@
 """Plausibility checks that a workpiece, its path and the robot are all in metres, by their sizes and distances.
 
-A reachable part is not much larger than the arm, and not much smaller than the arm's thinnest body, and a path is near
-its part. Sizes that differ by more than a factor of 5 are refused, smaller deviations cause a warning; both
-name the unit that would make the sizes plausible.
+A reachable part is not much larger than the arm and not much smaller than the arm's thinnest body, and a path is near
+its part. A part larger than 5 times the reach, or 5 times smaller than the thinnest body, is refused; smaller
+deviations cause a warning. The message names the unit that would make the sizes plausible.
 """
 
 import warnings
@@ -14,28 +14,29 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, kinematics
 
-METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometres": 1e3}  # the likely ones first
-PATH_UNITS = {"millimetres": "mm", "inches": "in", "centimetres": "cm"}  # as `workpiece.path_unit` names them
-LARGE = 2.0  # times the reach
-ABSURD = 5.0  # times the reach, or thinner than the thinnest body
-STAND_OFF = 0.5  # largest distance of a path from its part [m], and times the part's extent
+METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometres": 1e3}  # the most likely units first
+PATH_UNITS = {"millimetres": "mm", "inches": "in", "centimetres": "cm"}  # values of `workpiece.path_unit`
+LARGE = 2.0  # ratio of a part's size to the arm's reach from which on a warning is given
+ABSURD = 5.0  # ratio of sizes from which on a part is refused, see the module's docstring
+STAND_OFF = 0.5  # factor of the largest plausible distance of a path from its part, see `_stand_off`
 
 
 def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
     """Check that the size of a part is plausible for the arm.
 
-    Warns (UserWarning) of a part more than twice as large as the arm's reach, or smaller than its thinnest body.
+    A UserWarning reports a part more than twice as large as the arm's reach, or smaller than the arm's thinnest body.
 
     Args:
         robot: The arm.
-        part: Any points that span the part [m].
+        part: Points that have the extent of the part [m].
         path: The tool path [m], for a guess at the unit.
         name: The part's name, for messages.
 
     Raises:
         InputError: For an implausible size.
     """
-    extent, longest, thinnest = _extent(part), kinematics.max_reach(robot), 2.0 * float(np.min(robot.capsule_radius))
+    extent, longest = _extent(part), kinematics.max_reach(robot)
+    thinnest = 2.0 * float(np.asarray(robot.capsule_radius).min())
     fitting = [unit for unit, metres in METRES.items() if 2.0 * thinnest <= metres * extent <= LARGE * longest]
     if extent > LARGE * longest:
         text = f"{name} extends over {extent:.3g} m, {robot.name} reaches {longest:.3g} m"
@@ -49,7 +50,7 @@ def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
     """Check that the tool and the bodies of an arm are in metres.
 
     Raises:
-        InputError: For a tool that is longer than all the links of its arm, and for a body that is thicker.
+        InputError: For a tool longer than the arm's links together, and for a body thicker than that.
     """
     tip = float(np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
     links, length, thickest = (
@@ -59,9 +60,9 @@ def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
     )
     measured = f"the links of {robot.name} measure {links:.3g} m"
     if length > links:
-        raise InputError(f"{measured}, and the TCP lies {length:.3g} m beyond the last joint; metres are needed")
+        raise InputError(f"{measured}, but the TCP is {length:.3g} m from the last joint; lengths must be in metres")
     if thickest > links:
-        raise InputError(f"{measured}, and a body has a radius of {thickest:.3g} m; metres are needed")
+        raise InputError(f"{measured}, but a body has a radius of {thickest:.3g} m; lengths must be in metres")
 
 
 def check_path_unit(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
@@ -73,7 +74,7 @@ def check_path_unit(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 
         name: The part's name, for messages.
 
     Raises:
-        InputError: For a median distance from the cloud that is too large.
+        InputError: If the median distance of the path's points from the cloud is too large.
     """
     if (distance := _median_distance(cloud, path)) > _stand_off(cloud):
         raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_hint(cloud, path)}")
@@ -88,10 +89,10 @@ def _report(text: str, absurd: bool) -> None:
 def _part_hint(part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], units: list[str]) -> str:
     """Return a hint at the length unit of a part that is too large or too small, and of its path."""
     if not units:
-        return "give it in metres, and no more of it than the arm reaches"
+        return "check that it is in metres, and keep only the part that the arm can reach"
     metres = METRES[units[0]]
     whose = "it seems" if _median_distance(metres * part, path) <= _stand_off(metres * part) else "it and its path seem"
-    return f"{whose} to be in {units[0]}, metres are needed (factor {metres:g})"
+    return f"{whose} to be in {units[0]}; convert to metres (factor {metres:g})"
 
 
 def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> str:
@@ -101,9 +102,9 @@ def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) 
         # With too small a unit any path is at the origin, but too short.
         right_length = 0.05 * extent <= metres * _extent(path) <= 2.0 * extent
         if right_length and _median_distance(cloud, metres * path) <= 0.5 * extent:
-            key = f", or workpiece.path_unit: {PATH_UNITS[unit]}" if unit in PATH_UNITS else ""
-            return f"the path seems to be in {unit}, metres are needed (factor {metres:g}){key}"
-    return "both have to be in metres and in the same frame"
+            key = f", or set workpiece.path_unit: {PATH_UNITS[unit]}" if unit in PATH_UNITS else ""
+            return f"the path seems to be in {unit}; convert it to metres (factor {metres:g}){key}"
+    return "both must be in metres and in the same frame"
 
 
 def _stand_off(cloud: Float[np.ndarray, "P 3"]) -> float:

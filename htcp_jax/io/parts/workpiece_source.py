@@ -1,7 +1,7 @@
 """Workpieces from files or arrays, and the generated duct; implausible sizes are refused.
 
-A `WorkpieceSource` states the source of the walls: `GeneratedDuct`, `PointCloud`, `TriangleMesh` or `NoCloud`. Each has
-points on its walls, and the defaults of its kind.
+A `WorkpieceSource` is the source of the walls: `GeneratedDuct`, `PointCloud`, `TriangleMesh` or `NoCloud`. Each kind
+provides points on the walls, and defaults for fields of `Workpiece`.
 """
 
 import warnings
@@ -23,7 +23,7 @@ from htcp_jax.io.parts.units import check_extent, check_path_unit
 from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
 from htcp_jax.types import Anywhere, Triple
 
-MOST_POINTS = 10_000_000  # of the generated duct
+MOST_POINTS = 10_000_000  # maximum number of points on the generated duct
 # Where the duct's wall is convex nearly every point is a vertex of the hull: 22,914 facets. With this tolerance there
 # are 944, whose corners lie at most 0.42 mm outside the exact hull.
 DUCT_HULL_TOLERANCE_M = 5e-4
@@ -34,7 +34,7 @@ class GeneratedDuct(NamedTuple):
 
     points: int = duct.POINTS
     seed: int = 0
-    seam: str = "weld"  # of `duct_seams.SEAMS`; the path, if no other one is given
+    seam: str = "weld"  # name in `duct_seams.SEAMS`; the seam is the path unless another path is given
 
     @property
     def defaults(self) -> dict[str, Any]:
@@ -47,7 +47,7 @@ class GeneratedDuct(NamedTuple):
         """Return the points on the duct [m].
 
         Raises:
-            InputError: For a number or a seed out of range.
+            InputError: For a number of points or a seed out of range.
         """
         if self.seed < 0:
             raise InputError(f"seed is {self.seed}; it must be 0 or more")
@@ -63,8 +63,8 @@ class GeneratedDuct(NamedTuple):
         """
         if self.seam not in SEAMS:
             raise InputError(
-                f"{self.seam}: no seam of the generated duct, nor a table of x,y,z; seams are {', '.join(SEAMS)}, "
-                f"tables end in {' '.join(TEXT)}"
+                f"workpiece.path is {self.seam}; valid: a seam of the duct ({', '.join(SEAMS)}), or a table of x,y,z "
+                f"({' '.join(TEXT)})"
             )
         return seam(self.seam)
 
@@ -113,7 +113,7 @@ class TriangleMesh(NamedTuple):
 
 
 class NoCloud(NamedTuple):
-    """A path without walls; the part has the path's name."""
+    """A path without walls; the part is named after the path's file."""
 
     @property
     def defaults(self) -> dict[str, Any]:
@@ -121,7 +121,7 @@ class NoCloud(NamedTuple):
         return {"inlet_direction": workpiece.InletDirection.HULL_FACET}
 
     def walls(self, body: mesh_points.NearbyBody | None) -> mesh_points.PointCover:
-        """Return no points."""
+        """Return an empty set of points."""
         return mesh_points.PointCover(np.empty((0, 3)), 0.0)
 
 
@@ -144,6 +144,7 @@ def read_source(file: str | Path, spacing_m: float | None = None) -> PointCloud 
 
 
 FAR_M = 10_000.0  # coordinates beyond it are those of a map, such as UTM's, not of a part
+COARSEST_M = 1e-3  # largest rounding of far coordinates that is accepted [m]
 
 
 def load_workpiece(
@@ -159,26 +160,27 @@ def load_workpiece(
     """Load a workpiece; by default the generated duct and its weld.
 
     Args:
-        source: Its walls; a file is read by `read_source`, and an array (P, 3) is a `PointCloud` [m].
+        source: The walls. `read_source` reads a file; an array (P, 3) [m] is a `PointCloud`.
         path: A file, see `read_path_points`, or points (T, 3) [m]; None: the seam of a `GeneratedDuct`.
-        robot: The arm for which the sizes of part and path must be plausible, see `units`, and whose thinnest body
-            near the part determines the spacing of points on a mesh; None: neither.
+        robot: The arm. The sizes of part and path must be plausible for it, see `units`, and its thinnest body near the
+            part determines the spacing of points on a mesh. None: sizes are not checked, and the default spacing is
+            used.
         path_columns: Columns of the path's file, see `read_path_points`.
         path_unit: Unit of the path's file, see `read_path_points`.
-        origin: Point that is subtracted from the coordinates of cloud, path and inlet (3,) [m]; None: the centre of a
-            part further than FAR_M away, or of its path without a cloud, in whole metres, with a Note; else 0.
-        **fields: Fields of `Workpiece`, in place of the source's own; the inlet in the coordinates of the files.
+        origin: Point (3,) [m] to subtract from the coordinates of cloud, path and inlet. None: 0; for a part further
+            than FAR_M from 0 its centre in whole metres (without a cloud, the path's centre), with a Note.
+        **fields: Fields of `Workpiece`, in place of the source's defaults; the inlet is in the files' coordinates.
 
     Raises:
         InputError: For an invalid file or number, and for a cloud or a mesh without a path.
     """
     if path is None and not isinstance(source, GeneratedDuct):
         label = source if _is_file(source) else getattr(source, "label", "cloud")
-        raise InputError(f"{label}: a cloud needs a tool path of its own (x,y,z rows in a CSV file)")
+        raise InputError(f"{label}: workpiece.path is missing; with your own cloud, set it to a CSV file of x,y,z rows")
     for key, value in (("path_columns", path_columns), ("path_unit", path_unit)):
         if value and not _is_file(path):
             what = "a seam of the generated duct" if path is None else "an array"
-            raise InputError(f"workpiece.{key} is {value!r}; it describes a path's file, and the path is {what}")
+            raise InputError(f"workpiece.{key} is {value!r}, but the path is {what}, not a file; omit the key")
     if _is_file(source):
         source = read_source(source)
     elif not isinstance(source, WorkpieceSource):
@@ -196,7 +198,7 @@ def load_workpiece(
 
 
 def _origin(source: WorkpieceSource, path: Float[np.ndarray, "T 3"], name: str) -> Float[np.ndarray, "3"]:
-    """Return the point that is subtracted from all coordinates, with a Note if it is not 0."""
+    """Return the default point to subtract from all coordinates; a Note reports it if it is not 0."""
     if isinstance(source, GeneratedDuct):
         return np.zeros(3)
     points = path if isinstance(source, NoCloud) else source.points
@@ -208,20 +210,20 @@ def _origin(source: WorkpieceSource, path: Float[np.ndarray, "T 3"], name: str) 
     warnings.warn(what, Note, stacklevel=3)
     rounding = float(np.spacing(np.float32(np.abs(points).max())))
     if (points == points.astype(np.float32)).all():
-        what = (
-            f"{name}: its coordinates are numbers of 32 bits, rounded to {1e3 * rounding:.3g} mm so far from the origin"
-        )
+        what = f"{name}: its coordinates are 32-bit numbers, rounded to {1e3 * rounding:.3g} mm far from the origin"
+        if rounding > COARSEST_M:
+            raise InputError(f"{what}; write the file relative to a point near the part")
         warnings.warn(what, UserWarning, stacklevel=3)
     return centre
 
 
 def _moved(source: WorkpieceSource, track: PathPoints, own: dict[str, Any]) -> tuple[WorkpieceSource, PathPoints]:
-    """Return walls and path with the origin subtracted, and the fields with mesh and inlet changed likewise."""
+    """Subtract the origin from walls and path, and from mesh and inlet in the fields `own`."""
     origin = own["origin"]
     if not origin.any():
         return source, track
     if isinstance(source, GeneratedDuct):
-        raise InputError("workpiece.origin_m is for files; the generated duct has an origin of its own")
+        raise InputError("workpiece.origin_m applies to files only; omit it for the generated duct")
     if own.get("inlet") is not None:
         own["inlet"] = arrays.triple(own["inlet"], "inlet") - origin
     if isinstance(source, TriangleMesh):
@@ -237,14 +239,14 @@ def _is_file(given: object) -> bool:
 
 
 def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
-    """Read a tool path [m], workpiece frame, in tracking order.
+    """Read a tool path [m] in the workpiece frame, in tracking order.
 
     Args:
-        path: A text file (.csv .txt .xyz) with rows of x,y,z, or with columns of these names, or an array (T, 3) [m].
-            `point_cloud.read_points` also returns normals.
+        path: A text file (.csv .txt .xyz) with rows of x,y,z or with columns of these names, or an array (T, 3) [m].
+            Use `point_cloud.read_points` to read normals, too.
 
     Raises:
-        InputError: For an unreadable or empty file, an invalid line (naming it) and NaN.
+        InputError: For an unreadable or empty file, an invalid line, which the message names, and NaN.
     """
     return _read_track(path, {}, None, directions=False).xyz
 

@@ -1,4 +1,4 @@
-from . import attached, capsule_fit, close_fit, mjcf, model_file, safe_xml
+from . import attached, capsule_fit, close_fit, composed, mjcf, model_file, model_source, safe_xml
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot, part_moves
 from .vendor_import import ImportedArm, body_name, chain_text, import_robot
@@ -11,11 +11,13 @@ __all__ = [
     "capsule_fit",
     "chain_text",
     "close_fit",
+    "composed",
     "gp50",
     "import_robot",
     "load_robot",
     "mjcf",
     "model_file",
+    "model_source",
     "part_moves",
     "safe_xml",
 ]

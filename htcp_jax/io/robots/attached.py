@@ -1,4 +1,4 @@
-"""Fixtures that move with a link of an arm: capsules about them become bodies of the arm."""
+"""Fixtures that move with a link of an arm: capsules are fitted to them, and become bodies of the arm."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,28 +17,30 @@ from htcp_jax.model import BodyPieces, Robot, robot
 
 
 class AttachedBody(NamedTuple):
-    """Points whose convex hull moves with a link, and links that it is not tested against."""
+    """A body that moves with a link: the convex hull of points."""
 
     name: str
     points: Float[np.ndarray, "P 3"]  # in the link's frame [m]
     link: int
-    excluded: tuple[int, ...] = ()
+    excluded: tuple[int, ...] = ()  # links that the body is not tested against
 
 
 def attach(arm: Robot, bodies: Sequence[AttachedBody]) -> Robot:
     """Return an arm with capsules about bodies that move with its links.
 
-    Capsules have the body's name, or name_1, name_2, ... where there are several.
+    A capsule has its body's name, or name_1, name_2, ... if the body has several capsules.
 
     Raises:
-        InputError: For points in one plane, and for the name of a capsule of the arm.
+        InputError: For points in one plane, and for a name that the arm already has for a capsule.
     """
     capsules, names, links, excluded = [], [*arm.capsule_names], [*arm.capsule_link], {}
     for body in bodies:
         own = _capsules_about(body.name, np.ascontiguousarray(body.points).tobytes())
         called = [body.name] if len(own) == 1 else [f"{body.name}_{k}" for k in range(1, len(own) + 1)]
         if taken := [each for each in called if each in names]:
-            raise InputError(f"fixture {body.name!r}: a capsule of {arm.name} is called {taken[0]!r} already")
+            raise InputError(
+                f"fixture {body.name!r}: {arm.name} already has a capsule {taken[0]!r}; choose another name"
+            )
         excluded |= dict.fromkeys(range(len(names), len(names) + len(own)), body.excluded)
         capsules, names, links = [*capsules, *own], [*names, *called], [*links, *[body.link] * len(own)]
     pairs = {(a, b) for a, others in excluded.items() for b, link in enumerate(links) if link in others}
@@ -63,7 +65,7 @@ def _with_rows(known, rows):
 
 
 def _with_missing(pieces: BodyPieces | None, count: int) -> BodyPieces | None:
-    """Return the pieces with rows for `count` more bodies that have none."""
+    """Append rows for `count` bodies without a piece."""
     if pieces is None:
         return None
     more = jax.tree.map(lambda known: jnp.concatenate([known, jnp.repeat(known[:1], count, axis=0)]), pieces)
@@ -76,5 +78,7 @@ def _capsules_about(name: str, points: bytes) -> tuple[Capsule, ...]:
     try:
         hull = scipy.spatial.ConvexHull(corners)
     except (scipy.spatial.QhullError, ValueError):
-        raise InputError(f"fixture {name!r}: its points lie in one plane; a body with a volume can move") from None
+        raise InputError(
+            f"fixture {name!r}: its points lie in one plane; a body on a link must have a volume"
+        ) from None
     return tuple(piece.capsule for piece in cover_with_capsules(corners[hull.simplices]))

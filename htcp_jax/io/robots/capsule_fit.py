@@ -1,8 +1,9 @@
-"""Capsules that enclose a mesh: the smallest one about its points, or several about the pieces after cuts by planes.
+"""Capsules that enclose a mesh: the smallest one about its points, or several about the mesh's pieces after plane cuts.
 
-A capsule is convex: it encloses a triangle if it encloses its corners. A plane clips the triangles that it meets, so
-that each part lies completely on one side and in the capsule of that side, however many cuts are made. The interior of
-a closed mesh is enclosed, too: its part on one side of a plane lies in the convex hull of the triangles there.
+A capsule is convex, so it encloses a triangle if it encloses the triangle's corners. A plane clips the triangles that
+it intersects: each part lies completely on one side, and in the capsule of that side, after any number of cuts. The
+interior of a closed mesh is enclosed, too: its part on one side of a plane lies in the convex hull of the triangles
+there.
 """
 
 from collections.abc import Iterator
@@ -14,12 +15,12 @@ import scipy
 from jaxtyping import Bool, Float
 
 GRID_M = 1e-5  # ends and radius are multiples of it, the radius rounded up
-THINNEST_M = 3e-3  # radius: a thinner body would need impractically dense points on the workpiece
-CUTS = 0.2, 0.35, 0.5, 0.65, 0.8  # shares of a piece's extent at which it is cut on trial
-WORTH = 0.15  # a cut must save this share of the volume
-SNUG = 1.5  # a capsule of at most this many times the hull's volume is not split
-MOST = 3  # capsules per body
-MORE_PIECES, HOLLOW = 2, 0.05  # for hollows: pieces more; share of the hulls' volume that a cut must save
+THINNEST_M = 3e-3  # minimum radius: a thinner body would need impractically dense points on the workpiece
+CUTS = 0.2, 0.35, 0.5, 0.65, 0.8  # shares of a piece's extent at which cuts are tried
+WORTH = 0.15  # share of the volume that a cut must save
+SNUG = 1.5  # a capsule with at most this many times the hull's volume is not split
+MOST = 3  # maximum number of capsules per body
+MORE_PIECES, HOLLOW = 2, 0.05  # for hollows: number of additional pieces; share of the hulls' volume a cut must save
 MORE = 20  # points added to the working set in each round
 FINE = 28  # points per side of the grid on which volumes are compared
 TINY = 1e-9  # of a mesh's size: smaller lengths count as 0
@@ -29,10 +30,10 @@ FIRST_DIRECTIONS = np.stack(np.meshgrid(*3 * [[-1.0, 0, 1]]), axis=-1).reshape(-
 class Effort(NamedTuple):
     """Effort of the search for the smallest capsule."""
 
-    starts: int  # of the principal axes, the best first
-    rounds: int  # of the working set
-    steps: int  # of SLSQP
-    tolerance: float  # of the volume of points of size 1
+    starts: int  # number of principal axes to start from, the best first
+    rounds: int  # maximum number of extensions of the working set
+    steps: int  # maximum number of SLSQP steps
+    tolerance: float  # tolerance of the volume, for points scaled to size 1
 
 
 THOROUGH, ROUGH = Effort(3, 8, 60, 1e-7), Effort(1, 2, 12, 1e-3)
@@ -74,15 +75,15 @@ class MeshPiece(NamedTuple):
     cuts: tuple[Cut, ...] = ()
 
 
-_Marked = tuple[MeshPiece, Bool[np.ndarray, "G"]]  # with the points of a grid that are in its capsule
+_Marked = tuple[MeshPiece, Bool[np.ndarray, "G"]]  # a piece; True for the points of a grid that are in its capsule
 
 
 def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
     """Return a capsule of nearly minimum volume about all points.
 
-    SLSQP over both ends and the radius, started along the points' principal axes. Few points touch the capsule, so only
-    a working set of them are constraints; points outside are added to it. The final radius is measured over all points
-    and rounded up, so the capsule encloses them whatever the search returned.
+    The search is SLSQP over both ends and the radius, started along the points' principal axes. As few points touch the
+    capsule, only a working set of points are constraints; points outside are added to the set. The final radius is
+    measured over all points and rounded up, so the capsule encloses all points even if the search fails.
 
     Args:
         points: The points [m].
@@ -101,8 +102,8 @@ def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
 def cover_with_capsules(triangles: Triangles, most: int = MOST, more: int = 0) -> list[MeshPiece]:
     """Split a mesh into at most `most` pieces whose capsules enclose every triangle.
 
-    A piece is added as long as the best cut by a plane saves WORTH of the volume of the capsules' union. For the convex
-    hulls of the pieces, which decide where capsules are in doubt, `more` are added for hollows.
+    A piece is added as long as the best plane cut saves a share of WORTH of the volume of the capsules' union. Up to
+    `more` pieces are then added to cut hollows, which the pieces' convex hulls would fill.
 
     Args:
         triangles: The mesh [m].
@@ -131,7 +132,7 @@ def cover_with_capsules(triangles: Triangles, most: int = MOST, more: int = 0) -
 
 
 def _without_hollows(pieces: list[MeshPiece], more: int) -> list[MeshPiece]:
-    """Return the pieces, and at most `more`, as long as a cut saves HOLLOW of the volume of all hulls."""
+    """Cut pieces into at most `more` additional ones, as long as a cut saves a share of HOLLOW of all hulls' volume."""
     hulls = list(map(_hull_volume, pieces))
     least = HOLLOW * sum(hulls)
     for _ in range(more):
@@ -157,7 +158,7 @@ def hull_volume(points: Points) -> float:
 
 
 def clip(triangles: Triangles, cut: Cut) -> Float[np.ndarray, "G 3 3"]:
-    """Clip triangles to a half-space; return triangles."""
+    """Clip triangles to a half-space [m]; the result is triangles again."""
     normal, offset = np.array(cut.normal), cut.offset
     height = triangles @ normal - offset
     inside = height <= 0
@@ -170,9 +171,9 @@ def clip(triangles: Triangles, cut: Cut) -> Float[np.ndarray, "G 3 3"]:
 
 
 def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: Bool[np.ndarray, "F 3"], alone: bool):
-    """Return the triangles' corners, and the intersections of two edges with the plane.
+    """Return the corners of triangles that a plane intersects, and the intersections of two edges with the plane.
 
-    Corners begin with the only one on its side; the edges are those that start at it.
+    The first corner is the one that is alone on its side of the plane; the two edges start at this corner.
     """
     rows, first = np.arange(len(triangles))[:, None], np.argmax(inside == alone, axis=1)
     turned = (first[:, None] + [0, 1, 2]) % 3
@@ -189,7 +190,7 @@ def hull_corners(points: Points) -> Float[np.ndarray, "V 3"]:
 
 
 def _splits(piece: MeshPiece) -> Iterator[list[MeshPiece]]:
-    """Yield splits of a piece in two; each half with a rough fit."""
+    """Yield splits of a piece into two halves, each with a roughly fitted capsule."""
     for halves in _cuts(piece):
         yield [half._replace(capsule=fit_capsule(half.triangles.reshape(-1, 3), ROUGH)) for half in halves]
 
@@ -232,7 +233,7 @@ def _capsule_volume(length: float, radius: float) -> float:
 
 
 def _to_segment(x: Points, p: Vector, q: Vector) -> tuple[Points, Float[np.ndarray, "P"]]:
-    """Return the vectors from a segment's closest points to the points, and these as shares of its length."""
+    """Return the vectors from a segment's closest points to points x, and the closest points' shares of its length."""
     ahead = q - p
     length2 = float(ahead @ ahead)
     share = np.clip((x - p) @ ahead / length2, 0, 1) if length2 > 0 else np.zeros(len(x))
@@ -251,7 +252,7 @@ def around(points: Points, p: Vector, q: Vector) -> Capsule:
     return Capsule(p, q, float(np.ceil(widest / GRID_M + 1e-3) * GRID_M))
 
 
-# The search; z consists of both ends of the axis and the radius.
+# The search. z contains both ends of the axis and the radius.
 
 
 def _initial_segment(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:
@@ -263,7 +264,7 @@ def _initial_segment(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:
 
 
 def _minimum_capsule(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
-    """Minimise the capsule about points of size 1, starting from z."""
+    """Minimise the volume of the capsule about all points, scaled to size 1, starting from z."""
     work = np.unique(np.argmax(x @ FIRST_DIRECTIONS.T, axis=0))
     for _ in range(effort.rounds):
         z = _minimise_volume(x[work], z, effort)
@@ -282,7 +283,7 @@ def _half(z: Float[np.ndarray, "7"]) -> float:
 
 
 def _minimise_volume(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
-    """Minimise the volume of the capsule about x, starting from z; return z if the search fails."""
+    """Minimise the volume of the capsule about the working set x, starting from z; return z if the search fails."""
 
     def slope(z):
         pull = np.pi * z[6] ** 2 * (z[3:6] - z[:3]) / (2 * _half(z))

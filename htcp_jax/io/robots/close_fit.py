@@ -1,7 +1,8 @@
-"""Capsules close to a mesh: as `capsule_fit`, with more kinds of cuts, until they are within a tolerance of the mesh.
+"""Capsules close to a mesh: as in `capsule_fit`, with more kinds of cuts, until they are within a tolerance of it.
 
-A bundle of rods about a drum or a box is closer than one capsule, though no single cut makes it so: cuts into two to
-five parts are tried at once. Distances of capsules from the mesh are FCL's, at points on their surfaces.
+Several capsules side by side approximate a drum or a box better than one capsule, but no single cut into two may
+improve the fit. Cuts into two to five parts are therefore tried at once. FCL computes the distances of the capsules
+from the mesh, at points on the capsules' surfaces.
 """
 
 import itertools
@@ -27,17 +28,17 @@ from htcp_jax.io.robots.capsule_fit import (
     fit_capsule,
 )
 
-TOLERANCES_M = 1e-3, 0.1  # valid
-MOST = 5  # capsules of a body without a tolerance
-MOST_CLOSE = 20  # with one
-BEST = 8  # cuts by rough fits of which the best is chosen by good ones
+TOLERANCES_M = 1e-3, 0.1  # minimum and maximum of a valid tolerance
+MOST = 5  # maximum number of capsules of a body without a tolerance
+MOST_CLOSE = 20  # maximum number of capsules of a body with a tolerance
+BEST = 8  # number of cuts, the best by rough fits, that are compared by thorough fits
 WITHIN = 0.95  # share of the capsules' surface that must be within the tolerance
-WORTH, WORTH_CLOSE = 0.02, 0.005  # a capsule more must save this share of the volume that they fill
-WORST = 3  # capsules that are cut on trial, those with the largest area beyond the tolerance
+WORTH, WORTH_CLOSE = 0.02, 0.005  # share of the union's volume that one more capsule must save
+WORST = 3  # number of capsules for which cuts are tried, those with the largest area beyond the tolerance
 SLABS = ((1 / 3, 2 / 3), (0.2, 0.8), (0.15, 0.5), (0.5, 0.85)), ((0.25, 0.5, 0.75),), ((0.2, 0.4, 0.6, 0.8),)
-GRIDS = [each for each in itertools.product(range(1, 5), repeat=3) if sorted(each)[1] > 1]  # counts of cells
-ALIGNED = 0.99  # cosine above which two axes are one
-SAMPLES = 300  # on a capsule's surface
+GRIDS = [each for each in itertools.product(range(1, 5), repeat=3) if sorted(each)[1] > 1]  # numbers of cells per axis
+ALIGNED = 0.99  # cosine of the angle between two axes above which they are treated as one
+SAMPLES = 300  # points on a capsule's surface
 FINE = 20  # points per side of the grid on which volumes are compared
 GOOD = capsule_fit.Effort(2, 6, 40, 1e-5)
 DIRECTIONS = np.concatenate([capsule_fit.FIRST_DIRECTIONS, np.random.default_rng(0).normal(size=(60, 3))])
@@ -123,14 +124,14 @@ def volume_grid(capsules: list[Capsule], count: int) -> tuple[Points, float]:
 
 
 def excesses_m(triangles: Triangles, capsules: list[Capsule]) -> list[float]:
-    """Return the largest distance of each capsule's surface from a mesh, where it is in no other capsule [m]."""
+    """Return the largest distance from a mesh of each capsule's surface outside of the other capsules [m]."""
     surface = _Surface(triangles)
     away = [surface.distances_m(each)[bare] for each, bare in zip(capsules, _bare(capsules), strict=True)]
     return [float(each.max(initial=0.0)) for each in away]
 
 
 def _bare(capsules: list[Capsule]) -> Iterator[Bool[np.ndarray, "n"]]:
-    """Yield for each capsule which of its `surface_points` are in no other capsule."""
+    """Yield a mask for each capsule: True for those of its `surface_points` that are in no other capsule."""
     for k, capsule in enumerate(capsules):
         points = surface_points(capsule)
         depth = [each.depth(points) for each in capsules[:k] + capsules[k + 1 :]]
@@ -152,7 +153,7 @@ class _Surface:
     def areas(
         self, capsules: list[Capsule], tolerance_m: float
     ) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C"]]:
-        """Return each capsule's surface that is in no other capsule, and its part beyond the tolerance [m2]."""
+        """Return each capsule's area outside of the other capsules, and the part of it beyond the tolerance [m2]."""
         areas = np.array([2 * np.pi * r * (np.linalg.norm(q - p) + 2 * r) / SAMPLES for p, q, r in capsules])
         bare = np.stack(list(_bare(capsules)))
         far = bare & (np.stack([self.distances_m(each) for each in capsules]) > tolerance_m)
@@ -171,7 +172,7 @@ class _Surface:
 
 
 def surface_points(capsule: Capsule) -> Float[np.ndarray, "n 3"]:
-    """Return SAMPLES points on a capsule's surface, of equal areas: equal steps along the axis, as on a sphere."""
+    """Return SAMPLES points on a capsule's surface [m], each for an equal area, in equal steps along the axis."""
     along = capsule.q - capsule.p
     length = float(np.linalg.norm(along))
     axis = along / length if length > 0 else np.array([0.0, 0.0, 1.0])
@@ -190,9 +191,9 @@ def _fitted(piece: MeshPiece) -> MeshPiece:
 
 
 def _splits(piece: MeshPiece, more: int) -> Iterator[list[MeshPiece]]:
-    """Yield splits of a piece into up to `more` + 1 parts, each with a rough fit.
+    """Yield splits of a piece into up to `more` + 1 parts, each with a roughly fitted capsule.
 
-    Slabs normal to an axis, two slabs of which one is cut again, and the cells of a grid.
+    The parts are slabs normal to an axis, two slabs of which one is cut again, or the cells of a grid.
     """
     corners = np.unique(piece.triangles.reshape(-1, 3), axis=0)
     principal = [axis for axis in capsule_fit.principal(corners) if np.abs(axis).max() < ALIGNED]
@@ -217,7 +218,7 @@ def _splits(piece: MeshPiece, more: int) -> Iterator[list[MeshPiece]]:
 
 
 def _slabs(piece: MeshPiece, axis: Vector, shares: tuple[float, ...]) -> list[MeshPiece]:
-    """Return a piece cut at shares of its extent along an axis, without fits."""
+    """Cut a piece at shares of its extent along an axis; no capsules are fitted to the parts."""
     along = piece.triangles.reshape(-1, 3) @ axis
     slabs, rest = [], piece
     for share in shares:
@@ -234,10 +235,10 @@ def _rough_capsule(points: Points) -> Capsule:
 
 
 def _axes_about(points: Points) -> Iterator[tuple[Vector, Vector]]:
-    """Yield ends of capsules about points, along principal axes of their extremes, that of the least volume first.
+    """Yield the ends of capsules about points, along the principal axes of their extremes, the smallest capsule first.
 
-    About the middle of a circle that encloses the points seen along the axis, with a radius of WIDER times the
-    circle's; the ends are as close as the points allow.
+    The axis passes through the centre of a circle that encloses the points' projection along the axis. The radius is
+    one of WIDER times the circle's, and the ends are as close together as the points allow.
     """
     x = points[np.unique(np.argmax(points @ DIRECTIONS.T, axis=0))]
     axes = capsule_fit.principal(x)

@@ -1,9 +1,11 @@
-"""Reading of Collada meshes (.dae), which many ROS packages ship, by the extra `collada`.
+"""Reading of Collada meshes (.dae), which many ROS packages contain, with the extra `collada`.
 
-pycollada gets the bytes of a file, so it opens no other one, after a parser without entities has accepted them as XML.
-Instances are resolved here and counted, because a small file may repeat its nodes and triangles without bound.
+A parser without entities first checks that a file is XML. pycollada then gets the file's bytes, so that it cannot open
+other files. Instances are resolved here and counted, because a small file may repeat its nodes and triangles without
+bound.
 
-<unit> scales a mesh and <up_axis> is ignored, as in RViz and MoveIt, for which the authors of URDF files place meshes.
+<unit> scales a mesh, and <up_axis> is ignored: authors of URDF files place meshes for RViz and MoveIt, which do the
+same.
 """
 
 import importlib.util
@@ -20,14 +22,14 @@ from htcp_jax.io.robots.capsule_fit import Triangles
 from htcp_jax.model import arrays
 
 ENDING = ".dae"
-MOST_NODES, MOST_TRIANGLES = 100_000, 10_000_000  # with all instances
+MOST_NODES, MOST_TRIANGLES = 100_000, 10_000_000  # maximum numbers, with all instances
 
 
 def read_triangles(path: Path) -> Triangles:
     """Return the triangles of a Collada file's scene [m].
 
     Raises:
-        InputError: If the extra is missing, for a file that cannot be read completely, and for a skinned mesh.
+        InputError: If the extra is not installed, for a file that cannot be read completely, and for a skinned mesh.
     """
     if importlib.util.find_spec("collada") is None:
         raise InputError(f"""{path}: reading .dae needs the extra "collada": pip install 'htcp_jax[collada]'""")
@@ -39,7 +41,7 @@ def read_triangles(path: Path) -> Triangles:
     except Exception as error:  # a third-party parser on untrusted bytes: whatever it raises, the file is bad
         raise InputError(f"{path}: not a readable .dae file ({one_line(error)})") from None
     if not (np.abs(triangles) <= arrays.LARGEST_COORDINATE).all():
-        raise InputError(f"{path}: a vertex of the mesh is NaN, infinite or absurdly far away")
+        raise InputError(f"{path}: a vertex of the mesh is NaN, infinite or too far from the origin")
     return triangles
 
 
@@ -58,7 +60,7 @@ def _scene_triangles(data: bytes) -> Triangles:
     while stack:
         node, T = stack.pop()
         if isinstance(node, collada.scene.ControllerNode):
-            raise ValueError("a skinned mesh, which is not rigid")
+            raise ValueError("a skinned mesh is not rigid")
         if isinstance(node, collada.scene.GeometryNode):
             for part in map(_primitive_triangles, node.geometry.primitives):
                 parts.append(part @ T[:3, :3].T + T[:3, 3])
@@ -88,4 +90,4 @@ def _primitive_triangles(primitive) -> Triangles:
 
 
 def _refuse_doctype(*_) -> None:
-    raise ValueError("a document type (<!DOCTYPE) is not part of a mesh")
+    raise ValueError("a document type (<!DOCTYPE) is not allowed")

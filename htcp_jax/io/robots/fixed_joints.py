@@ -1,4 +1,4 @@
-"""Freezing of a model's joints at given values: their displacement becomes part of the body's pose in its parent."""
+"""Freezing of a model's joints at given values: the joint's motion is added to the body's pose in its parent."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,33 +15,34 @@ _UNITS = {_HINGE: "rad", _SLIDE: "m"}
 
 
 def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float], where: str = "") -> dict[int, float]:
-    """Freeze hinges and slides of a compiled model, which is modified.
+    """Freeze hinges and slides of a compiled model in place.
 
-    A joint that follows a frozen one, by <mimic> in a URDF, is frozen where it follows, unless it has a value itself.
+    A joint that follows a frozen joint, by <mimic> in a URDF or <equality> in MJCF, is frozen at the value that
+    follows, unless `values` contains it.
 
     Args:
-        model: The compiled model.
+        model: The compiled model, which is modified.
         path: Its file, for messages.
         values: Values by the names of the joints [rad or m].
-        where: Key with the values, for messages.
+        where: The job's key that contains the values, for messages.
 
     Returns:
         Values of the frozen joints, by their indices in the model [rad or m].
 
     Raises:
-        InputError: For an unknown joint, and a value beyond its limits.
+        InputError: For an unknown joint, and for a value beyond the joint's limits.
     """
     known = {joint_name(model, j): j for j in range(model.njnt) if model.jnt_type[j] in _UNITS}
     for name, value in values.items():
         if name not in known:
             valid = ", ".join(known) or "none"
-            raise InputError(f"{path}: {where}no hinge or slide {name!r} to fix; there are {valid}")
+            raise InputError(f"{path}: {where}no hinge or slide joint {name!r}; valid: {valid}")
         j = known[name]
         lower, upper = model.jnt_range[j]
         if model.jnt_limited[j] and not lower <= value <= upper:
             limits = f"{lower:g} to {upper:g} {_UNITS[int(model.jnt_type[j])]}"
-            raise InputError(f"{path}: {where}{name}={value:g} is beyond the limits of the joint, {limits}")
-    given = {known[name]: value for name, value in values.items()}
+            raise InputError(f"{path}: {where}{name}={value:g} is outside the joint's limits, {limits}")
+    given = {known[name]: float(value) for name, value in values.items()}
     fixed = {j: value for one in given for j, value in _followers(model, one, given[one])} | given
     for j in sorted(fixed):
         _fix(model, j, fixed[j])
@@ -49,13 +50,13 @@ def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float], w
 
 
 def followers(model: mujoco.MjModel) -> dict[int, int]:
-    """Return the joint that each follower follows, by their indices in the model."""
-    rows = np.flatnonzero(model.eq_type == _FOLLOWS)
+    """Return the joint that each following joint follows; keys and values are indices in the model."""
+    rows = np.flatnonzero((model.eq_type == _FOLLOWS) & (model.eq_active0 > 0))
     return {int(model.eq_obj1id[k]): int(model.eq_obj2id[k]) for k in rows if model.eq_obj2id[k] >= 0}
 
 
 def _followers(model: mujoco.MjModel, joint: int, value: float) -> Iterator[tuple[int, float]]:
-    """Yield the joints that follow a joint, and their values where it has the given value."""
+    """Yield the joints that follow a joint, with their values if that joint has the given value."""
     moved = value - model.qpos0[model.jnt_qposadr[joint]]
     for k in np.flatnonzero((model.eq_type == _FOLLOWS) & (model.eq_obj2id == joint)):
         follower = int(model.eq_obj1id[k])

@@ -1,11 +1,10 @@
-"""Vendor meshes of an imported arm, by the capsules that enclose them, and their contacts and distances by FCL.
+"""Vendor meshes of an imported arm by the capsules that enclose them; FCL computes their contacts and distances.
 
 J. Pan, S. Chitta, D. Manocha: FCL: A General Purpose Library for Collision and Proximity Queries. ICRA 2012.
 """
 
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
-from pathlib import Path
 from typing import NamedTuple
 
 import fcl
@@ -15,17 +14,18 @@ from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Triangles, clip
+from htcp_jax.io.robots.composed import read_model
 from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.model_file import NONE_LOCKED, Chain, chain_of_file, compile_spec, link_frames, no_log
-from htcp_jax.io.robots.safe_xml import read_spec
+from htcp_jax.io.robots.model_source import ModelSource, label_of
+from htcp_jax.io.robots.safe_xml import CUTS, MADE_FROM
 from htcp_jax.io.robots.vendor_import import ImportedArm, enclosed_triangles
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 
-MADE_FROM, CUTS = "made from", "cuts of "  # names of an arm's <text>s: the vendor's model; the cuts of a capsule
-VISUAL = " --visual"  # suffix of the first if the capsules enclose visual geometry
+VISUAL = " --visual"  # suffix of the text MADE_FROM if the capsules enclose visual geometry
 PROBE_M = 1e-9  # radius of the sphere that represents a point
-MOST_CONTACTS = 1000  # between two pieces; the deepest is used
+MOST_CONTACTS = 1000  # maximum number of contacts between two pieces; the deepest contact is used
 SAMPLES, NEAREST, STEPS = 200, 6, 60  # samples; nearest samples that start a search; steps of a search
 FIRST_STEP, LESS = 0.05, 0.94  # first step, as a share of a joint's range; ratio of successive steps
 FIRST = np.array([0])
@@ -53,7 +53,7 @@ class LinkMeshes:
     Args:
         model: The compiled model.
         chain: The arm's joints in the model.
-        held: Each capsule's body index in the model, and its piece or the capsule itself.
+        held: By the capsule's name: the index of its body in the model, and its piece of a mesh or the capsule itself.
     """
 
     def __init__(self, model: mujoco.MjModel, chain: Chain, held: Mapping[str, tuple[int, Triangles | Capsule]]):
@@ -64,7 +64,7 @@ class LinkMeshes:
 
     @classmethod
     def of(cls, arm: ImportedArm) -> "LinkMeshes":
-        """Build the meshes of a newly imported arm."""
+        """Return the meshes of a newly imported arm."""
         held = {}
         for body, cover in arm.covers.items():
             held |= {name: (body, capsule) for name, capsule in cover.own.items()}
@@ -72,26 +72,32 @@ class LinkMeshes:
         return cls(arm.model, arm.chain, held)
 
     @classmethod
-    def read(cls, arm: Path, locked: Mapping[str, float] = NONE_LOCKED) -> "LinkMeshes | None":
-        """Read the meshes to which an arm's file refers; None without a reference, or if that model is gone.
+    def read(cls, arm: ModelSource, locked: Mapping[str, float] = NONE_LOCKED) -> "LinkMeshes | None":
+        """Read the meshes to which an arm's file refers; None if there is no reference, or the vendor's model is gone.
 
         Args:
-            arm: The file.
+            arm: The arm's file, or the models that form a cell.
             locked: Values of joints that do not move, by their names [rad or m].
         """
+        path = label_of(arm)
         with no_log():
-            spec = read_spec(arm, contacts=True)
+            spec = read_model(arm)
         texts = {text.name: text.data for text in spec.texts}
-        source, visual, _ = texts.get(MADE_FROM, "").partition(VISUAL)
-        if not source or not (arm.parent / source).is_file():
+        triangles: dict[str, Triangles] | None = None
+        for name in [name for name in texts if name.endswith(MADE_FROM)]:
+            source, visual, _ = texts[name].partition(VISUAL)
+            if not source or not (path.parent / source).is_file():
+                continue
+            try:
+                own = enclosed_triangles(path.parent / source, bool(visual))
+            except InputError:  # its meshes are gone
+                continue
+            triangles = (triangles or {}) | {name.removesuffix(MADE_FROM) + body: each for body, each in own.items()}
+        if triangles is None:
             return None
         for each in list(spec.tuples):
             spec.delete(each)
-        model, held = compile_spec(spec, arm), {}
-        try:
-            triangles = enclosed_triangles(arm.parent / source, bool(visual))
-        except InputError:  # its meshes are gone
-            return None
+        model, held = compile_spec(spec, path), {}
         for geom in range(model.ngeom):
             name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
             cuts = texts.get(CUTS + name)
@@ -99,14 +105,14 @@ class LinkMeshes:
             for cut in _read_cuts(cuts or "") if piece is not None else ():
                 piece = clip(piece, cut)
             held[name] = body, _capsule_of_geom(model, geom) if piece is None or not len(piece) else piece
-        return cls(model, chain_of_file(model, arm, fix_joints(model, arm, locked)), held)
+        return cls(model, chain_of_file(model, path, fix_joints(model, path, locked)), held)
 
     def poses(self, x: Float[np.ndarray, "n N"], data: mujoco.MjData | None = None) -> Poses:
         """Return the bodies' poses at configurations x [rad or m].
 
         Args:
             x: The configurations.
-            data: Data of the model to work in: making them takes longer than a pose. None: new ones.
+            data: Data of the model to compute in, to save the time for making new data; None: new data are made.
         """
         model, data = self._model, data or mujoco.MjData(self._model)
         found = Poses(np.empty((len(x), model.nbody, 3, 3)), np.empty((len(x), model.nbody, 3)))
@@ -123,10 +129,10 @@ class LinkMeshes:
 
         Args:
             one: Name of a capsule.
-            other: Name of another one.
+            other: Name of another capsule.
             at: Poses of the bodies.
             rows: Rows of `at` to check; by default the first.
-            enough_m: The search ends at a deeper contact.
+            enough_m: Depth [m] from which on the search stops.
         """
         deepest = 0.0
         for k in rows:
@@ -138,14 +144,14 @@ class LinkMeshes:
         return deepest
 
     def touch(self, one: str, other: str, x: Float[np.ndarray, "n N"], at: Poses, rows: Int[np.ndarray, "m"]) -> bool:
-        """Return True if two capsules' pieces overlap by more than TOUCHING_M.
+        """Return True if two capsules' pieces are found to overlap by more than TOUCHING_M.
 
-        At some of the rows of x, or after a random local search that minimises their distance from the NEAREST rows:
-        contacts may be rarer than one in n.
+        The given rows of x are checked. Contacts may be rarer than one in n, so a random local search then minimises
+        the pieces' distance, starting from the NEAREST rows.
 
         Args:
             one: Name of a capsule.
-            other: Name of another one.
+            other: Name of another capsule.
             x: Configurations [rad or m].
             at: Poses of the bodies at x.
             rows: Rows of x to check.
@@ -174,7 +180,7 @@ class LinkMeshes:
         return apart if apart > 0 else -self.deepest_m(one, other, at, np.array([k]))
 
     def outside_m(self, name: str, robot: Robot, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> float:
-        """Return the distance of a point from the content of a robot's capsule [m].
+        """Return the distance of a point from the piece in a capsule, or from the capsule if it has no piece [m].
 
         Args:
             name: Name of the capsule.
@@ -201,7 +207,7 @@ class LinkMeshes:
 class MeshesInFile(NamedTuple):
     """`LinkMeshes` of an arm's file, read on first use."""
 
-    file: Path
+    file: ModelSource
     locked: tuple[tuple[str, float], ...] = ()  # joints that do not move, and their values [rad or m]
 
     def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
@@ -209,7 +215,7 @@ class MeshesInFile(NamedTuple):
 
         Args:
             first: Name of a capsule.
-            second: Name of another one.
+            second: Name of another capsule.
             x: Configuration [rad or m].
         """
         meshes = _read_meshes(self.file, self.locked)
@@ -233,12 +239,12 @@ class MeshesInFile(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def _read_meshes(file: Path, locked: tuple[tuple[str, float], ...]) -> LinkMeshes | None:
+def _read_meshes(file: ModelSource, locked: tuple[tuple[str, float], ...]) -> LinkMeshes | None:
     return LinkMeshes.read(file, dict(locked))
 
 
 def cuts_text(cuts: Iterable[Cut]) -> str:
-    """Return cuts as text, in the format of an arm's file."""
+    """Format cuts as text, as in an arm's file."""
     return "; ".join(" ".join(f"{number:.15g}" for number in (*cut.normal, cut.offset)) for cut in cuts)
 
 

@@ -8,15 +8,16 @@ from pathlib import Path
 import jax
 
 from htcp_jax.io.robots.link_meshes import MeshesInFile
-from htcp_jax.io.robots.model_file import NONE_LOCKED, PART, no_log, read_robot_file
-from htcp_jax.io.robots.safe_xml import read_spec
+from htcp_jax.io.robots.model_file import FEWEST_JOINTS, NONE_LOCKED, no_log, read_robot_file
+from htcp_jax.io.robots.model_source import ROBOT, ComposedModel
+from htcp_jax.io.robots.safe_xml import PART, read_spec
 from htcp_jax.model import Robot, Tool, robot
 from htcp_jax.model import tool as tools
 from htcp_jax.types import Triple
 
 
 def load_robot(
-    path: str | Path = robot.GP50,
+    path: str | Path | ComposedModel = robot.GP50,
     *,
     tcp_site: str = "tcp",
     limits: str = "model",
@@ -24,42 +25,51 @@ def load_robot(
     base_rpy_rad: Triple = tools.ZERO,
     tool: Tool | None = None,
     locked: Mapping[str, float] = NONE_LOCKED,
+    fewest_joints: int = FEWEST_JOINTS,
 ) -> Robot:
-    """Read the serial chain to the TCP out of an MJCF or URDF file, through MuJoCo.
+    """Read the serial chain to the TCP from an MJCF or URDF file, which MuJoCo compiles.
 
-    It begins at the world, or at the link that the file names as the part's, see `model_file`.
+    The chain begins at the world, or at the link that the file names as the part's link, see `model_file`.
 
     Args:
-        path: The file. Its capsule and sphere geoms become capsules, on any body; all others are listed in
-            `ignored_geoms`. Mesh files are never opened.
-        tcp_site: The site, or else the body, whose frame is the TCP. By default "tcp"; without one, the only site of
-            the model, or the outermost link of a URDF, which has no sites.
-        limits: "model" (the joint ranges of the file, infinite if it has none), "simulation" (+-pi on hinges, slides as
-            in the file) or "datasheet" (the <numeric> entries "datasheet_lower" and "datasheet_upper" of the file, one
-            value per joint). Joint speeds and accelerations are its <numeric> "speed" and "acceleration", in a URDF its
-            joints' <limit>; efforts are the joints' actuatorfrcrange, or `effort`.
+        path: The file, or the models that form a cell. Capsule and sphere geoms on any body become capsules; all other
+            geoms are listed in `ignored_geoms`. Mesh files are never opened.
+        tcp_site: Name of the site, or else of the body, whose frame is the TCP. If the default "tcp" does not exist,
+            the TCP is the model's only site, or a URDF's outermost link.
+        limits: Joint limits. "model": the file's joint ranges, infinite where it has none. "simulation": +-pi for
+            hinges, and the file's ranges for slides. "datasheet": the file's <numeric> "datasheet_lower" and
+            "datasheet_upper", one value per joint. Speeds and accelerations are always the file's <numeric> "speed" and
+            "acceleration", or a URDF's <limit>; efforts are `actuatorfrcrange`, or a URDF's `effort`.
         base_m: Position of the model's own frame in the world.
-        base_rpy_rad: Its orientation: rotated about world x, then y, then z.
-        tool: Mounted on the frame `tcp_site`, which is then the flange.
-        locked: Values of joints that do not move, by their names [rad or m]; they are no joints of the robot.
+        base_rpy_rad: Orientation of the model's own frame: rotations about world x, then y, then z.
+        tool: Tool to mount on the frame `tcp_site`, which is then the flange.
+        locked: Values [rad or m], by joint name, of joints that do not move; they are not joints of the robot.
+        fewest_joints: Minimum number of joints. Planning requires three; use fewer to load a positioner or a rail.
 
     Raises:
-        InputError: For a file that cannot be read, an unknown joint or a value beyond its limits in `locked`, fewer
-            than three joints, ball or free joints, joints off the chain, no TCP, no capsules, a radius that is not
-            positive, a number that is not finite, a profile that the model does not have, a body of the tool with the
-            name of a body in the model, and, if the part moves, for more than nine joints and a base that is moved.
+        InputError: For a file that cannot be read, an unknown joint or a value beyond its limits in `locked`, too few
+            joints, ball or free joints, joints off the chain, a missing TCP, a model without capsules, a radius that is
+            not positive, a number that is not finite, a profile of limits that the model lacks, and a body of the tool
+            with the name of a body in the model; if the part moves, also for more than nine joints and a moved base.
     """
-    fields = read_robot_file(Path(path), tcp_site, limits, tools.pose(base_m, base_rpy_rad), tool, locked)
-    meshes = MeshesInFile(Path(path).resolve(), tuple(locked.items())) if fields.facts["listed"] else None
+    source = path if isinstance(path, ComposedModel) else Path(path)
+    base = tools.pose(base_m, base_rpy_rad)
+    fields = read_robot_file(source, tcp_site, limits, base, tool, locked, fewest_joints)
+    has_list = fields.facts["listed"] or fields.facts["listed_together"]
+    file = source if isinstance(source, ComposedModel) else source.resolve()
+    meshes = MeshesInFile(file, tuple(locked.items())) if has_list else None
     return Robot(**jax.device_put(fields.arrays), **fields.facts, pieces=jax.device_put(fields.pieces()), meshes=meshes)
 
 
-def part_moves(path: Path) -> bool:
-    """Return True if the part moves: the model file names a link other than the world as the part's.
+def part_moves(path: Path | ComposedModel) -> bool:
+    """Return True if the part moves: the model file or the job names a link other than the world as the part's link.
 
     Raises:
         InputError: For a file that cannot be read.
     """
+    if isinstance(path, ComposedModel):
+        own = next(each.file for each in path.models if each.key == ROBOT)
+        return part_moves(own) if path.part is None else path.part != robot.WORLD.name
     try:
         found = os.stat(path)
     except OSError:

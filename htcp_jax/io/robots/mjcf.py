@@ -8,12 +8,13 @@ import mujoco
 import numpy as np
 
 from htcp_jax.io.robots.capsule_fit import Capsule
-from htcp_jax.io.robots.link_meshes import CUTS, MADE_FROM, VISUAL, cuts_text
-from htcp_jax.io.robots.model_file import EXCLUDED, LIST, PART, excluded_bodies
+from htcp_jax.io.robots.link_meshes import VISUAL, cuts_text
+from htcp_jax.io.robots.model_file import EXCLUDED, excluded_bodies
+from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, PART
 from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS, vertices_text
 from htcp_jax.io.robots.vendor_import import BodyCover, ImportedArm, body_name
 
-Listed = tuple[str, str, str, float]  # names of two capsules, the rule, and the share of configurations
+Listed = tuple[str, str, str, float]  # an `Exclusion`, with the capsules' names
 
 HEAD = """
   {what} of capsules, made by htcp {command} from {source}. Metres, radians.
@@ -46,8 +47,8 @@ def arm_xml(
     Args:
         arm: The imported arm.
         source: Path of the model, relative to the file.
-        listed: Pairs of capsules that are not checked, of bodies that neither the model nor an SRDF excludes; None:
-            determined when the file is read.
+        listed: Pairs of capsules that are not checked, in addition to the bodies that the model or an SRDF excludes.
+            None: the pairs are determined whenever the file is read.
     """
     model = arm.model
     frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""
@@ -82,7 +83,7 @@ def arm_xml(
 
 
 def fixed_text(arm: ImportedArm) -> tuple[str, ...]:
-    """Format the joints with a given value: ("torso=0.2", ...)."""
+    """Format the joints that are frozen at given values: ("torso=0.2", ...)."""
     return tuple(f"{name}={value:.6g}" for name, value in arm.fixed.items())
 
 
@@ -115,7 +116,7 @@ def _add_pieces(custom: Element, arm: ImportedArm) -> None:
 
 
 def _add_list(custom: Element, arm: ImportedArm, source: str, listed: Sequence[Listed]) -> None:
-    """Add the pairs, and the source of the meshes that were used to find them."""
+    """Add the list of excluded pairs, and the source of the meshes with which the pairs were determined."""
     custom.append(_comment(LIST_HEAD))
     SubElement(custom, "text", name=LIST, data=f"{len(listed)} pairs are not checked")
     for number, (one, other, rule, share) in enumerate(listed, 1):

@@ -1,11 +1,11 @@
 """Reading of a robot's model file, on the host: MuJoCo compiles it, and the chain to the TCP is extracted.
 
-The chain's root is the world. If the file names another link as the part's, by <text name="link of the part">, the root
-is that link: the chain leads from it up to the first body that also carries the TCP, through reversed joints, and down
-to the TCP. The axis of a reversed joint is negated, so that the two bodies are in the same pose relative to each other
-at the same position: name, limits, zero and sign stay the user's.
+The chain's root is the world, unless the file names a link as the part's link by <text name="link of the part">. The
+chain then begins at that link, leads up to the first common ancestor with the TCP through reversed joints, and down to
+the TCP. The axis of a reversed joint is negated: the same joint value then gives the same relative pose of its two
+bodies, so that the joint keeps its name, limits, zero and sign.
 
-Every error in a file is an InputError, one line that starts with its path. `loading` makes the Robot.
+Every error in a file is an InputError with one line that starts with the file's path. `loading` makes the Robot.
 """
 
 import itertools
@@ -21,9 +21,11 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule
+from htcp_jax.io.robots.composed import read_model
 from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.frames import frame, joint_name, shifted_frame, turned_frame
-from htcp_jax.io.robots.safe_xml import read_spec, unreadable_model
+from htcp_jax.io.robots.model_source import ModelSource, label_of
+from htcp_jax.io.robots.safe_xml import LIST, PART, unreadable_model
 from htcp_jax.io.robots.stored_pieces import StoredPiece, pieces_of, read_pieces
 from htcp_jax.model import BodyPieces, Tool, robot
 from htcp_jax.model import arrays as coordinates
@@ -33,28 +35,35 @@ _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLI
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _DESCRIBED_ELSEWHERE = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF
 FEWEST_JOINTS = 3
-MOST_JOINTS = 9  # of a chain from a part that moves
-# Names of the <text> before an arm's list, and of a pair's <tuple>.
-LIST, EXCLUDED = "self_collision", "excluded {}, rule {}"
+MOST_JOINTS = 9  # maximum number of joints if the part moves
+NUMBERS = {  # names of an arm's arrays, for messages
+    "T_parent_joint": "the pose of a joint",
+    "axis": "the axis of a joint",
+    "T_link_tcp": "the pose of the TCP",
+    "capsule_p": "an end of a capsule",
+    "capsule_q": "an end of a capsule",
+    "capsule_radius": "the radius of a capsule",
+    "on_tool": "an end of a capsule on the tool",
+}
+EXCLUDED = "excluded {}, rule {}"  # name of the <tuple> for a pair in an arm's list of exclusions
 NONE_LOCKED: Mapping[str, float] = {}
-PART = "link of the part"  # name of the <text> with the name of the part's link
 
 
 class RobotFields(NamedTuple):
-    """Fields of a Robot by name: its arrays, and the others."""
+    """Content of a model file as fields of a Robot."""
 
-    arrays: dict[str, np.ndarray]
-    facts: dict[str, Any]
-    stored: dict[str, StoredPiece]  # by the capsules' names
-    held: dict[str, tuple[Capsule, np.ndarray]]  # see `pieces_of`
+    arrays: dict[str, np.ndarray]  # fields that are arrays, by name
+    facts: dict[str, Any]  # other fields, by name
+    stored: dict[str, StoredPiece]  # convex pieces by the capsules' names
+    held: dict[str, tuple[Capsule, np.ndarray]]  # capsules with their bodies' poses, see `pieces_of`
 
     def pieces(self) -> BodyPieces | None:
-        """Return the capsules' convex pieces; making them takes longer than reading the file."""
+        """Compute the capsules' convex pieces, which takes longer than reading the file."""
         return pieces_of(self.stored, self.held) if self.stored else None
 
 
 class _Capsule(NamedTuple):
-    """A capsule geom: its body and link (-1: world), with ends in the frame of the link."""
+    """A capsule geom: its body and its link (-1: the chain's root), with ends in the link's frame [m]."""
 
     name: str
     body: int
@@ -65,54 +74,66 @@ class _Capsule(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """The joints from the part's link to the TCP, in order, by their indices in the model."""
+    """The chain of joints from the part's link to the TCP, in order, by their indices in the model."""
 
     root: int  # the body that carries the part; 0: the world
     joints: tuple[int, ...]
-    reversed: tuple[bool, ...]  # True: the joint is passed from its body to that body's parent
+    reversed: tuple[bool, ...]  # True: the chain leads from the joint's body to that body's parent
 
     def without(self, fixed: Collection[int]) -> "Chain":
-        """Return the chain without the joints that are fixed, given by their indices in the model."""
+        """Return the chain without the joints `fixed`, given by their indices in the model."""
         pairs = [pair for pair in zip(self.joints, self.reversed, strict=True) if pair[0] not in fixed]
         return self._replace(joints=tuple(j for j, _ in pairs), reversed=tuple(back for _, back in pairs))
 
 
 class _Pair(NamedTuple):
-    """A <tuple> in an arm's list."""
+    """A <tuple> in an arm's list of excluded pairs."""
 
     name: str
     capsules: tuple[str, ...]
     share: float
 
 
+class _Lists(NamedTuple):
+    """The excluded pairs in a file's list, or in the lists of the models that form a cell."""
+
+    pairs: list[_Pair]
+    is_complete: bool  # True for a single file with a list
+    models: tuple[frozenset[str], ...]  # for each model of a cell with a list, the names of its capsules
+
+
 def read_robot_file(
-    path: Path,
+    source: ModelSource,
     tcp_site: str,
     limits: str,
     T_world_base: np.ndarray,
     tool: Tool | None,
     locked: Mapping[str, float] = NONE_LOCKED,
+    fewest: int = FEWEST_JOINTS,
 ) -> RobotFields:
     """Read the serial chain from the world, or from the part's link, to the TCP.
 
     Args:
-        path: See `loading.load_robot`, as for `tcp_site`, `limits` and `tool`.
-        tcp_site: Site or body of the TCP.
-        limits: Profile of the joint limits.
+        source: The file, or the models that form the cell.
+        tcp_site: Name of the TCP's site or body, see `loading.load_robot`.
+        limits: Profile of the joint limits, see `loading.load_robot`.
         T_world_base: Pose of the model's own frame in the world (4, 4) [m]; the identity if the part moves.
-        tool: Mounted on the TCP's frame; None: none.
-        locked: Values of joints that do not move, by their names [rad or m].
+        tool: Tool to mount on the TCP's frame; None for no tool.
+        locked: Values [rad or m], by joint name, of joints that do not move.
+        fewest: Minimum number of joints.
 
     Raises:
         InputError: See `loading.load_robot`.
     """
-    model, geom_types, pairs, stored = _compile_model(path)
+    path = label_of(source)
+    model, geom_types, lists, stored = _compile_model(source)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
-    chain = _whole_chain(model, path, tcp_body, fix_joints(model, path, locked, "robot.locked: "))
+    next_step = "freeze them with robot.locked" if path != source else _next_step(path)
+    chain = _whole_chain(model, path, tcp_body, fix_joints(model, path, locked, "robot.locked: "), next_step)
     if chain.root and (T_world_base != np.eye(4)).any():
-        raise InputError(f"{path}: robot.base_m and base_rpy_rad must be 0: the part moves, and the model is the cell")
+        raise InputError(f"{path}: the part moves, so robot.base_m and base_rpy_rad must be 0")
     joints = list(chain.joints)
-    joint_names = check_joints(model, path, joints, chain)
+    joint_names = check_joints(model, path, joints, chain, fewest=fewest)
     lower, upper = (limit[joints] for limit in _joint_limits(model, path, limits))
     T_parent_joint, frames = link_frames(model, T_world_base, chain)
     capsules = [_capsule_geom(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
@@ -135,19 +156,20 @@ def read_robot_file(
     }
     for name, numbers in arrays.items():
         if not np.isfinite(numbers).all():
-            raise InputError(f"{path}: a number of the model is not finite ({name})")
+            raise InputError(f"{path}: {NUMBERS[name]} is not finite; correct the model")
         if (largest := np.abs(numbers).max(initial=0.0)) > coordinates.LARGEST_COORDINATE:
             raise InputError(
-                f"{path}: a number of the model is {largest:g} ({name}); at most {coordinates.LARGEST_COORDINATE:g} m"
+                f"{path}: {NUMBERS[name]} is {largest:g} m; at most {coordinates.LARGEST_COORDINATE:g} m are possible; "
+                "check the model's units and mesh scale"
             )
     arrays |= {"lower": lower, "upper": upper, "effort": _effort(model)[joints]}
     for name in ("speed", "acceleration"):
         arrays[name] = joint_numbers(model, path, name, default=math.inf)[joints]
         if not (arrays[name] > 0).all():
             raise InputError(f"{path}: numeric {name!r} must be positive")
-    exclusions = [*_excluded(model, capsules), *_listed_pairs(path, pairs or (), capsules)]
-    widest = [limit[joints] for limit in _joint_limits(model, path, "model")]  # the list was sampled within these
-    listed = pairs is not None and bool((lower >= widest[0]).all() and (upper <= widest[1]).all())
+    exclusions = [*_excluded(model, capsules), *_listed_pairs(path, lists.pairs, capsules)]
+    widest = [limit[joints] for limit in _joint_limits(model, path, "model")]  # the lists were sampled within these
+    valid = bool((lower >= widest[0]).all() and (upper <= widest[1]).all())
     facts = {
         "name": model.names.partition(b"\0")[0].decode(errors="replace") or path.stem,
         "joint_names": joint_names,
@@ -155,8 +177,11 @@ def read_robot_file(
         "capsule_names": tuple(capsule.name for capsule in capsules),
         "capsule_link": tuple(capsule.link for capsule in capsules),
         "ignored_geoms": tuple(_geom_name(model, g) for g in range(model.ngeom) if not _is_round(model, g)),
-        "exclusions": tuple(each for each in exclusions if listed or each.rule == "a"),
-        "listed": listed,
+        "exclusions": tuple(each for each in exclusions if valid or each.rule == "a"),
+        "listed": lists.is_complete and valid,
+        "listed_together": tuple(
+            tuple(k for k, capsule in enumerate(capsules) if capsule.name in names) for names in lists.models if valid
+        ),
         "mounted": tuple(range(len(capsules) - len(mounted), len(capsules))),
         "frames": _named_frames(model, frames, moving=True),
         "base_frames": _named_frames(model, frames, moving=False),
@@ -169,32 +194,34 @@ def read_robot_file(
 # The file
 
 
-def _compile_model(path: Path) -> tuple[mujoco.MjModel, str, list[_Pair] | None, dict[str, StoredPiece]]:
-    """Return the model, the geom types of the file, the pairs in its list, None if it has no list, and its pieces."""
+def _compile_model(source: ModelSource) -> tuple[mujoco.MjModel, str, _Lists, dict[str, StoredPiece]]:
+    """Return the compiled model, the types of its geoms in the file, its lists of excluded pairs, and its pieces."""
+    path = label_of(source)
     with no_log():
-        spec = read_spec(path, contacts=True)
+        spec = read_model(source)
     geom_types = sorted({_type_name(geom) for geom in spec.geoms})
     _check_radii(spec, path)
     _forget_shapes(spec)
     pairs = [_Pair(each.name, tuple(each.objname), float(each.objprm[0])) for each in spec.tuples if len(each.objname)]
     has_list = any(text.name == LIST for text in spec.texts)
-    if pairs and not has_list:
+    models = tuple(frozenset(text.data.split("\n")) for text in spec.texts if text.name.startswith(f"{LIST} of "))
+    if pairs and not has_list and source == path:
         raise InputError(f"{path}: tuple {pairs[0].name!r} has no effect without <text name={LIST!r}>")
     for each in list(spec.tuples):
         spec.delete(each)
     stored = read_pieces(spec, path)
-    return compile_spec(spec, path), ", ".join(geom_types), pairs if has_list else None, stored
+    return compile_spec(spec, path), ", ".join(geom_types), _Lists(pairs, has_list, models), stored
 
 
 def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """Compile a model whose shapes need no file.
+    """Compile a model whose shapes refer to no files.
 
     Raises:
-        InputError: For models that MuJoCo refuses and for a descending range.
+        InputError: For a model that MuJoCo refuses, and for a descending joint range.
     """
     _check_ranges(spec, path)
-    spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
-    # Kinematics needs no masses; MuJoCo insists on them.
+    spec.compiler.fusestatic = False  # keep the fixed links of a URDF, as the TCP may be one of them
+    # Kinematics needs no masses, but MuJoCo requires them.
     spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
     spec.compiler.balanceinertia = True
     try:
@@ -216,7 +243,7 @@ def no_log() -> Iterator[None]:
 
 
 def _next_step(path: Path) -> str:
-    return f"an arm of capsules is made of it by: htcp robot {path} --out arm.xml"
+    return f"convert it to an arm of capsules: htcp robot {path} --out arm.xml"
 
 
 def _type_name(geom: mujoco.MjsGeom) -> str:
@@ -233,16 +260,18 @@ def _check_radii(spec: mujoco.MjSpec, path: Path) -> None:
 
 
 def _check_ranges(spec: mujoco.MjSpec, path: Path) -> None:
-    """Check that ranges ascend; MuJoCo itself treats a descending or nan range as no limit.
+    """Check that joint ranges ascend, as MuJoCo itself treats a descending or nan range as no limit.
 
     Raises:
-        InputError: For the first range that does not.
+        InputError: For the first range that does not ascend.
     """
     for joint in spec.joints:
         lower, upper = joint.range
         requested = joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE and (lower, upper) != (0, 0)
         if requested and not lower < upper:
-            raise InputError(f"{path}: joint {joint.name!r} has range {lower:g} to {upper:g}; it must ascend")
+            raise InputError(
+                f"{path}: joint {joint.name!r} has range {lower:g} to {upper:g}; the lower limit must come first"
+            )
 
 
 def _forget_shapes(spec: mujoco.MjSpec) -> None:
@@ -261,10 +290,10 @@ def joint_numbers(model: mujoco.MjModel, path: Path, name: str, default: float) 
         model: The compiled model.
         path: Its file, for messages.
         name: Name of the <numeric>.
-        default: Value of every joint if the file has no such <numeric>, in its unit.
+        default: Value for every joint if the file has no such <numeric>.
 
     Raises:
-        InputError: For another number of values.
+        InputError: If the number of values is not the number of joints.
     """
     at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if at < 0:
@@ -291,7 +320,7 @@ def upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
 
 
 def _outermost_body(model: mujoco.MjModel) -> int:
-    """Return the last of the bodies with the most joints between them and the world."""
+    """Return the body with the most joints between it and the world; the last one of several."""
     depths = [sum(model.body_jntnum[list(upwards(model, body))]) for body in range(model.nbody)]
     return max(range(model.nbody), key=lambda body: (depths[body], body))
 
@@ -312,7 +341,7 @@ def _find_tcp(model: mujoco.MjModel, path: Path, name: str) -> tuple[int, np.nda
     sites = ", ".join(model.site(i).name or "(unnamed)" for i in range(model.nsite)) or "none"
     bodies = ", ".join(model.body(i).name or "(unnamed)" for i in range(1, model.nbody)) or "none"
     known = f"sites of the model: {sites}; bodies: {bodies}"
-    step = f"; name one in the job (robot.tcp), or by: htcp robot {path} --tcp NAME --out arm.xml"
+    step = f"; set robot.tcp in the job, or run: htcp robot {path} --tcp NAME --out arm.xml"
     raise InputError(f"{path}: no site or body {name!r} for the TCP; {known}{step if name == 'tcp' else ''}")
 
 
@@ -331,10 +360,10 @@ def part_body(model: mujoco.MjModel, path: Path) -> int:
 
 
 def find_link(model: mujoco.MjModel, path: Path, name: str, bodies: Sequence[int], what: str) -> int:
-    """Return the body of a name among `bodies`, by its index in the model; the world is called world.
+    """Return the index of the body with a name, among `bodies`; the name of body 0 is world.
 
     Raises:
-        InputError: For an unknown name; `what` names its source.
+        InputError: For an unknown name; `what` describes the name in the message.
     """
     known = {model.body(b).name: b for b in bodies if model.body(b).name}
     if name not in known:
@@ -343,7 +372,7 @@ def find_link(model: mujoco.MjModel, path: Path, name: str, bodies: Sequence[int
 
 
 def chain_between(model: mujoco.MjModel, root: int, tcp_body: int) -> Chain:
-    """Return the chain between two bodies: the first one's joints up to their common ancestor, then those down."""
+    """Return the chain between two bodies: the joints from `root` up to their common ancestor, then down to the TCP."""
     up, down = list(upwards(model, root)), list(upwards(model, tcp_body))
     joints = [_joints_of(model, body)[::-1] for body in up if body not in down]
     count = sum(map(len, joints))
@@ -353,10 +382,10 @@ def chain_between(model: mujoco.MjModel, root: int, tcp_body: int) -> Chain:
 
 
 def chain_of_file(model: mujoco.MjModel, path: Path, fixed: Collection[int] = ()) -> Chain:
-    """Return the chain of an arm's or a cell's file, for which every joint that is not fixed is on it.
+    """Return the chain of an arm's or a cell's file: all joints that are not fixed are on the chain.
 
     Raises:
-        InputError: For an unknown link of the part.
+        InputError: If the file names an unknown link as the part's link.
     """
     root = part_body(model, path)
     up = [j for body in upwards(model, root) for j in reversed(_joints_of(model, body))]
@@ -364,14 +393,14 @@ def chain_of_file(model: mujoco.MjModel, path: Path, fixed: Collection[int] = ()
     return Chain(root, (*up, *down), (*(True for _ in up), *(False for _ in down))).without(fixed)
 
 
-def joints_in_file(path: Path, locked: Sequence[str] = ()) -> tuple[int, ...]:
-    """Return the indices of the file's joints, in the order of the file, among those of the robot and then the locked.
+def joints_in_file(source: ModelSource, locked: Sequence[str] = ()) -> tuple[int, ...]:
+    """Return, for each joint in the file's order, its index in the list of the robot's joints and then `locked`.
 
     Raises:
         InputError: For a file that cannot be read.
     """
-    model = _compile_model(path)[0]
-    names = [joint_name(model, j) for j in chain_of_file(model, path).joints]
+    model = _compile_model(source)[0]
+    names = [joint_name(model, j) for j in chain_of_file(model, label_of(source)).joints]
     order = [*(name for name in names if name not in locked), *locked]
     return tuple(order.index(joint_name(model, j)) for j in range(model.njnt))
 
@@ -381,13 +410,17 @@ def _joints_of(model: mujoco.MjModel, body: int) -> range:
     return range(first, first + int(model.body_jntnum[body]))
 
 
-def _whole_chain(model: mujoco.MjModel, path: Path, tcp_body: int, fixed: Collection[int]) -> Chain:
-    """Return the chain to the TCP; its joints must be all joints of the model that are not fixed."""
+def _whole_chain(model: mujoco.MjModel, path: Path, tcp_body: int, fixed: Collection[int], next_step: str) -> Chain:
+    """Return the chain to the TCP; raise InputError unless it contains all joints of the model that are not fixed."""
     chain = chain_between(model, part_body(model, path), tcp_body).without(fixed)
+    if chain.root and not chain.joints:
+        part, carrier = (model.body(body).name for body in (chain.root, tcp_body))
+        where = f"both are on {part!r}" if chain.root == tcp_body else f"it is on {carrier!r}"
+        raise InputError(f"{path}: no joint between the part's link {part!r} and the TCP: {where}")
     stray = [joint_name(model, j) for j in range(model.njnt) if j not in (*chain.joints, *fixed)]
     if stray:
         off = f"joints off the chain from {_root_name(model, chain)} to the TCP: {', '.join(stray)}"
-        raise InputError(f"{path}: {off}; {_next_step(path)}")
+        raise InputError(f"{path}: {off}; {next_step}")
     return chain
 
 
@@ -396,32 +429,37 @@ def _root_name(model: mujoco.MjModel, chain: Chain) -> str:
 
 
 def check_joints(
-    model: mujoco.MjModel, path: Path, joints: Sequence[int], chain: Chain, hint: str = ""
+    model: mujoco.MjModel,
+    path: Path,
+    joints: Sequence[int],
+    chain: Chain,
+    hint: str = "",
+    fewest: int = FEWEST_JOINTS,
 ) -> tuple[str, ...]:
-    """Return the names of joints on a chain, given by their indices in the model.
+    """Check the joints on a chain, given by their indices in the model, and return their names.
 
     Raises:
-        InputError: For ball and free joints, with the hint for fewer than FEWEST_JOINTS, and, if the part moves, for
-            more than MOST_JOINTS.
+        InputError: For ball and free joints, for too few joints (with the hint), and, if the part moves, for more than
+            MOST_JOINTS joints.
     """
     odd = [joint_name(model, j) for j in joints if model.jnt_type[j] not in (_HINGE, _SLIDE)]
     if odd:
-        raise InputError(f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints can be used")
+        raise InputError(f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints are supported")
     found = f"{path}: {len(joints) or 'no'} joints from {_root_name(model, chain)} to the TCP"
-    if len(joints) < FEWEST_JOINTS:
-        raise InputError(f"{found}; at least {FEWEST_JOINTS} are needed{hint}")
+    if len(joints) < fewest:
+        raise InputError(f"{found}; at least {fewest} {'are' if fewest > 1 else 'is'} needed{hint}")
     if chain.root and len(joints) > MOST_JOINTS:
-        raise InputError(f"{found}; at most {MOST_JOINTS} can be used: freeze some by --fix JOINT=VALUE")
+        raise InputError(f"{found}; at most {MOST_JOINTS} are supported: freeze some with --fix or robot.locked")
     return tuple(joint_name(model, j) for j in joints)
 
 
 def link_frames(
     model: mujoco.MjModel, T_world_base: np.ndarray, chain: Chain
 ) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
-    """Return T_parent_joint (N, 4, 4), and for each body its link (-1: the chain's root) with T_link_body.
+    """Return T_parent_joint (N, 4, 4) [m], and for each body its link (-1: the chain's root) and T_link_body.
 
-    Both account for joint anchors, and for qpos0, the joint values at which MuJoCo draws the model. Joints that are not
-    on the chain stay at qpos0.
+    Both account for joint anchors, and for qpos0, the joint values of the model's initial configuration. Joints that
+    are not on the chain stay at qpos0.
 
     Args:
         model: The compiled model.
@@ -456,7 +494,7 @@ def link_frames(
 
 
 def _drawn_back(model: mujoco.MjModel, j: int) -> np.ndarray:
-    """Return the motion of a joint from where the model is drawn to its zero."""
+    """Return the motion of a joint from its value in the initial configuration, qpos0, to its zero (4, 4)."""
     axis, drawn_at = model.jnt_axis[j], model.qpos0[j]
     return turned_frame(axis, -drawn_at) if model.jnt_type[j] == _HINGE else shifted_frame(-drawn_at * axis)
 
@@ -470,7 +508,7 @@ def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.n
         sides = [joint_numbers(model, path, f"datasheet_{side}", default=math.nan) for side in ("lower", "upper")]
         profiles["datasheet"] = np.stack(sides, axis=1)
     if profile not in profiles:
-        raise InputError(f"{path}: no joint limits {profile!r}; the model has {', '.join(profiles)}")
+        raise InputError(f"{path}: it has no joint limits {profile!r} for robot.limits; valid: {', '.join(profiles)}")
     lower, upper = profiles[profile].T
     if not (lower < upper).all():
         raise InputError(f"{path}: joint limits {profile!r} must be lower < upper for every joint")
@@ -480,7 +518,10 @@ def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.n
 def _named_frames(
     model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]], moving: bool
 ) -> tuple[robot.ArmFrame, ...]:
-    """Return the sites, then bodies, that move, or those that do not; the first of two with the same name."""
+    """Return the frames of sites, then bodies: those on moving links if `moving`, else those fixed to the root.
+
+    Of two frames with the same name the first is returned.
+    """
     bodies = [(model.body(body).name, *frames[body]) for body in range(1, model.nbody)]
     sites = []
     for site in range(model.nsite):
@@ -533,7 +574,7 @@ def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[robot
 
 
 def _listed_pairs(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Iterator[robot.Exclusion]:
-    """Yield the pairs in the arm's own list.
+    """Yield the excluded pairs in the arm's own list.
 
     Raises:
         InputError: For an invalid pair.
@@ -543,14 +584,14 @@ def _listed_pairs(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) 
         rule = re.fullmatch(EXCLUDED.format(r"\S+", "([abc])"), name)
         if rule is None:
             raise InputError(
-                f"{path}: tuple {name!r} must be called {EXCLUDED.format('NUMBER', 'a')!r}, or rule b or c"
+                f"{path}: the tuple {name!r} must be named {EXCLUDED.format('NUMBER', 'a')!r}, or rule b or c"
             )
         if len(pair) != 2:
-            raise InputError(f"{path}: {name!r} has {len(pair)} capsules; a pair has 2")
+            raise InputError(f"{path}: {name!r} has {len(pair)} capsules; it must have 2")
         if unknown := [each for each in pair if each not in numbers]:
-            raise InputError(f"{path}: {name!r} names {unknown[0]!r}; the capsules are {', '.join(numbers)}")
+            raise InputError(f"{path}: {name!r}: no capsule {unknown[0]!r}; valid: {', '.join(numbers)}")
         if pair[0] == pair[1]:
-            raise InputError(f"{path}: {name!r} pairs {pair[0]!r} with itself; a pair has two capsules")
+            raise InputError(f"{path}: {name!r} pairs {pair[0]!r} with itself; name two different capsules")
         yield _exclusion(capsules, *(numbers[each] for each in pair), rule[1], share)
 
 
@@ -564,21 +605,22 @@ def _mounted(
     """Return a tool's bodies as capsules on the flange.
 
     Raises:
-        InputError: For the name of a capsule in the model.
+        InputError: For a body with the name of a capsule in the model.
     """
     R, t = T_link_flange[:3, :3], T_link_flange[:3, 3]
     for body in tool.bodies:
         if body.name in {capsule.name for capsule in others}:
-            raise InputError(f"tool: a capsule of {path} is called {body.name!r} already")
+            raise InputError(f"tool: {path} already has a capsule {body.name!r}; choose another name for the body")
     return [
         _Capsule(body.name, tcp_body, link, R @ body.p_m + t, R @ body.q_m + t, body.radius_m) for body in tool.bodies
     ]
 
 
 def _on_tcp_body(model: mujoco.MjModel, tcp_body: int, capsules: list[_Capsule], chain: Chain) -> list[_Capsule]:
-    """Return the capsules of the TCP's body and its descendants on the last link; without any, those of that link.
+    """Return the capsules to lengthen with the tool: those of the TCP's body and its descendants, on the last link.
 
-    If the part moves, the last link may be the world, which is not lengthened with the tool.
+    If there are none, all capsules on the last link are returned; none if the part moves, as the last link may be the
+    workshop.
     """
     last = [capsule for capsule in capsules if capsule.link == model.njnt - 1]
     tool = [capsule for capsule in last if capsule.body == tcp_body or tcp_body in upwards(model, capsule.body)]
@@ -586,7 +628,7 @@ def _on_tcp_body(model: mujoco.MjModel, tcp_body: int, capsules: list[_Capsule],
 
 
 def _ends_on_tool(capsules: list[_Capsule], tool: list[_Capsule]) -> np.ndarray:
-    """Return 1 for each capsule end that moves when the tool is lengthened, else 0, (K, 2)."""
+    """Return 1 for each end of the K capsules that moves when the tool is lengthened, else 0 (K, 2)."""
     moves = np.array([[any(capsule is part for part in tool)] * 2 for capsule in capsules], float)
     for k, capsule in enumerate(capsules):
         if tool and capsule is tool[0]:

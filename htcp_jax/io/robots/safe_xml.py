@@ -1,10 +1,10 @@
 """Sanitising of a robot's model file before MuJoCo reads it.
 
-MuJoCo opens every file that a model names: included models, meshes, textures, height fields, plugins. Here a file is
-read as plain XML without a document type, so without entities; includes are replaced by files from the model's own
-folder; and elements that do not affect the poses of links and capsules are removed. The resulting text names no files
-except meshes: those of a URDF, and those of an MJCF file that is read with its meshes. The caller removes them before
-MuJoCo would open them.
+MuJoCo opens every file that a model names: included models, meshes, textures, height fields, plugins. This module reads
+a file as plain XML without a document type, and therefore without entities. It replaces includes by the content of
+files from the model's own folder, and removes elements that do not affect the poses of links and capsules. The
+resulting text names no files except meshes: those of a URDF, and those of an MJCF file if requested. The caller removes
+these before MuJoCo opens them.
 """
 
 import math
@@ -22,7 +22,7 @@ from htcp_jax.io.files import opened
 
 LARGEST_FILE = 10 * 2**20  # [bytes]
 MOST_ELEMENTS, DEEPEST = 50_000, 200
-LARGEST_NUMERIC = 1000  # values of a <numeric>
+LARGEST_NUMERIC = 1000  # maximum number of values in a <numeric>
 
 # MJCF elements without effect on kinematics: tendons, actuators, visual and dynamic properties, and so on.
 LEFT_OUT = {
@@ -31,24 +31,26 @@ LEFT_OUT = {
     "visual",
 }  # fmt: skip
 MESHES = "asset", "mesh"  # kept if meshes are requested
-CONTACTS = "contact", "text", "tuple"  # kept with excluded pairs, an arm's own list, and the link of the part
-# Names of the texts and tuples in that list, of the convex pieces, and of the link of the part.
+CONTACTS = "contact", "text", "tuple"  # excluded pairs, an arm's own list, and the part's link; kept if requested
+# Names of an arm's own texts: its list, the part's link, the vendor's model, a capsule's cuts.
+LIST, PART, MADE_FROM, CUTS = "self_collision", "link of the part", "made from", "cuts of "
+# Names of the texts and tuples in the list, of the convex pieces, and of the part's link.
 OWN = re.compile(r"self_collision|link of the part|made from|cuts of .*|piece of .*|excluded .*")
-ONLY = {"asset": ("mesh",), "contact": ("exclude",)}  # children to keep in some kept elements
-WORLD = "world"  # MuJoCo's own body, which a URDF's link without a parent may stand for
+ONLY = {"asset": ("mesh",), "contact": ("exclude",), "equality": ("joint",)}  # children to keep in some kept elements
+WORLD = "world"  # MuJoCo's own body 0; a URDF's root link may have this name
 # Elements that generate bodies and joints.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
 
 
 class _Builder(ElementTree.TreeBuilder):
-    """A builder that refuses document types, which define entities, and too many or too deep elements."""
+    """A tree builder that refuses document types, which define entities, and too many or too deeply nested elements."""
 
     def __init__(self, path: Path):
         super().__init__()
         self._path, self._elements, self._depth = path, 0, 0
 
     def doctype(self, *_) -> None:
-        raise InputError(f"{self._path}: a document type (<!DOCTYPE) is not part of a model")
+        raise InputError(f"{self._path}: a document type (<!DOCTYPE) is not allowed in a model")
 
     def start(self, tag, attributes):
         self._elements += 1
@@ -64,14 +66,17 @@ class _Builder(ElementTree.TreeBuilder):
         return super().end(tag)
 
 
-def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False) -> mujoco.MjSpec:
-    """Read an MJCF or URDF file as an MjSpec, not compiled yet.
+def read_spec(
+    path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False, equalities: bool = False
+) -> mujoco.MjSpec:
+    """Read an MJCF or URDF file as an MjSpec, without compiling it.
 
     Args:
         path: The file.
         meshes: Keep the names of an MJCF file's meshes; a URDF's are always kept.
         visual: Keep a URDF's visual geometry.
-        contacts: Keep an MJCF file's contact exclusions, and the list in an arm by `htcp robot`.
+        contacts: Keep an MJCF file's contact exclusions, and the list of pairs that `htcp robot` writes.
+        equalities: Keep an MJCF file's joint equalities; a URDF's mimic joints are always kept.
 
     Raises:
         InputError: For a file that cannot be read or is too large, for an included file outside its folder, for a xacro
@@ -83,7 +88,7 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
     _rename_world(root)
     _refuse_repeated_names(root, path)
     if root.tag == "mujoco":
-        kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ())}
+        kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ()), *(("equality",) if equalities else ())}
         _leave_out(root, path, LEFT_OUT - kept)
     limits = _urdf_limits(root, path) if root.tag == "robot" else {}
     if visual and root.tag == "robot":
@@ -112,7 +117,7 @@ def model_files(path: Path) -> set[Path]:
 
 
 def refuse_xacro(root: ElementTree.Element, path: Path, ending: str = ".urdf") -> None:
-    """Refuse a file that xacro has not expanded yet; an expanded one may still declare the prefix.
+    """Refuse a file that xacro has not expanded; an expanded file may still declare the prefix xacro.
 
     Args:
         root: Root of the file.
@@ -120,17 +125,18 @@ def refuse_xacro(root: ElementTree.Element, path: Path, ending: str = ".urdf") -
         ending: Ending of the expanded file, for the message.
 
     Raises:
-        InputError: With the command that expands it.
+        InputError: For such a file, with the command that expands it.
     """
     if path.suffix.lower() == ".xacro" or any(each.tag.startswith("xacro:") for each in root.iter()):
         made = next(f"{stem}{ending}" for stem in ("arm", "expanded") if path.name != f"{stem}{ending}")
-        raise InputError(f"{path}: a xacro file; first expand it: xacro {shlex.quote(str(path))} > {made}")
+        without = f"without ROS: pip install xacrodoc; xacrodoc {shlex.quote(str(path))} --pkg-dir FOLDER -o {made}"
+        raise InputError(f"{path}: a xacro file; expand it first: xacro {shlex.quote(str(path))} > {made} ({without})")
 
 
 def _rename_world(root: ElementTree.Element) -> None:
-    """Rename a link or body called world, except a URDF's root, which MuJoCo merges with its own world.
+    """Rename links and bodies called world, except a URDF's root, which MuJoCo merges with its own world.
 
-    Repeated empty links of this name are removed: the macros of a robot and of its stand often state one each.
+    Repeated empty links of this name are removed: the macros of a robot and of its stand often define one each.
     """
     worlds = [each for each in root.findall("link") if each.get("name") == WORLD]
     for link in [each for each in worlds if not len(each)][: len(worlds) - 1]:
@@ -150,21 +156,21 @@ def _rename_world(root: ElementTree.Element) -> None:
 
 
 def _refuse_repeated_names(root: ElementTree.Element, path: Path) -> None:
-    """Refuse a URDF with repeated names of links or of moving joints; MuJoCo names those of an MJCF file itself.
+    """Refuse a URDF with repeated names of links or of moving joints; MuJoCo itself refuses such an MJCF file.
 
     Raises:
-        InputError: With the names.
+        InputError: For repeated names, which the message lists.
     """
     moving = [each for each in root.findall("joint") if each.get("type") != "fixed"]
     counts = Counter((each.tag, each.get("name", "")) for each in [*root.findall("link"), *moving])
     if repeated := [f"{kind} {name!r}" for (kind, name), count in counts.items() if count > 1]:
-        raise InputError(f"{path}: repeated names: {', '.join(repeated)}; each link and joint needs a name of its own")
+        raise InputError(f"{path}: repeated names: {', '.join(repeated)}; the names of links and joints must be unique")
 
 
 def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, float]]:
-    """Return the joint limits of a URDF that MuJoCo does not read, by the name of the <numeric> and the joint.
+    """Return the joint limits of a URDF that MuJoCo does not read, by the name of the <numeric> and the joint's name.
 
-    inf if missing or 0.
+    A limit that is missing or 0 is inf.
 
     Raises:
         InputError: For a descending range.
@@ -182,18 +188,20 @@ def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, f
 
 
 def _check_range(joint: ElementTree.Element, path: Path) -> None:
-    """Check that a range ascends; MuJoCo treats a descending one as no limit.
+    """Check that a joint's range ascends, as MuJoCo treats a descending range as no limit.
 
     Raises:
-        InputError: If it does not.
+        InputError: For a descending range.
     """
     lower, upper = _limit_number(joint, "lower", path), _limit_number(joint, "upper", path)
     if not lower < upper and (lower, upper) != (0, 0):
-        raise InputError(f"{path}: joint {joint.get('name')!r} has range {lower:g} to {upper:g}; it must ascend")
+        raise InputError(
+            f"{path}: joint {joint.get('name')!r} has range {lower:g} to {upper:g}; the lower limit must come first"
+        )
 
 
 def _limit_number(joint: ElementTree.Element, name: str, path: Path) -> float:
-    """Return a number in a joint's <limit>; 0 if missing, as URDF defines."""
+    """Return a number in a joint's <limit>; 0 if it is missing, as in the definition of URDF."""
     limit = joint.find("limit")
     text = "0" if limit is None else limit.get(name, "0")
     try:
@@ -203,8 +211,8 @@ def _limit_number(joint: ElementTree.Element, name: str, path: Path) -> float:
 
 
 def unreadable_model(path: Path, error: Exception) -> InputError:
-    """Return an error with the message by MuJoCo in one line."""
-    reason = re.sub(r",? line \d+$", "", " ".join(str(error).split()))  # of our text, not of the file
+    """Return an InputError with MuJoCo's message in one line."""
+    reason = re.sub(r",? line \d+$", "", " ".join(str(error).split()))  # a line of the sanitised text, not of the file
     return InputError(f"{path}: not a model that MuJoCo can read: {reason}")
 
 
@@ -231,7 +239,7 @@ def parse(path: Path, kind: str = "a model that MuJoCo can read") -> ElementTree
 
 
 def _parsed(text: bytes, builder: _Builder) -> ElementTree.Element:
-    """Parse a text without namespaces: models use undeclared prefixes."""
+    """Parse a text without resolving namespaces, as models use undeclared prefixes."""
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = builder.doctype
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
@@ -241,7 +249,7 @@ def _parsed(text: bytes, builder: _Builder) -> ElementTree.Element:
 
 
 def _put_includes_in_place(root: ElementTree.Element, path: Path, seen: set[Path]) -> None:
-    """Replace every <include file="..."/> by the children of that file's root; file names are relative to `path`."""
+    """Replace every <include file="..."/> by the children of the file's root; names are relative to `path`'s folder."""
     for parent in list(root.iter()):
         for include in [child for child in parent if child.tag == "include"]:
             file = _included(include, path)
@@ -263,7 +271,7 @@ def _included(include: ElementTree.Element, path: Path) -> Path:
     except (OSError, ValueError, RuntimeError):  # an invalid name, links in a circle
         raise InputError(f"{path}: cannot include {name!r}") from None
     if not name or not file.is_relative_to(folder):
-        raise InputError(f"{path}: cannot include {name!r}: it leads out of the model's folder")
+        raise InputError(f"{path}: cannot include {name!r}: it is outside the model's folder")
     return file
 
 
@@ -271,7 +279,7 @@ def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> Non
     for parent in list(root.iter()):
         for child in list(parent):
             if child.tag in REFUSED:
-                raise InputError(f"{path}: <{child.tag}> is not read; write the bodies out")
+                raise InputError(f"{path}: <{child.tag}> is not supported; write its bodies out")
             if child.tag in unwanted or child.tag not in ONLY.get(parent.tag, (child.tag,)):
                 parent.remove(child)
             elif child.tag in ("text", "tuple") and not OWN.fullmatch(child.get("name", "")):
@@ -279,4 +287,4 @@ def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> Non
         parent.attrib.pop("material", None)
     for numeric in root.iter("numeric"):
         if not numeric.get("size", "0").strip().isdigit() or int(numeric.get("size", "0")) > LARGEST_NUMERIC:
-            raise InputError(f"{path}: numeric {numeric.get('name')!r} has a size over {LARGEST_NUMERIC:,}")
+            raise InputError(f"{path}: numeric {numeric.get('name')!r} must have a size of at most {LARGEST_NUMERIC:,}")

@@ -1,4 +1,4 @@
-"""Shapes of the bodies in a robot's model file, as triangles or capsules in the frames of these bodies.
+"""Shapes of the bodies in a robot's model file, as triangles or capsules in the bodies' frames.
 
 Meshes are read here, not by MuJoCo, which would transform them into their principal frames. Capsules and other
 primitives that the model fits to a mesh are fitted by MuJoCo.
@@ -20,30 +20,30 @@ from htcp_jax.io.robots.capsule_fit import Capsule, Triangles
 from htcp_jax.io.robots.frames import frame
 
 ENDINGS = ".stl", ".obj", ".ply"
-SIDES = 48  # of the prism about a cylinder
+SIDES = 48  # number of sides of the prism about a cylinder
 
 _Kind = mujoco.mjtGeom
 _Vertices = Float[np.ndarray, "V 3"]
 
 
 class MeshAsset(NamedTuple):
-    """A mesh of a model file, not read yet."""
+    """A mesh in a model file, before its own file is read; the fields are MJCF's attributes of a mesh."""
 
-    file: str  # as the model names it; "" if its corners are in the model
+    file: str  # name in the model; "" if the model contains the corners
     scale: Float[np.ndarray, "3"]
     refpos: Float[np.ndarray, "3"]  # [m]
     refquat: Float[np.ndarray, "4"]
-    corners: _Vertices  # [m], of a mesh without a file
+    corners: _Vertices  # corners of a mesh without a file [m]
     faces: Int[np.ndarray, "F 3"]
     inertia: mujoco.mjtMeshInertia
 
 
 class Geom(NamedTuple):
-    """A geom of a model file, without pose and size, which are known when the model is compiled."""
+    """A geom in a model file, without pose and size, which are available from the compiled model."""
 
     at: int  # index in the model
     kind: str  # box, capsule, ...
-    mesh: str  # the mesh that it is, or is fitted to; "" for neither
+    mesh: str  # name of the geom's mesh, or of the mesh to which the geom is fitted; "" if there is none
     fitscale: float
     touches: bool  # True for a collision geom, False for a visual one
 
@@ -74,7 +74,7 @@ class Shapes:
 
     @property
     def geoms(self) -> list[Geom]:
-        """All geoms; available once `spec` is compiled."""
+        """All geoms; their indices are valid once `spec` is compiled."""
         return [taken._replace(at=int(geom.id)) for geom, taken in self._taken]
 
     def shape(self, geom: Geom, model: mujoco.MjModel) -> Shape:
@@ -98,10 +98,10 @@ class Shapes:
         return Shape(name, geom.kind, _moved_triangles(T, _SOLIDS[geom.kind](size)), None)
 
     def file(self, geom: Geom) -> Path | None:
-        """Return the file of a geom's mesh; None without one.
+        """Return the file of a geom's mesh; None if the geom has no mesh, or the model contains the mesh.
 
         Raises:
-            InputError: If it does not exist.
+            InputError: If the file does not exist.
         """
         name = self._meshes[geom.mesh].file if geom.mesh else ""
         return _find(name, self._path, self._folders) if name else None
@@ -114,7 +114,7 @@ class Shapes:
             is_collada = file.suffix.lower() == collada_mesh.ENDING
             if not is_collada and file.suffix.lower() not in ENDINGS:
                 raise InputError(
-                    f"{file}: no mesh that is read; save it as {' or '.join(ENDINGS)} and name that in {self._path}"
+                    f"{file}: unsupported mesh format; save it as {' or '.join(ENDINGS)} and name that in {self._path}"
                 )
             triangles = collada_mesh.read_triangles(file) if is_collada else load_geometry(file).triangles
         else:
@@ -141,7 +141,7 @@ class Shapes:
         try:
             model = spec.compile()
         except ValueError as error:
-            raise InputError(f"{self._path}: no {geom.kind} fitted to mesh {geom.mesh!r}: {error}") from None
+            raise InputError(f"{self._path}: cannot fit a {geom.kind} to mesh {geom.mesh!r}: {error}") from None
         return frame(model.geom_pos[0], model.geom_quat[0]), model.geom_size[0]
 
 
@@ -162,17 +162,18 @@ def _taken(geom: mujoco.MjsGeom) -> Geom:
 def _find(name: str, path: Path, folders: list[str]) -> Path:
     """Find a mesh file of the model at `path`.
 
-    Next to the model, in one of its folders, or in a ROS package, searched from the model's folder upwards.
+    It is searched next to the model, in the model's mesh folders, and for a ROS package from the model's folder
+    upwards.
 
     Raises:
-        InputError: If it does not exist.
+        InputError: If the file does not exist.
     """
     scheme, _, rest = name.rpartition("://")
     home = path.resolve().parent
     if scheme == "package":
         package, _, inner = rest.partition("/")
         places = [folder / part for folder in (home, *home.parents) for part in (rest, inner)]
-        missing = f"no package {package!r} with {inner} in {home} or above it"
+        missing = f"no package {package!r} with {inner} in {home} or above it; put it into one of these folders"
     else:
         places = [home / folder / rest for folder in folders] + [home / folders[0] / Path(rest).name]
         missing = f"no such file in {home / folders[0]}"

@@ -8,30 +8,33 @@ from htcp_jax.io.robots.safe_xml import parse, refuse_xacro
 
 
 def disabled_pairs(path: Path, robot: str, bodies: Collection[str]) -> list[tuple[str, str]]:
-    """Return the pairs of the <disable_collisions>.
+    """Return the pairs of links in an SRDF file's <disable_collisions> elements.
 
     Args:
         path: The SRDF file.
         robot: Name of the robot.
-        bodies: Names of its links.
+        bodies: Names of the robot's links.
 
     Raises:
-        InputError: For a file that cannot be read, for the SRDF of another robot, for a pair with a link that the model
-            lacks, and if there are no pairs.
+        InputError: For a file that cannot be read, for the SRDF file of another robot, for a pair with a link that the
+            model lacks, and for a file without pairs.
     """
     root = parse(path, "an SRDF file")
     refuse_xacro(root, path, ".srdf")
     if root.tag != "robot":
-        raise InputError(f"{path}: the root is <{root.tag}>; an SRDF has <robot>")
+        raise InputError(f"{path}: the root is <{root.tag}>; in an SRDF file it must be <robot>")
     if (name := root.get("name", "")) != robot:
         raise InputError(
-            f"{path}: an SRDF of {name!r}; the model is {robot!r}; if they are one robot, write <robot name={robot!r}>"
+            f"{path}: the SRDF is for {name!r}, the model is {robot!r}; if both are the same robot, write <robot "
+            f"name={robot!r}> in the SRDF"
         )
     pairs = [(each.get("link1", ""), each.get("link2", "")) for each in root.iter("disable_collisions")]
     if not pairs:
-        raise InputError(f"{path}: it has no <disable_collisions>; the links are {', '.join(sorted(bodies))}")
+        raise InputError(
+            f"{path}: <disable_collisions> is missing; the links of the model: {', '.join(sorted(bodies))}"
+        )
     for pair in pairs:
         if lost := [link for link in pair if link not in bodies]:
             named = " and ".join(pair)
-            raise InputError(f"{path}: {named}: the model has no link {lost[0]}; it has {', '.join(sorted(bodies))}")
+            raise InputError(f"{path}: {named}: the model has no link {lost[0]}; valid: {', '.join(sorted(bodies))}")
     return [pair for pair in pairs if pair[0] != pair[1]]

@@ -1,7 +1,8 @@
 """Convex pieces of the meshes in an arm's capsules, as the arm's file stores them.
 
-A capsule is fitted to a part of a mesh. Its piece is the convex hull of that part, with few vertices, thickened by what
-these miss. The hull lies within the capsule; thickened, it may extend beyond it by its radius.
+A capsule is fitted to a part of a mesh. Its piece is the convex hull of some of the part's points, thickened by a
+radius so that it contains all points. The hull lies within the capsule; the thickened hull may extend beyond the
+capsule by the radius.
 """
 
 from collections.abc import Mapping
@@ -20,10 +21,10 @@ from htcp_jax.model import BodyPieces, convex_piece
 # Names of an arm's <text> with a capsule's vertices, and of its <numeric>s [m].
 PIECE, RADIUS, EXCESS, FITTED = "piece of ", "radius of ", "excess of ", "capsule of "
 MOST_VERTICES = 96
-ENOUGH_M = 1e-4  # vertices are added until the hull misses less
-DIGITS = 6  # of a vertex and a radius [m]
-SLACK_M = 1e-6  # by which a vertex may be outside of its capsule, for its rounding
-MOST_READ = 1000  # vertices of a piece in a file
+ENOUGH_M = 1e-4  # vertices are added until all points are within this distance of the hull
+DIGITS = 6  # decimals of a vertex and a radius [m]
+SLACK_M = 1e-6  # distance by which a vertex may be outside of its capsule, due to rounding
+MOST_READ = 1000  # maximum number of vertices of a piece in a file
 
 
 Vertices = Float[np.ndarray, "V 3"]
@@ -34,7 +35,7 @@ class StoredPiece(NamedTuple):
 
     vertices: Vertices  # [m]
     radius: float  # [m]
-    capsule: Capsule | None = None  # that was fitted, in the same frame; None: any that holds the hull
+    capsule: Capsule | None = None  # the fitted capsule, in the same frame; None: any capsule that contains the hull
 
     def missed_m(self, points: Points) -> float:
         """Return the largest distance of the points from the piece [m]; 0 if all are inside."""
@@ -44,8 +45,8 @@ class StoredPiece(NamedTuple):
     def excess_m(self, capsule: Capsule) -> float:
         """Return the largest distance of a capsule's surface from the piece [m], exactly.
 
-        In a direction n the capsule reaches max(n @ p, n @ q) + r, and the hull max(n @ v); the largest difference is r
-        and the larger signed distance of p and q from the hull.
+        In a direction n, the capsule's support function is max(n @ p, n @ q) + r, and the hull's is max(n @ v). The
+        largest difference is r plus the larger of the signed distances of p and q from the hull.
         """
         ends = np.stack([capsule.p, capsule.q])
         signed = [
@@ -58,7 +59,7 @@ class StoredPiece(NamedTuple):
 def reduced_piece(points: Points) -> StoredPiece:
     """Return the convex hull of points [m] with at most MOST_VERTICES, and the radius that encloses all points.
 
-    From the extremes in FIRST_DIRECTIONS, the point farthest outside of the hull so far is added.
+    The hull begins with the extreme points in FIRST_DIRECTIONS; the point farthest outside is then added repeatedly.
     """
     x = hull_corners(points)
     rounded = np.unique(x.round(DIGITS), axis=0)
@@ -73,7 +74,7 @@ def reduced_piece(points: Points) -> StoredPiece:
 
 
 def vertices_text(piece: StoredPiece) -> str:
-    """Return the vertices as text, in the format of an arm's file."""
+    """Format a piece's vertices as text, as in an arm's file."""
     return "; ".join(" ".join(f"{number + 0.0:.9g}" for number in vertex) for vertex in piece.vertices)
 
 
@@ -81,7 +82,7 @@ def read_pieces(spec: mujoco.MjSpec, path: Path) -> dict[str, StoredPiece]:
     """Return the pieces in an arm's file by the names of their capsules.
 
     Args:
-        spec: The file, not compiled yet.
+        spec: The file as an MjSpec.
         path: The file, for messages.
 
     Raises:
@@ -113,13 +114,14 @@ def _read_piece(name: str, data: str, radius: float | None, path: Path) -> Store
 def pieces_of(
     stored: Mapping[str, StoredPiece], capsules: Mapping[str, tuple[Capsule, Float[np.ndarray, "4 4"]]]
 ) -> BodyPieces | None:
-    """Return the pieces of an arm's capsules in the frames of their links; None if none has one.
+    """Return the pieces of an arm's capsules in the frames of their links; None if no capsule has a piece.
 
-    A capsule that was changed by hand has none: it may stand for more than its mesh.
+    The piece of a capsule that was changed by hand is ignored, as the capsule may represent more than its mesh.
 
     Args:
         stored: The pieces in the arm's file, by the names of their capsules.
-        capsules: The arm's capsules in the frames of their links [m], and their bodies' poses there, by name.
+        capsules: By name, the arm's capsules, and the poses of the capsules' bodies, both in the frames of their links
+            [m].
     """
     pieces, excess = [], []
     for name, (capsule, T_link_body) in capsules.items():
@@ -136,14 +138,14 @@ def pieces_of(
 
 
 def _moved(piece: StoredPiece, T: Float[np.ndarray, "4 4"]) -> StoredPiece:
-    """Return a piece in another frame."""
+    """Return a piece transformed by T [m]."""
     R, t, fitted = T[:3, :3].T, T[:3, 3], piece.capsule
     fitted = fitted and Capsule(fitted.p @ R + t, fitted.q @ R + t, fitted.radius)
     return StoredPiece(piece.vertices @ R + t, piece.radius, fitted)
 
 
 def _holds(capsule: Capsule, piece: StoredPiece) -> bool:
-    """Return True if a capsule holds a piece, and is the one that was fitted, if that is known."""
+    """Return True if a capsule contains a piece's hull, and is the capsule that was fitted, if that is known."""
     if capsule.depth(piece.vertices).min() < -SLACK_M:
         return False
     if (fitted := piece.capsule) is None:
@@ -154,7 +156,7 @@ def _holds(capsule: Capsule, piece: StoredPiece) -> bool:
 
 
 def _heights(points: Points, vertices: Vertices) -> Float[np.ndarray, "P"]:
-    """Return the largest height of each point over the planes of a hull [m]: of one inside, minus its depth."""
+    """Return each point's largest signed distance from the planes of a hull [m]; minus its depth for a point inside."""
     try:
         faces = scipy.spatial.ConvexHull(vertices).equations
         return np.max(points @ faces[:, :3].T + faces[:, 3], axis=1)
@@ -166,7 +168,8 @@ def _heights(points: Points, vertices: Vertices) -> Float[np.ndarray, "P"]:
 def _distance(point: Float[np.ndarray, "3"], vertices: Points) -> float:
     """Return the distance of a point from a convex hull [m].
 
-    The shares with the least |sum(share * away)|^2 + (sum(share) - 1)^2 are those of the nearest point, up to a factor.
+    Non-negative least squares of |sum(share * away)|^2 + (sum(share) - 1)^2 gives the shares of the vertices in the
+    nearest point, up to a factor.
     """
     away = vertices - point
     size = max(float(np.abs(away).max()), TINY)

@@ -1,4 +1,4 @@
-"""Selection of the frame of a model that is its TCP, or of candidates if that is ambiguous or a poor choice."""
+"""Selection of the frame of a model that is its TCP; if it is ambiguous or a poor choice, of candidates."""
 
 import re
 import warnings
@@ -16,8 +16,8 @@ from htcp_jax.io.robots.frames import frame, joint_name
 from htcp_jax.io.robots.model_file import FEWEST_JOINTS, upwards
 
 SURE = "tcp", "tool0"  # names of the TCP or the flange that take precedence
-MOST_NAMED = 12  # candidates
-# Names of a gripper's joints and of the bodies that they move. A wrist often moves a body called "gripper".
+MOST_NAMED = 12  # maximum number of candidates in a message
+# Names of a gripper's joints and of the bodies that they move. "gripper" is missing: a wrist often moves such a body.
 JAW_JOINT = re.compile("finger|jaw|gripper|knuckle|thumb", re.IGNORECASE)
 JAW_BODY = re.compile("finger|jaw|knuckle|thumb", re.IGNORECASE)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -34,7 +34,8 @@ class Tip(NamedTuple):
 def find_tip(model: mujoco.MjModel, path: Path, name: str | None, bodies: Sequence[int]) -> Tip:
     """Return the frame of the TCP.
 
-    The site or body `name`. Without a name: `tcp` or `tool0`, or the only site, or the only outermost body.
+    It is the site or body `name`. Without a name it is `tcp` or `tool0`, else the only site, else the only outermost
+    body.
 
     Args:
         model: The compiled model.
@@ -43,12 +44,12 @@ def find_tip(model: mujoco.MjModel, path: Path, name: str | None, bodies: Sequen
         bodies: Indices of the bodies to search.
 
     Raises:
-        InputError: With the valid names, for an unknown name, and if the TCP is ambiguous.
+        InputError: For an unknown name, and if the TCP is ambiguous; the message lists the valid names.
     """
     tips = _tips(model, bodies)
     if name is not None:
         if name not in tips:
-            raise InputError(f"{path}: no site or body {name!r} for the TCP; there are {', '.join(tips) or 'none'}")
+            raise InputError(f"{path}: no site or body {name!r} for the TCP; valid: {', '.join(tips) or 'none'}")
         return tips[name]
     sites = [k for k in range(model.nsite) if model.site_bodyid[k] in bodies]
     outermost = _outermost(model, bodies)
@@ -59,12 +60,12 @@ def find_tip(model: mujoco.MjModel, path: Path, name: str | None, bodies: Sequen
         sure = [Tip(model.body(outermost[0]).name, outermost[0], np.eye(4))]
     if not sure:
         candidates = ", ".join(_tcp_candidates(model, bodies, outermost))
-        raise InputError(f"{path}: it is not clear where the TCP is: {candidates}; name it by --tcp NAME")
+        raise InputError(f"{path}: the TCP is ambiguous: {candidates}; choose it with --tcp NAME")
     return sure[0]
 
 
 def _tips(model: mujoco.MjModel, bodies: Sequence[int]) -> dict[str, Tip]:
-    """Return all named frames; a site takes precedence over a body with its name."""
+    """Return all named frames, by name; a site takes precedence over a body with the same name."""
     tips = [Tip(model.body(b).name, b, np.eye(4)) for b in bodies if b > 0]
     tips += [_site(model, k) for k in range(model.nsite) if model.site_bodyid[k] in bodies]
     return {tip.name: tip for tip in tips if tip.name}
@@ -82,14 +83,18 @@ def _joints_to(model: mujoco.MjModel, body: int) -> frozenset[int]:
 
 
 def _outermost(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
-    """Return the leaves among the bodies with the most joints between them and the world."""
+    """Return the bodies with the most joints between them and the world, without ancestors of other such bodies."""
     depth = {b: len(_joints_to(model, b)) for b in bodies}
     far = [b for b in bodies if depth[b] == max(depth.values())]
     return [b for b in far if not any(b in list(upwards(model, other))[1:] for other in far)]
 
 
 def _tcp_candidates(model: mujoco.MjModel, bodies: Sequence[int], outermost: list[int]) -> list[str]:
-    """Return the names of sites, and of bodies that move with every joint shared by all outermost bodies."""
+    """Return the names of candidates for the TCP.
+
+    They are all sites, and the bodies that are moved by every joint that moves all outermost bodies. If these are too
+    many or there is no such joint, only the outermost bodies are used.
+    """
     shared = frozenset.intersection(*(_joints_to(model, b) for b in outermost))
     near = [b for b in bodies if b > 0 and shared <= _joints_to(model, b)]
     if not shared or len(near) > MOST_NAMED:
@@ -99,7 +104,7 @@ def _tcp_candidates(model: mujoco.MjModel, bodies: Sequence[int], outermost: lis
 
 
 def other_frames(model: mujoco.MjModel, bodies: Sequence[int], tip: Tip) -> str:
-    """Return a hint at `--tcp` for a TCP with too few joints: frames with enough; empty if there are none.
+    """Return a hint for the message about a TCP with too few joints: frames with enough joints for `--tcp`, or "".
 
     Args:
         model: The compiled model.
@@ -140,7 +145,10 @@ def warn_of_jaw(model: mujoco.MjModel, path: Path, tip: Tip, joints: Sequence[in
 
 
 def _moves_jaw(model: mujoco.MjModel, joint: int) -> bool:
-    """Return True for a gripper's joint: by its name, or if another one follows it or slides on the same body."""
+    """Return True for a gripper's joint.
+
+    It has a gripper's name, or another joint follows it or slides on the same body.
+    """
     body, pairs = int(model.jnt_bodyid[joint]), followers(model)
     named = JAW_JOINT.search(model.joint(joint).name) or JAW_BODY.search(model.body(body).name)
     slides = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == _SLIDE}

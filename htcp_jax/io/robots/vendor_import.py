@@ -1,9 +1,10 @@
-"""Import of a vendor's URDF or MJCF as an arm of capsules, or as a cell in which the part moves.
+"""Import of a vendor's URDF or MJCF file as an arm of capsules, or as a cell in which the part moves.
 
-The joints of the chain to the TCP move, all others are frozen, and capsules enclose the shapes of each body. The chain
-begins at the world, or at the link that carries the part.
+The joints on the chain to the TCP move, and all other joints are frozen. Capsules enclose the shapes of each body. The
+chain begins at the world, or at the link that carries the part.
 """
 
+import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -23,9 +24,11 @@ from htcp_jax.io.robots.capsule_fit import (
     cover_with_capsules,
     hull_volume,
 )
-from htcp_jax.io.robots.fixed_joints import fix_joints
+from htcp_jax.io.robots.composed import PER_JOINT
+from htcp_jax.io.robots.fixed_joints import fix_joints, followers
 from htcp_jax.io.robots.frames import joint_name
 from htcp_jax.io.robots.model_file import (
+    FEWEST_JOINTS,
     Chain,
     chain_between,
     check_joints,
@@ -42,23 +45,23 @@ from htcp_jax.io.robots.srdf import disabled_pairs
 from htcp_jax.io.robots.stored_pieces import StoredPiece, reduced_piece
 from htcp_jax.io.robots.tcp import Tip, find_tip, other_frames, warn_of_jaw
 
-PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s that an arm keeps
 NOT_OF_AN_ARM = "plane", "hfield", "sdf"
 ROUND = "capsule", "sphere"
-CLOSE_LINKS = 2  # the last ones, with all that is fixed to them, are fitted within a tolerance
+CLOSE_LINKS = 2  # number of last links whose bodies are fitted within a tolerance
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 class BodyCover(NamedTuple):
     """Capsules of one body, and the shapes that they represent."""
 
-    own: dict[str, Capsule]  # the model's own, by name
-    pieces: dict[str, MeshPiece]  # of `enclosed`, with the fitted capsules
-    hulls: dict[str, StoredPiece]  # of these pieces
-    excesses: dict[str, float]  # largest distances of their capsules' bare surfaces from `enclosed` [m]
-    drawn: Triangles  # of the meshes to which MuJoCo fitted the model's own capsules [m]
-    enclosed: Triangles  # of all other shapes [m]; the fitted capsules enclose them
-    kinds: tuple[str, ...]  # types of these shapes: box, mesh, ...
+    own: dict[str, Capsule]  # the model's own capsules, by name
+    pieces: dict[str, MeshPiece]  # pieces of `enclosed` with their fitted capsules, by name
+    hulls: dict[str, StoredPiece]  # convex pieces for `pieces`, by name
+    # largest distance of each fitted capsule's surface outside of the others from `enclosed` [m], by name
+    excesses: dict[str, float]
+    drawn: Triangles  # triangles of the meshes to which MuJoCo fitted the model's own capsules [m]
+    enclosed: Triangles  # triangles of all other shapes, which the fitted capsules enclose [m]
+    kinds: tuple[str, ...]  # types of the enclosed shapes: box, mesh, ...
 
     @property
     def fitted(self) -> dict[str, Capsule]:
@@ -67,7 +70,7 @@ class BodyCover(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Volume of the union of the fitted capsules, relative to the convex hull's of `enclosed`.
+        """Volume of the fitted capsules' union, divided by the volume of the convex hull of `enclosed`.
 
         nan if nothing was fitted.
         """
@@ -90,22 +93,22 @@ class BodyCover(NamedTuple):
 
 
 class ImportedArm(NamedTuple):
-    """A robot's model as compiled by MuJoCo, without its shapes, and the data of the arm."""
+    """A robot's model as compiled by MuJoCo, without its shapes, and the data of the imported arm."""
 
     model: mujoco.MjModel
     tip: Tip
-    chain: Chain  # from the world, or from the part's link, to the TCP; indices in the model, as below
-    joint_names: tuple[str, ...]
-    frozen: tuple[str, ...]  # names of the other joints, frozen as drawn
-    fixed: dict[str, float]  # values at which further joints are frozen [rad or m]
-    bodies: tuple[int, ...]  # of the robot, see `_robot_bodies`
-    covers: dict[int, BodyCover]  # by body
-    massive: tuple[int, ...]  # bodies with an inertia in the file
-    numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, in the order of the joints in the model
-    excluded: tuple[str, ...]  # excluded shapes, which no capsule represents
+    chain: Chain  # chain from the world, or from the part's link, to the TCP
+    joint_names: tuple[str, ...]  # names of the chain's joints
+    frozen: tuple[str, ...]  # names of other joints that are frozen at their initial values
+    fixed: dict[str, float]  # values at which joints are frozen on request [rad or m], by name
+    bodies: tuple[int, ...]  # indices of the robot's bodies in the model, see `_robot_bodies`
+    covers: dict[int, BodyCover]  # by the body's index
+    massive: tuple[int, ...]  # indices of bodies with an inertia in the file
+    numbers: dict[str, Float[np.ndarray, "N"]]  # values of PER_JOINT by name, in the order of the joints in the model
+    excluded: tuple[str, ...]  # names of shapes that no capsule represents
     visual: bool  # True if the capsules enclose visual geometry
     shapeless: tuple[str, ...]  # bodies with visual but no collision geometry
-    disabled: tuple[tuple[str, str], ...]  # bodies that an SRDF excludes from self-collision checks
+    disabled: tuple[tuple[str, str], ...]  # pairs of bodies that an SRDF excludes from self-collision checks
 
     @property
     def name(self) -> str:
@@ -129,30 +132,32 @@ def import_robot(
     visual: bool = False,
     srdf: Path | None = None,
     fixed: Mapping[str, float] | None = None,
+    fewest: int = FEWEST_JOINTS,
     progress: Callable[[int, int], None] = lambda done, count: None,
 ) -> ImportedArm:
     """Read a URDF or MJCF file with its meshes.
 
     Args:
         path: The file.
-        tcp: See `tcp.find_tip`.
-        part: The link that carries the part; None: the world.
-        omit: Links whose shapes no capsule encloses, such as the part itself, which is the job's workpiece.
+        tcp: Name of the TCP's site or body; None: see `tcp.find_tip`.
+        part: Name of the link that carries the part; None: the world.
+        omit: Links whose shapes are not enclosed, such as a link that represents the part.
         most: Maximum number of fitted capsules per body; None: see `tolerance_m`.
-        tolerance_m: Fit closer, see `close_fit.cover_closely`: bodies on the last two links, among them the tool, with
-            this tolerance and at most close_fit.MOST_CLOSE capsules, all others with at most close_fit.MOST; None: at
-            most capsule_fit.MOST capsules about each.
-        visual: Enclose the visual geometry; else the collision geometry, or the visual geometry if the model has no
-            other.
-        srdf: See `disabled_pairs`.
-        fixed: Values of joints to freeze, on the chain to the TCP or off it, by their names [rad or m].
-        progress: Called with the number of bodies done and their total.
+        tolerance_m: Tolerance of a closer fit, see `close_fit.cover_closely`. It applies to bodies on the last two
+            links, including the tool, with at most close_fit.MOST_CLOSE capsules each; other bodies have at most
+            close_fit.MOST capsules. None: at most capsule_fit.MOST capsules per body.
+        visual: True to enclose the visual geometry. False: the collision geometry, or the visual geometry if the model
+            has no collision geometry.
+        srdf: SRDF file with excluded pairs of links, see `disabled_pairs`.
+        fixed: Values [rad or m], by joint name, of joints to freeze, on the chain to the TCP or off it.
+        fewest: Minimum number of joints; 1 for a positioner or a rail.
+        progress: Function that is called with the number of finished bodies and their total.
 
     Raises:
-        InputError: For a file or a mesh that cannot be read, for a missing or ambiguous TCP, an unknown part's link or
-            one without a joint between it and the TCP, ball and free joints on the chain to it, fewer than three
-            joints, more than nine if the part moves, a model without shapes, the SRDF of another robot, an unknown
-            joint or a value beyond its limits in `fixed`, and a tolerance out of range.
+        InputError: For a file or a mesh that cannot be read, a missing or ambiguous TCP, an unknown link of the part or
+            one without a joint between it and the TCP, ball and free joints on the chain, too few joints, more than
+            nine joints if the part moves, a model without shapes, the SRDF file of another robot, an unknown joint or a
+            value beyond its limits in `fixed`, and a tolerance out of range.
     """
     fit = _Fit(most, tolerance_m)
     spec, shapes, model = _read_model(path, visual)
@@ -171,10 +176,10 @@ def import_robot(
     own = [geom for geom in chosen if not _is_excluded(geom, model) and _body_of(model, geom) not in omitted]
     if not own:
         raise InputError(
-            f"{path}: no shapes that capsules could hold; geoms of the model: {_geom_kinds(geoms) or 'none'}"
+            f"{path}: no shapes to enclose by capsules; geoms of the model: {_geom_kinds(geoms) or 'none'}"
         )
     hint = other_frames(model, bodies, tip) if root == 0 else ""
-    joint_names = check_joints(model, path, joints, chain, hint)
+    joint_names = check_joints(model, path, joints, chain, hint, fewest)
     if root == 0:
         warn_of_jaw(model, path, tip, joints)
     # whatever is unreadable
@@ -186,13 +191,15 @@ def import_robot(
         progress(done, len(shaped))
         links_after = len(joints) - 1 - links[b][0]
         covers[b] = _cover(found[b], body_name(model, b), names, fit, close=links_after < CLOSE_LINKS)
+    frozen = [j for j in moving if j not in joints and model.jnt_bodyid[j] in bodies]
+    _warn_of_followers(model, path, joints, frozen, shaped)
     excluded = [geom for geom in chosen if geom not in own]
     return ImportedArm(
         model,
         tip,
         chain,
         joint_names,
-        tuple(joint_name(model, j) for j in moving if j not in joints and model.jnt_bodyid[j] in bodies),
+        tuple(joint_name(model, j) for j in frozen),
         {joint_name(model, j): value for j, value in sorted(values.items())},
         bodies,
         covers,
@@ -209,7 +216,7 @@ def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed:
     """Return the chain from the part's link to the TCP without frozen joints.
 
     Raises:
-        InputError: If the part moves, and no joint is left.
+        InputError: If the part moves and all joints of the chain are frozen.
     """
     chain = chain_between(model, root, tip.body).without(fixed)
     if root and not chain.joints:
@@ -219,8 +226,34 @@ def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed:
     return chain
 
 
+def _warn_of_followers(
+    model: mujoco.MjModel, path: Path, joints: Sequence[int], frozen: Sequence[int], shaped: Sequence[int]
+) -> None:
+    """Warn of frozen joints that follow a moving one and carry shapes, such as the rods of a parallel linkage.
+
+    Args:
+        model: The compiled model.
+        path: Its file, for the message.
+        joints: The moving joints.
+        frozen: The frozen joints.
+        shaped: The bodies with shapes.
+    """
+    pairs, moving = followers(model), set(joints)
+    for _ in pairs:  # one that follows a follower moves, too
+        moving |= {j for j, leader in pairs.items() if leader in moving}
+    for j in filter(moving.__contains__, frozen):
+        links = [body_name(model, b) for b in shaped if model.jnt_bodyid[j] in upwards(model, b)]
+        rest = "its link does not follow; exclude it" if len(links) == 1 else "its links do not follow; exclude them"
+        if links:
+            warnings.warn(
+                f"{path}: {joint_name(model, j)} mimics {joint_name(model, pairs[j])} and is frozen at "
+                f"{model.qpos0[model.jnt_qposadr[j]]:g}: {rest} with {' '.join(f'--omit {name}' for name in links)}",
+                stacklevel=3,
+            )
+
+
 def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
-    """Return the triangles to which `import_robot` fits capsules, by the name of the body, in its frame [m].
+    """Return the triangles to which `import_robot` fits capsules, by the name of their body, in the body's frame [m].
 
     Raises:
         InputError: For a file or a mesh that cannot be read.
@@ -235,7 +268,7 @@ def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
 
 def _read_model(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjModel]:
     with no_log():
-        spec = read_spec(path, meshes=True, visual=visual, contacts=True)
+        spec = read_spec(path, meshes=True, visual=visual, contacts=True, equalities=True)
     spec.compiler.discardvisual = False
     for each in list(spec.tuples):  # the list in an arm by htcp robot refers to capsules that get other names here
         spec.delete(each)
@@ -244,7 +277,7 @@ def _read_model(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco
 
 
 def chain_text(arm: ImportedArm) -> str:
-    """Return the links and joints from the part to the TCP: part -a7- link_6 ... base -b1- table."""
+    """Format the links and joints from the part to the TCP as text: part -a7- link_6 ... base -b1- table."""
     model, words, link = arm.model, [arm.part or "world"], arm.chain.root
     for j, name, back in zip(arm.chain.joints, arm.joint_names, arm.chain.reversed, strict=True):
         link = int(model.jnt_bodyid[j])
@@ -263,7 +296,7 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
 
 
 def _robot_bodies(model: mujoco.MjModel, on_chain: Sequence[int]) -> tuple[int, ...]:
-    """Return the bodies of the robot: no mocap bodies, and no free bodies unless they are on the chain to the TCP."""
+    """Return the bodies of the robot: all but mocap bodies, and free bodies that are not on the chain to the TCP."""
 
     def is_foreign(body: int) -> bool:
         free = model.body_jntnum[body] and model.jnt_type[model.body_jntadr[body]] == _FREE
@@ -277,9 +310,9 @@ def _body_of(model: mujoco.MjModel, geom: Geom) -> int:
 
 
 def _chosen_geoms(geoms: list[Geom], model: mujoco.MjModel, visual: bool) -> list[Geom]:
-    """Select the geoms that capsules represent: a body's collision geoms, or if `visual` its visual geoms, if any.
+    """Select the geoms that capsules represent: each body's collision geoms, or with `visual` its visual geoms, if any.
 
-    Capsules and spheres are always collision geoms, as for `load_robot`.
+    Capsules and spheres always count as collision geoms, as in `load_robot`.
     """
     for_contact = [geom for geom in geoms if geom.touches]
     if not for_contact:
@@ -297,7 +330,7 @@ def _shapeless(geoms: list[Geom], chosen: list[Geom], model: mujoco.MjModel) -> 
 
 
 def _is_excluded(geom: Geom, model: mujoco.MjModel) -> bool:
-    """Return True for a floor, a height field, an SDF, and a shape fixed to the world that is no capsule or sphere."""
+    """Return True for planes, height fields, SDFs, and shapes fixed to the world that are no capsules or spheres."""
     return geom.kind in NOT_OF_AN_ARM or (_body_of(model, geom) == 0 and geom.kind not in ROUND)
 
 
@@ -316,7 +349,7 @@ class _Names:
         self._given = given
 
     def new(self, wish: str) -> str:
-        """Return `wish`, or wish_2, wish_3, ... if it is taken."""
+        """Return `wish`, or wish_2, wish_3, ... if that name is taken."""
         tries = (f"{wish}_{k}" if k > 1 else wish for k in range(1, len(self._given) + 2))
         name = next(each for each in tries if each not in self._given)
         self._given.add(name)
@@ -324,7 +357,7 @@ class _Names:
 
 
 class _Fit:
-    """Fits of capsules to meshes, equal ones once: a robot with two arms has each mesh twice.
+    """Fits of capsules to meshes. Equal meshes are fitted once, as a robot with two arms has each mesh twice.
 
     Raises:
         InputError: For a tolerance out of range.

@@ -1,16 +1,17 @@
 """Beam search over configurations: one beam per scenario and target, connected to the start by proven motions.
 
-    extend   every configuration of the beam to the next target; accepted if its joint path is a proven motion
-    spread   if few are accepted, by self-motions at the target, every step of them proven
-    select   those that are far apart; if none is accepted, spread the beam itself and extend its new configurations
-    approach if no straight line leads to the path: search again from configurations at its first point, joined in free
-             space
-    transfer if all that fails, and it is allowed: search again from other configurations at the first target
-    retry    after a dead end: search backwards from configurations at the lost target, and join, see `dead_ends`
+    extend    extend every configuration of the beam to the next target; accept it if its joint path is a proven motion
+    spread    if few are accepted, move them in the null space at the target, with a proof of every step; if none is
+              accepted, spread the beam at its own target and extend the new configurations
+    select    keep the best configurations that are far apart
+    approach  if the path's first point is not reached on straight lines: search again from configurations at this
+              point, joined to the start in free space
+    transfer  if this fails and transfers are allowed: search again from other configurations at the first target
+    retry     after a dead end: search backwards from configurations at the lost target, see `dead_ends`
 
-A local optimiser follows one configuration and stops at the first dead end; the beam has several, on both sides of each
-fork. All accepted configurations form a tree whose root is the start, and the chosen path leads to the leaf with the
-fewest changes of configuration, and then the least cost of equation (3).
+A local optimiser follows one configuration and stops at the first dead end. A beam has several configurations, on both
+sides of each fork. All accepted configurations form a tree whose root is the start. The chosen path leads to the leaf
+with the fewest changes of configuration and, among these, the least cost (3).
 
 Random keys are folded from the scenario's number, the target, the round and the self-motion, so results do not depend
 on which scenarios are planned together.
@@ -46,8 +47,8 @@ from htcp_jax.planning.beam.tree import BeamTree
 from htcp_jax.planning.method import Method
 from htcp_jax.status import SegmentStatus, Status
 
-MOST_TRANSFERS = 3  # searches from other configurations, each from new ones
-IN_FLIGHT = 4  # scenarios planned together: the number of lanes divided by this
+MOST_TRANSFERS = 3  # maximum number of searches from other configurations per scenario
+IN_FLIGHT = 4  # the number of scenarios planned together is the number of lanes / IN_FLIGHT
 
 
 @dataclass(frozen=True)
@@ -57,17 +58,17 @@ class BeamSearchMethod(Method):
     name: str
     title: str
     description: str
-    smooth = True  # unless the settings disable it
+    smooth = True  # motions are smoothed unless the settings disable it
 
     def first_calls(self, problem: Problem) -> list[tuple]:
         """Return the first calls of lane functions, see `Executor.preparing`."""
         return _calls(problem)
 
     def plan(self, problem: Problem) -> Plans:
-        """Plan all scenarios; they are dealt out to threads, which write into different rows."""
+        """Plan all scenarios, shared among threads that write into different rows of the plans."""
         plans, threads = problem.empty_plans(), problem.threads
         if not problem.checkers[0].executor.pays_by_lane:
-            # Two per GPU: while it computes for one, the other builds its tables.
+            # Two threads per GPU: while the GPU computes for one, the other builds its tables.
             threads = max(threads, 2 * len(problem.checkers))
 
         def work(checker: CollisionChecker, share: slice) -> tuple[list[ViaPointRow], dict[tuple[int, int], Tried]]:
@@ -91,7 +92,7 @@ def _calls(problem: Problem) -> list[tuple]:
 
 
 class BeamSearch:
-    """Beam searches of many scenarios at a time, in dense batches of all their configurations."""
+    """Beam searches of many scenarios at a time, with the configurations of all searches in one batch."""
 
     def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker):
         self._problem, self._checker = problem, checker
@@ -102,10 +103,10 @@ class BeamSearch:
         self._dead_ends = DeadEnds(problem, checker, self._searches, self._joint_steps)
 
     def run(self, scenarios: Iterator[int]) -> tuple[list[ViaPointRow], dict[tuple[int, int], Tried]]:
-        """Plan until the iterator is exhausted.
+        """Plan scenarios until the iterator is exhausted.
 
         Returns:
-            Via points of all segments that have some, and what was tried after dead ends.
+            Via points of all segments that have some, and the attempts after dead ends: (scenario, target) -> attempts.
         """
         via_points, searches, most = [], self._searches, max(1, self._checker.executor.lanes // IN_FLIGHT)
         while True:
@@ -128,7 +129,10 @@ class BeamSearch:
             self._problem.progress(tracked, len(finished))
 
     def _begin(self, new: list[int]) -> None:
-        """Begin searches at the scenarios' starts; without one, at configurations sampled at the first target."""
+        """Begin a search for each new scenario: at its start or, if none is given, at the first target.
+
+        At the first target, configurations are sampled.
+        """
         if not new:
             return
         start, unknown = self._problem.scenarios.x_start[new], np.full((len(new), 3), np.nan)
@@ -140,15 +144,16 @@ class BeamSearch:
         self._searches.begin(new, (self._problem.scenarios.count[new] - 1).tolist(), roots)
 
     def _begin_again(self, search: int) -> bool:
-        """Begin another search after one has ended, and return True; False if the scenario is finished."""
+        """Begin another search after `search` has ended, and return True; return False if the scenario is finished."""
         if self._dead_ends.is_excluded(search):
             return False
         return self._begin_elsewhere(search) or self._dead_ends.retry(search)
 
     def _begin_elsewhere(self, search: int) -> bool:
-        """Begin a search from other configurations after one has failed, and return True if there are any.
+        """Begin a search from other configurations after `search` has failed; return False if there are none.
 
-        They are at the path's first point if it was not reached, else, if allowed, at the first target.
+        The configurations are at the path's first point if it was not reached. Otherwise they are at the first target,
+        if transfers are allowed.
         """
         columns, chain = self._searches.columns, self._searches.chain(search)
         s, scenarios, first = int(columns.scenario[search]), self._problem.scenarios, int(columns.target[chain[-1]])
@@ -167,7 +172,7 @@ class BeamSearch:
         return self._tree.plant(transfers.other_configurations(self._problem, self._checker, s, round_, target), target)
 
     def _extend(self) -> None:
-        """Extend pending configurations to the next target; accepted if the joint path is a proven motion."""
+        """Extend pending configurations to the next target; accept those whose joint path is a proven motion."""
         searches, pending = self._searches, self._searches.pending
         if not len(pending.node):
             return
@@ -194,7 +199,7 @@ class BeamSearch:
         searches.store_extended(arrived)
 
     def _spread(self) -> None:
-        """Spread searches without configurations to extend, by self-motions, as far as every step is proven."""
+        """Spread the searches that have no pending configurations, by self-motions in which every step is proven."""
         searches, (origins, motion_number) = self._searches, self._searches.origins()
         if not len(origins.node):
             return
@@ -206,7 +211,7 @@ class BeamSearch:
         lane, step = np.nonzero(np.arange(moved.path.x.shape[1]) < moved.steps[:, None])
         before = np.concatenate([x[:, None], moved.path.x], axis=1)
         proven = np.zeros(moved.path.clearance.shape, bool)
-        if len(lane):  # the tip is checked only at a self-motion's end
+        if len(lane):  # the tip is checked only at the end of each self-motion
             edges = _in_order_of_travel(way[lane], before[lane, step], before[lane, step + 1])
             proof = self._checker.edges(tables.gather(inputs, lane), *edges, tables.gather(tube, lane), tip=False)
             proven[lane, step] = proof.verdict == SegmentStatus.VALID
@@ -224,9 +229,10 @@ class BeamSearch:
         searches.store_self_motions(origins, Members(origins.search[good], node[good]))
 
     def _set_failures(self, extended: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
-        """Set the status of the extended searches in case no more configurations arrive at the next target.
+        """Set the status that extended searches get if no more of their configurations arrive at the next target.
 
-        If some did, the start is clear, as the motion from there is proven.
+        It is START_IN_COLLISION only for searches at a colliding start. If a configuration arrived, the start is clear,
+        as the motion from it is proven.
         """
         columns, scenarios = self._searches.columns, self._problem.scenarios
         columns.failure[extended] = np.where(reached, Status.PATH_BLOCKED, Status.RECOVERY_EXHAUSTED)[extended]
@@ -239,6 +245,6 @@ class BeamSearch:
 
 
 def _in_order_of_travel(step: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of joint paths in the order in which the arm passes them, which searches backwards reverse."""
+    """Return both ends of joint paths in the order of travel: a, b for searches forwards, b, a for those backwards."""
     forwards = step[:, None] > 0
     return np.where(forwards, a, b), np.where(forwards, b, a)

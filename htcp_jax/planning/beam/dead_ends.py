@@ -3,12 +3,13 @@
     sample    configurations at the first target that the beam did not reach, the clearest of many pushed clear
     backwards a beam from these towards the start, with the same proofs, in the direction of travel
     meet      at each target, by self-motions from the tree's configurations to those nearest to them
-    arrive    if the motion may begin in another configuration: at the first target, to be joined in free space
+    arrive    if the motion may begin in another configuration: join the first target's configurations in free space
     graft     the reversed motions become branches of the tree, and the search goes on forwards from the lost target
     widen     if configurations there are not connected: forwards from some targets earlier, with a wider beam
 
-The configurations that lead on were often dropped, or never sampled, at earlier targets. Whatever is extended backwards
-from the lost target leads there. `settings.effort` bounds the work, in configurations.
+Often the configurations that lead past the dead end were dropped at earlier targets, or never sampled. Configurations
+that are extended backwards from the lost target do lead to it. `settings.effort` limits their number, relative to the
+configurations used by the searches before.
 """
 
 from typing import NamedTuple
@@ -19,6 +20,7 @@ from jaxtyping import Float, Int
 
 from htcp_jax.device import tables
 from htcp_jax.motion import CollisionChecker, Problem, Tried, exclusions, selection, step_functions, transfers
+from htcp_jax.numerics import ragged_rows
 from htcp_jax.planning.beam.functions import MOVE_TOWARDS, inputs_and_tubes
 from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.searches import NONE, Searches
@@ -26,12 +28,12 @@ from htcp_jax.planning.tracking import stages
 from htcp_jax.status import Exclusion, SegmentStatus, Status
 
 FIRST_ROUND = 100_000  # rounds of draws; smaller ones belong to other searches
-ROUNDS = 4  # of draws at a time
-FEW = 32  # of so many draws one counts as a configuration where fewer arrive at the target
-PUSHED = 24  # the clearest draws that are far apart; these are pushed clear
+ROUNDS = 4  # number of rounds of draws at a time
+FEW = 32  # draws that count as one configuration of the effort, if fewer than one in FEW arrives at the target
+PUSHED = 24  # number of draws to push clear: the clearest ones that are far apart
 APART_RAD = 0.2
 NEAR_RAD = 0.4  # standard deviation of draws around known configurations
-SHARE = 0.25  # of the effort where the motion cannot begin elsewhere: they meet near the dead end or not at all
+SHARE = 0.25  # share of the effort for searches backwards, if the motion cannot begin elsewhere
 BACK, WIDER = 8, 2  # targets before the lost one at which a wider search begins, and the multiple of the beam's width
 PROOF_CELLS = 128  # maximum number of cells of a proof that excludes the lost target: about one extension of the beam
 MEET_RAD, PAIRS = 1.5, 4  # largest distance of configurations that are joined, and pairs tried at each target
@@ -40,25 +42,25 @@ MEET_RAD, PAIRS = 1.5, 4  # largest distance of configurations that are joined, 
 class Meeting(NamedTuple):
     """A motion at one target from the tree to a configuration of a search backwards."""
 
-    begin: Float[np.ndarray, "N"] | None  # the tree's configuration [rad or m]; None if the motion begins in the other
+    begin: Float[np.ndarray, "N"] | None  # the tree's configuration [rad or m]; None if the motion begins at `row`
     between: step_functions.State | None
-    row: int  # tree row of the other one
+    row: int  # tree row of the configuration of the search backwards
 
 
 class DeadEnds:
-    """Searches after dead ends, for all scenarios of one tree."""
+    """Searches that are begun after dead ends, for all scenarios of one tree."""
 
     def __init__(self, problem: Problem, checker: CollisionChecker, searches: Searches, joint_steps: JointSteps | None):
         self._problem, self._checker, self._searches, self._tree = problem, checker, searches, searches.tree
         self._joint_steps = joint_steps
-        self._rounds: dict[int, int] = {}  # rounds of draws so far, by scenario
-        self._sampled_on: dict[int, int] = {}  # configurations on the target that they gave, with each step of a push
-        self._open: dict[int, tuple[int, dict[int, np.ndarray]]] = {}  # search backwards: the joined one, its tree's x
+        self._rounds: dict[int, int] = {}  # scenario -> number of rounds of draws so far
+        self._sampled_on: dict[int, int] = {}  # scenario -> configurations used: draws on the target, and push steps
+        self._open: dict[int, tuple[int, dict[int, np.ndarray]]] = {}  # search backwards -> joined search, its tree's x
         self._meetings: dict[int, list[Meeting]] = {}
-        self._wider: dict[int, int] = {}  # wider search: the lost target, until it is reached
-        self._reached: dict[int, int] = {}  # wider search: its work until then
+        self._wider: dict[int, int] = {}  # wider search -> lost target, until the search reaches it
+        self._reached: dict[int, int] = {}  # wider search -> its work until it reached the lost target
         self._clear: set[tuple[int, int]] = set()  # scenarios and targets that no proof excludes
-        self.tried: dict[tuple[int, int], Tried] = {}  # by scenario and lost target
+        self.tried: dict[tuple[int, int], Tried] = {}  # (scenario, lost target) -> attempts
 
     def has_begun(self, scenario: int) -> bool:
         """Return True if searches were begun after a dead end of the scenario."""
@@ -67,8 +69,8 @@ class DeadEnds:
     def is_excluded(self, ended: int) -> bool:
         """Return True if a search has ended at a target that is proven to have no clear configuration.
 
-        Any other search would end there, too. If the lost target is on the way to the path, which may be left, the
-        proof is about the path's first point.
+        Then every other search would end there, too. If the lost target is before the path, which the motion may
+        bypass, the proof is about the path's first point.
         """
         columns, chain, problem = self._searches.columns, self._searches.chain(ended), self._problem
         if columns.status[ended] == NONE or not problem.task.holds_tcp or self._left(chain) <= 0:
@@ -88,7 +90,7 @@ class DeadEnds:
         return True
 
     def retry(self, ended: int) -> bool:
-        """Begin another search after one has ended, and return True; False if the scenario is finished."""
+        """Begin another search after one has ended, and return True; return False if the scenario is finished."""
         columns, chain = self._searches.columns, self._searches.chain(ended)
         s, scenarios = int(columns.scenario[ended]), self._problem.scenarios
         last = int(scenarios.count[s]) - 1
@@ -123,9 +125,9 @@ class DeadEnds:
         return not off_path and self._widen(s, lost, tree, chain)
 
     def _widen(self, s: int, lost: int, tree: Int[np.ndarray, "n"], chain: list[int]) -> bool:
-        """Begin a wider search some targets before the lost one, and return True, if that may help.
+        """Begin a wider search some targets before the lost one, if that may help; return True if it is begun.
 
-        That is if clear configurations were found there, and none of them is connected.
+        It may help if clear configurations were found at the lost target, and none of them is connected.
         """
         known = self.tried.get((s, lost), Tried())
         is_found = known.found or self._searches.columns.status[self._farthest(chain)] == Status.PATH_BLOCKED
@@ -140,9 +142,9 @@ class DeadEnds:
         return True
 
     def meet(self) -> None:
-        """Join the beams of searches backwards with the trees at their targets, where they are near; stop what is done.
+        """Join the beams of searches backwards with near configurations of the tree at the same target.
 
-        A search that meets a tree is done, and so is one whose effort is spent.
+        Stop searches that have met the tree, and searches whose effort is spent.
         """
         columns, pairs = self._searches.columns, []
         stop = np.zeros(len(columns.target), bool)
@@ -165,11 +167,11 @@ class DeadEnds:
         self._searches.stop(stop)
 
     def _left(self, chain: list[int], share: float | None = None) -> float:
-        """Return the configurations that may still be spent: on draws, on extending them backwards, and wider searches.
+        """Return the number of configurations that searches after dead ends may still use.
 
         Args:
             chain: The searches of a scenario.
-            share: Of the effort; None: that of searches backwards.
+            share: Share of `settings.effort` that may be used; None: 1, or SHARE if the motion cannot begin elsewhere.
         """
         columns, s = self._searches.columns, int(self._searches.columns.scenario[chain[0]])
         forwards = columns.step[chain] > 0
@@ -181,30 +183,31 @@ class DeadEnds:
         return float(share * self._problem.settings.effort * before - spent - wider)
 
     def _farthest(self, chain: list[int]) -> int:
-        """Return the search that came farthest, the first of several."""
+        """Return the search that reached the farthest target; the first of several."""
         columns = self._searches.columns
         return max((each for each in chain[::-1] if columns.step[each] > 0), key=lambda each: columns.target[each])
 
     def _leaves_lines(self, s: int, lost: int) -> bool:
-        """Return True if the path's first point is sampled in place of the lost target, as the way to it is free."""
+        """Return True if the lost target is not beyond the path's first point, which is then sampled in its place."""
         return bool(lost <= self._problem.scenarios.on_path[s] and not self._problem.begins_anywhere[s])
 
     def _first(self, search: int) -> int:
-        """Return the target at which a search backwards ends: where the joined one begins."""
+        """Return the target at which a search backwards ends: the first target of the search that it is joined to."""
         return max(0, int(self._tree.target[self._tree.path(self._searches.beam_of(search)[0])[0]]))
 
     def _ancestors(self, search: int) -> Int[np.ndarray, "n"]:
         return self._tree.with_ancestors(np.array(self._searches.beam_of(search)))
 
     def _may_arrive(self, s: int, best: int) -> bool:
-        """Return True if the motion may begin in another configuration than the joined search."""
+        """Return True if the motion may begin in another configuration than the search to be joined."""
         elsewhere = self._problem.settings.transfers or bool(self._problem.scenarios.auto_start[s])
         return elsewhere or self._first(best) > 0
 
     def _sampled(self, s: int, target: int, near: Float[np.ndarray, "n N"] | None) -> Int[np.ndarray, "m"]:
-        """Return tree rows of valid configurations at a target, far apart: the clearest of new draws, pushed clear.
+        """Return tree rows of new valid configurations at a target: the clearest of random draws, pushed clear.
 
-        The draws are uniform within the joint limits; if only a meeting helps, around the configurations `near`.
+        They are far apart. Draws are uniform within the joint limits or, if `near` is given, around its configurations
+        [rad or m].
         """
         problem, checker = self._problem, self._checker
         first = FIRST_ROUND + self._rounds.get(s, 0)
@@ -232,7 +235,7 @@ class DeadEnds:
         return self._tree.plant(tables.gather(at, good), target)
 
     def _nearest(self, search: int, tree_x: Float[np.ndarray, "n N"]) -> list[tuple[int, np.ndarray, int]]:
-        """Return the pairs to join: search, configuration of the tree, tree row of the search's."""
+        """Return the pairs to join: search, configuration in the tree, tree row of the search's configuration."""
         beam = self._searches.beam.node[self._searches.beam.search == search]
         away = np.linalg.norm(tree_x[:, None] - self._tree.x[beam][None], axis=2)
         order = np.argsort(away, axis=None, kind="stable")[:PAIRS]
@@ -249,9 +252,8 @@ class DeadEnds:
         target, end = self._tree.target[row], self._tree.x[row]
         inputs, tube = inputs_and_tubes(self._problem, columns.scenario[search], target, np.zeros_like(target), True)
         moved = self._checker.executor(MOVE_TOWARDS, inputs, begin, end)
-        count = moved.steps + 1  # of segments, with that to the end itself
-        lane = np.repeat(np.arange(len(row)), count)
-        step = np.arange(len(lane)) - np.repeat(np.cumsum(count) - count, count)
+        count = moved.steps + 1  # number of segments, including the one to the end
+        lane, step = ragged_rows(count)
         x = np.concatenate([begin[:, None], moved.path.x, end[:, None]], axis=1)
         after = np.where(step == moved.steps[lane], x.shape[1] - 1, step + 1)
         proof = self._checker.edges(
@@ -265,9 +267,9 @@ class DeadEnds:
         return met
 
     def _grafted(self, search: int) -> list[int]:
-        """Return tree rows at the lost target: the ends of branches from the tree along motions found backwards.
+        """Add the reversed motions of a search backwards to the tree; return the tree rows at the lost target.
 
-        There is one for each configuration at the lost target that is connected.
+        There is one row for each configuration at the lost target that is connected.
         """
         columns, (best, _) = self._searches.columns, self._open.pop(search)
         s, tree, found = int(columns.scenario[search]), self._ancestors(best), {}
@@ -290,7 +292,10 @@ class DeadEnds:
     def _branch(
         self, parent: int | None, between: step_functions.State | None, path: Int[np.ndarray, "k"], on_path: int
     ) -> int:
-        """Return the end of a new branch from a node, or from a new root: `between`, then copies of nodes on `path`."""
+        """Add a branch to the tree, `between` and then copies of the nodes on `path`; return the tree row of its end.
+
+        It starts at the node `parent`; None: at a new root.
+        """
         nodes = self._tree.nodes(path)
         at, target, step_qps = nodes.at, nodes.target, nodes.step_qps
         if between is not None:
@@ -307,6 +312,6 @@ class DeadEnds:
         return int(row[0])
 
     def _count(self, s: int, lost: int, **more: int) -> None:
-        """Add to the record of a dead end."""
+        """Add counts to the record of a dead end."""
         known = self.tried.get((s, lost), Tried())
         self.tried[s, lost] = known._replace(**{name: getattr(known, name) + value for name, value in more.items()})

@@ -1,7 +1,7 @@
-"""Device functions of the beam search: extend a configuration to the next target, and move in the null space of one.
+"""Device functions of the beam search: extend a configuration to the next target, and move in the null space.
 
-Pure functions of one lane, as in `step_functions`. `CollisionChecker.edges` proves that the results are motions, for
-many lanes at once.
+They are pure functions of one lane, as in `step_functions`. `CollisionChecker.edges` then proves, for many lanes at
+once, that the results are motions.
 """
 
 from functools import partial
@@ -20,32 +20,33 @@ from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import active_set, step_qp
 
-ENOUGH = 0.9  # sufficient share of the goal above the margin
-PATIENCE = 6  # step QPs with the higher goal before the lower one is used
-REACHING_STEPS = 24  # most steps towards another configuration
-LEAST_STEP = 0.3  # minimum share of a step's length; shorter ones are blocked by joint limits
+ENOUGH = 0.9  # share of `beam_aim_m` above the margin that is sufficient
+PATIENCE = 6  # number of step QPs that aim at `beam_aim_m` above the margin; further ones aim at the margin alone
+REACHING_STEPS = 24  # maximum number of steps towards another configuration
+LEAST_STEP = 0.3  # minimum share of a step's length; a shorter step is blocked by joint limits
 
 
 class Extension(NamedTuple):
-    """A lane at its next target."""
+    """Result of extending a lane to its target."""
 
     at: step_functions.State
-    reached: jax.Array  # True if it meets the success criterion there
-    step_qps: jax.Array
+    reached: jax.Array  # True if the state meets the success criterion
+    step_qps: jax.Array  # number of step QPs solved
 
 
 class SelfMotion(NamedTuple):
     """A lane's self-motion, step by step."""
 
     path: step_functions.State  # (steps, ...), of which the first `steps` are valid
-    steps: jax.Array
+    steps: jax.Array  # number of steps
 
 
 def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> Loop:
     """Extend x (N,) [rad or m] from the previous target to the lane's target.
 
-    By inverse kinematics if that keeps a clearance of `beam_aim_m` above the margin, else by step QPs, with the same
-    goal at first and with the required margin in the end.
+    Inverse kinematics is tried first, and accepted if its clearance is sufficiently near to `beam_aim_m` above the
+    margin. Otherwise step QPs are solved: the first PATIENCE ones with this required clearance, the others with the
+    margin alone.
 
     Returns:
         A loop whose result is `Extension`.
@@ -54,7 +55,7 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
     above = jnp.array([settings.beam_aim_m, settings.aim_above_m])
     lower, upper = step_functions.joint_box(scene, lane, x)
     aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
-    look = jax.jit(partial(step_functions.advance, settings))  # traced once, for the result and for the loop
+    look = jax.jit(partial(step_functions.advance, settings))  # traced only once, for its shape and for the loop
 
     def going(state):
         here, _, aim, count = state
@@ -72,7 +73,7 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
         )  # fmt: skip
         found = active_set.solve_step(qp, settings.qp_tolerance)
         stuck = (found.status != step_qp.QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))
-        # First the result of inverse kinematics, then x, from which step QPs continue.
+        # The first iteration measures the result of inverse kinematics, the second x, from which step QPs continue.
         goes_to = jnp.where(count < 0, straight, x)
         y = jnp.where(stuck | (count < 1), goes_to - here.x, found.y)
         return look(scene, lane, here.x, y), straight, jnp.where(stuck & (count > 0), aim + 1, aim), count + 1
@@ -91,14 +92,15 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
 def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, motion_number) -> Loop:
     """Move from x (N,) [rad or m], on its target, along a random direction of the null space.
 
-    The direction is carried along by projection, for a random number of steps, as long as every configuration is valid.
+    At every step the direction is projected onto the null space of the current configuration. The motion ends after a
+    random number of steps, or before the first configuration that is not valid.
 
     Args:
         settings: Length and number of steps.
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
         x: Configuration on the lane's target (N,) [rad or m].
-        motion_number: Number that distinguishes the self-motions of one round.
+        motion_number: Number of the self-motion in its round, which seeds its random numbers.
 
     Returns:
         A loop whose result is `SelfMotion`.
@@ -128,7 +130,7 @@ def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
         return good, there, direction, path, steps + good.astype(jnp.int32)
 
     path = _empty_path(len(x), settings.self_motion_steps)
-    # The first direction is drawn in the null space, in the first entries of this vector.
+    # The first direction is random in the null space: its coordinates are the first entries of this vector.
     first = jax.random.normal(towards, x.shape)
     start = (jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32))
     return Loop(start, going, step, lambda state: SelfMotion(*state[3:]))
@@ -138,19 +140,19 @@ class Reaching(NamedTuple):
     """A lane's self-motion towards another configuration, step by step."""
 
     path: step_functions.State  # (REACHING_STEPS, ...), of which the first `steps` are valid
-    steps: jax.Array
-    arrives: jax.Array  # True if the last one is within a step's length of the other configuration
+    steps: jax.Array  # number of steps
+    arrives: jax.Array  # True if the last configuration is within a step's length of the other configuration
 
 
 def move_towards(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, end) -> Loop:
-    """Move from x (N,) [rad or m], on its target, towards another configuration there, as long as each step is valid.
+    """Move in the null space from x towards another configuration at the same target, as long as each step is valid.
 
     Args:
         settings: Length of a step.
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
         x: Configuration on the lane's target (N,) [rad or m].
-        end: The other one (N,).
+        end: The other configuration (N,) [rad or m].
 
     Returns:
         A loop whose result is `Reaching`.
@@ -203,14 +205,14 @@ MOVE_TOWARDS = lane_function.LaneFunction(
 def inputs_and_tubes(
     problem: Problem, scenario: np.ndarray, target: np.ndarray, draws: np.ndarray, turns: bool
 ) -> tuple[lane_inputs.LaneInputs, motion_proof.Tube]:
-    """Return the inputs and tubes of lanes: on the segment to their target, or during a self-motion at it.
+    """Return the inputs of lanes, and their tubes: for the segment to the target, or for a self-motion at the target.
 
     Args:
         problem: The problem.
         scenario: Row of each lane's scenario (n,).
-        target: Each lane's target (n,).
-        draws: Its round of draws (n,).
-        turns: True for self-motions.
+        target: Index of each lane's target (n,).
+        draws: Number of each lane's round of random draws (n,).
+        turns: True for the tubes of self-motions, False for those of segments.
     """
     inputs = lane_inputs.lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
     return inputs, motion_check.tubes(problem, scenario, target + turns, np.full(len(target), turns))

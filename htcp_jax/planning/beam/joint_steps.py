@@ -1,7 +1,7 @@
-"""Bounds on joint steps in a beam search: the travel of each joint between two targets of the file.
+"""Limits on joint steps in a beam search: the maximum travel of each joint between two targets of the path's file.
 
-Goals may be inserted on a segment, and there may be self-motions at them; the bound is one for the whole segment.
-Self-motions at a target belong to the segment that begins there.
+The limit applies to the sum over a segment, including the goals inserted on it and self-motions at these goals.
+Self-motions at a target belong to the segment that begins at this target.
 """
 
 from typing import NamedTuple
@@ -14,18 +14,21 @@ from htcp_jax.model import Scenario
 from htcp_jax.motion import configuration_tree
 from htcp_jax.planning.beam.tree import BeamTree, Nodes
 
-ROUNDING = 1e-12  # share of a bound that sums may miss
+ROUNDING = 1e-12  # tolerance of sums, relative to a limit
 
 
 class JointSteps(NamedTuple):
-    """Bounds on the segments of S scenarios, by row; the last row is behind the last target, for self-motions at it."""
+    """Limits on joint travel for S scenarios, one row per target or inserted goal.
 
-    segment: Int[np.ndarray, "S R1"]  # number of the file's target at the end of the segment that a row is on
-    most: Float[np.ndarray, "S R1 N"]  # longest travel of each joint on that segment [rad or m]
+    The additional last row is for self-motions at the last target.
+    """
+
+    segment: Int[np.ndarray, "S R1"]  # target of the file at the end of each row's segment
+    most: Float[np.ndarray, "S R1 N"]  # maximum travel of each joint on this segment [rad or m]
 
     @classmethod
     def of(cls, scenarios: Scenario) -> "JointSteps | None":
-        """Return the bounds of stacked scenarios; None if they have none."""
+        """Return the limits of stacked scenarios; None if their joint steps are unlimited."""
         if (most := scenarios.max_joint_step) is None:
             return None
         segment = np.append(scenarios.segments, scenarios.segments[:, -1:] + 1, axis=1)
@@ -34,13 +37,13 @@ class JointSteps(NamedTuple):
     def left(
         self, tree: BeamTree, nodes: Int[np.ndarray, "m"], scenario: Int[np.ndarray, "m"], row: Int[np.ndarray, "m"]
     ) -> Float[np.ndarray, "m N"]:
-        """Return how far each joint may still travel on a segment after the motion to a node [rad or m].
+        """Return the remaining travel of each joint on a segment after the motion to a node [rad or m].
 
         Args:
-            tree: The tree, of a search in either direction.
-            nodes: Tree rows.
-            scenario: Row of each one's scenario.
-            row: A row on the segment: the node's, or the one behind it.
+            tree: The tree, of searches in either direction.
+            nodes: Tree rows of the nodes.
+            scenario: Row of each node's scenario.
+            row: A row on the segment: the row of the node's target, or the next one.
         """
         left, own, which = self.most[scenario, row], self.segment[scenario, row], np.arange(len(nodes))
         while len(which):
@@ -53,7 +56,7 @@ class JointSteps(NamedTuple):
         return left
 
     def are_kept(self, scenario: int, path: Nodes) -> bool:
-        """Return True if the motion along nodes, in the order of travel, keeps all bounds."""
+        """Return True if the motion along nodes, in the order of travel, satisfies all limits."""
         row = _row_of(path.target[1:], path.target[:-1])
         segment = self.segment[scenario, row]
         travel = np.zeros((self.segment[scenario].max() + 1, self.most.shape[2]))
@@ -62,5 +65,5 @@ class JointSteps(NamedTuple):
 
 
 def _row_of(target: Int[np.ndarray, "m"], before: Int[np.ndarray, "m"]) -> Int[np.ndarray, "m"]:
-    """Return the row that a motion between two targets, in either direction, leads to; the next one if it stays."""
+    """Return the row of the motion between two targets: the larger target; the next row for a motion at one target."""
     return np.maximum(target, before) + (target == before)

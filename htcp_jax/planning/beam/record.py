@@ -1,4 +1,4 @@
-"""Results of a beam search that has ended: the path to its best leaf, and the motion from the start to its root."""
+"""Results of an ended beam search: the path to its best leaf, and the motion from the start to the path's root."""
 
 from itertools import pairwise
 
@@ -15,7 +15,7 @@ ViaPointRow = tuple[int, int, np.ndarray]  # via points of a segment: (scenario,
 
 
 class BeamRecord:
-    """Writer of the results of searches into `plans`."""
+    """Writer of search results into plans."""
 
     def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker, searches: Searches):
         self._problem, self._plans, self._checker = problem, plans, checker
@@ -25,8 +25,8 @@ class BeamRecord:
         """Return the result of a scenario whose last search has ended.
 
         Returns:
-            The search that came to the farthest target, the leaf of its best path, and the via points of the transfer
-                to it (V, N) [rad or m], None without a transfer.
+            The search that reached the farthest target, the tree row of its best leaf, and the via points of the
+                transfer to the path's root (V, N) [rad or m]; None if there is no transfer.
         """
         searches, scenarios = self._searches, self._problem.scenarios
         s, chain = int(searches.columns.scenario[last]), searches.chain(last)
@@ -44,15 +44,15 @@ class BeamRecord:
             known = {root: row for root, row in zip(distinct, via_points, strict=False) if row is not None}
             if found := [leaf for leaf in leaves if roots[leaf] in known]:
                 return search, found[0], known[roots[found[0]]]
-        raise AssertionError("the first search begins at the start, and needs no transfer")
+        raise AssertionError("the first search begins at the start, so there is no transfer to it")
 
     def write(self, search: int, leaf: int, transfer: np.ndarray | None) -> list[ViaPointRow]:
         """Record the path to a leaf, and the search's status.
 
         Args:
             search: Number of the search.
-            leaf: Tree row at the end of its path.
-            transfer: Via points of the transfer to the path's root (V, N) [rad or m]; None without one.
+            leaf: Tree row at the end of the path.
+            transfer: Via points of the transfer to the path's root (V, N) [rad or m]; None: no transfer.
 
         Returns:
             Via points of the path's segments.
@@ -79,13 +79,13 @@ class BeamRecord:
         return bool(self._searches.columns.earlier[search] != NONE and self._tree.target[root] > 0)
 
     def _row_0(self, first: int) -> int:
-        """Return the configuration at the first target on the best path of the first search."""
+        """Return the tree row at the first target on the best path of search `first`."""
         path = self._tree.path(self._searches.beam_of(first)[0])
         nodes = self._tree.nodes(path)
         return int(path[(nodes.target == 0) & ~nodes.by_self_motion][0])
 
     def _write_rows(self, s: int, target: np.ndarray, nodes: Nodes) -> None:
-        """Write one row per node, at its target; the start has none."""
+        """Write each node into the plans, at its target; starts are not written."""
         plans, (target, nodes) = self._plans, tables.gather((target, nodes), target >= 0)
         plans.x[s, target], plans.tcp[s, target] = nodes.at.x, nodes.at.tcp
         plans.clearance[s, target], plans.residual[s, target] = nodes.at.clearance, nodes.at.residual
@@ -93,9 +93,10 @@ class BeamRecord:
         plans.path_clear[s, target] = 1
 
     def _write_joined(self, search: int, root: int) -> int:
-        """Record the motion to the configuration at which a search begins; return the target at its end.
+        """Record the motion from the start to the root of a search; return the target at its end.
 
-        An approach leaves its lines: all of its targets but the first become the path's first point.
+        An approach does not follow its lines: all of its targets except the first are replaced by the path's first
+        point.
         """
         s, plans, x = int(self._searches.columns.scenario[search]), self._plans, self._tree.x
         if not self._is_approach(search):

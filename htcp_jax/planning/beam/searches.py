@@ -1,6 +1,6 @@
 """State of the beam searches: progress, configurations and next steps.
 
-One row per search in every column, so that thousands run together.
+The state is a table with one row per search, so that thousands of searches run together.
 """
 
 from typing import NamedTuple
@@ -14,26 +14,26 @@ from htcp_jax.planning.beam.tree import BeamTree, best_first
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
-NONE = -1  # no status yet; no earlier search
+NONE = -1  # value for "no status yet" and for "no earlier search"
 
 
 class Members(NamedTuple):
-    """Tree rows of searches, grouped by search; the order within a group is the search's."""
+    """Tree rows that belong to searches, grouped by search; the order within a search is preserved."""
 
-    search: Int[np.ndarray, "n"]
-    node: Int[np.ndarray, "n"]
+    search: Int[np.ndarray, "n"]  # index of the search
+    node: Int[np.ndarray, "n"]  # row in the tree
 
     @classmethod
     def none(cls) -> "Members":
-        """Return no rows."""
+        """Return an empty table."""
         return cls(np.zeros(0, int), np.zeros(0, int))
 
     def of(self, which: Bool[np.ndarray, "searches"]) -> "Members":
-        """Select the rows of some searches."""
+        """Return the rows of some searches."""
         return tables.gather(self, which[self.search])
 
     def appended(self, others: "Members") -> "Members":
-        """Append the rows of `others` to those of the same searches."""
+        """Return these rows and `others`, grouped by search, with `others` last in each search."""
         both = tables.concatenate([self, others])
         return tables.gather(both, np.argsort(both.search, kind="stable"))
 
@@ -42,23 +42,23 @@ class SearchColumns(NamedTuple):
     """Columns of integers with one row per search."""
 
     scenario: Int[np.ndarray, "n"]
-    target: Int[np.ndarray, "n"]  # of its beam
-    last: Int[np.ndarray, "n"]  # target at which it ends with success
+    target: Int[np.ndarray, "n"]  # target at which the beam is
+    last: Int[np.ndarray, "n"]  # target at which the search ends with success
     step: Int[np.ndarray, "n"]  # 1 forwards, -1 backwards: the next target is target + step
-    earlier: Int[np.ndarray, "n"]  # the search before, if this one begins at other configurations; or NONE
-    rounds: Int[np.ndarray, "n"]  # rounds of self-motions at this target
-    draws: Int[np.ndarray, "n"]  # rounds of self-motions in total
-    work: Int[np.ndarray, "n"]  # configurations extended and self-motions so far
-    width: Int[np.ndarray, "n"]  # multiple of the settings' beam widths and rounds of self-motions
-    failure: Int[np.ndarray, "n"]  # its Status if no more configurations reach the next target
-    status: Int[np.ndarray, "n"]  # Status of a search that ended before the last target; or NONE
+    earlier: Int[np.ndarray, "n"]  # index of the search that this one continues; NONE for a first search
+    rounds: Int[np.ndarray, "n"]  # number of rounds of self-motions at this target
+    draws: Int[np.ndarray, "n"]  # number of rounds of self-motions in total
+    work: Int[np.ndarray, "n"]  # number of extended configurations and self-motions so far
+    width: Int[np.ndarray, "n"]  # factor on the settings' beam widths and rounds of self-motions
+    failure: Int[np.ndarray, "n"]  # Status of the search if no more configurations reach the next target
+    status: Int[np.ndarray, "n"]  # Status of a search that ended before its last target; else NONE
 
 
 class Searches:
     """All searches of one tree.
 
-    `selection` is the beam of each search at its target, `pending` the part of it that is still to be extended to the
-    next target, and `arrived` the configurations already there while the search spreads.
+    `selection` has the beam of each search. `pending` has the configurations of the beam that are still to be extended
+    to the next target. `arrived` has the configurations that have reached the next target while the search spreads.
     """
 
     def __init__(self, settings: Settings, tree: BeamTree, has_self_motions: bool):
@@ -66,7 +66,7 @@ class Searches:
         self.columns = SearchColumns(*(np.zeros(0, int) for _ in SearchColumns._fields))
         self.going = np.zeros(0, bool)
         self.beam = self.pending = self.arrived = Members.none()
-        self._ended: dict[int, np.ndarray] = {}  # the beams of searches that have ended
+        self._ended: dict[int, np.ndarray] = {}  # search that has ended -> tree rows of its beam
 
     def begin(
         self,
@@ -77,15 +77,15 @@ class Searches:
         backwards: bool = False,
         width: int = 1,
     ) -> None:
-        """Add searches, each of one scenario, all at one target.
+        """Add one search per scenario; all begin at the same target.
 
         Args:
-            scenario: Row of the scenario, per search.
-            last: Target at which it ends with success, per search.
-            roots: One or more tree rows to begin from, per search.
-            earlier: The search before, if these begin at other configurations; or NONE.
-            backwards: True if they go from target to target towards the start.
-            width: See `SearchColumns`.
+            scenario: Row of each search's scenario.
+            last: Target at which each search ends with success.
+            roots: Tree rows from which each search begins, one or more.
+            earlier: Index of the search that the new ones continue; NONE for first searches.
+            backwards: True to search from later targets to earlier ones.
+            width: Factor on the settings' beam widths and rounds of self-motions.
         """
         count, draws = len(scenario), 0 if earlier == NONE else self.columns.draws[earlier]
         first = len(self.going)
@@ -98,16 +98,16 @@ class Searches:
             *(np.full(count, value) for value in (-1 if backwards else 1, earlier, 0, draws, 0, width, NONE, NONE)),
         )
         self.columns, self.going = tables.concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
-        goes_on = np.append(np.zeros(first, bool), target != last)  # the others have arrived already
+        goes_on = np.append(np.zeros(first, bool), target != last)  # False: already at the last target
         self.beam = tables.concatenate([self.beam, held])
         self.pending = tables.concatenate([self.pending, held.of(goes_on)])
 
     def has(self, members: Members) -> Bool[np.ndarray, "searches"]:
-        """Return True for searches that have any of these."""
+        """Return True for searches with at least one row in `members`."""
         return self._count(members) > 0
 
     def chain(self, search: int) -> list[int]:
-        """Return the search and those before it, latest first."""
+        """Return the search, the search that it continues, and so on to the scenario's first search."""
         found = [search]
         while (earlier := int(self.columns.earlier[found[-1]])) != NONE:
             found.append(earlier)
@@ -115,11 +115,11 @@ class Searches:
 
     @property
     def tracked(self) -> int:
-        """Number of targets reached by running searches that are their scenario's first."""
+        """Number of targets reached by running first searches of scenarios."""
         return int((self.columns.target[self.going & (self.columns.earlier == NONE)] + 1).sum())
 
     def beam_of(self, search: int) -> list[int]:
-        """Return the beam of a search when it ended, the best first."""
+        """Return the tree rows in the beam of an ended search, the best first."""
         rows = self._ended[search]
         return rows[best_first(self.tree.nodes(rows))].tolist()
 
@@ -135,9 +135,9 @@ class Searches:
         self._select_beams(arrived.of(~thin))
 
     def origins(self) -> tuple[Members, Int[np.ndarray, "n"]]:
-        """Return the configurations from which to move in the null space, and the self-motions' numbers.
+        """Return the configurations from which self-motions start, one row each, and the self-motions' numbers.
 
-        One row per self-motion; numbers count from 0 in every search.
+        Numbers count from 0 in every search.
         """
         resting = self.going & ~self._done & ~self.has(self.pending)
         among = self.arrived.appended(self.beam.of(resting & ~self.has(self.arrived)))
@@ -148,7 +148,7 @@ class Searches:
         return Members(np.repeat(rows, len(motion_number)), node.ravel()), np.tile(motion_number, len(rows))
 
     def store_self_motions(self, origins: Members, found: Members) -> None:
-        """Store the results of one round of self-motions."""
+        """Store the configurations found by one round of self-motions from `origins`."""
         moved, wide = self.has(origins), self.has(self.arrived)
         self.columns.draws[moved] += 1
         self.columns.work[:] += self._count(origins)
@@ -161,11 +161,11 @@ class Searches:
         self._lose(stuck & ~self.has(new) & self._rounds_spent)
 
     def stop(self, which: Bool[np.ndarray, "searches"]) -> None:
-        """End searches as they are, by failure."""
+        """Mark unfinished searches as failed (RECOVERY_EXHAUSTED)."""
         self.columns.status[which & self.going & ~self._done] = Status.RECOVERY_EXHAUSTED
 
     def pop_ended(self) -> list[int]:
-        """Stop and return the searches that have ended, by success or failure."""
+        """Remove searches that have ended, by success or failure, from the running ones; return their indices."""
         ended = self.going & self._done
         held = self.beam.of(ended)
         self.going &= ~ended
@@ -180,7 +180,7 @@ class Searches:
             del self._ended[search]
 
     def prune(self) -> None:
-        """Remove all configurations without descendants in a beam if the tree is overgrown."""
+        """If the tree has grown enough, remove its configurations that have no descendants in a beam."""
         if self.tree.is_overgrown:
             moved = self.tree.prune(np.concatenate([self.beam.node, *self._ended.values()]))
             self.beam = self.beam._replace(node=moved[self.beam.node])
@@ -202,7 +202,7 @@ class Searches:
         self.columns.status[which] = self.columns.failure[which]
 
     def _select_beams(self, arrived: Members) -> None:
-        """Make the best of the configurations at the next target the new beams."""
+        """Make the best configurations of `arrived` the new beams, at the next target."""
         which = self.has(arrived)
         new = Members.none()
         for width in np.unique(self.columns.width[which]).tolist():
@@ -213,7 +213,7 @@ class Searches:
         self.columns.rounds[which] = 0
 
     def _dispersed(self, members: Members, most: int | None = None, known: Members | None = None) -> Members:
-        """Return the best members that are far apart, and far from the known ones."""
+        """Return the best members that are far from each other and from `known`."""
         members = tables.gather(members, best_first(self.tree.nodes(members.node), members.search))
         most = len(members.node) if most is None else most
         where = None if known is None else (self.tree.x[known.node], known.search)

@@ -15,19 +15,22 @@ LEAST = 4096  # minimum rows of a table
 
 
 class Nodes(NamedTuple):
-    """Configurations, and the motion to each from its parent."""
+    """Configurations, and the motion to each configuration from its parent."""
 
     at: step_functions.State
     target: Int[np.ndarray, "n"]
-    parent: Int[np.ndarray, "n"]  # its row; configuration_tree.NO_PARENT for a root
-    by_self_motion: Bool[np.ndarray, "n"]  # True if reached by self-motion at its target, False if extended to it
-    step_qps: Int[np.ndarray, "n"]
-    dwells: Int[np.ndarray, "n"]  # changes of configuration on the path so far
-    cost: Float[np.ndarray, "n"]  # from the root, equation (3): the sum of |x_{t+1} - x_t|^2 [rad2]
+    parent: Int[np.ndarray, "n"]  # row of the parent; configuration_tree.NO_PARENT for a root
+    by_self_motion: Bool[np.ndarray, "n"]  # True: reached by self-motion at its target; False: extended to its target
+    step_qps: Int[np.ndarray, "n"]  # number of step QPs solved for the configuration
+    dwells: Int[np.ndarray, "n"]  # number of changes of configuration on the path from the root
+    cost: Float[np.ndarray, "n"]  # cost (3) of the path from the root: the sum of |x_{t+1} - x_t|^2 [rad2]
 
 
 class BeamTree(configuration_tree.Tree):
-    """All configurations of some searches. Those without descendants in a beam are pruned from time to time."""
+    """All configurations of some searches, as a tree.
+
+    Configurations without descendants in a beam are removed from time to time.
+    """
 
     def __init__(self, joints: int):
         names = {"x": (joints,), "clearance": (), "residual": (), "tcp": (3,)}
@@ -47,11 +50,11 @@ class BeamTree(configuration_tree.Tree):
         return self._table.target[: self._count]
 
     def nodes(self, rows: Int[np.ndarray, "m"]) -> Nodes:
-        """Return the nodes in some rows."""
+        """Return the nodes with the given rows."""
         return tables.gather(self._table, rows)
 
     def plant(self, at: step_functions.State, target: int) -> Int[np.ndarray, "m"]:
-        """Add roots at a target; return their rows."""
+        """Add roots at a target; return the rows of the new nodes."""
         none = np.full(len(at.x), configuration_tree.NO_PARENT)
         return self.add(Nodes(at, none * 0 + target, none, none > 0, none * 0, none * 0, np.zeros(len(none))))
 
@@ -64,15 +67,15 @@ class BeamTree(configuration_tree.Tree):
         by_self_motion: bool = False,
         dwells=0,
     ) -> Int[np.ndarray, "m"]:
-        """Add a child to each parent, at a target; return their rows.
+        """Add a child to each parent; return the rows of the children.
 
         Args:
             parent: Rows of the parents.
             at: The children, with `x` [rad or m].
-            target (int or array): Their target.
-            step_qps (int or array): Number of step QPs solved for them.
+            target (int or array): Index of the children's target.
+            step_qps (int or array): Number of step QPs solved for each child.
             by_self_motion: See `Nodes`.
-            dwells (int or array): Changes of configuration that begin on the motion from the parent.
+            dwells (int or array): Number of changes of configuration that begin on the motion from the parent.
         """
         step, zero = at.x - self.x[parent], np.zeros_like(parent)
         dwells = self._table.dwells[parent] + dwells
@@ -87,7 +90,7 @@ class BeamTree(configuration_tree.Tree):
         return self._count > 2 * self._kept
 
     def with_ancestors(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "k"]:
-        """Return the rows of these nodes and of all their ancestors, in order."""
+        """Return the rows of some nodes and of all their ancestors, in ascending order."""
         alive, parent = np.zeros(self._count, bool), self._table.parent
         while len(rows):
             alive[rows] = True
@@ -97,7 +100,7 @@ class BeamTree(configuration_tree.Tree):
         return np.flatnonzero(alive)
 
     def prune(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "n"]:
-        """Remove all nodes but these and their ancestors; return the new row of each old one."""
+        """Remove all nodes except those in `rows` and their ancestors; return the new row of each old row."""
         kept_rows, moved = self.with_ancestors(rows), np.full(self._count, -1)
         moved[kept_rows] = np.arange(len(kept_rows))
         kept = tables.gather(self._table, kept_rows)
@@ -110,5 +113,5 @@ class BeamTree(configuration_tree.Tree):
 
 
 def best_first(nodes: Nodes, search: Int[np.ndarray, "n"] | int = 0) -> Int[np.ndarray, "n"]:
-    """Return all row indices, search by search: fewest dwells first, then least cost; ties in the order given."""
+    """Return the indices of nodes sorted by search, then number of dwells, then cost; the sort is stable."""
     return np.lexsort((nodes.cost, nodes.dwells, np.broadcast_to(search, nodes.cost.shape)))

@@ -1,12 +1,12 @@
 """Planning backwards from a failed target to the first one.
 
-Clear configurations are sampled at the failed target, and each is carried back target by target. A chain that is clear
-all along, including from the given start to its first configuration, replaces the rows so far. One call of a lane
-function per round advances all lanes in the same phase:
+Clear configurations are sampled at the failed target. Each is moved back from target to target, which gives a chain of
+configurations. A chain replaces the previous results if all of its joint paths are clear, including the path from the
+start to its first configuration. In each round, one call of a lane function advances all lanes in the same phase:
 
-    draw    a round of configurations at the failed target; each valid one begins a chain
-    push    every chain one target further back; chains whose new configuration is not valid end
-    check   one chain that has come to the first target: the joint paths between its rows, and from the start
+    draw    sample configurations at the failed target; each valid one begins a chain
+    push    extend every chain by one target backwards; chains whose new configuration is not valid end
+    check   test a chain that has reached the first target: the joint paths between its rows, and from the start
 """
 
 from dataclasses import dataclass
@@ -25,24 +25,24 @@ from htcp_jax.planning.tracking.stages import DRAW, PUSH, Recoveries
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
-LOST = -6  # instead of a phase
+LOST = -6  # in place of a phase: the scenario has ended
 
 
 @dataclass
 class Chains:
-    """Chains of one scenario: configurations (C, rows, N) from the target reached so far to the failed one."""
+    """Chains of one scenario, from the target reached so far to the failed target."""
 
-    x: np.ndarray
-    rounds: int = 0  # rounds of draws so far
+    x: np.ndarray  # configurations (C, rows, N) of C chains [rad or m]
+    rounds: int = 0  # number of rounds of random draws so far
 
 
 class BackwardsRound(NamedTuple):
-    """Result of a round; the scenarios of lanes that are in neither `going` nor `found` have ended."""
+    """Result of a round of planning backwards; scenarios in neither `going` nor `found` have ended."""
 
-    going: Lanes  # in their next phases
-    found: Lanes  # with a recorded chain; they are at their target
-    now: step_functions.State | None  # of these; None where there are none
-    lost: int  # scenarios
+    going: Lanes  # lanes that continue, in their next phases
+    found: Lanes  # lanes at their target whose chain is recorded
+    now: step_functions.State | None  # states of `found`; None if `found` is empty
+    lost: int  # number of scenarios that have ended without success
 
 
 class BackwardPlans:
@@ -62,7 +62,7 @@ class BackwardPlans:
         self._chains: dict[int, Chains] = {}
 
     def begin(self, lanes: Lanes) -> BackwardsRound:
-        """Begin with lanes whose target failed; all end if the method does not plan backwards."""
+        """Begin with lanes whose target failed; their scenarios end if the method does not plan backwards."""
         none = np.zeros((0, 1, lanes.x_ref.shape[1]))
         self._chains.update({scenario: Chains(none) for scenario in lanes.scenario.tolist()})
         return self._replanned(lanes, np.zeros(lanes.size, bool))
@@ -78,7 +78,7 @@ class BackwardPlans:
         return [self._chains[scenario] for scenario in lanes.scenario.tolist()]
 
     def _draw(self, lanes: Lanes) -> None:
-        """Sample configurations at the failed targets, the clearest first; valid ones are chains of one row."""
+        """Sample configurations at the failed targets; each valid one begins a chain, the clearest first."""
         chains = self._of(lanes)
         drawn = self._checks.executor(DRAW, self._checks.inputs(lanes, np.array([each.rounds for each in chains])))
         count = drawn.x.shape[1]
@@ -88,7 +88,7 @@ class BackwardPlans:
             each.x, each.rounds = x[keep][:, None], each.rounds + 1
 
     def _push(self, lanes: Lanes) -> None:
-        """Push all chains to the target before their first one."""
+        """Extend all chains backwards by one target."""
         chains = self._of(lanes)
         owner = np.repeat(np.arange(lanes.size), [len(each.x) for each in chains])
         many = tables.gather(lanes, owner)
@@ -101,7 +101,7 @@ class BackwardPlans:
             each.x = np.concatenate([here.x[own][:, None], each.x], axis=1)[good[own]]
 
     def _check(self, lanes: Lanes) -> BackwardsRound:
-        """Record the first chain of every lane if all its paths are clear, else discard it."""
+        """Record the first chain of every lane if all of its joint paths are clear, else discard the chain."""
         chains = self._of(lanes)
         rows = [each.x.shape[1] for each in chains]
         owner, end = np.repeat(np.arange(lanes.size), rows), np.cumsum(rows) - 1
@@ -122,9 +122,14 @@ class BackwardPlans:
         return self._replanned(lanes, clear)
 
     def _rows(self, many: Lanes, x: np.ndarray, end: np.ndarray) -> Lanes:
-        """Return the lanes of complete chains x (rows of all chains, N), whose last rows are at `end`.
+        """Return one lane per row of complete chains.
 
-        Only the last row, at the failed target, has a count of step QPs: the other rows were pushed there without any.
+        Only the last row of a chain, at the failed target, has a number of step QPs, as the other rows needed none.
+
+        Args:
+            many: Lanes with these rows, whose targets are not set yet.
+            x: Configurations of all chains, one after the other (rows, N) [rad or m].
+            end: Index of each chain's last row.
         """
         first = np.concatenate([[0], end[:-1] + 1])
         before = np.concatenate([x[:1], x[:-1]])
@@ -136,10 +141,10 @@ class BackwardPlans:
 
     def _write(self, many: Lanes, now: step_functions.State) -> None:
         self._record.track(many, now, Status.TRACKED_AFTER_RECOVERY, self._recovery, np.ones(many.size, np.int8))
-        self._record.tracked -= many.size - len(np.unique(many.scenario))  # all but the failed one were counted before
+        self._record.tracked -= many.size - len(np.unique(many.scenario))  # only the failed target is newly tracked
 
     def _replanned(self, lanes: Lanes, found: np.ndarray) -> BackwardsRound:
-        """Return the lanes in their next phases, except those with a chain, `found`."""
+        """Return the round's result: lanes in their next phases, except those marked by `found`."""
         phases = np.array(
             [self._next(each, int(lost)) for each, lost in zip(self._of(lanes), lanes.target, strict=True)]
         )
@@ -150,7 +155,7 @@ class BackwardPlans:
         return BackwardsRound(going, tables.gather(lanes, found), None, int((over & ~found).sum()))
 
     def _next(self, chains: Chains, lost: int) -> int:
-        """Return the next phase of a scenario that failed at target number `lost`."""
+        """Return the next phase of a scenario that failed at target `lost`."""
         if len(chains.x):
             return CHECKING if chains.x.shape[1] == lost + 1 else PUSHING
         return DRAWING if chains.rounds < self._rounds else LOST

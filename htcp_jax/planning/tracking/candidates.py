@@ -1,7 +1,7 @@
 """Candidates: configurations that a sampling stage proposes for a stuck scenario.
 
-The scenario waits while the step QPs track its target from each of them, and continues from the nearest one that
-reaches it by a clear joint path.
+The scenario waits while step QPs track its target from each candidate. It continues from the nearest candidate that
+reaches the target by a clear joint path.
 """
 
 import threading
@@ -19,29 +19,29 @@ from htcp_jax.planning.tracking.stages import Recoveries
 
 
 class ArrivedCandidates(NamedTuple):
-    """Candidates that reached their target, and their state there."""
+    """Candidates that reached their target, and their states there."""
 
-    number: np.ndarray
+    number: np.ndarray  # number of each candidate in its scenario
     now: step_functions.State
 
 
 @dataclass
 class PendingCandidates:
-    """A stuck scenario whose candidates are being tracked. Rows stay in their original tables until they are read."""
+    """A stuck scenario whose candidates are being tracked."""
 
     lane: tuple[Lanes, np.ndarray]  # the table and the row of the stuck lane
-    stage: int  # its stage
-    left: int  # candidates not decided yet
-    qps: int = 0  # step QPs that the candidates took
-    # those that reached the target, by rows
+    stage: int  # number of the sampling stage
+    left: int  # number of candidates not decided yet
+    qps: int = 0  # number of step QPs solved for the candidates
+    # candidates that reached the target: tables, and their rows for this scenario
     ends: list[tuple[ArrivedCandidates, np.ndarray]] = field(default_factory=list)
 
 
 @dataclass
 class PendingScenarios:
-    """The scenarios that wait for their candidates; any engine may track these."""
+    """The scenarios that wait for their candidates; any engine may track the candidates."""
 
-    of: dict[int, PendingCandidates] = field(default_factory=dict)  # by scenario
+    of: dict[int, PendingCandidates] = field(default_factory=dict)  # scenario -> its candidates
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
@@ -50,27 +50,27 @@ class Arrivals(NamedTuple):
 
     lanes: Lanes
     now: step_functions.State
-    clear: np.ndarray  # the joint path there: 1 clear, 0 not; -1: not checked
+    clear: np.ndarray  # joint path to the target: 1 clear, 0 blocked, -1 not checked
 
 
 class StageOutcome(NamedTuple):
-    """Result of a stage; lanes that are in none of the three wait for their candidates."""
+    """Result of a stage; lanes that are neither spent nor arrived wait for their candidates."""
 
-    stage: int
-    spent: Lanes  # the stage has nothing left for these
+    stage: int  # number of the stage
+    spent: Lanes  # lanes for which the stage has failed
     arrived: Arrivals | None = None
-    candidates: Lanes | None = None  # to be tracked
+    candidates: Lanes | None = None  # candidates to be tracked
 
 
 class CandidateSearch:
-    """One engine's part in the scenarios that wait for their candidates."""
+    """Proposes, tracks and selects candidates for one engine."""
 
     def __init__(self, checks: LaneChecks, recoveries: Recoveries, waiting: PendingScenarios):
         self._checks, self._functions = checks, [stage.lane_function(k) for k, stage in enumerate(recoveries.stages)]
         self._waiting = waiting
 
     def sample(self, lanes: Lanes, stage: int) -> StageOutcome:
-        """Propose candidates for every lane: if some are done, take the best of them, else track from all."""
+        """Propose candidates for every lane; select the best one that is already done, else track from all of them."""
         found: Candidates = self._checks.executor(self._functions[stage], self._checks.inputs(lanes), lanes.x_previous)
         found = found._replace(done=self._without_passing_tips(lanes, found))
         done = found.done.any(axis=1)
@@ -83,7 +83,7 @@ class CandidateSearch:
         return outcome._replace(arrived=Arrivals(lanes, self._checks.measured(lanes, x[best]), clear))
 
     def _without_passing_tips(self, lanes: Lanes, found: Candidates) -> np.ndarray:
-        """Return True for candidates (lanes, C) that are done and whose tip passes through no wall."""
+        """Return True for candidates (lanes, C) that are done and whose bare tip does not pass through a wall."""
         owner, number = np.nonzero(found.done)
         done = found.done.copy()
         done[owner, number] = self._checks.tip_free(
@@ -92,11 +92,11 @@ class CandidateSearch:
         return done
 
     def track_from(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> StageOutcome:
-        """Let each lane wait while candidates track its target from its valid configurations.
+        """Make each lane wait, and return its valid candidates as lanes to be tracked.
 
         Args:
             lanes: The stuck lanes.
-            x: Their candidates (lanes, C, N) [rad or m].
+            x: The candidates of each lane (lanes, C, N) [rad or m].
             valid: True for candidates to try (lanes, C).
             stage: Number of the sampling stage.
 
@@ -119,13 +119,13 @@ class CandidateSearch:
     def decide(
         self, lanes: Lanes, now: step_functions.State, reached: np.ndarray, stuck: np.ndarray
     ) -> list[StageOutcome]:
-        """Register candidates that reached the target, and those that did not.
+        """Register candidates that reached the target, and candidates that cannot reach it.
 
         Args:
-            lanes: Lanes that track for candidates, and others.
-            now: Their states.
+            lanes: Lanes of candidates, and other lanes.
+            now: States of the lanes.
             reached: True for candidates on their target (lanes,).
-            stuck: True for candidates that cannot reach it (lanes,).
+            stuck: True for candidates that cannot reach their target (lanes,).
 
         Returns:
             Outcomes of the scenarios whose last candidate is decided.
@@ -136,7 +136,7 @@ class CandidateSearch:
         decided = decided[np.argsort(lanes.scenario[decided], kind="stable")]
         first = np.flatnonzero(np.diff(lanes.scenario[decided], prepend=-1))
         qps = np.add.reduceat(lanes.iteration[decided], first)
-        good = np.concatenate([[0], np.cumsum(reached[decided])])  # before each of the decided, and in the end
+        good = np.concatenate([[0], np.cumsum(reached[decided])])  # reached ones before each row, and in total
         rows = decided[reached[decided]]
         ends = ArrivedCandidates(lanes.candidate[rows], tables.gather(now, rows))
         ready = []
@@ -154,7 +154,7 @@ class CandidateSearch:
         return [self._choose([each for each in ready if each.stage == stage], stage) for stage in stages]
 
     def _choose(self, ready: list[PendingCandidates], stage: int) -> StageOutcome:
-        """Choose the best of the candidates that reached the target."""
+        """Select, for each scenario, the best candidate that reached the target."""
         lanes = tables.gather_from([each.lane for each in ready])
         lanes = lanes._replace(iteration=lanes.iteration + np.array([each.qps for each in ready], np.int32))
         found = np.array([bool(each.ends) for each in ready])
@@ -169,9 +169,10 @@ class CandidateSearch:
         return StageOutcome(stage, spent, Arrivals(lanes, tables.gather(now, best), clear))
 
     def _best(self, lanes: Lanes, owner: np.ndarray, number: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return the best configuration of every lane as a row of x (M, N), and the result of its path.
+        """Return the row in x (M, N) of each lane's best configuration, and the result of its joint path.
 
-        The best has the smallest joint change among those with a clear path. Results: 1 clear, 0 not, -1 not checked.
+        The best configuration has the smallest joint change among those with a clear or unchecked path. Results are 1:
+        clear, 0: blocked, -1: not checked.
         """
         clear = self._checks.path_clear(tables.gather(lanes, owner), x, self._checks.of_recoveries)
         best = nearest(owner, number, np.linalg.norm(x - lanes.x_previous[owner], axis=1), clear)
@@ -181,14 +182,14 @@ class CandidateSearch:
 def nearest(owner: np.ndarray, number: np.ndarray, change: np.ndarray, clear: np.ndarray) -> np.ndarray:
     """Return the row of each owner's best candidate (owners,).
 
-    The best has the smallest change among those whose path is clear or unchecked, the lowest number among equals; one
-    with a blocked path only if the owner has no other.
+    The best candidate has the smallest change among those with a clear or unchecked path; among equal ones, the lowest
+    number. A candidate with a blocked path is returned only if the owner has no other candidate.
 
     Args:
         owner: Owner of each candidate (M,).
         number: The candidates' numbers (M,).
-        change: Their joint change (M,) [rad or m].
-        clear: Results of their paths (M,): 1 clear, 0 not, -1 not checked.
+        change: The candidates' joint changes (M,) [rad or m].
+        clear: Results of the candidates' paths (M,): 1 clear, 0 blocked, -1 not checked.
     """
     order = np.lexsort((number, np.where(clear != 0, change, np.inf), owner))
     return order[np.unique(owner[order], return_index=True)[1]]

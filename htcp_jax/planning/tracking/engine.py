@@ -1,20 +1,21 @@
-"""The engine: each scenario is a small state machine, and every unfinished one is advanced a few steps at a time.
+"""The engine advances all unfinished scenarios a few steps at a time; each scenario is a small state machine.
 
     prepare   (device)  lane -> step QP             linearised task, clearance rows, limits about x_ref
     solve     (host)    step QPs -> steps, verdicts Clarabel
     advance   (device)  lane, step -> lane          linearised and measured at the new x_ref
 
-If the step QPs are solved on the device too (`qp: device`), it takes a chunk of these steps at a time.
+If the step QPs are solved on the device (`qp: device`), one call runs a chunk of these steps.
 
-A lane is one row of the batch. It tracks one target by step QPs until it is reached, then the next one; or it is stuck
-and in a recovery stage, which moves in the null space a few steps at a time or samples; or it is one of many candidates
-of a sampling stage, tracking the stuck target on behalf of a scenario that waits (`candidates`); or its target failed
-and the path to it is planned backwards (`backwards`). Each lane has its own target, phase and count; finished ones
-leave, new scenarios take their place. Lanes in the same phase go through one lane function together, and do not
-influence each other: a scenario's result is the same alone, in any batch, in any order and on any thread.
+A lane is one row of the batch. Usually it tracks one target by step QPs until the target is reached, then the next
+target. A stuck lane is in a recovery stage, which takes a few null-space steps at a time, or samples. A lane may also
+be one of many candidates of a sampling stage, which track the stuck target while their scenario waits (`candidates`).
+If a target has failed, the path to it is planned backwards (`backwards`). Each lane has its own target, phase and step
+count. Finished lanes are removed, and new scenarios take their place. One call of a lane function advances all lanes in
+the same phase. Lanes do not influence each other: a scenario's result is the same alone, in any batch, in any order and
+on any thread.
 
-This module does the bookkeeping on numpy tables (`lanes`). The mathematics is in `step_functions` and below; `batching`
-runs it over tables.
+This module does the bookkeeping on numpy tables (`lanes`). The mathematics is in `step_functions` and in the modules
+that it imports; `device.batching` runs it over tables.
 """
 
 import numpy as np
@@ -34,9 +35,9 @@ from htcp_jax.status import Status
 
 
 class Engine:
-    """Engine of one thread: plans scenarios taken from `work` and writes into `plans`.
+    """Engine of one thread: plans scenarios from `work` and writes the results into `plans`.
 
-    `work` and `waiting` are shared by all engines. Without a `solver` the step QPs are solved on the device.
+    All engines share `work` and `waiting`. Without a `solver` the step QPs are solved on the device.
     """
 
     def __init__(
@@ -57,7 +58,7 @@ class Engine:
         self._record = Record(plans)
         self._candidates = CandidateSearch(self._checks, recoveries, waiting)
         self._backwards = BackwardPlans(self._checks, self._record, recoveries, settings, scenarios.x_start)
-        # Without a null space, the stages in it have nothing to do.
+        # Without a null space, stages that need one are skipped.
         self._possible = [checker.executor.freedom > 0 or not stage.in_null_space for stage in recoveries.stages]
         self._stage_functions = [stage.lane_function(k) for k, stage in enumerate(recoveries.stages)]
 
@@ -84,14 +85,14 @@ class Engine:
     # Tracking by step QPs
 
     def _linearise(self, lanes: Lanes) -> None:
-        """Linearise new scenarios at their start. Those whose start is in collision end."""
+        """Linearise new scenarios at their start; end scenarios whose start is in collision."""
         lanes, clearance = self._checks.linearised(lanes)
         collides = clearance <= 0
         self._record.collide(tables.gather(lanes, collides))
         self._table.keep(tables.gather(lanes, ~collides))
 
     def _track(self, lanes: Lanes) -> None:
-        """Solve one step QP for every lane, or a chunk of them on the device."""
+        """Solve one step QP for every lane or, on the device, a chunk of step QPs."""
         now, iteration, verdict = self._chunk(lanes) if self._solver is None else self._step(lanes)
         lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
         solved = verdict == step_qp.QPStatus.SOLVED
@@ -124,7 +125,7 @@ class Engine:
         return self._executor(step_functions.TRACK_CHUNK, self._checks.inputs(lanes), *state)
 
     def _reached(self, lanes: Lanes, now: step_functions.State) -> None:
-        """Continue main lanes whose step QP reached the target: ascend if the method does, check the path, accept."""
+        """Continue main lanes that have reached the target: increase D if required, check the path, accept."""
         if not lanes.size:
             return
         if self._recoveries.keep_clear and self._executor.freedom:
@@ -135,7 +136,7 @@ class Engine:
         self._enter(tables.gather(lanes, blocked), 0, Status.PATH_BLOCKED)
 
     def _ascended(self, lanes: Lanes, now: step_functions.State) -> tuple[Lanes, step_functions.State]:
-        """Return the lanes moved in the null space to larger D where D is small, unless that blocks a clear path."""
+        """Return the lanes after an increase of D in the null space where D is small, unless it blocks a clear path."""
         low = now.clearance < self._settings.keep_clear_m
         if not low.any():
             return lanes, now
@@ -150,7 +151,7 @@ class Engine:
     def _accept(
         self, lanes: Lanes, now: step_functions.State, status: Status, recovery: int, clear: np.ndarray
     ) -> None:
-        """Record the target and continue with the next one, or finish."""
+        """Record that the target is reached, and continue with the next one; finish after the last."""
         if lanes.size:
             self._record.track(lanes, now, status, recovery, clear)
             self._continue_path(lanes, now)
@@ -172,9 +173,10 @@ class Engine:
     # Recovery stages
 
     def _enter(self, lanes: Lanes, stage: int, reason: np.ndarray | Status) -> None:
-        """Enter the given recovery stage with main lanes that have not reached their target.
+        """Enter a recovery stage with main lanes that are stuck.
 
-        Without one the target fails, and with it the rest of the scenario, unless it can be planned backwards.
+        If the method has no stage with that number, the target fails, and the scenario ends unless it is planned
+        backwards.
         """
         if not lanes.size:
             return
@@ -188,7 +190,7 @@ class Engine:
             self._continue(self._backwards.begin(lanes))
 
     def _move_in_null_space(self, lanes: Lanes, stage: int) -> None:
-        """Take a chunk of null-space steps with every lane; one that enters is first brought onto its target."""
+        """Take a chunk of null-space steps with every lane; new lanes are first moved onto their target."""
         entering = lanes.null_space_steps == ENTERING
         if entering.any():
             new = tables.gather(lanes, entering)
@@ -206,7 +208,7 @@ class Engine:
     def _arrived(self, lanes: Lanes, now: step_functions.State, stage: int) -> Lanes:
         """Return the lanes whose recovery in the null space continues.
 
-        Those that meet the success criterion, or have spent their steps, leave it.
+        Lanes that meet the success criterion, and lanes that have taken the maximum number of steps, leave the stage.
         """
         lanes = lanes._replace(x_ref=now.x)
         out = self._checks.at_target(lanes, now)
@@ -223,7 +225,7 @@ class Engine:
         return tables.gather(lanes, ~out & ~spent)
 
     def _recovered(self, lanes: Lanes, now: step_functions.State, clear: np.ndarray, stage: int) -> None:
-        """Accept lanes that a stage has brought to their target if the path there is clear, or not checked."""
+        """Accept lanes that a stage has brought to their target if the path to the target is clear or not checked."""
         good = clear != 0
         self._accept(
             tables.gather(lanes, good), tables.gather(now, good), Status.TRACKED_AFTER_RECOVERY, stage + 1, clear[good]
@@ -239,7 +241,7 @@ class Engine:
         self._enter(outcome.spent, outcome.stage + 1, Status.RECOVERY_EXHAUSTED)
 
     def _continue(self, replanned: BackwardsRound) -> None:
-        """Continue with the result of a step of planning backwards."""
+        """Continue with the result of a round of planning backwards."""
         self._table.keep(replanned.going)
         self._record.finished += replanned.lost
         if replanned.now is not None:

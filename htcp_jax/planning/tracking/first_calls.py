@@ -7,7 +7,7 @@ from htcp_jax.planning.tracking.lanes import new_lanes
 
 
 def first_calls(problem: Problem) -> list[tuple]:
-    """Return one call of each lane function, in the order of need; quick compilations do not delay the longest."""
+    """Return one call of each lane function, in the order of use, except that the longest compilation starts early."""
     executor, one, zero = problem.checkers[0].executor, problem.to_plan[:1], np.zeros(1, int)
     x, inputs = problem.scenarios.x_start[one], lane_inputs.lane_inputs(problem.scenarios, one, zero)
     lanes = new_lanes(executor.sizes, one, zero, x, x)

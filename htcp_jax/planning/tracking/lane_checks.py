@@ -19,7 +19,7 @@ class LaneChecks:
         self.of_recoveries = self.of_steps or problem.settings.path_check == "recoveries"
 
     def inputs(self, lanes: Lanes, round_: int | np.ndarray = 0) -> lane_inputs.LaneInputs:
-        """Return the inputs of the lanes' functions; `round_` is the number of the round of draws."""
+        """Return the inputs of lane functions for these lanes; `round_` is the number of the round of draws."""
         return lane_inputs.lane_inputs(self._scenarios, lanes.scenario, lanes.target, seed=self._seed, round_=round_)
 
     def advanced(self, lanes: Lanes, y: np.ndarray) -> step_functions.State:
@@ -31,43 +31,43 @@ class LaneChecks:
         return self._checker.stepped(self.inputs(lanes), x, np.zeros_like(x))
 
     def linearised(self, lanes: Lanes) -> tuple[Lanes, np.ndarray]:
-        """Return new lanes with their linearisation, ready to be tracked, and their clearance."""
+        """Return new lanes with their linearisation, ready to be tracked, and the lanes' clearance [m]."""
         now = self.measured(lanes, lanes.x_ref)
         return lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)), now.clearance
 
     def keeps_margin(self, lanes: Lanes, here: step_functions.State) -> np.ndarray:
-        """Return True for lanes on their target with the required margin."""
+        """Return True for lanes that are on their target and satisfy the margin."""
         return self.executor.task.is_satisfied(here.clearance, here.residual, self._scenarios.margin_m[lanes.scenario])
 
     def tip_free(self, lanes: Lanes, x: np.ndarray, among: np.ndarray) -> np.ndarray:
-        """Return True for lanes of `among` whose bare tip at x is outside of the walls.
+        """Return True for lanes marked by `among` whose bare tip at x does not pass through a wall.
 
         Args:
             lanes: The lanes.
-            x: Their configurations (lanes, N) [rad or m].
+            x: The lanes' configurations (lanes, N) [rad or m].
             among: True for lanes to check (lanes,).
         """
         return self._checker.tip_free(self.inputs(lanes), x, among)
 
     def at_target(self, lanes: Lanes, here: step_functions.State, among: np.ndarray | bool = True) -> np.ndarray:
-        """Return True for lanes of `among` that meet the success criterion, see `CollisionChecker.valid`.
+        """Return True for lanes marked by `among` that meet the success criterion, see `CollisionChecker.valid`.
 
         Args:
             lanes: The lanes.
-            here: Their states.
+            here: States of the lanes.
             among: True for lanes to check (lanes,), or for all.
         """
         return self._checker.valid(self.inputs(lanes), here, among)
 
     def path_clear(self, lanes: Lanes, x: np.ndarray, requested: bool) -> np.ndarray:
-        """Return 1 for each clear joint path from a lane's last target to x, 0 for others; -1 if not `requested`.
+        """Return 1 for each clear joint path from a lane's last target to x, 0 for a blocked one; -1 if not requested.
 
         A path on which a joint moves too far is not clear, see `Scenario.max_joint_step`.
 
         Args:
             lanes: The lanes.
             x: Ends of the paths (lanes, N) [rad or m].
-            requested: True to check them.
+            requested: True to check the paths.
         """
         most = lane_inputs.longest_joint_steps(self._scenarios, lanes.scenario, lanes.target)
         near = True if most is None else (np.abs(x - lanes.x_previous) <= most).all(axis=1)

@@ -1,4 +1,4 @@
-"""Lanes that an engine has in flight, at most as many as a call of a lane function takes, and its queue of others."""
+"""Table of the lanes that an engine is advancing, at most as many as one call computes, and a queue of other lanes."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ class LaneTable:
 
     def __init__(self, executor: Executor, scenarios: Scenario, work: Work):
         self._executor, self._starts, self._work = executor, scenarios.x_start, work
-        self._kept: list[Lanes] = []  # in flight
+        self._kept: list[Lanes] = []  # lanes being advanced
         self._queue: list[Lanes] = []
 
     def keep(self, lanes: Lanes) -> None:
@@ -22,11 +22,11 @@ class LaneTable:
             self._kept.append(lanes)
 
     def queue(self, lanes: Lanes) -> None:
-        """Queue lanes until slots are free."""
+        """Queue lanes until rows of the table are free."""
         self._queue.append(lanes)
 
     def fill(self) -> bool:
-        """Leave some lanes to an idle engine, and fill the table; return False if no work is left."""
+        """Pass some lanes to an idle engine, if there is one, and fill the table; return False if no work is left."""
         if self._work.wanted:
             self._leave()
         while not self._top_up():
@@ -37,9 +37,9 @@ class LaneTable:
         return True
 
     def _leave(self) -> None:
-        """Leave half of the queued lanes, or else of those in flight.
+        """Pass half of a queued block of lanes to an idle engine; if the queue is empty, half of the table's lanes.
 
-        Lanes planned backwards stay, as the engine has more of their state.
+        Lanes that are planned backwards stay, as this engine has further state of them.
         """
         if self._queue:
             block = self._queue.pop()
@@ -69,10 +69,10 @@ class LaneTable:
         return bool(self._kept)
 
     def next_chunk(self) -> list[tuple[int, Lanes]]:
-        """Take the lanes to advance next out of the table, by phase.
+        """Remove the lanes to advance next from the table, and return them by phase.
 
-        These are all lanes or, if a call takes as long for few lanes, those of the phase with the most lanes, while the
-        others fill up.
+        On a CPU these are all lanes. If a call with few lanes takes as long as one with many lanes, only lanes in the
+        most frequent phase are taken, while further lanes collect in the other phases.
         """
         lanes, self._kept = tables.concatenate(self._kept), []
         phases, counts = np.unique(lanes.phase, return_counts=True)

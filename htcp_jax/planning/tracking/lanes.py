@@ -7,9 +7,9 @@ import numpy as np
 from htcp_jax.clearance import ClearanceRows
 from htcp_jax.clearance.obstacles import linearisation
 
-MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
-# Phases; for a lane in a recovery stage, the number of that stage. The last three are those of
-# lanes planned backwards: configurations are drawn at the failed target, carried back row by row, and checked.
+MAIN = -1  # `candidate` of a scenario's main lane, which is not a candidate
+# Phases; the phase of a lane in a recovery stage is the stage's number. The last three are for lanes planned
+# backwards: configurations are drawn at the failed target, moved back from target to target, and checked.
 NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
 BACKWARDS = DRAWING, PUSHING, CHECKING
 ENTERING = -1  # `null_space_steps` of a lane before its first null-space step
@@ -17,17 +17,17 @@ KINDS = linearisation.TaskRows, ClearanceRows
 
 
 class Lanes(NamedTuple):
-    """Lanes, one per row."""
+    """Table of lanes, one per row."""
 
     scenario: np.ndarray
     target: np.ndarray
     candidate: np.ndarray  # MAIN, or the number of a candidate
-    phase: np.ndarray  # NEW: to be linearised; TRACK: by step QPs; a recovery stage; or planned backwards
-    iteration: np.ndarray  # step QPs at this target so far
-    null_space_steps: np.ndarray  # ENTERING, or null-space steps so far
-    x_previous: np.ndarray
-    x_ref: np.ndarray
-    linear: linearisation.Linearisation
+    phase: np.ndarray  # NEW: to be linearised; TRACK: step QPs; else a recovery stage, or a phase of planning backwards
+    iteration: np.ndarray  # number of step QPs at this target so far
+    null_space_steps: np.ndarray  # number of null-space steps so far, or ENTERING
+    x_previous: np.ndarray  # configurations at the previous target [rad or m]
+    x_ref: np.ndarray  # current configurations [rad or m]
+    linear: linearisation.Linearisation  # task and clearance at x_ref to first order
 
     @property
     def size(self) -> int:
@@ -41,8 +41,8 @@ def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candi
     Args:
         sizes: Number of values in the task, and of clearance rows.
         scenario: Rows of the scenarios (L,).
-        target: Their targets (L,).
-        x_previous: Configurations at the targets before (L, N) [rad or m].
+        target: Indices of the targets (L,).
+        x_previous: Configurations at the previous targets (L, N) [rad or m].
         x_ref: Configurations to start at (L, N) [rad or m].
         candidate: MAIN, or the candidates' numbers (L,).
     """

@@ -1,6 +1,6 @@
 """Steps in the null space of the task (Algorithm 1), each a pure function of one scenario.
 
-Minimise J2 on the sphere, equation (11), move by alpha, re-anchor.
+A step minimises J2 of equation (11) on the sphere, moves by alpha in the resulting direction, and re-anchors.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,12 +22,12 @@ from htcp_jax.solvers import sphere
 from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
 READS = ("alpha_rad", "include_proximal_bodies", "j1_weight", "q_weights")  # settings read by every null-space step
-DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, number pushed clear, null-space steps per push
+DRAWS, PUSHED, PUSHES = 256, 6, 60  # numbers in `draw_clear`: draws, draws pushed clear, null-space steps per push
 
 
 @runtime_checkable
 class HasMargin(HasWorkpiecePose, Protocol):
-    """Pose of the workpiece, and the required clearance: a scenario, or a lane's inputs."""
+    """Protocol of objects with a workpiece pose and a required clearance: a scenario, or a lane's inputs."""
 
     margin_m: Scalar
 
@@ -37,11 +37,14 @@ class StuckScenario(NamedTuple):
 
     x_previous: Joints  # x_{t-1}
     target: Float[Array, "G"]  # C_next, the task's goal [m]
-    key: jax.Array  # folded from seed, scenario and target: depends on nothing else
+    key: jax.Array  # random key, folded from seed, scenario, target, stage and round
 
 
 def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
-    """Return True for the rows in J2: all, or those of bodies on the chain's outer half (GP50: capsules 4 to 8)."""
+    """Return True for the rows that J2 includes: all rows, or only those of bodies on the outer half of the chain.
+
+    On the GP50 the outer half has capsules 4 to 8.
+    """
     half = len(scene.robot.slides) // 2
     return tuple(include_proximal_bodies or scene.robot.capsule_link[body] >= half for body in scene.rows.body)
 
@@ -49,14 +52,16 @@ def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
 def sphere_problem(
     scene: Scene, settings: Settings, where: HasWorkpiecePose, x_ref: Joints, target: Float[Array, "G"] | None = None
 ) -> tuple[sphere.Sphere, contact_model.ContactModel, Float[Array, "N D"]]:
-    """Return the problem of equation (11) at x_ref, the contacts there, and alpha N(x_ref) [rad]; undefined if D = 0.
+    """Return the problem of equation (11) at x_ref, the contacts at x_ref, and alpha N(x_ref) [rad].
+
+    The results are undefined if D = 0.
 
     Args:
         scene: Arm with its tool, obstacles and task.
         settings: `alpha_rad`, `j1_weight`, `q_weights` and `include_proximal_bodies`.
         where: Pose of the workpiece.
         x_ref: The configuration [rad or m].
-        target: The task's goal; not needed, hence None, for a task of points.
+        target: The task's goal; not needed for a task of points, where it may be None.
     """
     robot, obstacles, task = scene
     rows = scene.rows
@@ -66,7 +71,7 @@ def sphere_problem(
     # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
     half = settings.j1_weight * product(step_basis.T, weights[:, None] * step_basis)
     unseen = ~jnp.asarray(seen_rows(scene, settings.include_proximal_bodies))
-    # Rows that are not in J2 get a distance that is never the smallest.
+    # Rows that J2 does not include get a distance that is never the smallest.
     far = jnp.where(unseen, 10.0, 0.0)
 
     def observe(w):
@@ -110,8 +115,7 @@ def null_space_objective(
 ) -> Scalar:
     """Return J2 of equation (11a): -D(x, O) + J1(x, x_ref) [m] at x = x_ref + alpha N(x_ref) w of (11c).
 
-    Smaller is clearer: the planners minimise it over |w| = 1 within the joint limits, which this function does not
-    check.
+    The planners minimise J2 over |w| = 1 within the joint limits; this function does not check these conditions.
 
     ```python
     >>> import jax
@@ -132,23 +136,25 @@ def null_space_objective(
     ```
 
     Args:
-        robot: With its tool, as in a plan.
-        obstacles: See `make_obstacle`.
+        robot: The arm with its tool.
+        obstacles: The obstacles, for example from `make_obstacle`.
         where: A scenario, or any other object that is `HasWorkpiecePose`.
         x_ref: Configuration [rad or m].
         w: Direction in the null space, D = N - 3 numbers.
         settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), with weight 1
-            in the paper; and `include_proximal_bodies`. None: the defaults, whose `j1_weight` is 0: then J2 = -D.
+            in the paper; and `include_proximal_bodies`. None: the defaults, with `j1_weight` 0 and therefore J2 = -D.
 
     Raises:
-        InputError: For an x_ref or w of another shape, including batches, and for `q_weights` of another length.
+        InputError: If x_ref or w has a wrong shape (also for batches), or `q_weights` a wrong length.
     """
     x_ref = kinematics.checked_configuration(robot, x_ref, "x_ref")
     joints = x_ref.shape[0]
     w = checked_shape(w, (joints - 3,), "w")
     settings = Settings(q_weights=(1.0,) * joints) if settings is None else settings_of(settings)
     if len(settings.q_weights) != joints:
-        raise InputError(f"q_weights has {len(settings.q_weights)} values, the robot {robot.name} has {joints} joints")
+        raise InputError(
+            f"q_weights has {len(settings.q_weights)} values, but the robot {robot.name} has {joints} joints"
+        )
     return _objective(robot, obstacles, where, x_ref, w, settings)
 
 
@@ -163,7 +169,7 @@ def _objective(
 def anchor(
     scene: Scene, settings: Settings, where: HasWorkpiecePose, x: Joints, target: Float[Array, "G"]
 ) -> step_functions.State:
-    """Re-anchor x, (5b), if it is off the target by more than xi, Algorithm 1, line 13; then measure it.
+    """Re-anchor x by (5b) if its task error exceeds xi (Algorithm 1, line 13); return the resulting state.
 
     Args:
         scene: Arm with its tool, obstacles and task.
@@ -202,7 +208,7 @@ def null_space_step(
         where: Pose of the workpiece.
         stuck: The stuck scenario.
         x_ref: Configuration before the step [rad or m].
-        count: Steps so far; folded into the random key.
+        count: Number of steps so far; folded into the random key.
 
     Returns:
         The state at x = x_ref + alpha N w after re-anchoring.
@@ -222,16 +228,17 @@ def keep_clear_ascent(
     enough_m: Scalar | float | None = None,
     steps: int | None = None,
 ) -> step_functions.State:
-    """Take max-min null-space steps away from the workpiece; the result is never worse than the start.
+    """Return the state after max-min null-space steps away from obstacles; its D is never smaller than at x.
 
-    One linearisation per step: the best direction for the contacts at x, at most alpha long, halved on failure.
+    Each step linearises once, and moves by at most alpha in the direction that is best for the contacts at that
+    configuration. Steps are halved whenever D does not increase.
 
     Args:
         scene: Arm with its tool, obstacles and task.
         settings: Settings of the planner.
         where: Pose of the workpiece.
         x: Configuration to start at [rad or m].
-        target: The task's goal, which is kept [m].
+        target: The task's goal, which remains satisfied [m].
         enough_m: Clearance D at which to stop; None: `keep_clear_m`.
         steps: Maximum number of steps; None: `keep_clear_steps`.
     """
@@ -251,7 +258,7 @@ def keep_clear_ascent(
         best, scale, count = state
         if backend().is_cpu:
             x = jax.lax.cond(count < 0, lambda best, _: best.x, raised, best, scale)
-        else:  # under vmap both are computed, and all that a branch of a cond reads is batched: the scene must not be
+        else:  # under vmap a cond computes both branches, and batches all that they read, even the scene
             x = jnp.where(count < 0, best.x, raised(best, scale))
         new = anchor(scene, settings, where, x, target)
         better = (count < 0) | (new.clearance > best.clearance) & scene.task.reached(new.residual)
@@ -260,7 +267,7 @@ def keep_clear_ascent(
 
     if not scene.task.freedom(scene.robot):
         return anchor(scene, settings, where, x, target)
-    # The first iteration anchors and measures x itself, so that both are compiled once.
+    # The first iteration anchors and measures the initial x, so that both functions are compiled only once.
     unknown = step_functions.State(x, clearance=jnp.zeros(()), residual=jnp.zeros(()))
     best, _, _ = jax.lax.while_loop(going, step, (unknown, jnp.full((), 0.5), jnp.full((), -1, jnp.int32)))
     return best
@@ -269,7 +276,7 @@ def keep_clear_ascent(
 def push_clear(
     scene: Scene, settings: Settings, where: HasMargin, x: Joints, target: Float[Array, "G"]
 ) -> step_functions.State:
-    """Bring x onto the target and push it in the null space until it keeps the margin, or as far as possible.
+    """Bring x onto the target, and push it in the null space until it satisfies the margin, or as far as possible.
 
     Args:
         scene: Arm with its tool, obstacles and task.
@@ -284,9 +291,9 @@ def push_clear(
 
 
 def stuck_key(seed, number, row, stage: int, round_) -> jax.Array:
-    """Return the random key of one recovery, folded from scenario `number`, target `row`, stage and round.
+    """Return the random key of one recovery, folded from seed, scenario `number`, target `row`, stage and round.
 
-    The seed is data, so a new one does not cause a compilation.
+    The seed is data, so that another seed does not cause a compilation.
     """
     return fold_keys(jax.random.key(seed), number, row, stage, round_)
 

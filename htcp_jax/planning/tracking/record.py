@@ -1,4 +1,4 @@
-"""Record of an engine: targets that are tracked, and those that failed."""
+"""Record of an engine: writes tracked and failed targets into the plans."""
 
 import jax
 import numpy as np
@@ -10,7 +10,7 @@ from htcp_jax.status import Status
 
 
 class Record:
-    """Writer into the plans, which counts newly tracked targets and newly finished scenarios."""
+    """Writes results into the plans, and counts newly tracked targets and newly finished scenarios."""
 
     def __init__(self, plans: Plans):
         self._plans = plans
@@ -21,10 +21,10 @@ class Record:
 
         Args:
             lanes: The lanes.
-            now: Their states.
+            now: States of the lanes.
             status: TRACKED or TRACKED_AFTER_RECOVERY.
             recovery: See `Plans.recovery`.
-            clear: See `Plans.path_clear` (lanes,).
+            clear: Results of the joint paths (lanes,), see `Plans.path_clear`.
         """
         s, t, plans = lanes.scenario, lanes.target, self._plans
         plans.x[s, t], plans.tcp[s, t] = now.x, now.tcp
@@ -36,7 +36,12 @@ class Record:
         self.tracked += len(s)
 
     def lose(self, lanes: Lanes, reason: np.ndarray | Status) -> None:
-        """Record that no lane has reached its target; `reason` is one for all, or one per lane (lanes,)."""
+        """Record that the target of every given lane failed.
+
+        Args:
+            lanes: The lanes.
+            reason: One status for all lanes, or one per lane (lanes,).
+        """
         self._plans.status[lanes.scenario, lanes.target] = reason
         self._plans.iterations[lanes.scenario, lanes.target] = lanes.iteration
 

@@ -1,6 +1,6 @@
-"""Sampling stages: configurations proposed many at once, from which the step QPs then track the target.
+"""Sampling stages: recoveries that propose many configurations at once, as candidates for a stuck scenario.
 
-Each is a pure function of one scenario.
+The step QPs then track the target from each candidate. Each stage is a pure function of one scenario.
 """
 
 from collections.abc import Callable
@@ -19,24 +19,25 @@ from htcp_jax.types import Array, Bool, Float
 
 
 class Candidates(NamedTuple):
-    """Configurations from which the step QP tracks the stuck target; invalid ones are not tried."""
+    """Candidates: configurations from which step QPs track the stuck target."""
 
     x: Float[Array, "C N"]  # [rad or m]
-    valid: Bool[Array, "C"]
-    done: Bool[Array, "C"]  # on the target and clear as they are: no QP is needed
+    valid: Bool[Array, "C"]  # False: the candidate is not tried
+    done: Bool[Array, "C"]  # True: already clear and on the target, so that no QP is needed
 
 
 Propose = Callable[[Scene, Settings, HasWorkpiecePose, StuckScenario], Candidates]
 
 
 def cspace_samples(scene: Scene, settings: Settings, where: HasWorkpiecePose, stuck: StuckScenario) -> Candidates:
-    """Sample configurations about x_{t-1}, the paper's C-Space sample.
+    """Return configurations sampled about x_{t-1}, the paper's C-Space sample.
 
-    Uniform in joint 3 within +-1 rad and in the joints beyond it within +-2 rad; the first `samples` feasible ones
-    (inside the limits and clear) out of eight times as many draws.
+    Draws are uniform: within +-1 rad in joint 3, and within +-2 rad in the joints after it. Among 8 * `samples` draws,
+    the first `samples` valid ones are returned. Valid draws are within the joint limits and `max_sample_distance_rad`,
+    and clear.
     """
     robot, n = scene.robot, len(scene.robot.slides)
-    # The paper's arm moves joints 3 to 6; on another arm, too, the first two, which carry all others, stay.
+    # As in the paper, the first two joints, which carry all others, do not move; this is also done for other arms.
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
     draw = jax.random.uniform(stuck.key, (8 * settings.samples, n), minval=-1.0, maxval=1.0)
     x = stuck.x_previous[None, :] + width[None, :] * draw
@@ -50,10 +51,11 @@ def cspace_samples(scene: Scene, settings: Settings, where: HasWorkpiecePose, st
 def nspace_samples(
     scene: Scene, settings: Settings, where: HasWorkpiecePose, stuck: StuckScenario, step_rad: tuple[float, ...]
 ) -> Candidates:
-    """Sample configurations in the null space, the paper's N-Space sample.
+    """Return configurations sampled in the null space, the paper's N-Space sample.
 
-    Random directions, each followed for `sample_steps` steps of each given length, re-anchored whenever the TCP error
-    exceeds the tolerance. The direction is carried along by projection.
+    For each random direction and each given length, `sample_steps` steps are taken. At every step the direction is
+    projected onto the null space of the current configuration. Configurations are re-anchored if the TCP error exceeds
+    the tolerance.
 
     Args:
         scene: Arm with its tool, obstacles and task.
@@ -94,9 +96,9 @@ def best_nspace_samples(
     step_rad: tuple[float, ...],
     keep: int = 24,
 ) -> Candidates:
-    """Return N-Space samples with their clearance: those that are clear on the target are done.
+    """Return N-Space samples; those that are clear and on the target are `done`.
 
-    If there are none, the `keep` clearest are tracked.
+    If no sample is `done`, the `keep` clearest samples are valid, and are tracked.
 
     Args:
         scene: Arm with its tool, obstacles and task.
@@ -117,17 +119,18 @@ def best_nspace_samples(
 def draw_clear(
     scene: Scene, settings: Settings, where: HasMargin, stuck: StuckScenario, spread: Bool[Array, ""]
 ) -> step_functions.State:
-    """Return the best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows).
+    """Return PUSHED configurations from a round of random draws, pushed clear; the clearest first.
 
-    Each draw is brought onto the target, and some are pushed clear: the clearest, or with `spread` any of the clearer
-    quarter. The clearest alone are often similar, for example all on the same side of the workpiece, with no path back.
+    Draws are uniform within the joint limits. Each draw is brought onto the target. The clearest PUSHED ones are pushed
+    clear or, with `spread`, any PUSHED of the clearest quarter: the clearest ones are often similar, for example all on
+    the same side of the workpiece, with no path back.
 
     Args:
         scene: Arm with its tool, obstacles and task.
         settings: Settings of the planner.
         where: Pose of the workpiece and the required clearance.
         stuck: The stuck scenario.
-        spread: True to push any of the clearer quarter.
+        spread: True to push any draws of the clearest quarter.
     """
     robot = scene.robot
     lower, upper = jnp.maximum(robot.lower, -jnp.pi), jnp.minimum(robot.upper, jnp.pi)
@@ -135,7 +138,7 @@ def draw_clear(
     x = lower[None, :] + (upper - lower)[None, :] * draw
     reached = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
     order = jnp.argsort(-_clearance_rank(scene.task, reached))
-    quarter = jnp.sort(order[: DRAWS // 4])  # in the order of the draws: any PUSHED of them are as good as random
+    quarter = jnp.sort(order[: DRAWS // 4])  # in the order of the draws, which is random
     first = jnp.where(spread, quarter[:PUSHED], order[:PUSHED])
     pushed = jax.lax.map(lambda x: push_clear(scene, settings, where, x, stuck.target), reached.x[first])
     order = jnp.argsort(-_clearance_rank(scene.task, pushed))

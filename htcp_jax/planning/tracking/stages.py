@@ -1,4 +1,4 @@
-"""Recovery stages of a method with step QPs: tried in order when these are stuck, each with its own lane function."""
+"""Recovery stages of a method: tried in order when the step QPs are stuck, each with its own lane function."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -24,16 +24,16 @@ from htcp_jax.planning.tracking.sampling import Candidates, Propose, draw_clear
 from htcp_jax.settings import Settings
 from htcp_jax.types import Int, Joints
 
-SPREAD_EVERY = 3  # in every third round of draws any of the better draws are pushed clear, not only the clearest
-DRAW_STAGE = 99  # stage number in the random keys of draws, beyond those of all stages
+SPREAD_EVERY = 3  # in every third round of draws any draws of the clearest quarter are pushed clear
+DRAW_STAGE = 99  # stage number in the random keys of draws, larger than the number of any stage
 
 
 @dataclass(frozen=True)
 class NullSpace:
-    """A stage that moves in the null space, one minimisation per step."""
+    """Recovery stage that moves in the null space; every step minimises J2 on the sphere."""
 
     minimise: Minimise
-    settings: tuple[str, ...] = ()  # read by `minimise`
+    settings: tuple[str, ...] = ()  # names of the settings that `minimise` reads
 
     in_null_space = True
 
@@ -47,11 +47,11 @@ class NullSpace:
 
 @dataclass(frozen=True)
 class Sample:
-    """A stage that proposes candidates for the step QP to track from."""
+    """Recovery stage that proposes candidates, from which step QPs track the target."""
 
     propose: Propose
-    settings: tuple[str, ...] = ()  # read by `propose`
-    in_null_space: bool = True  # True if it proposes nothing without a null space
+    settings: tuple[str, ...] = ()  # names of the settings that `propose` reads
+    in_null_space: bool = True  # True if the stage needs a null space
 
     def lane_function(self, index: int) -> lane_function.LaneFunction:
         """Return the lane function that proposes a lane's candidates, as stage `index` of a method."""
@@ -62,12 +62,12 @@ class Sample:
 
 @dataclass(frozen=True, kw_only=True)
 class Recoveries:
-    """Recovery stages, tried when the step QPs are stuck, and steps between targets."""
+    """Recoveries of a method, and its actions between targets."""
 
     stages: tuple[NullSpace | Sample, ...] = ()  # tried in order at a stuck target
-    keep_clear: bool = False  # ascend after every target
-    replan_backwards: bool = False  # if all stages fail, draw clear configurations there and plan backwards from them
-    check_paths: bool = False  # every joint path must be clear, regardless of the settings
+    keep_clear: bool = False  # True: increase D in the null space after every target
+    replan_backwards: bool = False  # True: if all stages fail, plan backwards from configurations at the failed target
+    check_paths: bool = False  # True: every joint path must be clear, regardless of the settings
 
     @property
     def backwards(self) -> int:
@@ -76,10 +76,10 @@ class Recoveries:
 
 
 class NullSpaceState(NamedTuple):
-    """A lane after a chunk of null-space steps: its state, and the number of steps so far."""
+    """A lane after a chunk of null-space steps."""
 
     now: step_functions.State
-    null_space_steps: jax.Array
+    null_space_steps: jax.Array  # number of steps so far
 
 
 def take_null_space_steps(
@@ -93,7 +93,9 @@ def take_null_space_steps(
     null_space_steps: Int[jax.Array, ""],
     most: Int[jax.Array, ""],
 ) -> Loop:
-    """Take null-space steps until the target is reached with the margin, Algorithm 1, lines 10 to 14.
+    """Take null-space steps until the target is reached with the margin (Algorithm 1, lines 10 to 14).
+
+    The chunk also ends after `most` steps.
 
     Args:
         minimise: Minimiser on the sphere.
@@ -101,7 +103,7 @@ def take_null_space_steps(
         settings: Settings of the planner.
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
-        x_previous: Configuration at the target before [rad or m].
+        x_previous: Configuration at the previous target [rad or m].
         x_ref: Configuration to continue from [rad or m].
         null_space_steps: Number of steps so far.
         most: Number of steps at which the chunk ends.
@@ -129,12 +131,12 @@ def propose(
     """Return the candidates of a sampling stage.
 
     Args:
-        proposed: Function that draws them.
+        proposed: Function that draws the candidates.
         index: Number of the method's stage; part of the random key.
         settings: Settings of the planner.
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
-        x_previous: Configuration at the target before (N,) [rad or m].
+        x_previous: Configuration at the previous target (N,) [rad or m].
     """
     return proposed(scene, settings, lane, stuck_at(lane, x_previous, index))
 
@@ -148,25 +150,25 @@ def enter_null_space(
         settings: Settings of the planner.
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
-        x_previous: x_{t-1} [rad or m].
+        x_previous: x_{t-1}, the configuration at the previous target [rad or m].
     """
     x, _ = inverse_kinematics.reanchor(scene.robot, x_previous, lane.target, scene.task.fine_m, task=scene.task)
     return step_functions.measured(settings, scene, lane, anchor(scene, settings, lane, x, lane.target).x)
 
 
 def push(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> step_functions.State:
-    """Bring x (N,) [rad or m] onto the lane's target and push it clear."""
+    """Return the state after bringing x (N,) [rad or m] onto the lane's target and pushing it clear."""
     return push_clear(scene, settings, lane, x, lane.target)
 
 
 def draw(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs) -> step_functions.State:
-    """Return the best of a round of draws at the lane's target; the lane has the round's number."""
+    """Return the best configurations of a round of draws at the lane's target, see `draw_clear`."""
     stuck = stuck_at(lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
     return draw_clear(scene, settings, lane, stuck, lane.round % SPREAD_EVERY == SPREAD_EVERY - 1)
 
 
 def ascend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x):
-    """Ascend D in the null space from x (N,) [rad or m], at the target just reached."""
+    """Return the state after increasing D in the null space from x (N,) [rad or m], see `keep_clear_ascent`."""
     return keep_clear_ascent(scene, settings, lane, x, lane.target)
 
 

@@ -1,4 +1,4 @@
-"""Base of the built-in methods that track targets by step QPs and try recovery stages when stuck."""
+"""Base class of the built-in methods that track targets by step QPs and try recovery stages when stuck."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ from htcp_jax.solvers import ClarabelSolver, QPSolversSolver, step_qp
 
 @dataclass(frozen=True)
 class StepQPs(Recoveries, Method):
-    """Step QPs along the path, equation (9), with these recovery stages."""
+    """Method that tracks the path by step QPs, equation (9), with recovery stages."""
 
-    name: str  # in files and on the command line
-    title: str
+    name: str  # name in files and on the command line
+    title: str  # column heading in tables
     description: str  # short description
 
     def first_calls(self, problem: Problem) -> list[tuple]:
@@ -30,10 +30,10 @@ class StepQPs(Recoveries, Method):
         return first_calls(problem)
 
     def plan(self, problem: Problem) -> Plans:
-        """Plan all scenarios, with one engine per thread; all share the work and write into different rows.
+        """Plan all scenarios with one engine per thread; engines write into different rows of the plans.
 
         Raises:
-            InputError: For a QP solver that is not installed.
+            InputError: If the QP solver is not installed.
         """
         plans, count = problem.empty_plans(), len(problem.scenarios.number)
         threads = min(problem.threads, count)
@@ -53,7 +53,7 @@ class StepQPs(Recoveries, Method):
 
 
 def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) -> step_qp.QPSolver | None:
-    """Return the solver that `settings.qp` names; None for the one on the device, which the lane functions call.
+    """Return the solver named by `settings.qp`; None for the solver on the device, which lane functions call.
 
     Args:
         settings: `qp`, `qp_tolerance` and `q_weights`.
@@ -62,7 +62,7 @@ def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) 
         task_rows: Number of the task's equality rows.
 
     Raises:
-        InputError: For a name that is not installed.
+        InputError: If no solver of that name is installed.
     """
     if settings.qp == "device":
         return None

@@ -1,7 +1,7 @@
-"""Work shared by several engines: scenarios not begun, and lanes that one engine leaves to an idle one.
+"""Work shared by several engines: scenarios not yet begun, and lanes passed from one engine to an idle one.
 
-A lane has all that an engine needs to continue it. So towards the end, when only hard scenarios are left, they are
-divided among the engines again and again, and no engine is idle for long.
+A lane has all data that another engine needs to continue the lane. When only hard scenarios are left, their lanes are
+repeatedly divided among the engines, so that no engine is idle for long.
 """
 
 import threading
@@ -15,7 +15,7 @@ class Work:
     """Scenarios for a number of engines, one per thread."""
 
     def __init__(self, scenarios: Sequence[int], engines: int):
-        # Neighbours in a grid are alike: dealt out in turn, every engine gets its part of the hard ones.
+        # Neighbouring scenarios of a grid are similar: they go to different engines, so that all get some hard ones.
         self._scenarios = iter([scenario for first in range(engines) for scenario in scenarios[first::engines]])
         self._share, self._engines = -(-len(scenarios) // engines), engines
         self._waiting = 0
@@ -23,7 +23,7 @@ class Work:
         self._changed = threading.Condition()
 
     def take(self, most: int) -> list[int]:
-        """Return new scenarios, at most an engine's share of all."""
+        """Return new scenarios, at most `most` and at most an engine's share of all scenarios."""
         with self._changed:
             return list(islice(self._scenarios, min(most, self._share)))
 
@@ -33,13 +33,13 @@ class Work:
         return self._waiting > len(self._left)
 
     def leave(self, lanes: Lanes) -> None:
-        """Leave lanes to an idle engine."""
+        """Pass lanes to an idle engine."""
         with self._changed:
             self._left.append(lanes)
             self._changed.notify_all()
 
     def wait(self) -> Lanes | None:
-        """Wait for lanes that another engine leaves; return None once no engine has any."""
+        """Wait for lanes from another engine; return None once no engine has any lanes."""
         with self._changed:
             self._waiting += 1
             self._changed.notify_all()
@@ -50,7 +50,7 @@ class Work:
             return self._left.pop()
 
     def end(self) -> None:
-        """Deregister an engine that is done or has failed, so that no engine waits for its lanes."""
+        """Deregister an engine that has ended or failed, so that no other engine waits for its lanes."""
         with self._changed:
             self._engines -= 1
             self._changed.notify_all()

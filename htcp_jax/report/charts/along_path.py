@@ -1,10 +1,10 @@
-"""Charts along the path: survival, failures, clearance, joint motion. See `charts`."""
+"""Charts along the path: survival, failures, clearance, manipulability, joint motion. See `charts`."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Bool, Float, Int, Int8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -23,6 +23,7 @@ from htcp_jax.report.charts.style import (
     outer_labels,
     plain_axes,
 )
+from htcp_jax.report.charts.success import has_not_executable
 from htcp_jax.status import Status
 
 BANDS = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: minimum."
@@ -48,19 +49,29 @@ REASONS = {
 def survival(
     status: Mapping[str, Int8[np.ndarray, "S T"]],
     *,
+    executable: Mapping[str, Bool[np.ndarray, "S T"]] | None = None,
     reachability: Int[np.ndarray, "S"] | None = None,
-    title: str = "Survival: scenarios that track each target",
+    title: str = "Survival: scenarios by target",
 ) -> Figure:
-    """Draw the number of scenarios that track each target, over the target's index.
+    """Draw the number of scenarios that execute or track each target, over the target's index.
 
     A scenario ends at its first failure.
 
     Args:
         status: Results of the targets by method, as `Plans.status`.
-        reachability: Number of targets in a row that are known to be reachable, for each scenario; a dashed line.
+        executable: Targets to which a proven motion leads, by method; if there are fewer than tracked ones, these are
+            the lines, and all tracked ones are faint.
+        reachability: Number of consecutive targets known to be reachable, for each scenario; drawn as a dashed line.
         title: The title of the figure.
     """
-    note = "Scenarios that track the target; a scenario ends at its first failure."
+    tracked = {method: plans.is_tracked(table).sum(axis=0) for method, table in status.items()}
+    shown = tracked if executable is None else {method: table.sum(axis=0) for method, table in executable.items()}
+    cut = has_not_executable(tracked, shown)
+    note = (
+        "Line: a proven motion from the start leads to the target (executable); faint: tracked."
+        if cut
+        else "Scenarios that track the target; a scenario ends at its first failure."
+    )
     figure = new_figure(
         4.6, title, note + (" Dashed: targets known to be reachable." if reachability is not None else "")
     )
@@ -70,15 +81,17 @@ def survival(
         reachable = (reachability[:, None] > np.arange(targets)[None, :]).sum(axis=0)
         axes.step(range(targets), reachable, where="mid", color=INK, linewidth=1.1, linestyle=(0, (4, 2)))
     ends = {}
-    for method, table in status.items():
-        alive = plans.is_tracked(table).sum(axis=0)
+    for method, alive in shown.items():
         colour, style = line_of(method)
+        if (alive != tracked[method]).any():
+            look = {"color": colour, "linestyle": ":", "linewidth": 1.2, "alpha": 0.6}
+            axes.step(range(targets), tracked[method], where="mid", **look)
         axes.step(range(targets), alive, where="mid", color=colour, linestyle=style, linewidth=2)
         ends[method] = float(alive[-1])
     axes.set(xlim=(0, targets - 1), ylim=(0, 1.03 * scenarios))
     axes.set_xlabel("target")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_ylabel(f"scenarios of {scenarios}")
+    axes.set_ylabel(f"scenarios that {'execute' if cut else 'track'} it, of {scenarios}")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     name_lines(axes, ends, targets - 1, "{:.0f}")
     plain_axes(axes)
@@ -86,9 +99,9 @@ def survival(
 
 
 def stops(status: Mapping[str, Int8[np.ndarray, "S T"]], *, title: str = "Where and why scenarios end") -> Figure:
-    """Draw a marker for every target at which scenarios of a method fail.
+    """Draw a marker for each method, reason and target at which scenarios fail.
 
-    Its shape and colour show the reason, its area their number.
+    Shape and colour of a marker show the reason of failure, its area the number of scenarios.
 
     Args:
         status: Results of the targets by method, as `Plans.status`.
@@ -100,7 +113,7 @@ def stops(status: Mapping[str, Int8[np.ndarray, "S T"]], *, title: str = "Where 
     found = {reason for table in status.values() for reason in REASONS if (table == reason).any()}
     shown = [reason for reason in REASONS if reason in found]
     most = max((int((table == reason).sum(axis=0).max()) for table in status.values() for reason in shown), default=1)
-    area = min(22.0, 420.0 / most)  # of one scenario [points^2]
+    area = min(22.0, 420.0 / most)  # a marker's area for one scenario [points^2]
     for y, table in enumerate(status.values()):
         lanes = [reason for reason in shown if (table == reason).any()]
         for lane, reason in enumerate(lanes):
@@ -132,10 +145,10 @@ def clearance_along(
 ) -> Figure:
     """Draw the clearance over the target's index, one panel per method.
 
-    Each has the minimum, the median and the band from 10 to 90 % over the scenarios that track the target.
+    Each panel shows the minimum, the median and the band from 10 to 90 % over the scenarios that track the target.
 
     Args:
-        clearance_m: Clearance D at the targets by method; NaN where not tracked.
+        clearance_m: Clearance D at the targets [m], by method; NaN where not tracked.
         title: The title of the figure.
     """
     values = {method: 1e3 * own for method, own in clearance_m.items()}
@@ -155,12 +168,12 @@ def manipulability_along(
 ) -> Figure:
     """Draw the manipulability over the target's index, one panel per method, and mark the lowest feeds.
 
-    Each has the minimum, the median and the band from 10 to 90 % over the scenarios that track the target.
+    Each panel shows the minimum, the median and the band from 10 to 90 % over the scenarios that track the target.
 
     Args:
-        manipulability_m_rad: Smallest singular value of the task's Jacobian by method; NaN where not tracked.
-        feed_targets: By method that is timed, the target at which each scenario's feed is lowest; negative if it is
-            held, or not timed.
+        manipulability_m_rad: Smallest singular value of the task's Jacobian [m/rad], by method; NaN where not tracked.
+        feed_targets: Target at which each scenario's feed is lowest, by timed method; negative if the feed is held or
+            the scenario is not timed.
         title: The title of the figure.
     """
     least = {m: f"minimum {np.nanmin(v):.3g} m/rad" for m, v in manipulability_m_rad.items() if np.isfinite(v).any()}
@@ -171,14 +184,14 @@ def manipulability_along(
         at = feed_targets[method][rows] if len(rows) else rows
         style = {"color": LOW_FEED, "marker": "v", "edgecolors": PAPER, "linewidths": 0.6}
         axes.scatter(at, values[rows, at], s=36, zorder=4, clip_on=False, **style)
-    panels[0, 0].set_ylim(bottom=0)  # singular
+    panels[0, 0].set_ylim(bottom=0)  # 0: the arm is singular
     return figure
 
 
 def _bands(
     values: Mapping[str, Float[np.ndarray, "S T"]], title: str, note: str, merits: Mapping[str, str], label: str
 ) -> tuple[Figure, np.ndarray]:
-    """Draw values over the target's index, one panel per method; return figure and panels."""
+    """Draw values over the target's index, one panel per method; return the figure and its panels."""
     across = min(3, len(values))
     down = -(-len(values) // across)
     figure = new_figure(2.35 * down + 1.1, title, note)
@@ -205,10 +218,11 @@ def joint_motion(
 ) -> Figure:
     """Draw the joint steps |x_t - x_{t-1}| between targets.
 
-    For every method they are the distribution over all accepted steps, and the median over scenarios along the path.
+    The left panel shows each method's distribution over all accepted steps, the right panel the median over scenarios
+    at each target.
 
     Args:
-        joint_step_rad: Length of the steps by method; NaN where a target is not tracked.
+        joint_step_rad: Length of the steps [rad], by method; NaN where a target is not tracked.
         title: The title of the figure.
     """
     note = "Left: median, middle half, middle nine tenths and longest of all accepted steps. Right: median by target."
@@ -266,7 +280,7 @@ def joint_motion_by_joint(
 
 
 def _distribution(axes: Axes, y: int, values: Float[np.ndarray, "S T"], method: str) -> None:
-    """Draw median, middle half, middle nine tenths and maximum of the known non-zero values, on one line."""
+    """Draw median, middle half, middle nine tenths and maximum of the finite values above 0, at the height `y`."""
     known = values[np.isfinite(values) & (values > 0)]
     if not known.size:
         return
@@ -279,7 +293,7 @@ def _distribution(axes: Axes, y: int, values: Float[np.ndarray, "S T"], method: 
 
 
 def _over_scenarios(values: Float[np.ndarray, "S T"]) -> Float[np.ndarray, "4 T"]:
-    """Tenth percentile, median, ninetieth percentile and minimum of each column's finite values; NaN without any."""
+    """Return 10th percentile, median, 90th percentile and minimum of each column's finite values; NaN without any."""
     summary = np.full((4, values.shape[1]), np.nan)
     for column in range(values.shape[1]):
         known = values[np.isfinite(values[:, column]), column]

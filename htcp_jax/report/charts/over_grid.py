@@ -1,4 +1,4 @@
-"""Charts of a quantity of every scenario over the grid: one line or one map per method."""
+"""Charts of a quantity over the grid of scenarios: one line or one map per method."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -10,21 +10,18 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from htcp_jax.report.charts.style import (
-    INK,
-    PAPER,
     QUIET,
     WIDTH,
     blank_the_rest,
     heading,
+    ink_on,
     line_of,
     name_lines,
     new_figure,
     outer_labels,
     plain_axes,
 )
-from htcp_jax.report.charts.success import MOST_NUMBERS, TRACKED, Axis, frame_map
-
-DARK = 0.62  # share of the scale above which numbers are light
+from htcp_jax.report.charts.success import MOST_NUMBERS, TRACKED, Axis, frame_map, name_below
 
 
 class Measure(NamedTuple):
@@ -32,9 +29,9 @@ class Measure(NamedTuple):
 
     title: str
     unit: str
-    form: str  # of a number
+    form: str  # format of a number, such as "{:.1f}"
     note: str
-    scale: tuple[float, float] | None = None  # of the colours; None: from the values
+    scale: tuple[float, float] | None = None  # smallest and largest value of the colour scale; None: from the values
 
 
 def over_line(values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure: Measure) -> Figure:
@@ -50,7 +47,7 @@ def over_line(values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure:
     words = isinstance(axis.values[0], str)
     at = range(len(axis.values)) if words else axis.values
     if words:
-        axes.set_xticks(at, axis.names)
+        name_below(axes, axis)
     for method, own in values.items():
         colour, style = line_of(method)
         axes.plot(at, own, color=colour, linestyle=style, marker="o", markersize=4, linewidth=1.8)
@@ -68,11 +65,11 @@ def over_map(
     """Draw one small map of values per method.
 
     Args:
-        values: Values by method, in the unit of `measure`; NaN if unknown, which is blank.
+        values: Values by method, in the unit of `measure`; NaN if unknown; such cells are blank.
         rows: The axis of the rows, downwards.
         columns: The axis of the columns.
         measure: The quantity.
-        note: More text for the note below the title.
+        note: Text to append to the measure's note, below the title.
     """
     across = min(3, len(values))
     down = -(-len(values) // across)
@@ -96,7 +93,10 @@ def over_map(
 
 
 def _colour_scale(values: Mapping[str, np.ndarray], measure: Measure) -> Normalize:
-    """Colour scale, at least a tenth of the largest number wide, so that small differences have similar colours."""
+    """Return the colour scale.
+
+    Its range is at least a tenth of the largest value, so that small differences have similar colours.
+    """
     if measure.scale is not None:
         return Normalize(*measure.scale)
     known = np.concatenate([own[np.isfinite(own)] for own in values.values()])
@@ -107,7 +107,7 @@ def _draw_time_map(axes: Axes, values: np.ndarray, rows: Axis, columns: Axis, sc
     image = axes.imshow(values, cmap=TRACKED, norm=scale, aspect="equal")
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
-            colour = PAPER if scale(value) > DARK else INK
+            colour = ink_on(image.to_rgba(value))
             place = {"ha": "center", "va": "center", "fontsize": 7.5}
             axes.annotate(measure.form.format(value), (column, row), color=colour, **place)
     frame_map(axes, rows, columns)

@@ -1,4 +1,4 @@
-"""Charts of a placement search: the map of its ranges, and the Pareto front of two objectives.
+"""Charts of a placement search: map of the planned mountings, and Pareto front of two objectives.
 
 place_map(read_search("out/duct"))
 """
@@ -21,19 +21,19 @@ from htcp_jax.report.charts.style import INK, PAPER, QUIET, new_figure, plain_ax
 from htcp_jax.report.place_tables import SearchTable, ShownParameter
 
 OBJECTIVE = LinearSegmentedColormap.from_list("objective", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
-OBJECTIVE = OBJECTIVE.with_extremes(bad=OBJECTIVE(0.6))  # for unknown values, such as the cycle time without a motion
+OBJECTIVE = OBJECTIVE.with_extremes(bad=OBJECTIVE(0.6))  # bad: unknown values, such as the cycle time without a motion
 SHARE = LinearSegmentedColormap.from_list("share", ["#dfe3e6", "#c3cad0", "#6f7c88"])
 NEARLY, LOST, RANK = "#e69f00", "#b9c0c6", "#c2185b"
-NEAR = 0.9  # share of the targets of a nearly complete mounting
+NEAR = 0.9  # minimum share of executable targets in a nearly complete mounting
 HOLLOW = "hollow"
-MARKS = "x", "+", "1", "2", "3", "4"  # for the reasons of failure, the most frequent first
+MARKS = "x", "+", "1", "2", "3", "4"  # markers of the reasons of failure, the most frequent reason first
 MOST_PARAMETERS, MOST_NUMBERS = 8, 9
 
-APART = 0.1  # least distance of two numbers, in shares of a panel's width; nearer ones are omitted
+APART = 0.1  # minimum distance of two numbers / panel width; a number closer to an earlier one is omitted
 
 
 class Ending(NamedTuple):
-    """Mountings with the same result."""
+    """Result that mountings have in common, with their number, and the marker and colour that show it."""
 
     words: str
     count: int
@@ -42,13 +42,13 @@ class Ending(NamedTuple):
 
 
 def place_map(found: SearchTable, colliding_bodies: Mapping[str, int] | None = None) -> Figure:
-    """Draw every planned mounting over every pair of parameters, or of the first eight.
+    """Draw every planned mounting over every pair of parameters, for at most eight parameters.
 
-    Complete and nearly complete mountings are marked, for all others the reason of failure. The ranked ones are
-    numbered.
+    Complete and nearly complete mountings have their own markers; the marker of all others shows the reason of failure.
+    Ranked mountings are ringed, and the first ranks numbered.
 
     Args:
-        found: The search.
+        found: The results of the search.
         colliding_bodies: Colliding bodies, with their counts in a sample of the failed mountings.
     """
     shown = found.parameters[:MOST_PARAMETERS]
@@ -68,7 +68,7 @@ def place_map(found: SearchTable, colliding_bodies: Mapping[str, int] | None = N
 
 def place_pareto_front(found: SearchTable) -> Figure:
     """Draw the ranked mountings by two objectives, numbered, and the Pareto front."""
-    note = "Numbers: the rank. Line: the Pareto front. Tails: the worst case when perturbed by up to "
+    note = "Numbers: rank. Line: Pareto front. Tails: worst case when perturbed by up to "
     figure = new_figure(5.2, f"Two objectives: {found.name}", f"{note}{found.perturbed}.")
     axes = figure.subplots()
     x, y = found.objective.T
@@ -87,15 +87,22 @@ def place_pareto_front(found: SearchTable) -> Figure:
 
 
 def _note(found: SearchTable) -> str:
-    reported = f"{len(found.values):,} mountings. Incomplete ones are the darker, the more targets are executable."
+    reported = f"{len(found.values):,} mountings. Incomplete ones are darker the more targets are executable."
     if len(found.ranked):
-        reported += " Ringed: proven motions; number: the rank."
+        reported += " Ring: proven motion; number: rank."
     more = len(found.parameters) - MOST_PARAMETERS
-    return reported if more <= 0 else f"{reported} {more} more parameters."
+    return reported if more <= 0 else f"{reported} Not drawn: {more} more parameters."
 
 
 def _panel(axes: Axes, found: SearchTable, column: int, row: int | None) -> None:
-    """Draw the mountings over two parameters; over one, the share of the targets replaces the other."""
+    """Draw the mountings over two parameters, or over one parameter and the share of executable targets.
+
+    Args:
+        axes: The panel.
+        found: The results of the search.
+        column: Index of the horizontal parameter.
+        row: Index of the vertical parameter; None: the vertical axis is the share of executable targets.
+    """
     points = found.values[:, [column, column if row is None else row]].copy()
     ranked = found.ranked[:, [column, column if row is None else row]].copy()
     if row is None:
@@ -115,7 +122,7 @@ def _panel(axes: Axes, found: SearchTable, column: int, row: int | None) -> None
 
 
 def _number_ranks(axes: Axes, ranked: Float[np.ndarray, "r 2"], points: Float[np.ndarray, "n 2"]) -> None:
-    """Number the first ranks, except those that would cover a better one's."""
+    """Write the numbers of the first ranks, except a number that would cover a better rank's."""
     low, high = points.min(axis=0), points.max(axis=0)
     width = np.where(high > low, high - low, 1.0)
     taken: list[np.ndarray] = []
@@ -145,7 +152,7 @@ def _label_axis(
 def _draw_lists(
     figure: Figure, place: SubplotSpec, found: SearchTable, colliding_bodies: Mapping[str, int] | None
 ) -> None:
-    """Draw the counts of results, of complete seams and of colliding bodies, and the colour scale."""
+    """Draw the counts of results, of mountings that complete each seam and of colliding bodies, and a colour scale."""
     lists = {"mountings": _result_counts(found)}
     if len(found.seams) > 1:
         lists["each seam alone"] = [Ending(name, count, "s", OBJECTIVE(0.6)) for name, count in found.seams.items()]
@@ -159,7 +166,7 @@ def _draw_lists(
 
 
 def _draw_scale(figure: Figure, axes: Axes, found: SearchTable) -> None:
-    """Draw the colour scale: of the objective if any mounting is complete, else of the share of the targets."""
+    """Draw the colour scale of the objective, or of the share of executable targets if no mounting is complete."""
     works = found.complete.any()
     if works and not np.isfinite(found.left[:, 0]).any():
         axes.axis("off")
@@ -186,7 +193,7 @@ def _draw_bars(axes: Axes, head: str, endings: Sequence[Ending]) -> None:
 
 
 def _result_counts(found: SearchTable) -> list[Ending]:
-    """Counts of complete and of nearly complete mountings, and of the failed by reason."""
+    """Return the counts of complete, of nearly complete, and of all other mountings by reason of failure."""
     nearly = _nearly(found)
     ends = [Ending("complete", int(found.complete.sum()), "o", OBJECTIVE(0.6))]
     ends.append(Ending(f"nearly complete: {100 * NEAR:.0f} % of the targets", int(nearly.sum()), HOLLOW, NEARLY))
@@ -195,7 +202,7 @@ def _result_counts(found: SearchTable) -> list[Ending]:
 
 
 def _marks(found: SearchTable) -> dict[str, str]:
-    """A marker for each reason of failure, the most frequent first; the rare ones share the last."""
+    """Return the marker of each reason of failure, most frequent reason first; rare reasons share the last marker."""
     reasons = [words for words, _ in Counter(filter(None, found.lost)).most_common()]
     return {words: MARKS[min(k, len(MARKS) - 1)] for k, words in enumerate(reasons)}
 

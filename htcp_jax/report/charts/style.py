@@ -1,4 +1,4 @@
-"""Style of all charts: the colours of the methods, figures, axes, labelled lines."""
+"""Style of all charts: colours and line styles of methods, figures, axes, line labels."""
 
 import colorsys
 import math
@@ -7,12 +7,12 @@ from collections.abc import Mapping
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 INK, QUIET, RULE, PAPER = "#22303c", "#5d6b77", "#dfe3e6", "#ffffff"
-WIDTH = 10.0  # of every figure [inch]
+WIDTH = 10.0  # width of every figure [inch]
 
 LINES = {
     "baseline": ("#5a5a5a", "-"),
@@ -25,15 +25,15 @@ LINES = {
     "keep-clear": ("#cc79a7", "-."),
     "hybrid": ("#332288", "-."),
 }
-_OTHERS: dict[str, int] = {}  # places of methods that are not in LINES and have been drawn
+_OTHERS: dict[str, int] = {}  # index of the colour of each method that is not in LINES and has been drawn
 _PLACES = 64
 
 
 def line_of(method: str) -> tuple[str, str]:
-    """Colour and line style of a method.
+    """Return colour and line style of a method.
 
-    A method that is not in LINES has a dotted line in a separate colour, which depends only on its name unless another
-    method has it already.
+    A method that is not in LINES has a dotted line in a colour of its own. The colour depends only on the method's
+    name, unless another method already has the same colour.
     """
     if method in LINES:
         return LINES[method]
@@ -46,9 +46,24 @@ def line_of(method: str) -> tuple[str, str]:
 
 
 def _other_colour(place: int) -> str:
-    """Colour of a place: hues a golden section apart, so that none repeats, alternately light and dark."""
+    """Return the colour with an index: dark if even, light if odd; hues are a golden section apart and never repeat."""
     hue = (0.9 + place * 0.6180339887) % 1
     return to_hex(colorsys.hls_to_rgb(hue, 0.42 if place % 2 else 0.3, 0.65))
+
+
+def ink_on(colour: tuple[float, ...]) -> str:
+    """Return the text colour, INK or PAPER, with the greater contrast to a background.
+
+    Args:
+        colour: The background, as red, green and blue from 0 to 1; a fourth number is ignored.
+    """
+    light = _luminance(colour) + 0.05  # contrast and luminance as in the Web Content Accessibility Guidelines 2
+    return INK if light**2 > (_luminance(to_rgb(INK)) + 0.05) * (_luminance(to_rgb(PAPER)) + 0.05) else PAPER
+
+
+def _luminance(colour: tuple[float, ...]) -> float:
+    linear = [each / 12.92 if each <= 0.04045 else ((each + 0.055) / 1.055) ** 2.4 for each in colour[:3]]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
 def new_figure(height: float, title: str, note: str) -> Figure:
@@ -57,7 +72,7 @@ def new_figure(height: float, title: str, note: str) -> Figure:
     Args:
         height: Height of the figure [inch].
         title: The title.
-        note: One line below it on how to read the figure.
+        note: One line below the title on how to read the figure.
     """
     figure = Figure(figsize=(WIDTH, height), dpi=150, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
@@ -85,14 +100,14 @@ def heading(axes: Axes, name: str, figure_of_merit: str) -> None:
     Args:
         axes: The panel.
         name: The name, above the left end.
-        figure_of_merit: The figure of merit, above the right end.
+        figure_of_merit: The panel's main value as text, above the right end.
     """
     axes.set_title(name, loc="left", color=INK, fontsize=10.5, fontweight="bold")
     axes.set_title(figure_of_merit, loc="right", color=QUIET, fontsize=10)
 
 
 def blank_the_rest(panels, used: int) -> None:
-    """Hide the axes of all panels after the first `used` ones."""
+    """Hide all panels after the first `used` ones."""
     for axes in panels.flat[used:]:
         axes.axis("off")
 
@@ -101,8 +116,8 @@ def outer_labels(panels, used: int, below: str, left: str) -> None:
     """Set the outer axis labels of a grid of panels.
 
     Args:
-        panels: The panels (rows, columns).
-        used: The number of panels that are used.
+        panels: The panels, (rows, columns).
+        used: The number of panels in use.
         below: Label below the lowest panel of every column.
         left: Label at the left of every row.
     """
@@ -118,7 +133,7 @@ def outer_labels(panels, used: int, below: str, left: str) -> None:
 
 
 def name_lines(axes: Axes, ends: Mapping[str, float], x: float | int, form: str) -> None:
-    """Write the name and the last value of every line at its end, spread so that none overlaps another.
+    """Write each line's name and last value at its end; the labels are spread vertically so that none overlap.
 
     Args:
         axes: The axes.
@@ -143,7 +158,7 @@ def name_lines(axes: Axes, ends: Mapping[str, float], x: float | int, form: str)
 
 
 def spread_labels(heights: Mapping[str, float], gap: float) -> dict[str, float]:
-    """Move the heights apart to at least `gap`, in their order, within 0 and 1 if they fit."""
+    """Return the labels' heights moved apart to at least `gap`, in their order, within 0 to 1 if they fit."""
     order = sorted(heights, key=lambda name: heights[name])
     placed = {}
     floor = 0.0
@@ -158,7 +173,7 @@ def spread_labels(heights: Mapping[str, float], gap: float) -> dict[str, float]:
 
 
 def decimal(axis) -> None:
-    """Format a logarithmic axis with plain numbers, and powers of ten where these get long."""
+    """Format a logarithmic axis with plain numbers, and with powers of ten where plain numbers would be long."""
     axis.set_major_locator(LogLocator(numticks=8))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(_tick_text))

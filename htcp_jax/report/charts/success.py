@@ -1,10 +1,10 @@
-"""Charts of tracked targets: by method, and by scenario over the grid. See `charts`."""
+"""Charts of tracked and executable targets: by method, and by scenario over the grid. See `charts`."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
@@ -17,6 +17,7 @@ from htcp_jax.report.charts.style import (
     WIDTH,
     blank_the_rest,
     heading,
+    ink_on,
     line_of,
     name_lines,
     new_figure,
@@ -25,19 +26,32 @@ from htcp_jax.report.charts.style import (
 )
 
 _COLOURS = (0, "#fbf3e4"), (0.113, "#d8dfd6"), (0.395, "#8fb8cf"), (0.694, "#3f82b5"), (1, "#0d3f6e")
-TRACKED = LinearSegmentedColormap.from_list("tracked", _COLOURS)  # placed by their distances in CIELAB
-MOST_NUMBERS, MOST_NAMES = 15, 12  # along a side of a map
+TRACKED = LinearSegmentedColormap.from_list("tracked", _COLOURS)  # positions by the colours' distances in CIELAB
+MOST_NUMBERS, MOST_NAMES = 15, 12  # maximum numbers of cells and of axis values along a map's side that are written
+LONGEST, LEVEL = 14, 6  # maximum characters of an axis value, and of one that is written horizontally below a map
+LINE_CHARACTERS = 80  # maximum characters of all values below a line chart, if they are written horizontally
 
 
 class Axis(NamedTuple):
     """Axis of a grid of scenarios."""
 
-    label: str  # with its unit
-    values: Sequence[float] | Sequence[str]  # in the unit that the label names
+    label: str  # label of the axis, with the unit
+    values: Sequence[float] | Sequence[str]  # in the label's unit
 
     @property
     def names(self) -> list[str]:
-        """Values as texts."""
+        """Values as texts: "no. 1", "no. 2", ... if one of them is longer than LONGEST characters."""
+        return list(self.numbered) or self._full_names
+
+    @property
+    def numbered(self) -> dict[str, str]:
+        """Values that are written as numbers, by their name; empty if they are written in full."""
+        if max(map(len, self._full_names)) <= LONGEST:
+            return {}
+        return {f"no. {k}": str(value) for k, value in enumerate(self.values, 1)}
+
+    @property
+    def _full_names(self) -> list[str]:
         return [value if isinstance(value, str) else f"{value:.6g}" for value in self.values]
 
 
@@ -55,9 +69,10 @@ def success(
     Args:
         tracked: Number of tracked targets by method.
         of: Number of all targets by method.
-        executable: Number of targets to which a proven motion leads; if there are fewer, the rest of the bar is pale.
-        paper: The paper's percentage, by method; a diamond.
-        reachability: Number of targets known to be reachable; a dashed line.
+        executable: Number of targets to which a proven motion leads, by method; the bar is pale for all other tracked
+            targets.
+        paper: The paper's percentage, by method; drawn as a diamond.
+        reachability: Number of targets known to be reachable; drawn as a dashed line.
         title: The title of the figure.
     """
     executable = tracked if executable is None else executable
@@ -96,14 +111,14 @@ def success_map(
     """Draw one small map of the scenarios per method, coloured by tracked targets.
 
     Args:
-        tracked: Number of tracked targets in each cell by method [1]; NaN where not planned.
+        tracked: Mean number of tracked targets in each cell [1], by method; NaN where not planned.
         rows: The axis of the rows, downwards.
         columns: The axis of the columns.
-        targets: Number of targets of a scenario.
-        executable: Number of targets to which a proven motion leads; if there are fewer, they have the colour and the
-            number, and all tracked ones are in brackets.
+        targets: Number of targets in a scenario.
+        executable: Mean number of targets to which a proven motion leads [1], by method. If any is smaller than
+            `tracked`, colours and numbers show it, and the number of tracked targets is in brackets.
         title: The title of the figure.
-        note: More text for the note below it.
+        note: Text to append to the note below the title.
     """
     shown = tracked if executable is None else executable
     across = min(3, len(tracked))
@@ -117,7 +132,7 @@ def success_map(
         heading(axes, method if len(share) < 10 else f"{method}\n", share)  # two shares take a line of their own
     blank_the_rest(panels, len(tracked))
     outer_labels(panels, len(tracked), columns.label, rows.label)
-    _draw_colour_bar(figure, image, panels, targets, _has_not_executable(tracked, shown))
+    _draw_colour_bar(figure, image, panels, targets, has_not_executable(tracked, shown))
     return figure
 
 
@@ -132,33 +147,34 @@ def success_slices(
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
-    """Draw a row of small maps per method, one for every value of a third axis; see `success_map`.
+    """Draw a row of small maps per method, one map for every value of a third axis; see `success_map`.
 
     Args:
-        tracked: Number of tracked targets in each cell by method [1]; NaN where not planned.
-        slices: The axis of the maps.
+        tracked: Mean number of tracked targets in each cell [1], by method; NaN where not planned.
+        slices: The axis with one map for each of its values.
         rows: The axis of the rows, downwards.
         columns: The axis of the columns.
-        targets: Number of targets of a scenario.
-        executable: Number of targets to which a proven motion leads.
+        targets: Number of targets in a scenario.
+        executable: Mean number of targets to which a proven motion leads [1], by method.
         title: The title of the figure.
-        note: More text for the note below it.
+        note: Text to append to the note below the title.
     """
     shown = tracked if executable is None else executable
     across, down = len(slices.values), len(tracked)
     side = (WIDTH - 1.8) / across * len(rows.values) / len(columns.values)
     figure = new_figure(down * (side + 0.1) + 1.4, title, f"{_counted(tracked, shown, targets)} {note}".strip())
     panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    stem, _, unit = slices.label.partition(" [")
+    parts = "\n" if max(map(len, slices.names)) > LEVEL else " "
     for axes, name in zip(panels[0], slices.names, strict=True):
-        stem, _, unit = slices.label.partition(" [")
-        axes.set_title(f"{stem} = {name} {unit.rstrip(']')}".strip(), color=QUIET, fontsize=10)
+        axes.set_title(f"{stem} ={parts}{name} {unit.rstrip(']')}".strip(), color=QUIET, fontsize=10)
     for line, (method, cube) in zip(panels, tracked.items(), strict=True):
         for axes, layer, whole in zip(line, shown[method], cube, strict=True):
             image = _draw_map(axes, layer, whole, rows, columns, targets)
         share = _percent_pair(shown[method], cube, targets)
         line[0].set_ylabel(f"{method}\n{share}", color=INK, fontweight="bold", fontsize=10)
     figure.supxlabel(f"across: {columns.label};  down: {rows.label}", color=QUIET, fontsize=10)
-    _draw_colour_bar(figure, image, panels, targets, _has_not_executable(tracked, shown))
+    _draw_colour_bar(figure, image, panels, targets, has_not_executable(tracked, shown))
     return figure
 
 
@@ -175,20 +191,20 @@ def success_line(
     """Draw tracked targets over an axis of a grid, or over a list of scenarios, one line per method.
 
     Args:
-        tracked: Number of tracked targets by method [1]; NaN where not planned.
+        tracked: Mean number of tracked targets at each value of the axis [1], by method; NaN where not planned.
         axis: The axis.
-        targets: Number of targets of a scenario.
-        executable: Number of targets to which a proven motion leads; if there are fewer, they are the line, and all
-            tracked ones are faint.
-        reachability: Number of targets known to be reachable [1]; a dashed line.
+        targets: Number of targets in a scenario.
+        executable: Mean number of targets to which a proven motion leads [1], by method. If any is smaller than
+            `tracked`, the line shows it, and a faint line shows the tracked targets.
+        reachability: Mean number of targets known to be reachable [1]; drawn as a dashed line.
         title: The title of the figure.
-        note: More text for the note below it.
+        note: Text to append to the note below the title.
     """
     shown = tracked if executable is None else executable
     lines = (
         ""
-        if not _has_not_executable(tracked, shown)
-        else "Line: executable, by a proven motion from the start; faint: tracked."
+        if not has_not_executable(tracked, shown)
+        else "Line: targets to which a proven motion leads from the start; faint: tracked targets."
     )
     figure = new_figure(
         4.2, title, " ".join(filter(None, (f"Tracked targets of {targets}.", lines, note, *_dashed(reachability))))
@@ -197,7 +213,7 @@ def success_line(
     words = isinstance(axis.values[0], str)
     at = range(len(axis.values)) if words else axis.values
     if words:
-        axes.set_xticks(at, axis.names)
+        name_below(axes, axis)
     if reachability is not None:
         axes.plot(at, reachability, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
     for method, values in shown.items():
@@ -214,6 +230,17 @@ def success_line(
     return figure
 
 
+def name_below(axes: Axes, axis: Axis) -> None:
+    """Write an axis's values below a line, upwards if they would overlap.
+
+    Args:
+        axes: The axes of the line.
+        axis: The axis, whose values are texts.
+    """
+    upwards = len(axis.names) * max(map(len, axis.names)) > LINE_CHARACTERS
+    axes.set_xticks(range(len(axis.names)), axis.names, rotation=90 if upwards else 0)
+
+
 def _draw_map(
     axes: Axes,
     values: Float[np.ndarray, "R C"],
@@ -222,11 +249,20 @@ def _draw_map(
     columns: Axis,
     targets: int,
 ):
-    """Draw one map; the number is in every cell if there is space, and `whole` in brackets if it differs."""
+    """Draw one map, with a number in every cell if there is space.
+
+    Args:
+        axes: The panel.
+        values: Number of targets in each cell.
+        whole: Number of tracked targets in each cell, written in brackets if it differs.
+        rows: The axis of the rows.
+        columns: The axis of the columns.
+        targets: Number of targets in a scenario.
+    """
     image = axes.imshow(values, cmap=TRACKED, norm=Normalize(0, targets), aspect="equal")
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
-            style = {"color": PAPER if value > 0.82 * targets else INK, "ha": "center", "va": "center", "fontsize": 8}
+            style = {"color": ink_on(image.to_rgba(value)), "ha": "center", "va": "center", "fontsize": 8}
             more = whole[row, column]
             text = _short_number(value) if more == value else f"{_short_number(value)}\n({_short_number(more)})"
             style["fontsize"] = 8 if more == value else 7
@@ -246,6 +282,8 @@ def frame_map(axes: Axes, rows: Axis, columns: Axis) -> None:
     for axis, given in ((axes.xaxis, columns), (axes.yaxis, rows)):
         every = -(-len(given.values) // MOST_NAMES)
         axis.set_ticks(range(0, len(given.values), every), given.names[::every])
+    if max(map(len, columns.names)) > LEVEL:
+        axes.tick_params(axis="x", rotation=90)
     axes.tick_params(colors=QUIET, labelsize=8.5, length=0)
     axes.set_xticks(np.arange(len(columns.values) - 1) + 0.5, minor=True)
     axes.set_yticks(np.arange(len(rows.values) - 1) + 0.5, minor=True)
@@ -266,15 +304,23 @@ def _short_number(value: float) -> str:
     return f"{value:.0f}" if value == round(value) else f"{value:.1f}"
 
 
-def _has_not_executable(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray]) -> bool:
-    """True if tracked targets of any scenario are not executable."""
+def has_not_executable(
+    tracked: Mapping[str, Float[np.ndarray, "..."] | Int[np.ndarray, "..."]],
+    shown: Mapping[str, Float[np.ndarray, "..."] | Int[np.ndarray, "..."]],
+) -> bool:
+    """Return True if any scenario has tracked targets that are not executable.
+
+    Args:
+        tracked: Number of tracked targets, or of the scenarios that track each target, by method [1].
+        shown: The same numbers of executable targets [1].
+    """
     return any(not np.array_equal(tracked[method], shown[method], equal_nan=True) for method in tracked)
 
 
 def _counted(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray], targets: int) -> str:
-    if not _has_not_executable(tracked, shown):
+    if not has_not_executable(tracked, shown):
         return f"Tracked targets of {targets}."
-    return f"Targets of {targets} that a proven motion leads to; in brackets all that are tracked."
+    return f"Of {targets} targets, those to which a proven motion leads; in brackets: tracked targets."
 
 
 def _percent_pair(shown: np.ndarray, tracked: np.ndarray, targets: int) -> str:
@@ -284,7 +330,7 @@ def _percent_pair(shown: np.ndarray, tracked: np.ndarray, targets: int) -> str:
 
 
 def _mean_percent(values: Float[np.ndarray, "*n"], targets: int) -> str:
-    """Mean in percent over the planned scenarios."""
+    """Return the mean over the planned scenarios in percent, as text."""
     known = values[np.isfinite(values)]
     return f"{100 * known.mean() / targets:.2f} %" if known.size else "not planned"
 

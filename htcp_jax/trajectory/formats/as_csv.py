@@ -1,4 +1,4 @@
-"""CSV format: one line per sample; numbers round-trip exactly."""
+"""CSV format of robot programs: one line per sample; numbers are written without loss of precision."""
 
 import csv
 import io
@@ -11,10 +11,10 @@ from htcp_jax.trajectory.timed_motion import TimedMotion
 
 
 def csv_text(timed: TimedMotion, controller: ControllerData) -> str:
-    """Return comments after #, a header, and rows.
+    """Return the file's text: comments after #, a line with the columns' names, and rows.
 
-    Columns: `time_s`, `kind`, `target`; for each joint its value in `<joint>_rad`, its velocity in `<joint>_rad_s` and
-    its acceleration in `<joint>_rad_s2`, with m in place of rad for a slide.
+    The columns are `time_s`, `kind`, `target`, and for each joint its value `<joint>_rad`, its velocity `<joint>_rad_s`
+    and its acceleration `<joint>_rad_s2`; for a slide m replaces rad.
     """
     stream = io.StringIO()
     stream.writelines(f"# {line}\n" for line in header(timed))

@@ -1,10 +1,10 @@
 """Yaskawa's INFORM job format (JBI): positions first, then one instruction for each.
 
-Positions are poses of the TCP (RECTAN: mm, and degrees about fixed x, then y, then z) in a numbered user frame with a
-numbered tool, or pulses of the joints. A job contains speeds in place of times: for `MOVJ` in percent of the joints'
-full speed, for `MOVL`, which feeds the TCP along the path, in mm/s. Pulses use only `MOVJ`: the straight joint paths,
-which are proven. Axes that carry the robot are of its group (`BC`), those of a positioner of a group (`EC`) that moves
-with it (`+MOVJ`).
+Positions are poses of the TCP in a numbered user frame with a numbered tool (RECTAN: mm, and degrees about fixed x,
+then y, then z), or pulses of the joints. A job contains speeds instead of times: `MOVJ` has them in percent of the
+joints' full speed, and `MOVL`, which moves the TCP along the path, in mm/s. Pulse jobs use only `MOVJ`, whose straight
+joint paths are proven. Axes that carry the robot belong to group `BC`; axes of a positioner belong to group `EC`, which
+moves together with the robot (`+MOVJ`).
 
 Sources: Yaskawa's knowledge base, INFORM header fields; NX100 and DX100 manuals, job data format; FS100 manual, INFORM
 structure. Groups follow jobs in public repositories, of robots on tracks with positioners. The order of the angles
@@ -20,16 +20,16 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, UserFrame, header
+from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, JointGroups, UserFrame, header
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 NAME = re.compile(r"[A-Z0-9_-]{1,32}")
-WIDTH = 32  # characters of a comment
-POSITIONS = "C", "BC", "EC"  # of the robot, of the axes that carry it, and of the positioner
-MOST_LINES = 9999  # of a job
+WIDTH = 32  # maximum number of characters of a comment
+POSITIONS = "C", "BC", "EC"  # position variables of the robot, of the axes that carry it, and of the positioner
+MOST_LINES = 9999  # maximum number of lines of a job
 RECTAN_JOINTS, MOST_JOINTS = 6, 8
 USER_FRAMES = range(1, 64)
-UNUSED = (0,) * 18  # of RCONF's 24 numbers
+UNUSED = (0,) * 18  # unused numbers of RCONF's 24
 FIRST_PERCENT, LEAST_PERCENT, LEAST_MM_S = 1.0, 0.01, 0.1
 MORE = (
     "No times: speeds stand for them, and corners are rounded as the controller does it.",
@@ -38,19 +38,23 @@ MORE = (
 
 
 def jbi_text(timed: TimedMotion, controller: ControllerData) -> str:
-    """Return a relative job of RECTAN positions in the user frame.
+    """Return a relative job with RECTAN positions in the user frame.
 
     Raises:
-        InputError: Without that frame or for an invalid number of it, without joint speeds or for speeds over them, for
-            an arm without exactly six joints, for too many lines, and for an invalid job name.
+        InputError: If the user frame or the joint speeds are missing, for an invalid frame number, for velocities above
+            the joint speeds, for an arm without exactly six joints, for too many lines, and for an invalid job name.
     """
     if (frame := controller.user_frame) is None:
-        raise InputError("jbi: RECTAN positions are in a user frame; program.user_frame names it, {number: 1 to 63}")
+        raise InputError(
+            "jbi: the user frame of RECTAN positions is missing; set program.user_frame: {number: 1 to 63}"
+        )
     if len(timed.joint_names) != RECTAN_JOINTS:
         joints = f"an arm of {len(timed.joint_names)} joints"
-        raise InputError(f"jbi: {joints}; RECTAN holds {RECTAN_JOINTS}, jbi-pulses up to {MOST_JOINTS}")
+        raise InputError(
+            f"jbi: {joints}; RECTAN positions need {RECTAN_JOINTS} joints; jbi-pulses supports up to {MOST_JOINTS}"
+        )
     if frame.number not in USER_FRAMES:
-        raise InputError(f"jbi: user frame {frame.number}; there are {USER_FRAMES[0]} to {USER_FRAMES[-1]}")
+        raise InputError(f"jbi: user frame {frame.number}; valid: {USER_FRAMES[0]} to {USER_FRAMES[-1]}")
     names = [f"///USER {frame.number}", f"///TOOL {controller.tool}", "///POSTYPE USER", "///RECTAN"]
     attributes = ["///ATTR SC,RW,RJ", f"///FRAME USER {frame.number}"]
     moves = _move_lines(timed, _percents(timed, controller, "jbi").max(axis=1), _feed_mm_s(timed, frame))
@@ -61,19 +65,21 @@ def jbi_text(timed: TimedMotion, controller: ControllerData) -> str:
 
 
 def jbi_pulses_text(timed: TimedMotion, controller: ControllerData) -> str:
-    """Return a job of joint pulses, by the controller's encoder scale.
+    """Return a job with joint pulses, converted by the controller's encoder scale.
 
     Raises:
-        InputError: Without that scale, without joint speeds or for speeds over them, for too many joints or lines, and
-            for an invalid job name.
+        InputError: If the encoder scale or the joint speeds are missing, for velocities above the joint speeds, for too
+            many joints or lines, and for an invalid job name.
     """
     if (pulses := controller.pulses) is None:
-        raise InputError("jbi-pulses: no table; program.pulses gives one: {per_rad: [...], source: ...}")
+        raise InputError("jbi-pulses: the encoder scale is missing; set program.pulses: {per_rad: [...], source: ...}")
     groups = controller.joint_groups
     if len(groups.robot) > MOST_JOINTS:
-        raise InputError(f"jbi-pulses: an arm of {len(groups.robot)} joints; a job holds up to {MOST_JOINTS}")
+        raise InputError(f"jbi-pulses: an arm of {len(groups.robot)} joints; at most {MOST_JOINTS} are supported")
     if np.shape(pulses.per_unit) != timed.x.shape[1:]:
-        raise InputError(f"jbi-pulses: {np.size(pulses.per_unit)} pulses per radian for {timed.x.shape[1]} joints")
+        raise InputError(
+            f"jbi-pulses: program.pulses.per_rad has {np.size(pulses.per_unit)} values for {timed.x.shape[1]} joints"
+        )
     counts = np.round((timed.x - pulses.zero) * pulses.per_unit).astype(int)
     positions = [
         f"{kind}{k:05d}={','.join(map(str, row))}"
@@ -81,7 +87,7 @@ def jbi_pulses_text(timed: TimedMotion, controller: ControllerData) -> str:
         if columns
         for k, row in enumerate(counts[:, list(columns)].tolist())
     ]
-    about = header(timed, *MORE, f"Tool {controller.tool}. Pulses by {pulses.source}.")
+    about = header(timed, *MORE, CHECK_AXES, f"Tool {controller.tool}. Pulses by {pulses.source}.")
     moves = _pulse_move_lines(_percents(timed, controller, "jbi-pulses"), groups)
     names = [f"///TOOL {controller.tool}", "///POSTYPE PULSE", "///PULSE"]
     return _job("jbi-pulses", controller, [*names, *positions], ["///ATTR SC,RW"], [*_remarks(about), *moves])
@@ -91,9 +97,13 @@ def _job(
     format: str, controller: ControllerData, positions: list[str], attributes: list[str], instructions: list[str]
 ) -> str:
     if not NAME.fullmatch(controller.name):
-        raise InputError(f"{format}: {controller.name!r} is not a name of a job; up to 32 of A to Z, 0 to 9, - and _")
+        raise InputError(
+            f"{format}: {controller.name!r} is not a valid job name; valid: up to 32 of A to Z, 0 to 9, - and _"
+        )
     if (lines := len(instructions) + 2) > MOST_LINES:
-        raise InputError(f"{format}: {lines:,} lines, a job holds {MOST_LINES:,}; the path has too many points for it")
+        raise InputError(
+            f"{format}: {lines:,} lines, but a job has at most {MOST_LINES:,}; use a path with fewer points"
+        )
     counts = [sum(re.match(rf"{kind}\d", line) is not None for line in positions) for kind in POSITIONS]
     head = ["/JOB", f"//NAME {controller.name}", "//POS", f"///NPOS {','.join(map(str, counts))},0,0,0", *positions]
     date = [] if controller.date is None else [f"///DATE {controller.date:%Y/%m/%d %H:%M}"]
@@ -109,7 +119,7 @@ def _remarks(about: list[str]) -> Iterator[str]:
 
 
 def _position_lines(frame: UserFrame) -> Iterator[str]:
-    """Yield the positions, with the arm configuration flags before positions where they change."""
+    """Yield the lines of the positions; a line with the arm configuration flags precedes a position if they change."""
     at_mm = _without_negative_zeros(1e3 * frame.T_frame_tcp[:, :3, 3], 3)
     turn_deg = _without_negative_zeros(np.degrees(_fixed_xyz_rad(frame.T_frame_tcp[:, :3, :3])), 4)
     last = None
@@ -121,14 +131,14 @@ def _position_lines(frame: UserFrame) -> Iterator[str]:
 
 
 def _without_negative_zeros(values: np.ndarray, digits: int) -> np.ndarray:
-    """Round without negative zeros."""
+    """Return the values rounded to `digits` decimals, without negative zeros."""
     return np.round(values, digits) + 0.0
 
 
 def _fixed_xyz_rad(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Return Rx, Ry, Rz with R = Rz Ry Rx.
+    """Return the angles Rx, Ry, Rz [rad] of rotation matrices R = Rz Ry Rx.
 
-    If Ry is a right angle only the difference of the others is known: Rz = 0.
+    If Ry is a right angle, only the sum or difference of Rx and Rz is determined; Rz is then 0.
     """
     flat = np.hypot(R[:, 0, 0], R[:, 1, 0])
     locked = flat < 1e-9
@@ -156,19 +166,19 @@ def _pulse_move_lines(percents: Float[np.ndarray, "n N"], groups: JointGroups) -
 
 
 def _feed_mm_s(timed: TimedMotion, frame: UserFrame) -> Float[np.ndarray, "n"]:
-    """Return the TCP's speed on the segment to each row if it is on the path, else 0."""
+    """Return the TCP's speed on the segment to each row [mm/s]; 0 if the segment is not on the path."""
     length_m = np.linalg.norm(np.diff(frame.T_frame_tcp[:, :3, 3], axis=0), axis=1)
     return np.where(timed.kind == Kind.PROCESS, np.append(0.0, 1e3 * length_m / np.diff(timed.time_s)), 0.0)
 
 
 def _percents(timed: TimedMotion, controller: ControllerData, format: str) -> Float[np.ndarray, "n N"]:
-    """Return each joint's share of its full speed on the segment to each row, in percent; slow to the first.
+    """Return the percentage of each joint's full speed on the segment to each row; a low one for the first row.
 
     Raises:
-        InputError: Without joint speeds, and for more than 100 %.
+        InputError: If the joint speeds are missing, and for more than 100 %.
     """
     if controller.speed is None or not np.isfinite(controller.speed).all():
-        raise InputError(f"{format}: speeds are in percent of full joint speed; program.velocity gives them")
+        raise InputError(f"{format}: the full joint speeds are missing; set program.velocity")
     share = 100 * np.abs(np.diff(timed.x, axis=0)) / (np.diff(timed.time_s)[:, None] * controller.speed)
     if (share > 100 + LEAST_PERCENT / 2).any():
         row, joint = np.unravel_index(share.argmax(), share.shape)

@@ -1,9 +1,9 @@
-"""MuJoCo keyframes: a file that a model includes.
+"""MuJoCo keyframes of a robot program, in a file that a model can include.
 
     <include file="weld.xml"/>
 
-Each `key` has a time, qpos and qvel (MJCF reference, keyframe/key). The model must have these joints and no others, in
-their order: that of the model's file. Numbers round-trip exactly.
+Each `key` has a time, qpos and qvel (MJCF reference, keyframe/key). The model must have exactly these joints, in the
+same order, which is that of the arm's model file. Numbers round-trip exactly.
 """
 
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring

@@ -1,20 +1,23 @@
 r"""RAPID of ABB: one `MoveAbsJ` for each configuration, with its time.
 
-`MoveAbsJ` moves all axes, external ones included, along straight joint paths: those that are proven. `\T` gives each
-its time, and zone z0 passes it without a stop. Source: ABB, Technical reference manual, RAPID Instructions, Functions
-and Data types, 3HAC050917: MoveAbsJ, jointtarget, robjoint, extjoint, zonedata.
+`MoveAbsJ` moves all axes, including external axes, along straight joint paths, which are proven. `\T` sets the duration
+of each move, and zone z0 passes each configuration without a stop. Source: ABB, Technical reference manual, RAPID
+Instructions, Functions and Data types, 3HAC050917: MoveAbsJ, jointtarget, robjoint, extjoint, zonedata.
 """
 
 import re
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
-from htcp_jax.trajectory.controller_data import ControllerData, header
+from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,25}")  # of the procedure; identifiers have up to 32 characters
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,25}")  # name of the procedure; identifiers have up to 32 characters
+TOOL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+FLANGE_TOOL = "tool0"  # predefined; its TCP is at the flange
 ROBOT_AXES, EXTERNAL_AXES = 6, 6
 NOT_CONNECTED = "9E9"
 MORE = (
@@ -28,21 +31,28 @@ def rapid_text(timed: TimedMotion, controller: ControllerData) -> str:
 
     Raises:
         InputError: For a robot without exactly six revolute joints, for more than six external axes, and for an invalid
-            name.
+            name of the program or the tool.
     """
     groups = controller.joint_groups
     if len(groups.robot) != ROBOT_AXES:
-        raise InputError(f"rapid: a robot of {len(groups.robot)} joints; robjoint holds {ROBOT_AXES}")
+        raise InputError(f"rapid: a robot of {len(groups.robot)} joints; robjoint needs {ROBOT_AXES}")
     if sliding := [timed.joint_names[k] for k in groups.robot if controller.slides[k]]:
-        raise InputError(f"rapid: {sliding[0]} slides; robjoint holds revolute joints, program.groups.base others")
+        raise InputError(
+            f"rapid: {sliding[0]} is a slide joint; put it into program.groups.base, as robjoint has only hinges"
+        )
     if len(groups.external) > EXTERNAL_AXES:
-        raise InputError(f"rapid: {len(groups.external)} external axes; extjoint holds {EXTERNAL_AXES}")
+        raise InputError(f"rapid: {len(groups.external)} external axes; extjoint supports at most {EXTERNAL_AXES}")
     if not NAME.fullmatch(controller.name):
         said = "up to 26 letters, digits and _, a letter first"
-        raise InputError(f"rapid: {controller.name!r} is not a name of a procedure; {said}")
-    tool = f"tool{controller.tool}"
-    places = [f"[{_axes(row, controller, groups.robot)},{_axes(row, controller, groups.external)}]" for row in timed.x]
-    about = header(timed, *MORE, f"Degrees and mm. {tool} must be set as it was planned.")
+        raise InputError(f"rapid: {controller.name!r} is not a valid procedure name; valid: {said}")
+    tool = controller.tool_name or f"tool{controller.tool}"
+    if not TOOL_NAME.fullmatch(tool):
+        said = "up to 32 letters, digits and _, a letter first"
+        raise InputError(f"rapid: program.tool_name {tool!r} is not a valid name; valid: {said}")
+    x = _controller_values(timed.x, controller)
+    places = [f"[{_axes(row, controller, groups.robot)},{_axes(row, controller, groups.external)}]" for row in x]
+    sums = [f"{timed.joint_names[k]} is written as its sum with {timed.joint_names[j]}." for k, j in controller.coupled]
+    about = header(timed, *MORE, CHECK_AXES, *sums, f"Degrees and mm. {_tool_line(tool, controller)}")
     lines = [*(f"  ! {line}" for line in about), f"  PROC {controller.name}()"]
     lines.append(f"    MoveAbsJ {places[0]}\\NoEOffs,v50,fine,{tool};")
     for k, (place, seconds) in enumerate(zip(places[1:], np.diff(timed.time_s).tolist(), strict=True), start=1):
@@ -51,8 +61,29 @@ def rapid_text(timed: TimedMotion, controller: ControllerData) -> str:
     return "\n".join([f"MODULE {controller.name}Module", *lines, "  ENDPROC", "ENDMODULE"]) + "\n"
 
 
+def _controller_values(x: Float[np.ndarray, "n N"], controller: ControllerData) -> Float[np.ndarray, "n N"]:
+    """Return the joint values for the controller, with the coupled joint's value added to each coupled axis."""
+    values = x.copy()
+    for axis, joint in controller.coupled:
+        values[:, axis] += x[:, joint]
+    return values
+
+
+def _tool_line(tool: str, controller: ControllerData) -> str:
+    """Return a sentence with the planned TCP as a RAPID pose in mm, and with how to set it."""
+    if (tcp := controller.tcp) is None:
+        return f"{tool} must have the planned TCP."
+    w_last = Rotation.from_matrix(tcp.T_frame_tcp[:3, :3]).as_quat(canonical=True)
+    numbers = [1e3 * tcp.T_frame_tcp[:3, 3], np.roll(w_last, 1)]
+    pose = ",".join(f"[{','.join(f'{v:.6f}' for v in (np.round(part, 6) + 0.0).tolist())}]" for part in numbers)
+    said = f"The planned TCP is [{pose}] in the frame of {tcp.frame}"
+    if tool == FLANGE_TOOL:
+        return f"{said}; {tool} is at the flange and cannot be set: declare a tool, and name it in program.tool_name."
+    return f"{said}; {tool} must have it."
+
+
 def _axes(x: Float[np.ndarray, "N"], controller: ControllerData, columns: tuple[int, ...]) -> str:
-    """Write six axes in degrees, or mm if they slide."""
+    """Return six axes as text, in degrees, or in mm for slides."""
     of = list(columns)
     values = np.where(np.array(controller.slides)[of], 1e3 * x[of], np.degrees(x[of])) if of else np.zeros(0)
     numbers = [f"{value:.6f}" for value in (np.round(values, 6) + 0.0).tolist()]

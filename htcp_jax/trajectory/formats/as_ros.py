@@ -1,7 +1,7 @@
 """ROS 2's trajectory_msgs/msg/JointTrajectory, in YAML and in JSON.
 
-Both contain the message's fields by name, so that they can be set one by one from the file. Numbers round-trip exactly,
-times to the message's nanoseconds. Sources: the message definitions of trajectory_msgs (JointTrajectory,
+Both contain the message's fields by name, so that a message can be filled from the file. Numbers round-trip exactly;
+times are rounded to the message's nanoseconds. Sources: the message definitions of trajectory_msgs (JointTrajectory,
 JointTrajectoryPoint), std_msgs (Header) and builtin_interfaces (Time, Duration).
 """
 
@@ -31,7 +31,7 @@ def ros_yaml_text(timed: TimedMotion, controller: ControllerData) -> str:
 def ros_json_text(timed: TimedMotion, controller: ControllerData) -> str:
     """Return a JSON object with the message, its type and the header.
 
-    Keys are `message`, `type` and `about`; the header is an entry, as JSON has no comments.
+    The keys are `message`, `type` and `about`. As JSON has no comments, `about` contains the header.
     """
     message = {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},

@@ -1,9 +1,9 @@
-"""URScript: a list of `servoj`, each of which blocks the controller for its time.
+"""URScript: a list of `servoj` commands, each of which blocks the controller for its time.
 
-`servoj` has times and passes every configuration without a stop. `movej` with a time stops at each one, or blends it
-with a radius, along a path that is not proven. The drawback of `servoj`: the controller follows with a lag and smooths
-its inputs (`lookahead_time`, `gain`), so the samples must be dense, at its own steps. Source: the script manual of
-Universal Robots, module motion.
+`servoj` takes times and passes every configuration without a stop. `movej` with a time stops at each configuration, or
+blends it with a radius along a path that is not proven. The drawback of `servoj` is that the controller follows with a
+lag and smooths its inputs (`lookahead_time`, `gain`). The samples must therefore be dense, at the controller's own
+steps. Source: the script manual of Universal Robots, module motion.
 """
 
 import re
@@ -12,33 +12,34 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.trajectory.controller_data import ControllerData, header
+from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 JOINTS = 6
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 LOOKAHEAD_S, GAIN = 0.1, 300  # the manual's defaults
-SLOW_RAD_S, SLOW_RAD_S2 = 0.1, 0.1  # to the first configuration
+SLOW_RAD_S, SLOW_RAD_S2 = 0.1, 0.1  # velocity and acceleration of the move to the first configuration
 STOP_RAD_S2 = 1.0
 ONE_TIME_S = 1e-7
 MORE = (
     "The arm first goes slowly from wherever it stands to the first configuration.",
     "servoj follows with a lag and smooths; radians, to 6 digits.",
+    CHECK_AXES,
 )
 
 
 def urscript_text(timed: TimedMotion, controller: ControllerData) -> str:
-    """Return a function with the program's name, and its call.
+    """Return a script that defines a function with the program's name, and calls it.
 
     Raises:
-        InputError: For an arm without exactly six revolute joints, an invalid function name, and times that are no
+        InputError: For an arm without exactly six revolute joints, an invalid function name, and times that are not
             multiples of the controller's step.
     """
     if len(timed.joint_names) != JOINTS or any(controller.slides):
-        raise InputError(f"urscript: {_arm_description(controller)}; these arms have {JOINTS} turning joints")
+        raise InputError(f"urscript: {_arm_description(controller)}; UR arms have {JOINTS} hinge joints")
     if not NAME.fullmatch(controller.name):
         raise InputError(
-            f"urscript: {controller.name!r} is not a name of a function; letters, digits and _, a letter first"
+            f"urscript: {controller.name!r} is not a valid function name; valid: letters, digits and _, a letter first"
         )
     hold_s = _controller_steps(timed, controller.control_step_s) * controller.control_step_s
     configurations = [", ".join(f"{value:.6f}" for value in row) for row in (np.round(timed.x, 6) + 0.0).tolist()]
@@ -50,7 +51,7 @@ def urscript_text(timed: TimedMotion, controller: ControllerData) -> str:
 
 
 def _controller_steps(timed: TimedMotion, step_s: float) -> Int[np.ndarray, "m"]:
-    """Return the number of controller steps for each sample except the first."""
+    """Return the number of controller steps from each sample to the next."""
     elapsed_s = timed.time_s - timed.time_s[0]
     steps = np.round(elapsed_s / step_s)
     wrong = np.abs(steps * step_s - elapsed_s) > ONE_TIME_S

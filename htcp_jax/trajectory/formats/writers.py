@@ -1,4 +1,4 @@
-"""Registry of the formats by name."""
+"""Registry of the robot program formats by name."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,12 +17,12 @@ from htcp_jax.trajectory.timed_motion import TimedMotion
 
 
 class ProgramFormat(NamedTuple):
-    """A file format of programs."""
+    """File format of robot programs."""
 
     write: Callable[[TimedMotion, ControllerData], str]
     step_s: float | None  # default time step of samples; None: the motion's own configurations
-    external_axes: bool = True  # False: of one arm alone, which stands in the world
-    by_group: bool = False  # the joints have no names but places in `JointGroups`
+    external_axes: bool = True  # False: the format supports only an arm that is fixed in the world
+    by_group: bool = False  # True: the format has no joint names, but orders joints as in `JointGroups`
 
 
 FORMATS = {
@@ -38,31 +38,33 @@ FORMATS = {
 
 
 def format_of(name: str) -> ProgramFormat:
-    """Return a format in FORMATS.
+    """Return the format with a name in FORMATS.
 
     Raises:
-        InputError: For another name.
+        InputError: If the name is unknown.
     """
     if name not in FORMATS:
-        raise InputError(f"{name!r} is not a format of a program; valid: {', '.join(FORMATS)}")
+        raise InputError(f"{name!r} is not a program format; valid: {', '.join(FORMATS)}")
     return FORMATS[name]
 
 
 def program_text(format: str, timed: TimedMotion, controller: ControllerData) -> str:
-    """Return the file of a program.
+    """Return the text of a program's file.
 
     Args:
-        format: Name in FORMATS.
+        format: Name of the format in FORMATS.
         timed: Samples of the motion.
         controller: The job's controller data.
 
     Raises:
-        InputError: For an unknown format, for controller data that the format needs and `controller` lacks, for a
-            motion without configurations, and for times that do not increase.
+        InputError: If the format is unknown, if controller data that the format needs are missing, if the motion has no
+            configurations, or if times do not increase.
     """
     write = format_of(format).write
     if len(timed.x) == 0:
-        raise InputError("a program needs configurations; this motion has none")
+        raise InputError("the motion has no configurations: no target is executable")
     if (late := np.flatnonzero(~(np.diff(timed.time_s) > 0))).size:
-        raise InputError(f"configuration {late[0] + 1} comes no later than the one before; times must increase")
+        raise InputError(
+            f"the time of configuration {late[0] + 1} is not later than the previous one; times must increase"
+        )
     return write(timed, controller)

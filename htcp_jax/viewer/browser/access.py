@@ -1,8 +1,8 @@
-"""A viser server that answers only its own page, and requires a token if other machines can connect.
+"""A viser server that answers requests of its own page only, and requires a token if other machines can connect.
 
-A browser lets every page open a websocket to this machine, and names the page in `Origin`. It also lets a page send
-requests here if the page's host name resolves to this machine (DNS rebinding), and gives that name in `Host`. viser
-checks neither.
+A browser lets every web page open a websocket to this machine; the header `Origin` names the page. It also lets a page
+send requests to this machine if the page's host name resolves to it (DNS rebinding); the header `Host` contains that
+name. viser checks neither header, so `Access` does.
 """
 
 import contextlib
@@ -26,8 +26,9 @@ from htcp_jax.errors import InputError
 
 OWN_NAMES = "localhost", "127.0.0.1", "::1"  # loopback names of every machine
 
-# viser's page is one file that unpacks itself. It needs no other server, but would take the address of one from its own
-# (?websocket=). It needs no handlers in attributes, by which HTML in a name would run, and no page around it.
+# viser's page is one self-extracting file that needs no other server, but would accept another server's address in
+# its own (?websocket=). It needs no event handlers in attributes, which would let HTML in a name run scripts, and no
+# frame.
 POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; connect-src 'self' ws://{host} wss://{host} data: "
     "blob:; script-src-attr 'none'; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -35,17 +36,17 @@ POLICY = (
 
 
 class Access(NamedTuple):
-    """Rule for requests that are answered.
+    """Rule that decides which requests are answered.
 
-    With a token they are those that carry it, else those to this machine by one of its own names. For a websocket the
-    page must be from here, too.
+    With a token, a request must contain it. Without one, a request must be addressed to this machine by one of its own
+    names. A websocket is only opened for a page from this server.
     """
 
-    names: tuple[str, ...]  # without a port, which an SSH tunnel may change
+    names: tuple[str, ...]  # valid host names, without the port, which an SSH tunnel may change
     token: str | None
 
     def refusal(self, request: Request) -> str | None:
-        """Return the reason why a request is refused; None if it is not."""
+        """Return the reason why a request is refused; None if it is accepted."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or (self.token is None and _host_name(hosts[0]) not in self.names):
             return "unknown host"
@@ -60,7 +61,7 @@ class Access(NamedTuple):
         return None
 
     def answer(self, serve_page: Callable, connection: ServerConnection, request: Request) -> Response | None:
-        """Return the page or a refusal; None to let a websocket open.
+        """Return the response to a request, the page or a refusal; None lets a websocket open.
 
         Args:
             serve_page: viser's function that answers a request.
@@ -72,43 +73,43 @@ class Access(NamedTuple):
         if (response := serve_page(connection, request)) is not None:
             response.headers["Content-Security-Policy"] = POLICY.format(host=request.headers["Host"])
             response.headers["Referrer-Policy"] = "no-referrer"
-            if self.token is not None:  # a websocket's address has no query
+            if self.token is not None:  # a websocket's address has no query, so it sends the token as a cookie
                 response.headers["Set-Cookie"] = f"{self._cookie}{self.token}; HttpOnly; SameSite=Strict; Path=/"
         return response
 
     @property
     def _cookie(self) -> str:
-        """Cookie name, different for every server: the ports of a host share their cookies."""
+        """Name of the cookie, different for every server, because the ports of a host share their cookies."""
         return f"htcp-view-{self.token[:6]}="
 
     def _given(self, request: Request) -> list[bytes]:
-        """Tokens in a request's address and cookies."""
+        """Return the tokens in a request's address and cookies."""
         cookies = (pair.strip() for line in request.headers.get_all("Cookie") for pair in line.split(";"))
         given = [pair.removeprefix(self._cookie) for pair in cookies if pair.startswith(self._cookie)]
         return [token.encode() for token in given + parse_qs(request.path.partition("?")[2]).get("token", [])]
 
 
 def serve(host: str, port: int) -> tuple[viser.ViserServer, str]:
-    """Start a server, and return it with the address of its page.
+    """Start a protected viser server.
 
     Args:
         host: The address to listen on.
-        port: The port, which is not replaced by another; 0 for any that is free.
+        port: The port; 0: any free port. No other port is tried if it is in use.
 
     Returns:
-        The server, and the address of the page, with a token unless only this machine can connect.
+        The server, and the address of its page. The address contains a token unless only this machine can connect.
 
     Raises:
-        InputError: If the address is not available, or if the version of viser cannot be protected.
+        InputError: If the address is not available, or if this version of viser cannot be protected.
     """
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        with socket.socket(found[0][0]) as trial:  # viser alone would take the next port that is free
+        with socket.socket(found[0][0]) as trial:  # viser would silently use the next free port
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             trial.bind(found[0][-1])
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"cannot listen on {host}, port {port}: {reason}; choose another with --port") from None
+        raise InputError(f"cannot listen on {host}, port {port}: {reason}; choose another port with --port") from None
     addresses = [ip_address(address[0]) for *_, address in found]
     alone = all(address.is_loopback for address in addresses)
     access = Access((*OWN_NAMES, host.lower()), None if alone else secrets.token_urlsafe())
@@ -116,21 +117,21 @@ def serve(host: str, port: int) -> tuple[viser.ViserServer, str]:
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if not guarded:
         server.stop()
-        raise InputError(f"htcp view cannot protect the page of viser {viser.__version__}; install viser 1.1")
+        raise InputError(f"htcp view cannot protect its page with viser {viser.__version__}; install viser 1.1")
     name = socket.gethostname() if addresses[0].is_unspecified else f"[{host}]" if ":" in host else host
     return server, f"http://{name}:{server.get_port()}" + ("" if alone else f"/?token={access.token}")
 
 
 def silent():
-    """Suppress viser's output to stdout."""
+    """Return a context in which viser's output to stdout is suppressed."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
 @contextlib.contextmanager
 def _guarded(access: Access) -> Iterator[list[bool]]:
-    """Restrict a server that is created in the block by `access`; viser has no setting for it.
+    """Apply `access` to the server that is created in the block; viser has no setting for this.
 
-    Yields a list, empty unless that server was created by the function of websockets that viser 1.1 calls.
+    Yields a list that is empty until a server is created by the websockets function that viser 1.1 calls.
     """
     original, guarded = websockets.asyncio.server.serve, []
 
@@ -146,7 +147,7 @@ def _guarded(access: Access) -> Iterator[list[bool]]:
 
 
 def _host_name(host: str) -> str | None:
-    """A host without its port; None if it is invalid."""
+    """Return a host's name without the port; None if the host is invalid."""
     try:
         return urlsplit(f"//{host}").hostname
     except ValueError:

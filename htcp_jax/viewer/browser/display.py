@@ -1,20 +1,21 @@
 """Display options: camera, cut of the workpiece, opacity of the arm."""
 
 import threading
+from collections.abc import Sequence
 
 import numpy as np
 import viser
 from jaxtyping import Float
 
-from htcp_jax.model import kinematics
+from htcp_jax.viewer.arm_pose import ArmPose, moved
 from htcp_jax.viewer.browser.scene import BrowserScene
 from htcp_jax.viewer.camera import camera_pose, kept_points, open_side
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.viewpoints import View
 
-FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # of the initial camera
-CLOSER_M = 0.25  # camera's distance from the minimum distance
-SIDES = "open side", "above", "front", "nothing"  # from which the workpiece is cut
+FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # vertical field of view, and width / height, of the initial camera
+CLOSER_M = 0.25  # distance of the camera from the pair of nearest points
+SIDES = "open side", "above", "front", "nothing"  # sides from which the workpiece can be cut
 
 
 class DisplayOptions:
@@ -33,6 +34,10 @@ class DisplayOptions:
         closer.on_click(self._look_closer)
         back = gui.add_button("Show everything", icon=viser.Icon.ZOOM_OUT)
         back.on_click(self._look_back)
+        self._from_part = gui.add_checkbox(
+            "View relative to the part", False, visible=False
+        )  # visible if the part moves
+        self._from_part.on_update(lambda _: self._turn())
         with gui.add_folder("Workpiece"):
             self._side = gui.add_dropdown("Cut from", SIDES, initial_value=SIDES[0])
             self._share = gui.add_slider("Cut off [%]", 0, 100, 1, 50)
@@ -47,17 +52,37 @@ class DisplayOptions:
         self._marks.on_update(lambda _: self._stage.show_marks(self._marks.value))
         self._pair.on_update(lambda _: self._stage.show_smallest_distance(self._pair.value))
 
-    def show(self, replay: Replay, arms: kinematics.ArmShape) -> None:
+    def show(self, replay: Replay, poses: Sequence[ArmPose]) -> None:
         """Show a plan with the panel's settings.
 
-        The camera of new browsers, and of every reset of the view, is set to show all of the arms and the workpiece.
+        The initial camera, which new browsers and a reset of the view use, has the workpiece and the arm in all poses
+        in view. A moving part is not cut at first.
+
+        Args:
+            replay: The plan.
+            poses: The arm's poses during the motion.
         """
-        self._replay = replay
+        self._replay, self._poses = replay, poses
         self._stage.show(replay, self._opacity.value / 100)
+        if replay.robot.part_moves and not self._from_part.visible:
+            self._side.value = "nothing"
+        self._from_part.visible = replay.robot.part_moves
         self._stage.show_smallest_distance(self._pair.value)
         self._stage.show_marks(self._marks.value)
         self._cut()
-        eye, look_at = camera_pose(replay, arms, FOVY_RAD, ASPECT)
+        self._set_camera()
+
+    def _turn(self) -> None:
+        """Draw the moving part or the world at rest, as the option says, and reset the camera of every browser."""
+        with self._lock:
+            self._stage.look_from(self._from_part.value)
+            self._set_camera()
+            camera, clients = self._server.initial_camera, self._server.get_clients().values()
+        for client in clients:
+            _move_camera(client, camera.position, camera.look_at)
+
+    def _set_camera(self) -> None:
+        eye, look_at = camera_pose(self._replay, self._poses, FOVY_RAD, ASPECT, from_part=self._stage.from_part)
         camera = self._server.initial_camera
         camera.position, camera.look_at, camera.fov = eye, look_at, FOVY_RAD
 
@@ -71,28 +96,29 @@ class DisplayOptions:
     def _look_closer(self, event: viser.GuiEvent) -> None:
         with self._lock:
             witness, target = self._replay.witness, self._stage.target
-            arm, cloud, side = witness.arm[target], witness.cloud[target], open_side(self._replay)
-        _move_camera(event, cloud + CLOSER_M * grazing(arm - cloud, side), cloud)
+            side = open_side(self._replay, self._stage.from_part)
+            arm, cloud = (moved(points[target], self._stage.T_part) for points in (witness.arm, witness.cloud))
+        _move_camera(event.client, cloud + CLOSER_M * grazing(arm - cloud, side), cloud)
 
     def _look_back(self, event: viser.GuiEvent) -> None:
-        _move_camera(event, self._server.initial_camera.position, self._server.initial_camera.look_at)
+        _move_camera(event.client, self._server.initial_camera.position, self._server.initial_camera.look_at)
 
 
-def _move_camera(event: viser.GuiEvent, position: np.ndarray, look_at: np.ndarray) -> None:
-    """Move the camera of the browser that triggered the event.
+def _move_camera(client: viser.ClientHandle | None, position: np.ndarray, look_at: np.ndarray) -> None:
+    """Move a browser's camera.
 
-    Both points are set, as in viser a new position also shifts the look-at point.
+    Position and look-at point are both set, because in viser a new position also shifts the look-at point.
     """
-    if event.client is not None:
-        with event.client.atomic():
-            event.client.camera.position = position
-            event.client.camera.look_at = look_at
+    if client is not None:
+        with client.atomic():
+            client.camera.position = position
+            client.camera.look_at = look_at
 
 
 def grazing(gap: Float[np.ndarray, "3"], side: View) -> Float[np.ndarray, "3"]:
-    """Unit direction from which a gap is seen in full length.
+    """Return the unit direction to a camera that sees a gap in full length.
 
-    It is perpendicular to the gap, and nearest to the open side.
+    The direction is perpendicular to the gap, and as close as possible to the open side's.
     """
     length = np.linalg.norm(gap)
     across = gap / length if length > 0 else side.up
@@ -104,6 +130,6 @@ def grazing(gap: Float[np.ndarray, "3"], side: View) -> Float[np.ndarray, "3"]:
 
 
 def ahead(replay: Replay) -> np.ndarray:
-    """Direction to the right in the view from the open side."""
+    """Return the unit direction to the right in the view from the open side."""
     side = open_side(replay)
     return np.cross(side.near, side.up) * -1

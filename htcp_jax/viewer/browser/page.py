@@ -1,7 +1,7 @@
 """Viewer of plans in the browser: a 3D scene and a control panel, served by viser.
 
-Callbacks of the panel run in separate threads; one lock serialises them, and the properties wait for it, so that they
-describe a consistent page.
+The panel's callbacks run in separate threads, which one lock serialises. The properties of `Viewer` use the same lock,
+so they describe a consistent page.
 """
 
 import threading
@@ -13,7 +13,6 @@ import viser
 from htcp_jax.errors import InputError
 from htcp_jax.markup import escaped
 from htcp_jax.trajectory import PlanProgram
-from htcp_jax.viewer.arm_pose import together
 from htcp_jax.viewer.browser.access import serve, silent
 from htcp_jax.viewer.browser.display import DisplayOptions
 from htcp_jax.viewer.browser.plots import Plots
@@ -22,27 +21,30 @@ from htcp_jax.viewer.browser.texts import describe, name_of, target_facts
 from htcp_jax.viewer.browser.timeline import ByTarget, ByTime, Timeline
 from htcp_jax.viewer.replay import Replay, Replays
 
-WAITING_S = 0.1  # polling interval of the play button
+WAITING_S = 0.1  # polling interval while paused
+KEY_S = 0.5  # time after a move of the slider in which the page ignores arrow keys, as the slider handles them
 
 
-PlanPrograms = Callable[[int, str], PlanProgram]  # robot program of a scenario's number and a method
+PlanPrograms = Callable[
+    [int, str], PlanProgram
+]  # function that returns the robot program for a scenario's number and a method
 
 
 class Viewer:
-    """A running viewer of plans; `stop` ends it.
+    """A running viewer of plans; call `stop` to end it.
 
     Args:
         replays: The plans.
         host: The address to listen on.
-        port: The port; 0 for any that is free.
-        scenario: The first scenario to show; by default the first that failed, if any, or with programs the first that
-            is executable.
-        method: The method whose plan is shown first; by default the first.
-        programs: Function for the robot program of a scenario and method, which is played in time.
+        port: The port; 0: any free port.
+        scenario: The number of the scenario to show first. None: the first failed scenario, if any; with `programs`,
+            the first executable one.
+        method: The method whose plan is shown first; None: the first method.
+        programs: Function that returns the robot program of a scenario and method; None: play without timing.
 
     Raises:
-        InputError: For an unknown scenario or method, for an address that is not available, and as `programs` for the
-            first scenario.
+        InputError: If the scenario or method is unknown, if the address is not available, or if `programs` raises it
+            for the first scenario.
     """
 
     def __init__(
@@ -75,7 +77,7 @@ class Viewer:
 
     @property
     def place(self) -> float:
-        """Position on the timeline: a target; for a robot program, a time [s]."""
+        """Position on the timeline: a target index, or a time [s] for a robot program."""
         with self._lock:
             return self._place
 
@@ -97,13 +99,13 @@ class Viewer:
 
     @property
     def facts(self) -> str:
-        """Text about the displayed target, in Markdown."""
+        """Text on the displayed target, in Markdown."""
         with self._lock:
             return self._facts.content
 
     @property
     def server(self) -> viser.ViserServer:
-        """The viser server, for additions to its scene and panel."""
+        """The viser server, to which a caller can add scene nodes and panel elements."""
         return self._server
 
     def wait(self) -> None:
@@ -111,7 +113,7 @@ class Viewer:
         self._ended.wait()
 
     def stop(self) -> None:
-        """Stop the server, after a frame in progress is shown."""
+        """Stop the server after the current frame."""
         with self._lock:
             self._ended.set()
         with silent():
@@ -136,14 +138,17 @@ class Viewer:
         self._method.on_update(lambda _: self._pick_method())
         self._scenario.on_update(lambda _: self._pick_scenario())
         self._playing.on_click(lambda _: self.toggle())
-        self._running = False
+        gui.add_command("Play or pause", hotkey="space").on_trigger(lambda _: self.toggle())
+        gui.add_command("Step forward", hotkey="arrowright").on_trigger(lambda _: self.step(1))
+        gui.add_command("Step back", hotkey="arrowleft").on_trigger(lambda _: self.step(-1))
+        self._running, self._moved_s = False, -KEY_S
 
     def _names(self, method: str) -> dict[str, int]:
-        """Labels of the scenarios in the picker, failed first, with their numbers."""
+        """Return the scenarios' numbers by their labels in the drop-down list, failed scenarios first."""
         return {describe(outcome, self._replays): outcome.scenario for outcome in self._replays.outcomes(method)}
 
     def _pick_method(self) -> None:
-        """Show the same scenario by the chosen method, or that method's first."""
+        """Show the same scenario by the selected method, or the method's first scenario if that one is not planned."""
         with self._lock:
             names = self._names(self._method.value)
             kept = name_of(names, self._replay.number) or next(iter(names))
@@ -159,7 +164,7 @@ class Viewer:
                 self._show(replay, self._timeline_of(replay))
 
     def _timeline_of(self, replay: Replay) -> Timeline:
-        """Timeline of a replay: by time if there is a robot program, else by target."""
+        """Return the timeline of a replay: by time if there is a robot program, else by target."""
         try:
             return ByTime(self._programs(replay.number, replay.method)) if self._programs else ByTarget(replay)
         except InputError as refused:
@@ -171,13 +176,13 @@ class Viewer:
         with self._lock, self._server.atomic():
             self._replay, self._timeline, self._target = replay, timeline, -1
             self._play_or_pause(False)
-            self._display.show(replay, together(timeline.passed))
+            self._display.show(replay, timeline.passed)
             self._plots.show(replay, timeline.curves)
             self._show_timeline()
             self.go_to(0)
 
     def _show_timeline(self) -> None:
-        """Replace the slider and the list of rates by the timeline's."""
+        """Replace the slider and the list of playback rates by those of the current timeline."""
         gui, timeline, order = self._server.gui, self._timeline, self._facts.order
         for each in (self._slider, self._rate):
             if each is not None:
@@ -187,15 +192,21 @@ class Viewer:
         self._rate = gui.add_dropdown(
             timeline.rate_name, timeline.rates, initial_value=timeline.usual_rate, order=self._playing.order + 0.1
         )
-        self._slider.on_update(lambda _: self._slide())
+        self._slider.on_update(self._slide)
 
-    def _slide(self) -> None:
+    def _slide(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            self._moved_s = time.monotonic()
         with self._lock:
             if self._slider.value != self._timeline.on_slider(self._place):
                 self.go_to(self._slider.value)
 
     def go_to(self, place: int | float) -> None:
-        """Show a target or, for a robot program, a time [s]; fractions of targets are between two targets."""
+        """Show a position on the timeline.
+
+        Args:
+            place: A target index, fractional between two targets; for a robot program, a time [s].
+        """
         with self._lock, self._server.atomic():
             self._place = float(min(place, self._timeline.last))
             pose, reported = self._timeline.look(self._place)
@@ -203,27 +214,41 @@ class Viewer:
                 self._target = target
                 self._stage.pose(target)
                 self._plots.at_target(target)
-            self._stage.move(pose.arm)
+            self._stage.move(pose)
             self._plots.at_time(self._place)
             self._facts.content = "\n\n".join(filter(None, (reported, target_facts(self._replay, target))))
             self._slider.value = self._timeline.on_slider(self._place)
 
     def toggle(self) -> None:
-        """Play or pause; at the end, play from the beginning."""
+        """Start or pause playback; at the end, start from the beginning."""
         with self._lock:
             self._play_or_pause(not self._running)
             if self._running and (self._place == 0 or self._place >= self._timeline.end):
                 self.go_to(self._timeline.begin)
             self._looked_s = time.monotonic()
 
+    def step(self, count: int) -> None:
+        """Pause, and move by `count` targets or, for a robot program, by `count` tenths of a second.
+
+        Nothing happens within KEY_S after the slider was moved in a browser, because the slider then has the focus and
+        handles the arrow keys itself.
+        """
+        if time.monotonic() - self._moved_s < KEY_S:
+            self._moved_s = time.monotonic()
+            return
+        with self._lock:
+            self._play_or_pause(False)
+            here = self._timeline.on_slider(self._place)
+            self.go_to(max(here + count * self._timeline.stride, 0))
+
     def _play_or_pause(self, running: bool) -> None:
-        """Set the playing state, and the button to the opposite."""
+        """Start or pause playback, and show the opposite action on the button."""
         self._running = running
         self._playing.label = "Pause" if running else "Play"
         self._playing.icon = viser.Icon.PLAYER_PAUSE if running else viser.Icon.PLAYER_PLAY
 
     def _play(self) -> None:
-        """Advance while playing."""
+        """Advance the timeline while playing, until the viewer is stopped."""
         pause = 0.0
         while not self._ended.wait(pause):
             with self._lock:
@@ -231,7 +256,7 @@ class Viewer:
                     pause = self._move_on() if self._running else WAITING_S
 
     def _move_on(self) -> float:
-        """Show the next position; returns the pause until the next [s]."""
+        """Show the next position, and return the pause until the one after [s]."""
         now, rate = time.monotonic(), float(self._rate.value)
         passed, self._looked_s = now - self._looked_s, now
         if self._place >= self._timeline.end:

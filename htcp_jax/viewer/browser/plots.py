@@ -1,4 +1,4 @@
-"""Plots of the page: clearance over targets; for a robot program, speeds of the TCP and the joints over time."""
+"""Plots of the page: clearance over targets, or for a robot program the speeds of the TCP and the joints over time."""
 
 from html import escape
 
@@ -19,14 +19,14 @@ class Plots:
 
     Args:
         gui: The panel.
-        order: The position on the panel; each element is 0.1 after the one before.
+        order: The position of the first element on the panel; each next element's is 0.1 larger.
     """
 
     def __init__(self, gui: viser.GuiApi, order: float):
         self._gui, self._order, self._shown = gui, order, list[viser.GuiUplotHandle | viser.GuiHtmlHandle]()
 
     def show(self, replay: Replay, curves: Curves | None) -> None:
-        """Replace the plots by those of a replay."""
+        """Replace the plots by a replay's; with `curves`, a robot program's plots are shown."""
         for each in self._shown:
             each.remove()
         self._replay, self._curves, self._shown, self._row = replay, curves, [], -1
@@ -44,7 +44,7 @@ class Plots:
         self._legend({style.name: style.colour for style in target_styles(replay.status) if style.where.any()})
 
     def at_target(self, target: int) -> None:
-        """Mark a target."""
+        """Mark the displayed target in the clearance plot."""
         self.clearance.data = _curves(self._replay, target)
 
     def at_time(self, time_s: float) -> None:
@@ -69,7 +69,7 @@ class Plots:
         return self._shown[-1]
 
     def _legend(self, colours: dict[str, str]) -> None:
-        """Add a legend: names, each with a dot in its colour."""
+        """Add a legend: the names, each next to a dot in its colour."""
         one = '<span style="white-space:nowrap;margin-right:1em"><span style="color:{}">&#9679;</span> {}</span>'
         dots = (one.format(colour, escape(name)) for name, colour in colours.items())
         content = f'<div style="font-size:0.8em;padding:0 0.9em 0.5em">{" ".join(dots)}</div>'
@@ -80,7 +80,10 @@ class Plots:
 
 
 def _now(curves: Curves, row: int, bottom: float, top: float) -> np.ndarray:
-    """A vertical line at a row, drawn within the step to the next row."""
+    """Return the data of a line from `bottom` to `top` at a row of the curves, NaN at all other rows.
+
+    uPlot draws the line between this row and the next one.
+    """
     line = np.full(len(curves.time_s), np.nan)
     row = min(row, len(line) - 2)
     line[row], line[row + 1] = bottom, top
@@ -117,7 +120,10 @@ def _line(label: str, colour: str) -> uplot.Series:
 
 
 def _curves(replay: Replay, target: int) -> tuple[np.ndarray, ...]:
-    """Clearance over the targets: of all, of each style, and of the displayed one; a failed one at the minimum."""
+    """Return the columns of the clearance plot: index, all clearances, those of each style, and the displayed target's.
+
+    A failed target is drawn at the minimum clearance.
+    """
     index = np.arange(len(replay.target), dtype=float)
     clearance = 1e3 * replay.clearance
     least = np.nanmin(clearance, initial=np.inf)

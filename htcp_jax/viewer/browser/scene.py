@@ -1,6 +1,6 @@
-"""3D scene of the viewer: the arm, the workpiece cut open, the targets, the minimum distance.
+"""3D scene of the viewer: the arm, the cut workpiece, the targets, and the pair of nearest points.
 
-One `BrowserScene` belongs to a viser server. `show` draws a plan, `pose` moves the arm to a target.
+Each viser server has one `BrowserScene`. `show` draws a plan, `pose` moves the arm to a target.
 """
 
 from collections.abc import Sequence
@@ -11,9 +11,10 @@ import trimesh
 import viser
 from jaxtyping import Float
 
-from htcp_jax.model import kinematics
 from htcp_jax.model import surface as surfaces
 from htcp_jax.reachability import Obstruction
+from htcp_jax.viewer.arm_pose import ArmPose, seen
+from htcp_jax.viewer.camera import lowest
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -30,16 +31,21 @@ from htcp_jax.viewer.colours import (
     rgb,
     target_styles,
 )
+from htcp_jax.viewer.playback import pose_at
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, MINIMUM_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
-LABEL_GAP = 4  # difference of targets whose labels would overlap
+LABEL_GAP = 4  # maximum difference of target indices at which labels would overlap
 LEADER_M = 0.12  # length of the line from the clearance's minimum up to its label
-DWELL_M = 0.018  # side of the cube at a dwell
-LIT = 0.72  # factor on a colour that compensates viser's lights
-LIGHT_UP = 0.8  # upward part of the light's direction, otherwise towards the open side
-AROUND_M, AROUND_SIZE_M = 0.05, 0.0015  # the cloud about the minimum distance is shown even if it is cut off
-ROUND = 72, 72  # facets of a capsule about its axis and along its ends
+DWELL_M = 0.018  # edge length of the cube at a dwell
+LIT = 0.72  # factor on colours that compensates viser's lights
+LIGHT_UP = 0.8  # upward component added to the light's direction, which points to the open side
+AROUND_M, AROUND_SIZE_M = (
+    0.05,
+    0.0015,
+)  # radius and point size of the cloud around the nearest points, shown even if cut off
+PART = "/part"  # parent node of all objects that move with the part
+ROUND = 72, 72  # numbers of facets of a capsule, about its axis and along its ends
 
 Vector = Float[np.ndarray, "3"]
 
@@ -51,9 +57,28 @@ class BrowserScene:
         self._server, self._scene = server, server.scene
         self._scene.set_up_direction("+z")
         self._replay: Replay | None = None
+        self._from_part = False
+        self._shown: ArmPose | None = None
+
+    @property
+    def from_part(self) -> bool:
+        """True if the part is drawn at rest; always True if it does not move."""
+        return self._from_part or not self._replay.robot.part_moves
+
+    @property
+    def T_part(self) -> Float[np.ndarray, "4 4"]:
+        """Pose at which the part, and all objects fixed to it, are drawn."""
+        return seen(self._shown, self.from_part).T_root
+
+    def look_from(self, part: bool) -> None:
+        """Draw a moving part at rest (`part` True), or the world (False)."""
+        self._from_part = part
+        with self._server.atomic():
+            self._add_floor()
+            self.move(self._shown)
 
     def show(self, replay: Replay, opacity: float) -> None:
-        """Draw a plan; the arm is at its first target, the workpiece is not cut.
+        """Draw a plan, with the arm at the first target and the workpiece not cut.
 
         Args:
             replay: The plan.
@@ -62,23 +87,25 @@ class BrowserScene:
         with self._server.atomic():
             self._scene.reset()
             self._replay = replay
+            self._part = self._scene.add_frame(PART, show_axes=False)
             self._arm = [self._capsule(k, opacity) for k in range(replay.p.shape[1] + 1)]
             self._add_targets()
             self._marks = self._add_marks()
             self._add_floor()
             self._add_fixtures()
             points = np.zeros((2, 3), np.float32)
-            self._pair = self._add_balls("/minimum distance/points", points, WITNESS_M, NEAREST)
+            self._pair = self._add_balls(f"{PART}/minimum distance/points", points, WITNESS_M, NEAREST)
             self._line = self._scene.add_line_segments(
-                "/minimum distance/line", points[None], rgb(NEAREST), thickness=4, thickness_units="screen"
+                f"{PART}/minimum distance/line", points[None], rgb(NEAREST), thickness=4, thickness_units="screen"
             )
             look = {"point_size": AROUND_SIZE_M, "point_shape": "circle", "precision": "float32"}
-            self._around = self._scene.add_point_cloud("/minimum distance/around", points, rgb(OUTSIDE), **look)
-            self._label = self._scene.add_label("/minimum distance/label", "", anchor="bottom-left")
+            self._around = self._scene.add_point_cloud(f"{PART}/minimum distance/around", points, rgb(OUTSIDE), **look)
+            self._label = self._scene.add_label(f"{PART}/minimum distance/label", "", anchor="bottom-left")
             here = trimesh.creation.icosphere(subdivisions=3, radius=HERE_M)
             self._here = self._scene.add_mesh_simple(
-                "/targets/here", here.vertices, here.faces, color=compensated(HERE), opacity=0.55, cast_shadow=False
-            )
+                f"{PART}/targets/here", here.vertices, here.faces, color=compensated(HERE), opacity=0.55,
+                cast_shadow=False,
+            )  # fmt: skip
             self.pose(0)
 
     def _add_fixtures(self) -> None:
@@ -86,17 +113,17 @@ class BrowserScene:
         if len(triangles):
             faces = np.arange(3 * len(triangles)).reshape(-1, 3)
             look = {"color": compensated(FIXTURE), "opacity": 0.5, "flat_shading": True, "side": "double"}
-            self._scene.add_mesh_simple("/fixtures", triangles.reshape(-1, 3), faces, **look)
+            self._scene.add_mesh_simple(f"{PART}/fixtures", triangles.reshape(-1, 3), faces, **look)
         if len(clouds.points):
             look = {"point_size": float(np.median(clouds.radius)), "point_shape": "circle", "precision": "float32"}
-            self._scene.add_point_cloud("/clouds", clouds.points, rgb(FIXTURE), **look)
+            self._scene.add_point_cloud(f"{PART}/clouds", clouds.points, rgb(FIXTURE), **look)
 
     def pose(self, target: int) -> None:
-        """Move the arm, the marker of the target and the minimum distance."""
+        """Move the arm, the target's marker and the pair of nearest points to a target."""
         replay, self.target = self._replay, target
         with self._server.atomic():
             blocked = replay.obstruction if target == replay.failed else None
-            self.move(replay.arm_at(target))
+            self.move(pose_at(replay, target))
             for k, (node, shown) in enumerate(zip(self._arm, self.arm_colours, strict=True)):
                 if shown != (colour := tuple(compensated(self._colour(k, blocked)).tolist())):
                     node.color = colour
@@ -111,47 +138,51 @@ class BrowserScene:
             near = "" if np.isnan(distance) else f"{distance:.4g} mm at target {target}"
             self._label.text = near if blocked is None else blocked.description
 
-    def move(self, arm: kinematics.ArmShape) -> None:
-        """Move the arm only, to any configuration."""
-        p, q = arm.axes()
+    def move(self, pose: ArmPose) -> None:
+        """Move the arm, and a moving part, to any pose."""
+        self._shown, drawn = pose, seen(pose, self.from_part)
+        p, q = drawn.arm.axes()
+        rotation = np.empty(4)
+        mujoco.mju_mat2Quat(rotation, drawn.T_root[:3, :3].ravel())
         with self._server.atomic():
+            self._part.wxyz, self._part.position = rotation, drawn.T_root[:3, 3]
             for node, wxyz, middle in zip(self._arm, rotations_to(q - p), (p + q) / 2, strict=True):
                 node.wxyz, node.position = wxyz, middle
 
     @property
     def arm_positions(self) -> Float[np.ndarray, "K1 3"]:
-        """Centres of the capsules, and of the tip."""
+        """Centres of the capsules and of the bare tip, as drawn."""
         return np.array([node.position for node in self._arm])
 
     @property
     def arm_colours(self) -> list[tuple[int, int, int]]:
-        """Colours of the capsules, and of the tip, as `compensated`."""
+        """Colours of the capsules and of the bare tip, see `compensated`."""
         return [tuple(node.color) for node in self._arm]
 
     @property
     def label(self) -> str:
-        """Text at the minimum distance."""
+        """Text at the pair of nearest points."""
         return self._label.text
 
     @property
     def mark_labels(self) -> list[str]:
-        """Texts at the dwells and at the place of the guaranteed clearance's minimum."""
+        """Texts at the dwells, and at the minimum of the guaranteed clearance."""
         return [node.text for node in self._marks if isinstance(node, viser.LabelHandle)]
 
     def cut(self, surface: surfaces.Surface, near: Vector, size_m: float) -> None:
-        """Show the points of the cloud that remain after the cut.
+        """Draw the points of the cloud that remain after a cut.
 
         Args:
             surface: The remaining points and their normals.
-            near: Unit direction to the camera, for the light.
+            near: Unit direction to the open side, from which the light comes.
             size_m: Size of a point.
         """
         light = near + np.array([0, 0, LIGHT_UP])
         slope = np.abs(surface.normals @ (light / np.linalg.norm(light)))[:, None]
-        inside = (surface.normals @ light > 0)[:, None]  # True if the inner side is seen from there
+        inside = (surface.normals @ light > 0)[:, None]  # True for points whose inner side faces the light
         colours = np.where(inside, rgb(WALL[1]), rgb(OUTSIDE)) * (0.55 + 0.45 * slope)
         self._scene.add_point_cloud(
-            "/cloud", surface.points, colours.astype(np.uint8), point_size=size_m, point_shape="circle",
+            f"{PART}/cloud", surface.points, colours.astype(np.uint8), point_size=size_m, point_shape="circle",
             point_shading="flat", precision="float32",
         )  # fmt: skip
 
@@ -161,17 +192,17 @@ class BrowserScene:
             node.opacity = opacity
 
     def show_smallest_distance(self, visible: bool) -> None:
-        """Show or hide the witness pair."""
+        """Show or hide the pair of nearest points."""
         for node in (self._pair, self._line, self._around, self._label):
             node.visible = visible
 
     def show_marks(self, visible: bool) -> None:
-        """Show or hide the dwells and the place of the guaranteed clearance's minimum."""
+        """Show or hide the marks at the dwells and at the minimum of the guaranteed clearance."""
         for node in self._marks:
             node.visible = visible
 
     def _capsule(self, k: int, opacity: float) -> viser.MeshHandle:
-        """Add capsule k, or the tool's bare tip after the last, along its own z axis."""
+        """Add the mesh of capsule k along its own z axis; an index after the last capsule adds the tool's bare tip."""
         robot = self._replay.robot
         p, q = (ends[k] for ends in self._replay.arm_at(0).axes())
         last = k == len(robot.capsule_link)
@@ -181,7 +212,7 @@ class BrowserScene:
         return self._scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, opacity=opacity)
 
     def _colour(self, k: int, blocked: Obstruction | None = None) -> str:
-        """Colour of capsule k, or of the tip after the last; the colliding body is highlighted."""
+        """Return the colour of capsule k, highlighted if it collides; an index after the last is the bare tip."""
         robot = self._replay.robot
         if k == len(robot.capsule_names):
             return TOOL
@@ -202,37 +233,37 @@ class BrowserScene:
         for style in target_styles(replay.status):
             if style.where.any():
                 radius = FAILED_M if style.colour == FAILED else BEAD_M
-                self._add_balls(f"/targets/{style.name}", replay.target[style.where], radius, style.colour)
+                self._add_balls(f"{PART}/targets/{style.name}", replay.target[style.where], radius, style.colour)
         legs = np.stack([replay.target[:-1], replay.target[1:]], axis=1)
         if len(legs):
-            self._scene.add_line_segments("/targets/way", legs, rgb(INK), thickness=1, thickness_units="screen")
+            self._scene.add_line_segments(f"{PART}/targets/way", legs, rgb(INK), thickness=1, thickness_units="screen")
         if len(replay.normals):
             look = {"thickness": 2, "thickness_units": "screen"}
-            self._scene.add_line_segments("/targets/normals", replay.normals, rgb(NORMAL), **look)
+            self._scene.add_line_segments(f"{PART}/targets/normals", replay.normals, rgb(NORMAL), **look)
 
     def _add_marks(self) -> list[viser.SceneNodeHandle]:
-        """Add a cube at every dwell and a ball at the guaranteed clearance's minimum, with labels.
+        """Add a cube at every dwell and a ball at the minimum of the guaranteed clearance, with labels.
 
         Neighbouring dwells share a label.
         """
         replay, marks = self._replay, []
         for target in replay.summary.dwells:
             cube = {"dimensions": (DWELL_M,) * 3, "color": compensated(DWELL), "cast_shadow": False}
-            marks.append(self._scene.add_box(f"/motion/dwell {target}", position=replay.target[target], **cube))
+            marks.append(self._scene.add_box(f"{PART}/motion/dwell {target}", position=replay.target[target], **cube))
         for group in label_groups(replay.summary.dwells):
             words, place = f"dwell at {', '.join(map(str, group))}", replay.target[group[0]]
             look = {"position": place, "anchor": "bottom-left"}
-            marks.append(self._scene.add_label(f"/motion/dwells from {group[0]}", words, **look))
+            marks.append(self._scene.add_label(f"{PART}/motion/dwells from {group[0]}", words, **look))
         if (narrow := replay.narrow) is not None:
             words = f"minimum clearance, on the segment to target {narrow.target}: {replay.summary.proven} proven, "
-            words += f"{1e3 * narrow.seen_m:.3g} mm seen"
+            words += f"{1e3 * narrow.seen_m:.3g} mm sampled"
             label_at = narrow.cloud + np.array([0.0, 0.0, LEADER_M])
             ball = {"radius": MINIMUM_M, "color": compensated(NEAREST), "cast_shadow": False}
             marks += [
-                self._scene.add_icosphere("/motion/minimum", position=narrow.cloud, **ball),
-                self._scene.add_label("/motion/minimum label", words, position=label_at, anchor="bottom-left"),
+                self._scene.add_icosphere(f"{PART}/motion/minimum", position=narrow.cloud, **ball),
+                self._scene.add_label(f"{PART}/motion/minimum label", words, position=label_at, anchor="bottom-left"),
                 self._scene.add_line_segments(
-                    "/motion/minimum leader",
+                    f"{PART}/motion/minimum leader",
                     np.stack([narrow.cloud, label_at])[None],
                     rgb(NEAREST),
                     thickness=1,
@@ -242,10 +273,8 @@ class BrowserScene:
         return marks
 
     def _add_floor(self) -> None:
-        """Add a grid below everything, at most at world z = 0."""
-        replay = self._replay
-        low = (np.minimum(replay.p, replay.q)[..., 2] - np.asarray(replay.robot.capsule_radius)).min()
-        height = min(0.0, low, replay.cloud[:, 2].min())
+        """Add a floor grid below all objects, at most at height 0."""
+        height = lowest(self._replay, self.from_part)
         self._scene.add_grid(
             "/floor", infinite_grid=True, fade_distance=12, position=(0, 0, height), cell_color=rgb("#dfe3e6"),
             section_color=rgb("#c3cad0"), shadow_opacity=0.12,
@@ -253,7 +282,7 @@ class BrowserScene:
 
 
 def label_groups(targets: Sequence[int]) -> list[list[int]]:
-    """Group targets, given in order, whose labels would overlap."""
+    """Return the targets, given in ascending order, in groups whose labels would overlap."""
     groups: list[list[int]] = []
     for target in targets:
         if groups and target - groups[-1][-1] <= LABEL_GAP:
@@ -264,7 +293,7 @@ def label_groups(targets: Sequence[int]) -> list[list[int]]:
 
 
 def rotations_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
-    """Quaternions wxyz of the shortest rotations from z to the axes; the identity for an axis of no length."""
+    """Return the shortest rotations from z to the axes, as quaternions wxyz; the identity for a zero vector."""
     quaternions = np.empty((len(axes), 4))
     for quaternion, axis in zip(quaternions, axes, strict=True):
         mujoco.mju_quatZ2Vec(quaternion, axis)
@@ -272,5 +301,5 @@ def rotations_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
 
 
 def compensated(colour: str) -> np.ndarray:
-    """Darken a colour, as the light brightens it."""
+    """Return a colour darkened to compensate viser's lights."""
     return (LIT * np.array(rgb(colour))).astype(np.uint8)

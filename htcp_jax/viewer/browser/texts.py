@@ -1,15 +1,16 @@
-"""Texts of the page about scenarios and targets."""
+"""Texts on scenarios and targets for the page."""
 
 import numpy as np
 
 from htcp_jax.markup import escaped
+from htcp_jax.model import robot as robots
 from htcp_jax.motion import plans
 from htcp_jax.status import SegmentStatus, Status
 from htcp_jax.viewer.replay import Replay, Replays
 
 
 def describe(outcome: plans.Outcome, replays: Replays) -> str:
-    """Number of a scenario, the number of targets tracked, and its label, which may be truncated."""
+    """Return a scenario's number, its number of tracked targets, and its varied parameters, as one line."""
     count = (
         f"all {outcome.targets} tracked" if outcome.complete else f"failed at {outcome.tracked} of {outcome.targets}"
     )
@@ -17,12 +18,12 @@ def describe(outcome: plans.Outcome, replays: Replays) -> str:
 
 
 def name_of(names: dict[str, int], number: int) -> str | None:
-    """Name of a number; None if no name has it."""
+    """Return the name whose value is `number`; None if there is none."""
     return next((name for name, known in names.items() if known == number), None)
 
 
 def target_facts(replay: Replay, target: int) -> str:
-    """Describe a target's result in a few lines."""
+    """Return a description of a target's result, in Markdown."""
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
     if target == replay.failed and replay.obstruction is not None:
@@ -31,7 +32,8 @@ def target_facts(replay: Replay, target: int) -> str:
     if not status.tracked:
         return f"{what}.\n\nThe arm is shown at the last tracked target."
     clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]
-    here = f"Clearance at the target **{clearance:.4g} mm** ({escaped(replay.witness.body[target])}). "
+    body = robots.capsule_label(replay.robot, replay.witness.body[target])
+    here = f"Clearance at the target **{clearance:.4g} mm** ({escaped(body)}). "
     here += f"TCP error {error:.2f} mm"
     if not np.isnan(angle := replay.orientation_error[target]):
         here += f", orientation error {np.rad2deg(angle):.3g} deg"
@@ -39,7 +41,7 @@ def target_facts(replay: Replay, target: int) -> str:
 
 
 def _segment_text(replay: Replay, target: int) -> str:
-    """Describe the segment to a target, and a dwell there."""
+    """Return a description of the segment to a target, and of a dwell at the target."""
     known = SegmentStatus(int(replay.segment_status[target]))
     text = f"Segment to this target: {known.message}"
     if known.is_motion:

@@ -1,7 +1,7 @@
 """Playback timeline of the page: by target for a plan, by time [s] for a robot program.
 
-A place is a number on the slider, or between two numbers. Playback runs from `begin` to `end`: for a plan to the last
-tracked target, though the slider extends to `last`.
+A place is a position on the timeline, possibly between two steps of the slider. Playback runs from `begin` to `end`.
+For a plan, `end` is the last tracked target, and the slider extends to its last target, `last`.
 """
 
 import numpy as np
@@ -12,24 +12,26 @@ from htcp_jax.viewer.playback import pose_at, poses_along
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.timed_play import Curves, arms_of, sample_program
 
-MOST_BETWEEN = 4  # configurations that share the time of a target; more of them, as in a dwell, take longer
-TICK_S = 0.05  # between frames of a robot program
-SHOWN_PER_SECOND = 60  # number of its configurations to which the camera is fitted
+MOST_BETWEEN = (
+    4  # number of configurations that share a target's time; a segment with more, such as a dwell, takes longer
+)
+TICK_S = 0.05  # time between frames of a robot program
+SHOWN_PER_SECOND = 60  # number of the program's configurations that the camera has in view
 
 
 class ByTarget:
-    """Timeline of a plan by target, on which no configuration is skipped.
+    """Timeline of a plan by target; playback skips no configuration.
 
-    Configurations of the segment to the next target are at places between the two, those before the first target at
-    places below 0.
+    Configurations between two targets have places between the targets' indices. Configurations before the first target
+    have negative places.
 
     Args:
         replay: The plan.
-        note: A note that is displayed at every place.
+        note: A text that is displayed at every place.
     """
 
-    name, step, curves = "Target", 1, None
-    rate_name, rates, usual_rate = "Targets a second", ("5", "10", "20", "40"), "10"
+    name, step, stride, curves = "Target", 1, 1, None
+    rate_name, rates, usual_rate = "Targets per second", ("5", "10", "20", "40"), "10"
 
     def __init__(self, replay: Replay, note: str = ""):
         self._note, row = note, poses_along(replay)
@@ -42,26 +44,26 @@ class ByTarget:
         self.begin, self.last = float(self._places[0]), len(replay.target) - 1
 
     def look(self, place: float) -> tuple[ArmPose, str]:
-        """The arm at a place, or the last before it, and a note."""
+        """Return the arm at the last configuration up to a place, and the note."""
         return self.passed[self._row(place)], self._note
 
     def on_slider(self, place: float) -> int:
-        """Value of the slider: the target that was reached last."""
+        """Return the slider's value at a place: the last reached target."""
         return max(int(np.floor(place)), 0)
 
     def after(self, place: float, passed_s: float, rate: float) -> float:
-        """Place of the next configuration.
+        """Return the place of the next configuration.
 
         Args:
             place: The current place.
-            passed_s: Time since the last frame; not used, so that no configuration is skipped.
+            passed_s: Time since the last frame; not used, as no configuration is skipped.
             rate: Playback rate; not used.
         """
         del passed_s, rate
         return float(self._places[min(self._row(place) + 1, len(self._places) - 1)])
 
     def pause_s(self, place: float, rate: float) -> float:
-        """Display time of the arm at a place [s]."""
+        """Return the time for which the arm is displayed at a place [s]."""
         return 1 / rate / min(self._count[self._row(place)], 1 + MOST_BETWEEN)
 
     def _row(self, place: float) -> int:
@@ -71,8 +73,8 @@ class ByTarget:
 class ByTime:
     """Timeline of a robot program in seconds; frames are dropped if rendering cannot keep up."""
 
-    name, step, begin = "Time [s]", 0.01, 0.0
-    rate_name, rates, usual_rate = "Times real time", ("0.25", "1", "4", "16"), "1"
+    name, step, stride, begin = "Time [s]", 0.01, 0.1, 0.0
+    rate_name, rates, usual_rate = "Speed / real time", ("0.25", "1", "4", "16"), "1"
 
     def __init__(self, made: PlanProgram):
         self._made, self.curves = made, Curves.of(made)
@@ -80,16 +82,16 @@ class ByTime:
         self.passed = arms_of(made, sample_program(made, np.linspace(0, self.last, SHOWN_PER_SECOND)))
 
     def look(self, place: float) -> tuple[ArmPose, str]:
-        """The arm at a time, and a description of its motion."""
+        """Return the arm at a time, and a description of its motion."""
         play = sample_program(self._made, np.array([float(place)]))
         return arms_of(self._made, play)[0], f"**{play.words(0)}**"
 
     def on_slider(self, place: float) -> float:
-        """Value of the slider [s]."""
+        """Return the slider's value at a place [s]."""
         return round(place, 2)
 
     def after(self, place: float, passed_s: float, rate: float) -> float:
-        """Place after a time.
+        """Return the place after the time `passed_s`.
 
         Args:
             place: The current place.
@@ -99,7 +101,7 @@ class ByTime:
         return min(place + rate * passed_s, self.last)
 
     def pause_s(self, place: float, rate: float) -> float:
-        """Pause until the next frame [s]."""
+        """Return the pause until the next frame [s]."""
         del place, rate
         return TICK_S
 

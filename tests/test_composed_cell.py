@@ -1,0 +1,319 @@
+"""Cells composed of several models in a job, next to the same tree written by hand."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toy
+from test_moving_part import ARM, HEAD, PART, TABLE, TCP, TURNTABLE, cell_of, in_mujoco
+
+import htcp_jax
+from htcp_jax.clearance.obstacles.self_collision import self_collision
+from htcp_jax.cli.main import main
+from htcp_jax.errors import InputError
+from htcp_jax.io.robots import LinkMeshes, load_robot
+from htcp_jax.jobs import build, load_config
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.model import kinematics
+from htcp_jax.runs.identity import identity
+from htcp_jax.runs.input_files import anchor_files, file_hashes
+from htcp_jax.runs.open import open_plans
+from htcp_jax.trajectory.plan_program import program_of
+from htcp_jax.validation import validate_results
+from htcp_jax.validation.mujoco_arm import MujocoArm
+from htcp_jax.validation.mujoco_cell import MujocoCell
+
+URDF = """<robot name="track"><link name="floor"/><link name="car"/>
+<joint name="rail" type="prismatic"><parent link="floor"/><child link="car"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" velocity="0.5" effort="100"/></joint></robot>"""
+
+
+def model_of(*bodies: str) -> str:
+    return HEAD + f"<worldbody>{''.join(bodies)}</worldbody></mujoco>"
+
+
+@pytest.fixture
+def models(tmp_path):
+    """An arm, a positioner and a rail in separate files, and the cell that they form, written by hand."""
+    (tmp_path / "arm.xml").write_text(model_of(ARM.format(TCP)))
+    (tmp_path / "positioner.xml").write_text(model_of(TABLE))
+    (tmp_path / "rail.urdf").write_text(URDF)
+    rail = '<body name="floor" pos="0 .2 0" quat=".9 0 .1 0"><body name="car">{}</body></body>'.format(
+        '<joint name="rail" type="slide" axis="0 1 0" range="-2 2"/>'
+        f'<body pos="0 0 .5" euler="0 0 .3">{ARM.format(TCP)}</body>'
+    )
+    table = f'<body pos=".1 .2 .3" euler="0.1 0.2 0.3">{TABLE}</body>'
+    whole = cell_of("table", rail, table).replace('angle="radian"', 'angle="radian" eulerseq="XYZ"')
+    (tmp_path / "whole.xml").write_text(whole)
+    return {
+        "robot": {
+            "model": str(tmp_path / "arm.xml"),
+            "parent": "rail.car",
+            "base_m": [0, 0, 0.5],
+            "base_rpy_rad": [0, 0, 0.3],
+        },
+        "rail": {
+            "model": str(tmp_path / "rail.urdf"),
+            "base_m": [0, 0.2, 0],
+            "base_rpy_rad": [0, 2 * np.arctan2(0.1, 0.9), 0],
+        },
+        "positioner": {
+            "model": str(tmp_path / "positioner.xml"),
+            "base_m": [0.1, 0.2, 0.3],
+            "base_rpy_rad": [0.1, 0.2, 0.3],
+        },
+        "workpiece": {"cloud": "none", "path": "path.csv", "parent": "positioner.table"},
+        "start_rad": [0.0] * 7,
+    }
+
+
+def robot_of(job):
+    config = load_config(job)
+    return build.robot_of(config.robot, config.cell, config.tree)
+
+
+def test_composed_models_move_as_the_same_tree_written_by_hand_in_mujoco(models, tmp_path):
+    robot = robot_of(models)
+    assert robot.joint_names == ("b3", "b2", "b1", "rail", "a1", "a2", "a3") and robot.part_moves
+    assert robot.capsule_names == ("trunk", "boom", "tip", "positioner.yoke", "positioner.plate")
+    x = np.random.default_rng(1).uniform(robot.lower, robot.upper, (1000, 7))
+
+    @jax.jit
+    @jax.vmap
+    def found(x):
+        T, (p, q) = kinematics.tcp_pose(robot, x), kinematics.capsule_segments(robot, x)
+        return T[:3, 3], T[:3, :3], kinematics.jacobian(robot, x), (p + q) / 2
+
+    expected = in_mujoco((tmp_path / "whole.xml").read_text(), robot.joint_names, "table", x)
+    for ours, theirs in zip(found(x), expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+    config = load_config(models)
+    arm = MujocoArm(config.tree)
+    assert arm.joints == robot.joint_names and arm.names == robot.capsule_names
+    np.testing.assert_allclose(arm.arm_poses(x[:20]).tcp, expected[0][:20], rtol=0, atol=1e-9)
+
+
+LISTED = """<custom><text name="self_collision" data="2 pairs"/>
+<tuple name="excluded 1, rule c">
+<element objtype="geom" objname="tip" prm=".1"/><element objtype="geom" objname="trunk"/></tuple>
+<tuple name="excluded 2, rule b">
+<element objtype="geom" objname="tip" prm="1"/><element objtype="geom" objname="boom"/></tuple>
+<numeric name="speed" data="1 2 3"/>
+<text name="piece of boom" data="0 0 0; .4 0 0; .1 .01 0; .1 0 .01"/><numeric name="radius of boom" data=".01"/>
+</custom>"""
+
+
+def test_a_models_own_list_convex_pieces_and_joint_speeds_hold_in_the_composed_cell(models, tmp_path):
+    listed = model_of(ARM.format(TCP)).replace("<worldbody>", LISTED + "<worldbody>")
+    (tmp_path / "arm.xml").write_text(listed)
+    alone, robot = load_robot(tmp_path / "arm.xml"), robot_of(models)
+    excluded = {tuple(sorted((robot.capsule_names[a], robot.capsule_names[b]))) for a, b, *_ in robot.exclusions}
+    assert excluded == {("tip", "trunk"), ("boom", "tip")}
+    found = self_collision(robot)
+    checked = {frozenset((robot.capsule_names[a], robot.capsule_names[b])) for a, b in found.pairs}
+    assert {"trunk", "boom"} in checked  # adjacent and overlapping, but the arm's list does not exclude it
+    assert {"positioner.plate", "tip"} in checked
+    unlisted = robot_of(models | {"robot": {**models["robot"], "limits": "simulation"}})
+    assert not unlisted.exclusions  # limits wider than the model's
+    assert dict(zip(robot.joint_names, robot.speed.tolist(), strict=True)) == {
+        **dict.fromkeys(("b1", "b2", "b3"), np.inf),
+        "rail": 0.5,
+        "a1": 1.0,
+        "a2": 2.0,
+        "a3": 3.0,
+    }
+    own = alone.pieces.excess_m.tolist()
+    assert own[1] > 0 and robot.pieces.excess_m.tolist() == [*own, 0, 0]
+    arm = MujocoArm(load_config(models).tree)
+    theirs = MujocoCell(load_config(models).cell, arm, arm)._own
+    named = [{frozenset((arm.names[a], arm.names[b])) for a, b in pairs} for pairs in (theirs.checked, theirs.excluded)]
+    assert named[0] == checked and {"tip", "trunk"} in named[1]
+
+
+def test_bodies_that_a_model_excludes_from_its_own_world_are_not_excluded_from_the_cells(models, tmp_path):
+    plinth = '<geom name="plinth" type="capsule" fromto="0 .1 0 0 .1 .3" size=".06"/>'
+    excluded = '<contact><exclude body1="world" body2="link1"/></contact></mujoco>'
+    (tmp_path / "arm.xml").write_text(model_of(plinth, ARM.format(TCP)).replace("</mujoco>", excluded))
+    post = '<geom name="post" type="capsule" fromto="0 .5 0 0 .5 .3" size=".02"/>'
+    (tmp_path / "positioner.xml").write_text(model_of(post, TABLE))
+    job = models | {"robot": {"model": str(tmp_path / "arm.xml")}, "start_rad": [0.0] * 6}
+    del job["rail"]
+    robot, config = robot_of(job), load_config(job)
+    pairs = [{robot.capsule_names[a], robot.capsule_names[b]} for a, b, *_ in robot.exclusions]
+    assert pairs == [{"plinth", "trunk"}] and [each.rule for each in robot.exclusions] == ["a"]
+    arm = MujocoArm(config.tree)
+    own = MujocoCell(config.cell, arm, arm)._own
+    checked = [{arm.names[a], arm.names[b]} for a, b in own.checked]
+    assert {"positioner.post", "boom"} in checked and {"plinth", "trunk"} not in checked
+
+
+def test_a_positioner_with_boxes_is_imported_without_a_tool_and_composed(models, tmp_path, capsys):
+    plate = '<geom name="plate" type="sphere" size=".05"/>'
+    assert plate in TABLE
+    boxes = TABLE.replace(plate, '<geom name="plate" type="box" size=".1 .1 .01"/>').replace(
+        '<joint name="b3" type="slide" axis="0 1 1" range="-.1 .2" ref=".03"/>', ""
+    )
+    (tmp_path / "vendor.xml").write_text(model_of(boxes))
+    made = tmp_path / "made.xml"
+    assert main(["cell", str(tmp_path / "vendor.xml"), "--part", "table", "--out", str(made), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["joints"] == ["b1", "b2"]
+    job = models | {"positioner": {"model": str(made)}, "start_rad": [0.0] * 6}
+    robot = robot_of(job)
+    assert robot.joint_names == ("b2", "b1", "rail", "a1", "a2", "a3")
+    assert {"positioner.yoke", "positioner.table"} <= set(robot.capsule_names)
+    x = np.zeros((1, 6))
+    meshes = LinkMeshes.read(load_config(job).tree)  # of the positioner alone
+    assert meshes.deepest_m("positioner.table", "tip", meshes.poses(x)) == 0
+    with pytest.raises(InputError, match="2 joints from the world to the TCP; at least 3 are needed"):
+        load_robot(made)
+
+
+# A job: the toy arm next to a turntable
+
+
+@pytest.fixture
+def jobs(tmp_path):
+    """The same job twice: with a cell of one file, and composed of an arm's and a turntable's."""
+    light = '<compiler boundmass="1e-6" boundinertia="1e-6"/>'
+    whole = toy.ARM.replace("<worldbody>", light + PART.format("table") + "<worldbody>")
+    (tmp_path / "whole.xml").write_text(whole.replace("</worldbody>", TURNTABLE + "</worldbody>"))
+    (tmp_path / "arm.xml").write_text(toy.ARM)
+    stand = '<body name="stand" pos="0.55 0 0.15">'
+    assert stand in TURNTABLE
+    (tmp_path / "turntable.xml").write_text(
+        model_of(TURNTABLE.replace(stand, '<body name="stand" pos="0.55 0 0">')).replace(' angle="radian"', "")
+    )
+    turn = np.linspace(-1.5, 1.5, 7)
+    np.savetxt(
+        tmp_path / "path.csv",
+        np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), np.full(7, 0.09)], axis=1),
+        delimiter=",",
+    )
+    job = {
+        "workpiece": {"cloud": "none", "path": str(tmp_path / "path.csv")},
+        "start_rad": "auto",
+        "program": {"velocity": [1.0] * 5},
+        "settings": dataclasses.replace(toy.SETTINGS, q_weights=(1.0,) * 5),
+    }
+    composed = {
+        "robot": {"model": str(tmp_path / "arm.xml")},
+        "positioner": {"model": str(tmp_path / "turntable.xml"), "base_m": [0.0, 0.0, 0.15]},
+        "workpiece": {**job["workpiece"], "parent": "positioner.table"},
+    }
+    return job | {"robot": {"model": str(tmp_path / "whole.xml")}}, job | composed
+
+
+def test_the_plan_of_a_composed_cell_is_that_of_the_same_tree_in_one_file(jobs, tmp_path):
+    whole, composed = map(htcp_jax.plan, jobs)
+    assert whole.complete and np.ptp(whole.plans.x[0, :, 0]) > 0.1  # the table turns
+    np.testing.assert_array_equal(np.asarray(composed.plans.x), np.asarray(whole.plans.x))
+    composed.save(tmp_path / "plan")
+    found = validate_results(tmp_path / "plan")
+    assert found.validated, found.refuted[:3]
+    made = program_of(open_plans(tmp_path / "plan"), 0.02)
+    assert all(name in made.text("ros", "weld") for name in ("turn", "j1", "j4")) and made.text("keyframes", "weld")
+    summary = json.loads((tmp_path / "plan/summary.json").read_text())
+    summary["config"]["positioner"]["base_m"] = [0.0, 0.02, 0.15]
+    (tmp_path / "plan/summary.json").write_text(json.dumps(summary))
+    assert not validate_results(tmp_path / "plan").validated
+
+
+def test_a_sweep_varies_base_poses_and_locked_joints_of_a_composed_cell(jobs):
+    composed = jobs[1] | {"start_rad": [0.0] * 4, "program": {"velocity": [1.0] * 4}}
+    composed["settings"] = dataclasses.replace(toy.SETTINGS, q_weights=(1.0,) * 4)
+    composed["robot"] = composed["robot"] | {"locked": {"turn": 0.0}}
+    axes = [{"positioner.base_m.z": [0.15, 0.2]}, {"robot.locked.turn": [0.0, 0.4]}]
+    batch = load_sweep({"grid": axes}, composed).batch()
+    assert [point.config.tree.models[1].base_m[2] for point in batch.points] == [0.15, 0.15, 0.2, 0.2]
+    tcp = np.array([kinematics.tcp_position(batch.cells[k].robot, jnp.zeros(4)) for k in batch.cell])
+    np.testing.assert_allclose(tcp[:2, 2] - tcp[2:, 2], 0.05, atol=1e-12)  # seen from the part
+    np.testing.assert_allclose(tcp[0, :2] @ tcp[1, :2], np.cos(0.4) * (tcp[0, :2] @ tcp[0, :2]), atol=1e-12)
+
+
+def test_the_part_in_the_hand_at_a_tool_that_stands_in_the_world(models, tmp_path):
+    tool = '<geom name="wheel" type="capsule" fromto="0 0 0 0 0 .4" size=".03"/><site name="tcp" pos="0 0 .45"/>'
+    (tmp_path / "grinder.xml").write_text(HEAD + f"<worldbody>{tool}</worldbody></mujoco>")
+    site = '<site name="flange" pos=".35 0 0" euler=".1 .2 .3"/>'
+    (tmp_path / "arm.xml").write_text(model_of(ARM.format(site)))
+    job = {
+        "robot": {"model": str(tmp_path / "arm.xml")},
+        "tool": {"model": str(tmp_path / "grinder.xml"), "base_m": [0.5, 0.1, 0]},
+        "workpiece": models["workpiece"] | {"parent": "robot.flange"},
+        "start_rad": [0.0] * 3,
+    }
+    robot = robot_of(job)
+    hand = '<body name="flange" pos=".35 0 0" euler=".1 .2 .3"/>'
+    whole = cell_of("flange", f'<body pos=".5 .1 0">{tool}</body>', ARM.format(hand))
+    x = np.random.default_rng(2).uniform(robot.lower, robot.upper, (50, 3))
+    position, axes, jacobian, _ = in_mujoco(whole, robot.joint_names, "flange", x)
+    T = jax.vmap(kinematics.tcp_pose, (None, 0))(robot, x)
+    np.testing.assert_allclose(T[:, :3, 3], position, atol=1e-9)
+    np.testing.assert_allclose(T[:, :3, :3], axes, atol=1e-9)
+    np.testing.assert_allclose(jax.vmap(kinematics.jacobian, (None, 0))(robot, x), jacobian, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"workpiece.parent": "positioner.bench"},
+            "workpiece.parent: no link 'bench' in positioner.xml; valid: tilt, table",
+        ),
+        (
+            {"workpiece.parent": "link9"},
+            "workpiece.parent: no link 'link9' in arm.xml; valid: link1, link2, link3, tcp",
+        ),
+        (
+            {"robot.tcp": "torch"},
+            "no site or body 'torch' for the TCP; sites of the model: tcp; bodies: rail.floor, rail.car, link1",
+        ),
+        ({"robot.parent": "rail.cart"}, "robot.parent: no link 'cart' in rail.urdf; valid: floor, car"),
+        (
+            {"robot.parent": "tool.flange"},
+            "robot.parent is on the tool, but tool.model is missing; set it, or choose: world, ",
+        ),
+        ({"workpiece.parent": "tool.tip"}, "workpiece.parent is on the tool, but tool.model"),
+        ({"rail.parent": "link3"}, "the parents form a circle: robot -> rail -> robot"),
+        ({"robot.parent": "link3"}, "the parents form a circle: robot -> robot"),
+        ({"workpiece.parent": "link3"}, "no joint between the part's link 'link3' and the TCP: both are on 'link3'"),
+        (
+            {"robot.locked": {"a2": 0, "a3": 0}, "workpiece.parent": "link1"},
+            "no joint between the part's link 'link1' and",
+        ),
+        ({"workpiece.parent": "world"}, "joints off the chain from the world to the TCP: b1, b2, b3; freeze them"),
+        ({"tool.base_m": [0, 0, 1]}, "tool: base_m is set, but model is missing"),
+        ({"tool.model": "positioner.xml"}, "joint 'b1' is in positioner.model (positioner.xml) and in tool.model"),
+        ({"tool.model": "long.xml", "tool.parent": "link3", "robot.tcp": "tool.far"}, "10 joints from the part's link"),
+        ({"rail.model": "none.urdf"}, "none.urdf: cannot read the model: No such file"),
+    ],
+)
+def test_models_that_form_no_chain_are_refused_in_one_line(change, message, models, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    far = "".join(f'<body name="{name}"><joint axis="1 0 0" range="-1 1"/>' for name in ("n1", "n2", "far"))
+    (tmp_path / "long.xml").write_text(model_of(far + 3 * "</body>"))
+    np.savetxt(tmp_path / "path.csv", np.zeros((3, 3)), delimiter=",")
+    names = {section: {"model": f"{section}.xml"} for section in ("positioner",)}
+    names |= {"robot": {"model": "arm.xml"}, "rail": {"model": "rail.urdf"}}
+    job = {key: value | names.get(key, {}) if isinstance(value, dict) else value for key, value in models.items()}
+    (tmp_path / "job.json").write_text(json.dumps(job))
+    given = [f"--set={key}={json.dumps(value)}" for key, value in change.items()]
+    assert main(["plan", "job.json", *given, "--out", "out"]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1, error
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_job_of_one_model_keeps_its_identity_and_the_files_of_a_composed_cell_are_part_of_it(jobs):
+    config = load_config().model_dump(mode="json")
+    before = {key: value for key, value in config.items() if key not in ("positioner", "rail", "tool")}
+    for section in ("robot", "workpiece"):
+        before[section] = {key: value for key, value in before[section].items() if key != "parent"}
+    assert identity(config, [], "float64", {}) == identity(before, [], "float64", {})
+    composed = load_config(jobs[1]).model_dump(mode="json")
+    files = file_hashes(anchor_files(composed))
+    assert composed["positioner"]["model"] in files
+    other = {**composed, "positioner": {**composed["positioner"], "base_m": [0, 0, 1]}}
+    assert identity(composed, [], "float64", files) != identity(other, [], "float64", files)
