@@ -1,5 +1,6 @@
 """Reachability bounds: what is found is clear and on target, what is excluded is unreachable, whatever the batch."""
 
+import itertools
 from dataclasses import replace
 
 import jax
@@ -21,7 +22,7 @@ from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import link_poses, point_positions, tcp_position
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.tool_cells import tool_cells
+from htcp_jax.motion.tool_cells import Cells, tool_cells
 from htcp_jax.reachability import reachable_prefixes
 from htcp_jax.settings import Settings
 
@@ -249,10 +250,23 @@ def test_the_cells_cover_every_orientation_in_which_the_tool_is_clear(found):
     x = np.random.default_rng(1).uniform(-np.pi, np.pi, (3000, 6))
     D, R = jax.jit(jax.vmap(measure))(x)
     q = Rotation.from_matrix(np.asarray(R)).as_quat()[:, [3, 0, 1, 2]]
-    near = 2 * np.arccos(np.clip(np.abs(q @ cells.quaternion.T).max(axis=1), 0, 1))
+    inside = 2 * np.arccos(np.clip(np.abs(q @ cells.quaternion.T), 0, 1)) <= cells.radius_rad
     clear = np.asarray(D) >= where.margin_m
-    assert 0 < clear.sum() < 3000 and (near[clear] <= cells.radius_rad[0]).all()
-    assert (near > cells.radius_rad[0]).any()  # and not all of them: some are excluded
+    assert 0 < clear.sum() < 3000 and inside[clear].any(axis=1).all()
+    assert not inside.any(axis=1).all()  # some orientations are excluded
+
+
+def test_a_cell_has_no_rotation_beyond_its_radius_and_one_at_it():
+    rng = np.random.default_rng(3)
+    half = np.array([1.0, 0.5, 0.25, 2.0**-8, 2.0**-16])
+    cube = rng.uniform(-1, 1, (5, 3)) * (1 - half)[:, None]
+    some = Cells(np.zeros(5, int), np.arange(5) % 4, cube, half, np.zeros((5, 3)), np.zeros(5), np.zeros(5, int))
+    corners = np.array(list(itertools.product([-1.0, 1.0], repeat=3)))
+    for k in range(5):
+        points = cube[k] + half[k] * np.concatenate([corners, rng.uniform(-1, 1, (500, 3))])
+        there = Rotation.from_quat(np.insert(points, some.face[k], 1.0, axis=1))
+        angles = (Rotation.from_quat(some.quaternion[k]).inv() * there).magnitude()
+        assert angles.max() <= some.radius_rad[k] + 1e-9 and np.isclose(angles.max(), some.radius_rad[k], rtol=1e-6)
 
 
 def test_the_command_writes_the_prefixes_and_refuses_a_resolution_of_nothing(tmp_path, capsys):

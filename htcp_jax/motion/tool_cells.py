@@ -3,8 +3,8 @@
 Cells that certainly collide, or violate a row of the task about the tool's orientation, are excluded. Orientations are
 unit quaternions; q and -q are the same rotation. They are projected onto four faces of a cube in four dimensions: on
 each face one component is 1, and the others are between -1 and 1. A face is subdivided into cubes, which are halved.
-The projection from a face back to unit quaternions does not increase distances, so the rotations in a cube of half side
-h are within 2 sqrt(3) h of the rotation at its centre.
+The projection maps straight lines to great circles, so the unit quaternions of a cube are the convex hull of those at
+its corners on the sphere. Of all rotations in a cube, one at a corner is the farthest from the rotation at the centre.
 
 A proof that a target has no clear configuration also uses the arm behind the tool. For an arm with an elbow and a
 spherical wrist, a cell of orientations has up to eight branches of configurations. A branch is excluded if it certainly
@@ -54,18 +54,19 @@ class Cells(NamedTuple):
         q = np.ones((len(self.face), FACES))
         others = np.array([[k for k in range(FACES) if k != one] for one in range(FACES)])[self.face]
         np.put_along_axis(q, others, self.cube, axis=1)
-        return q / np.linalg.norm(q, axis=1)[:, None]
+        return _unit(q)
 
     @property
     def radius_rad(self) -> Float[np.ndarray, "n"]:
         """Largest angle between the rotation at a cube's centre and any other rotation in the cube."""
-        return 2 * np.sqrt(3) * self.half
+        corners = self.cube[:, None] + self.half[:, None, None] * _signs(self.cube.shape[1])
+        away = _unit(np.insert(corners, 0, 1.0, axis=-1)) - _unit(np.insert(self.cube, 0, 1.0, axis=-1))[:, None]
+        return 4 * np.arcsin(0.5 * np.linalg.norm(away, axis=-1).max(axis=1))
 
     def halves(self) -> "Cells":
         """Return the 2^d halves of every cube; their wrist positions are not set yet."""
-        d = self.cube.shape[1]
-        signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
-        cube = (self.cube[:, None] + 0.5 * self.half[:, None, None] * signs[None]).reshape(-1, d)
+        signs = _signs(self.cube.shape[1])
+        cube = (self.cube[:, None] + 0.5 * self.half[:, None, None] * signs).reshape(-1, signs.shape[1])
         return tables.gather(self, np.repeat(np.arange(len(self.lane)), len(signs)))._replace(
             cube=cube, half=0.5 * np.repeat(self.half, len(signs))
         )
@@ -196,6 +197,15 @@ def excluded(
     """
     left = tool_cells(executor, inputs, 0.0, most, robot, bodies)
     return ~np.isin(np.arange(len(inputs.row)), left.lane)
+
+
+def _signs(d: int) -> Float[np.ndarray, "m d"]:
+    """Return the corners of a cube with d coordinates, each of them -1 or 1."""
+    return np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
+
+
+def _unit(q: Float[np.ndarray, "*n d"]) -> Float[np.ndarray, "*n d"]:
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
 def _complete_cover(lanes: int, faces: int, numbers: int) -> Cells:
