@@ -5,7 +5,7 @@
 Every search proposes mountings in the same ranges, and the same quick planner evaluates them. Each search runs with
 `--seeds` seeds (the grid with one). The results are the number of mountings that complete the path, and the best
 clearance at their targets. Every round is a sweep in the folder `--out`, so the same command resumes an interrupted
-run. It writes mountings.csv and mountings.png into this folder, and prints a table.
+run. It writes mountings.csv into this folder, and prints a table.
 """
 
 import argparse
@@ -25,7 +25,6 @@ from htcp_jax.jobs.grid import Sweep
 from htcp_jax.placement.place_file import Search, load_search
 from htcp_jax.placement.scores import evaluate_raised
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, Evolution, SearchResults, even
-from htcp_jax.report.charts.style import new_figure
 from htcp_jax.runs import Run
 from htcp_jax.runs.sweep import sweep
 
@@ -126,23 +125,6 @@ def results(requested: Search, seeds: int, budget: int, out: Path, threads: int 
             yield one(seed=seed, folder=out / approach.replace(" ", "-") / f"{budget}-{seed}")
 
 
-def draw(found: list[Found]):
-    """Return a figure of complete mountings and best clearance over the budget, one line per seed."""
-    figure = new_figure(3.8, "Mountings found on the same budget", "a line a seed; evaluated by the same quick planner")
-    left, right = figure.subplots(1, 2)
-    for k, approach in enumerate(APPROACHES):
-        for number, each in enumerate(one for one in found if one.approach == approach):
-            how = {"color": f"C{k}", "linewidth": 1.2, "label": None if number else approach}
-            left.plot(np.arange(1, len(each.complete) + 1), each.complete, **how)
-            right.plot(np.arange(1, len(each.best_m) + 1), 1e3 * each.best_m, **how)
-    left.set_ylabel("complete mountings")
-    right.set_ylabel("best clearance at the targets [mm]")
-    for axes in (left, right):
-        axes.set_xlabel("mountings evaluated")
-    left.legend(frameon=False)
-    return figure
-
-
 def main() -> None:
     """Run every search, write its results, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -168,7 +150,6 @@ def main() -> None:
         rows.writerows(
             [e.approach, e.seed, len(e.complete), e.complete[-1], f"{1e3 * e.best_m[-1]:.3f}"] for e in found
         )
-    draw(found).savefig(requested.out / "mountings.png", dpi=150)
     print("\n| | complete, by seed | best clearance, by seed [mm] |\n|---|---|---|")
     for approach in APPROACHES:
         own = [each for each in found if each.approach == approach]
