@@ -17,9 +17,11 @@ from test_place import make
 
 from htcp_jax.cli import main, output
 from htcp_jax.cli.main import COMMANDS
+from htcp_jax.cli.plan import _Search
 from htcp_jax.cli.sweep import _sweep_bars
 from htcp_jax.errors import Note
 from htcp_jax.model.robot import GP50
+from htcp_jax.planning import batch
 from htcp_jax.runs import open_run
 from htcp_jax.runs.reachability_file import read_reachability
 from htcp_jax.runs.sweep import SweepProgress, sweep
@@ -247,6 +249,16 @@ def test_progress_says_what_comes_before_the_first_step(capsys):
         time.sleep(0.3)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].startswith("htcp: compiling; targets 0/?") and lines[-1].startswith("htcp: targets 0/21")
+
+
+def test_the_progress_of_a_plan_names_a_target_that_is_searched_for_long(monkeypatch):
+    shown, now = [], [0.0]
+    monkeypatch.setattr("htcp_jax.cli.plan.time.monotonic", lambda: now[0])
+    search = _Search(lambda *row: shown.append(row))
+    for now[0], tracked in ((60.0, 0), (61.0, 7), (63.9, 7), (64.0, 7), (65.0, 8), (99.0, 21)):
+        search.update(batch.Progress(0, 1, tracked, 21))
+    where = "; searching for a motion to target 7"
+    assert shown == [(0, 21, ""), (7, 21, ""), (7, 21, ""), (7, 21, where), (8, 21, ""), (21, 21, "")]
 
 
 def test_the_progress_of_a_sweep_says_that_it_compiles_then_the_scenarios_done_and_the_time_left(capsys, monkeypatch):

@@ -121,8 +121,10 @@ def _print_lines(bars: Progress, ended: threading.Event, line_s: float) -> None:
 @contextmanager
 def progress_bar(
     what: str, *, first: str = "", time_left: bool = False, line_s: float | None = None
-) -> Iterator[Callable[[float, int], None]]:
-    """Show one progress bar. Yield the function that updates it, with the arguments (finished steps, all steps).
+) -> Iterator[Callable[..., None]]:
+    """Show one progress bar. Yield the function that updates it, with the arguments (finished steps, all steps, text).
+
+    The text, empty by default, is displayed after `what`.
 
     Args:
         what: Name of the steps, in the plural.
@@ -134,7 +136,7 @@ def progress_bar(
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time
     with progress_bars(*columns, line_s=line_s) as bars:
         task = bars.add_task(first or what, total=None)
-        yield lambda done, count: bars.update(task, description=what, completed=done, total=count)
+        yield lambda done, count, text="": bars.update(task, description=f"{what}{text}", completed=done, total=count)
 
 
 def width() -> int:

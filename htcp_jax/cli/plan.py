@@ -1,8 +1,10 @@
 """`htcp plan`: plan one job, print a table and write five files."""
 
 import importlib
+import signal
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,13 +23,16 @@ from htcp_jax.cli.output import (
     progress_bar,
     stdout,
 )
+from htcp_jax.errors import Interrupted
 from htcp_jax.jobs import PlanConfig, load_config, seeded
 from htcp_jax.planning import registry
 
 if TYPE_CHECKING:
     from htcp_jax.api import Plan
+    from htcp_jax.planning import Progress
 
 COMPLETE, INCOMPLETE = 0, 3
+LONG_S = 3.0  # time without a further target after which the progress names the target that is searched
 MATPLOTLIB = "matplotlib.figure", "matplotlib.backends.backend_agg"
 
 
@@ -123,10 +128,37 @@ def plan_with_progress(job: PlanConfig, device: str | None = None) -> "Plan":
 
     Raises:
         InputError: See `api.plan`.
+        Interrupted: On Ctrl-C during a long search.
     """
     from htcp_jax import api
     from htcp_jax.device import compile_cache
 
     compile_cache.enable()
     with progress_bar("targets", first="loading and compiling; targets") as progress:
-        return api.plan_job(job, device=device, progress=lambda now: progress(now.targets_tracked, now.targets))
+        search = _Search(progress)
+        try:
+            return api.plan_job(job, device=device, progress=search.update)
+        except KeyboardInterrupt:
+            if not search.is_long or job.method != "beam":
+                raise
+            raise Interrupted(
+                f"stopped{search.text}; nothing is saved. With --set settings.effort=0, a plan ends at a dead end "
+                "and is saved",
+                signal.SIGINT,
+            ) from None
+
+
+class _Search:
+    """Progress of one plan, and whether it is searching for a motion to the next target for long."""
+
+    def __init__(self, progress: Callable[..., None]):
+        self._progress, self._tracked, self._since_s = progress, -1, 0.0
+        self.is_long, self.text = False, ""
+
+    def update(self, now: "Progress") -> None:
+        """Show the number of tracked targets and, after LONG_S without a further one, the target that is searched."""
+        if now.targets_tracked != self._tracked:
+            self._tracked, self._since_s = now.targets_tracked, time.monotonic()
+        self.is_long = self._tracked < now.targets and time.monotonic() - self._since_s >= LONG_S
+        self.text = f"; searching for a motion to target {self._tracked}" if self.is_long else ""
+        self._progress(self._tracked, now.targets, self.text)

@@ -123,7 +123,8 @@ def _search(batch: grid.Batch, resolution_rad: float, proof_cells: int, each: bo
         def progress(number: int, done: int, count: int) -> None:
             if number not in started:
                 started[number] = bars.add_task("targets", total=count)
-            bars.update(started[number], completed=done, total=count)
+            text = "targets; proofs of which others are unreachable" if done == count else "targets"
+            bars.update(started[number], description=text, completed=done, total=count)
 
         progress(0, 0, batch.scenarios.targets.shape[1])
         return reach_study.search_batch(batch, resolution_rad, proof_cells, each, progress)
