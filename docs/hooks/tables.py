@@ -147,6 +147,8 @@ def meanings(text: str) -> dict[str, str]:
 
 def _cell(text: str) -> str:
     """Return text as a cell of a table."""
+    if text.endswith("}"):
+        text = text.replace("{", r"\{")  # else attr_list takes the braces for attributes of the cell
     return escape(text, quote=False).replace("|", r"\|")
 
 

@@ -6,8 +6,8 @@
 A motion has only the executable part of a plan.
 
 This module also computes a motion's figures: number of dwells, smoothness, guaranteed clearance. Equation (3) of the
-paper minimises ||x||_Q^2 with Q = V'V, where V takes finite differences of consecutive configurations. This is the
-unweighted sum of |x_{t+1} - x_t|^2.
+paper minimises `||x||_Q^2` with Q = V'V, where V takes finite differences of consecutive configurations. This is the
+unweighted sum of `|x_{t+1} - x_t|^2`.
 """
 
 from typing import NamedTuple

@@ -88,8 +88,8 @@ def sweep(
         finished: Function that is called with each shard after it has been written.
         threads: Number of engines per process, see `batch.plan`.
         shard_scenarios: Number of scenarios per shard; None: SHARD_SCENARIOS. A folder with results keeps its number.
-        on: "here" plans on this machine, in several processes if that is faster. "ray" or "ray:<address>" sends the
-            shards to the workers of a Ray cluster, see `ray_`.
+        on: "here" plans on this machine, in several processes if that is faster. "ray" or `"ray:<address>"` sends
+            the shards to the workers of a Ray cluster, see `ray_`.
         device: Device to plan on, such as "cpu"; None: a GPU if there is one. With Ray it must be None or "cpu".
         targets_in_all: See `batch.plan`; None: the number of targets of the shards to plan.
 

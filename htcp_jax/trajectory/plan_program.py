@@ -1,8 +1,9 @@
 """Robot program of a saved plan, with the feed, the limits and the controller data of its job.
 
-Example:
-    made = program_of(open_plans("out/plan"), feed_of("20mm/s"))
-    made.text("jbi-pulses", "WELD")
+```python
+made = program_of(open_plans("out/plan"), feed_of("20mm/s"))
+made.text("jbi-pulses", "WELD")
+```
 """
 
 from collections.abc import Sequence

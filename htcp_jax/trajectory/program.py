@@ -1,10 +1,11 @@
 """Time-parameterised motion: `time_motion(robot, motion, left, limits, feed_m_s)`.
 
-Example:
-    left = motion_slack(plans, 0, motion, settings.tube_m)
-    made = time_motion(robot, motion, left, joint_limits(robot), feed_m_s=0.02)
-    made.timed(0.001)   # arrays, 1 ms apart
-    made.drops()         # feed drops along the weld, with the limiting joint
+```python
+left = motion_slack(plans, 0, motion, settings.tube_m)
+made = time_motion(robot, motion, left, joint_limits(robot), feed_m_s=0.02)
+made.timed(0.001)   # arrays, 1 ms apart
+made.drops()         # feed drops along the weld, with the limiting joint
+```
 """
 
 from typing import NamedTuple

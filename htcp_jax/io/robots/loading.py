@@ -37,9 +37,9 @@ def load_robot(
         tcp_site: Name of the site, or else of the body, whose frame is the TCP. If the default "tcp" does not exist,
             the TCP is the model's only site, or a URDF's outermost link.
         limits: Joint limits. "model": the file's joint ranges, infinite where it has none. "simulation": +-pi for
-            hinges, and the file's ranges for slides. "datasheet": the file's <numeric> "datasheet_lower" and
-            "datasheet_upper", one value per joint. Speeds and accelerations are always the file's <numeric> "speed" and
-            "acceleration", or a URDF's <limit>; efforts are `actuatorfrcrange`, or a URDF's `effort`.
+            hinges, and the file's ranges for slides. "datasheet": the file's `<numeric>` "datasheet_lower" and
+            "datasheet_upper", one value per joint. Speeds and accelerations are always the file's `<numeric>` "speed"
+            and "acceleration", or a URDF's `<limit>`; efforts are `actuatorfrcrange`, or a URDF's `effort`.
         base_m: Position of the model's own frame in the world.
         base_rpy_rad: Orientation of the model's own frame: rotations about world x, then y, then z.
         tool: Tool to mount on the frame `tcp_site`, which is then the flange.

@@ -1,6 +1,8 @@
 """Charts of a placement search: map of the planned mountings, and Pareto front of two objectives.
 
+```python
 place_map(read_search("out/duct"))
+```
 """
 
 from collections import Counter
