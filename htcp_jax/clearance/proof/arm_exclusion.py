@@ -9,6 +9,7 @@ collide, the target has no clear configuration. Limits of the last three joints 
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -57,7 +58,7 @@ def has_wrist(robot: Robot) -> bool:
     if len(robot.slides) <= WRIST or any(robot.slides[-WRIST:]):
         return False
     endless = np.array(robot.slides) & ~np.isfinite(np.asarray(robot.upper - robot.lower))
-    return not endless.any() and float(wrist(robot).missed_m) <= 0.1 * ROUNDING_M
+    return not endless.any() and float(_MISSED_M(robot)) <= 0.1 * ROUNDING_M
 
 
 def wrist(robot: Robot) -> Wrist:
@@ -76,6 +77,9 @@ def wrist(robot: Robot) -> Wrist:
     on_tool = product(third, own) * third
     missed = jnp.maximum(safe_norm(on_arm - product(first, on_arm) * first), safe_norm(own - on_tool))
     return Wrist(on_arm, on_tool, missed)
+
+
+_MISSED_M = jax.jit(lambda robot: wrist(robot).missed_m)
 
 
 def tool_cell(

@@ -10,6 +10,7 @@ These intervals bound the motion of all bodies in the branch, and are compared w
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -75,7 +76,7 @@ def has_branches(robot: Robot) -> bool:
     """Return True if the arm has an elbow and a spherical wrist, as this module requires."""
     if len(robot.slides) != JOINTS or any(robot.slides) or not arm_exclusion.has_wrist(robot):
         return False
-    return float(elbow(robot).skew) <= SKEW
+    return float(_SKEW(robot)) <= SKEW
 
 
 def elbow(robot: Robot) -> Elbow:
@@ -90,6 +91,9 @@ def elbow(robot: Robot) -> Elbow:
     bent = (jnp.abs(product(axes[k], axes[k + 1])) for k in (0, 3, 4))
     skew = jnp.maximum(jnp.max(jnp.stack(list(bent))), safe_norm(jnp.cross(second, third)))
     return Elbow(R, origin, shoulder, elbow_, wrist, jnp.sign(product(second, third)), skew)
+
+
+_SKEW = jax.jit(lambda robot: elbow(robot).skew)
 
 
 def branch(
