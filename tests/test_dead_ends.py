@@ -12,6 +12,7 @@ from htcp_jax.model.scenario import make_scenario
 from htcp_jax.motion import Plans, Tried
 from htcp_jax.motion.dead_ends import DeadEnds
 from htcp_jax.planning.batch import plan
+from htcp_jax.planning.beam.dead_ends import FEW, MOST_MISSED
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.status import Exclusion
 
@@ -57,6 +58,19 @@ def test_the_search_ends_also_if_no_configuration_reaches_the_lost_target():
     plans = towards_a_ball()
     (tried,) = plans.dead_ends.on(0).values()
     assert not tried.excluded and tried.found == 0 and tried.configurations > 0
+
+
+def test_sampling_ends_if_no_draw_arrives_at_the_target_whatever_the_effort():
+    """A path that ends beyond the first joint's limits (regression: the complete effort went into draws)."""
+    arm = toy.robot()
+    arm = replace(arm, lower=arm.lower.at[0].set(0.0), upper=arm.upper.at[0].set(2.0))
+    path = np.linspace([0.5, 0.02, 0.5], [0.5, -0.02, 0.5], 5)
+    part = Workpiece("line", np.eye(4, 3) + np.array([0.0, 0.0, 3.0]), path, interior="none", pivot=np.zeros(3),
+                     neutral_translation=np.zeros(3))  # fmt: skip
+    settings = replace(toy.SETTINGS, effort=1000.0, path_check="recoveries")
+    plans = plan(arm, part, make_scenario(arm, part, None, rotation=(0.0, 0.0)), settings=settings, threads=1)
+    (tried,) = plans.dead_ends.on(0).values()
+    assert not tried.excluded and tried.found == 0 and tried.configurations == MOST_MISSED // FEW
 
 
 def test_nothing_is_searched_after_a_target_that_is_excluded_by_proof():

@@ -30,6 +30,7 @@ from htcp_jax.status import Exclusion, SegmentStatus, Status
 FIRST_ROUND = 100_000  # rounds of draws; smaller ones belong to other searches
 ROUNDS = 4  # number of rounds of draws at a time
 FEW = 32  # draws that count as one configuration of the effort, if fewer than one in FEW arrives at the target
+MOST_MISSED = 16_384  # draws after which sampling ends if none of them arrives at the target
 PUSHED = 24  # number of draws to push clear: the clearest ones that are far apart
 APART_RAD = 0.2
 NEAR_RAD = 0.4  # standard deviation of draws around known configurations
@@ -55,6 +56,7 @@ class DeadEnds:
         self._joint_steps = joint_steps
         self._rounds: dict[int, int] = {}  # scenario -> number of rounds of draws so far
         self._sampled_on: dict[int, int] = {}  # scenario -> configurations used: draws on the target, and push steps
+        self._missed: dict[tuple[int, int], int] = {}  # (scenario, target) -> draws since one arrived at the target
         self._open: dict[int, tuple[int, dict[int, np.ndarray]]] = {}  # search backwards -> joined search, its tree's x
         self._meetings: dict[int, list[Meeting]] = {}
         self._wider: dict[int, int] = {}  # wider search -> lost target, until the search reaches it
@@ -110,10 +112,11 @@ class DeadEnds:
         off_path = self._leaves_lines(s, lost)
         tree = self._ancestors(best)
         at = {int(t): self._tree.x[tree[self._tree.target[tree] == t]] for t in range(lost)}
-        while lost > 0 and self._left(chain) > 0:
+        target = on_path if off_path else lost
+        while lost > 0 and self._left(chain) > 0 and self._missed.get((s, target), 0) < MOST_MISSED:
             before = self._sampled_on.get(s, 0)
             anywhere = off_path or self._may_arrive(s, best)
-            roots = self._sampled(s, on_path if off_path else lost, None if anywhere else at[lost - 1])
+            roots = self._sampled(s, target, None if anywhere else at[lost - 1])
             self._count(s, lost, configurations=self._sampled_on[s] - before, found=len(roots))
             if len(roots):
                 self._count(s, lost, searches=1)
@@ -220,6 +223,7 @@ class DeadEnds:
         self._rounds[s] = self._rounds.get(s, 0) + len(rounds)
         here = transfers.projected(problem, checker, s, target, drawn)
         reached = np.flatnonzero(problem.task.reached(here.residual))
+        self._missed[s, target] = 0 if len(reached) else self._missed.get((s, target), 0) + len(drawn)
         order = reached[np.argsort(-here.clearance[reached], kind="stable")]
         apart = order[selection.first_apart(here.x[order], PUSHED, APART_RAD)]
         pushes = len(apart) * problem.settings.max_null_space_steps
