@@ -254,11 +254,14 @@ def test_progress_says_what_comes_before_the_first_step(capsys):
 def test_the_progress_of_a_plan_names_a_target_that_is_searched_for_long(monkeypatch):
     shown, now = [], [0.0]
     monkeypatch.setattr("htcp_jax.cli.plan.time.monotonic", lambda: now[0])
-    search = _Search(lambda *row: shown.append(row))
+    search = _Search(lambda *row: shown.append(row), by_beam=True)
+    hints = []
     for now[0], tracked in ((60.0, 0), (61.0, 7), (63.9, 7), (64.0, 7), (65.0, 8), (99.0, 21)):
         search.update(batch.Progress(0, 1, tracked, 21))
+        hints.append("settings.effort=0" in search.stop_text)
     where = "; searching for a motion to target 7"
     assert shown == [(0, 21, ""), (7, 21, ""), (7, 21, ""), (7, 21, where), (8, 21, ""), (21, 21, "")]
+    assert hints == [each[2] == where for each in shown]
 
 
 def test_the_progress_of_a_sweep_says_that_it_compiles_then_the_scenarios_done_and_the_time_left(capsys, monkeypatch):

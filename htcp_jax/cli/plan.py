@@ -26,6 +26,7 @@ from htcp_jax.cli.output import (
 from htcp_jax.errors import Interrupted
 from htcp_jax.jobs import PlanConfig, load_config, seeded
 from htcp_jax.planning import registry
+from htcp_jax.process_exit import INTERRUPTED, stop_message
 
 if TYPE_CHECKING:
     from htcp_jax.api import Plan
@@ -128,37 +129,39 @@ def plan_with_progress(job: PlanConfig, device: str | None = None) -> "Plan":
 
     Raises:
         InputError: See `api.plan`.
-        Interrupted: On Ctrl-C during a long search.
+        Interrupted: On Ctrl-C.
     """
     from htcp_jax import api
     from htcp_jax.device import compile_cache
 
     compile_cache.enable()
     with progress_bar("targets", first="loading and compiling; targets") as progress:
-        search = _Search(progress)
-        try:
-            return api.plan_job(job, device=device, progress=search.update)
-        except KeyboardInterrupt:
-            if not search.is_long or job.method != "beam":
-                raise
-            raise Interrupted(
-                f"stopped{search.text}; nothing is saved. With --set settings.effort=0, a plan ends at a dead end "
-                "and is saved",
-                signal.SIGINT,
-            ) from None
+        search = _Search(progress, job.method == "beam")
+        with stop_message(lambda: search.stop_text):
+            try:
+                return api.plan_job(job, device=device, progress=search.update)
+            except KeyboardInterrupt:
+                raise Interrupted(search.stop_text, signal.SIGINT) from None
 
 
 class _Search:
     """Progress of one plan, and whether it is searching for a motion to the next target for long."""
 
-    def __init__(self, progress: Callable[..., None]):
-        self._progress, self._tracked, self._since_s = progress, -1, 0.0
-        self.is_long, self.text = False, ""
+    def __init__(self, progress: Callable[..., None], by_beam: bool):
+        self._progress, self._by_beam, self._tracked, self._since_s, self._text = progress, by_beam, -1, 0.0, ""
+
+    @property
+    def stop_text(self) -> str:
+        """The message after a signal: during a long search by `beam`, also how to keep the targets before it."""
+        if not self._text or not self._by_beam:
+            return INTERRUPTED
+        kept = "with --set settings.effort=0 a plan ends at its first dead end and is saved"
+        return f"stopped{self._text}; nothing is saved; {kept}"
 
     def update(self, now: "Progress") -> None:
         """Show the number of tracked targets and, after LONG_S without a further one, the target that is searched."""
         if now.targets_tracked != self._tracked:
             self._tracked, self._since_s = now.targets_tracked, time.monotonic()
-        self.is_long = self._tracked < now.targets and time.monotonic() - self._since_s >= LONG_S
-        self.text = f"; searching for a motion to target {self._tracked}" if self.is_long else ""
-        self._progress(self._tracked, now.targets, self.text)
+        is_long = self._tracked < now.targets and time.monotonic() - self._since_s >= LONG_S
+        self._text = f"; searching for a motion to target {self._tracked}" if is_long else ""
+        self._progress(self._tracked, now.targets, self._text)

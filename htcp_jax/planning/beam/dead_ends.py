@@ -93,8 +93,8 @@ class DeadEnds:
 
     def retry(self, ended: int) -> bool:
         """Begin another search after one has ended, and return True; return False if the scenario is finished."""
-        columns, chain = self._searches.columns, self._searches.chain(ended)
-        s, scenarios = int(columns.scenario[ended]), self._problem.scenarios
+        columns, chain, problem = self._searches.columns, self._searches.chain(ended), self._problem
+        s, scenarios = int(columns.scenario[ended]), problem.scenarios
         last = int(scenarios.count[s]) - 1
         if ended in self._open:
             lost = int(columns.target[self._open[ended][0]]) + 1
@@ -118,6 +118,7 @@ class DeadEnds:
             anywhere = off_path or self._may_arrive(s, best)
             roots = self._sampled(s, target, None if anywhere else at[lost - 1])
             self._count(s, lost, configurations=self._sampled_on[s] - before, found=len(roots))
+            problem.progress(0, 0)  # nothing new, but the search goes on
             if len(roots):
                 self._count(s, lost, searches=1)
                 if not off_path:
