@@ -62,16 +62,30 @@ def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
     return value if value == AUTO else numbers(value)
 
 
-def _coupled(value: Any) -> Any:
-    """Return the pairs (axis, joint) of `program.coupled`.
+def _pairs(value: Any, form: str) -> tuple[tuple, ...]:
+    """Return the pairs of a mapping.
+
+    Args:
+        value: A mapping, or a list of pairs, as in a saved job.
+        form: The valid form, for messages.
 
     Raises:
-        InputError: If the value is neither a mapping nor a list of pairs.
+        InputError: If the value is neither of these.
     """
-    pairs = tuple(value.items()) if isinstance(value, dict) else value  # a saved job contains pairs
+    pairs = tuple(value.items()) if isinstance(value, dict) else value
     if not isinstance(pairs, tuple | list) or any(isinstance(pair, str) for pair in pairs):
-        raise InputError(f"{value!r} must be a mapping of axes to joints: {{AXIS: JOINT, ...}}")
+        raise InputError(f"{value!r} must be a mapping of {form}")
     return tuple(map(tuple, pairs))
+
+
+def _coupled(value: Any) -> tuple[tuple, ...]:
+    """Return the pairs (axis, joint) of `program.coupled`."""
+    return _pairs(value, "axes to joints: {AXIS: JOINT, ...}")
+
+
+def _locked(value: Any) -> tuple[tuple, ...]:
+    """Return the pairs (joint, position) of `robot.locked`, sorted by joint."""
+    return tuple(sorted(_pairs(value, "joints to positions; valid: {JOINT: VALUE, ...}")))
 
 
 def _column(value: Any) -> int | str:
@@ -83,18 +97,6 @@ def _column(value: Any) -> int | str:
     if (isinstance(value, int) and not isinstance(value, bool) and value >= 1) or (isinstance(value, str) and value):
         return value
     raise InputError(f"{value!r} is not a column; valid: a number from 1, or a name in the file's header")
-
-
-def _locked(value: Any) -> Any:
-    """Return the pairs (joint, position) of `robot.locked`, sorted by joint.
-
-    Raises:
-        InputError: If the value is neither a mapping nor a list of pairs.
-    """
-    pairs = tuple(value.items()) if isinstance(value, dict) else value  # a saved job contains pairs
-    if not isinstance(pairs, tuple | list) or any(isinstance(pair, str) for pair in pairs):
-        raise InputError(f"{value!r} must be a mapping of joints to positions; valid: {{JOINT: VALUE, ...}}")
-    return tuple(sorted(map(tuple, pairs)))
 
 
 def _link(name: str) -> str:

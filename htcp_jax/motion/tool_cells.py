@@ -251,9 +251,8 @@ def _with_branches(executor: Executor, inputs: LaneInputs, cells: Cells, bodies:
     row, number = np.nonzero(cells.branches[:, None] >> np.arange(branch_exclusion.BRANCHES) & 1)
     if not len(row):
         return cells
-    some = tables.gather(cells, row)
-    where, use = (some.quaternion, some.radius_rad, number), np.full(len(row), int(bodies))
-    out = executor(BRANCH, tables.gather(inputs, some.lane), *where, use)
+    where, use = (cells.quaternion[row], cells.radius_rad[row], number), np.full(len(row), int(bodies))
+    out = executor(BRANCH, tables.gather(inputs, cells.lane[row]), *where, use)
     branches = cells.branches - np.bincount(row, (1 << number) * out, minlength=len(cells.lane)).astype(int)
     return tables.gather(cells._replace(branches=branches), branches > 0)
 
