@@ -34,9 +34,9 @@ MOST_MISSED = 16_384  # draws after which sampling ends if none of them arrives 
 PUSHED = 24  # number of draws to push clear: the clearest ones that are far apart
 APART_RAD = 0.2
 NEAR_RAD = 0.4  # standard deviation of draws around known configurations
-SHARE = 0.25  # share of the effort for searches backwards, if the motion cannot begin elsewhere
+SHARE = 0.1  # share of the effort for searches backwards, if the motion cannot begin elsewhere
 BACK, WIDER = 8, 2  # targets before the lost one at which a wider search begins, and the multiple of the beam's width
-PROOF_CELLS = 128  # maximum number of cells of a proof that excludes the lost target: about one extension of the beam
+PROOF_CELLS = 24  # maximum number of cells of a proof that excludes the lost target: 8 of the first 32 must be excluded
 MEET_RAD, PAIRS = 1.5, 4  # largest distance of configurations that are joined, and pairs tried at each target
 
 
