@@ -181,7 +181,7 @@ def tool_cells(
 
 def excluded(
     executor: Executor,
-    robot: Robot,
+    robot: Robot | None,
     inputs: LaneInputs,
     most: int,
     bodies: exclusion.Bodies = exclusion.Bodies.ARM,
@@ -190,7 +190,7 @@ def excluded(
 
     Args:
         executor: Compiled functions of the scene.
-        robot: The arm.
+        robot: The arm; None: the proof uses only the tool.
         inputs: The lanes' inputs, one row per target.
         most: Maximum number of cells in either cover at a target.
         bodies: The bodies that the proof uses.

@@ -19,7 +19,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.device import tables
-from htcp_jax.motion import CollisionChecker, Problem, Tried, exclusions, selection, step_functions, transfers
+from htcp_jax.motion import (
+    CollisionChecker,
+    Problem,
+    Tried,
+    exclusions,
+    selection,
+    step_functions,
+    tool_cells,
+    transfers,
+)
 from htcp_jax.numerics import ragged_rows
 from htcp_jax.planning.beam.functions import MOVE_TOWARDS, inputs_and_tubes
 from htcp_jax.planning.beam.joint_steps import JointSteps
@@ -36,7 +45,7 @@ APART_RAD = 0.2
 NEAR_RAD = 0.4  # standard deviation of draws around known configurations
 SHARE = 0.15  # share of the effort for searches backwards, if the motion cannot begin elsewhere
 BACK, WIDER = 8, 2  # targets before the lost one at which a wider search begins, and the multiple of the beam's width
-PROOF_CELLS = 24  # maximum number of cells of a proof that excludes the lost target: 8 of the first 32 must be excluded
+PROOF_CELLS, TOOL_CELLS = 24, 128  # maximum numbers of cells of the proofs that exclude the lost target: arm, tool
 MEET_RAD, PAIRS = 1.5, 4  # largest distance of configurations that are joined, and pairs tried at each target
 
 
@@ -83,8 +92,10 @@ class DeadEnds:
         is_found = target == lost and columns.status[best] == Status.PATH_BLOCKED
         if is_found or lost == 0 or (s, target) in self._clear:
             return False
-        inputs = problem.inputs(s, target)
-        (reason,) = exclusions.exclusions(self._checker.executor, problem.robot, inputs, PROOF_CELLS).tolist()
+        inputs, executor = problem.inputs(s, target), self._checker.executor
+        (reason,) = exclusions.exclusions(executor, problem.robot, inputs, PROOF_CELLS).tolist()
+        if reason == Exclusion.NONE and tool_cells.excluded(executor, None, inputs, TOOL_CELLS).all():
+            reason = Exclusion.TOOL
         if reason == Exclusion.NONE:
             self._clear.add((s, target))
             return False
