@@ -13,6 +13,7 @@ from htcp_jax import jobs, runs
 from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import obstacle_kind, self_collision
 from htcp_jax.device import devices
+from htcp_jax.io import output_files
 from htcp_jax.jobs import PlanConfig, load_config, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
 from htcp_jax.model import robot as robots
@@ -337,7 +338,7 @@ class Plan:
         plan_folder.write_motion_csv(folder / "motion.csv", self.robot, self.motion(retract=retract))
         plan_folder.write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans, self.manipulability)
         plan_folder.write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)
-        plan_folder.write_json(folder / "summary.json", self.record())
+        output_files.write_json(folder / "summary.json", self.record())
         self.figure().savefig(folder / "plan.png")
 
     def save(self, folder: str | Path, *, retract: bool = False) -> None:
@@ -352,7 +353,7 @@ class Plan:
         Raises:
             InputError: If the files cannot be written.
         """
-        with plan_folder.written_whole(Path(folder)) as scratch:
+        with output_files.written_whole(Path(folder)) as scratch:
             self.write(scratch, retract=retract)
         forget_validation(Path(folder))
 

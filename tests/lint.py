@@ -72,6 +72,7 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
     "motion": {"Plans Outcome": "saved results"},
     "trajectory": {"TimedMotion": "saved results"},
     "io": {
+        "write_json write_text": "how results are written",
         "read_bytes read_json read_yaml read_spec load_geometry FileSection validate_model": "readers of files",
         "read_model ModelSource label_of default_tcp": "reader of an arm's file, or of a cell's, which MuJoCo composes",
         "LinkMeshes": "meshes to which an arm's file refers, placed by MuJoCo and measured by FCL",
@@ -86,7 +87,7 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
     "runs": {"*": "files of runs"},
 }
 OPENS = re.compile(  # calls that access a file by its path, by the end of their names
-    r"(^|\.)open$|(?<!^plan_folder)\.(read_text|write_text|read_bytes|write_bytes|touch)$"
+    r"(^|\.)open$|(?<!^output_files)\.(read_text|write_text|read_bytes|write_bytes|touch)$"
     r"|^(np|pq|pa|json|trimesh|pickle)\.(load|loadtxt|genfromtxt|fromfile|save|savez|savez_compressed|savetxt|memmap|dump"
     r"|read_table|read_schema|write_table|ParquetFile|ParquetWriter|OSFile|memory_map)$"
     r"|^tempfile\.|^shutil\.(copy|copyfile|copy2|move)$|\.savefig$"
@@ -101,7 +102,8 @@ OWN_FILES = {  # modules that open files themselves, and why that is safe
     "cli.example": "the same, copied into a folder that was made just now",
     "runs.lock": "the lock's file, without following a link",
     "runs.provenance": "/proc/cpuinfo",
-    "runs.plan_folder": "files that a person names for the gate, and bytes in memory",
+    "io.output_files": "files that a person names for the gate",
+    "runs.plan_folder": "bytes in memory",
     "device.compile_cache": "the user's own cache",
     "device.executable_key": "the source of this package, and /proc/cpuinfo",
     "device.processes": "a folder that was made just now",

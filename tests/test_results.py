@@ -8,13 +8,12 @@ import pytest
 from hand_made import plans_with
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.output_files import write_json, written_whole
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.runs.plan_folder import (
     summary_record,
-    write_json,
     write_trajectory_csv,
     write_trajectory_npz,
-    written_whole,
 )
 from htcp_jax.runs.provenance import provenance
 from htcp_jax.runs.summary import summarise

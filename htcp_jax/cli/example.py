@@ -10,9 +10,9 @@ import typer
 
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
 from htcp_jax.errors import InputError
+from htcp_jax.io import output_files
 from htcp_jax.jobs import examples
 from htcp_jax.report import Column, Table
-from htcp_jax.runs import plan_folder
 
 COLUMNS = Column("name", "name"), Column("command", "run by"), Column("description", "what it is")
 
@@ -59,7 +59,7 @@ def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> 
         raise InputError(f"{folder} is not empty; name a new or an empty folder")
     files = sorted(examples.files_with_baseline(known[name]))
     root = os.path.commonpath([file.parent for file in files])
-    with plan_folder.written_whole(folder) as scratch:
+    with output_files.written_whole(folder) as scratch:
         for file in files:
             copy = scratch / file.relative_to(root)
             copy.parent.mkdir(parents=True, exist_ok=True)

@@ -12,9 +12,10 @@ from rich.text import Text
 
 from htcp_jax.cli.output import LEAST_TEXT, Json, print_json, print_table, progress_bar, stdout, width
 from htcp_jax.errors import InputError
+from htcp_jax.io import output_files
 from htcp_jax.report import Column, Table
 from htcp_jax.report import gate as gates
-from htcp_jax.runs import labels, manifest, open_run, plan_folder
+from htcp_jax.runs import labels, manifest, open_run
 from htcp_jax.validation import Baseline, read_baseline
 from htcp_jax.validation import gate as regression
 from htcp_jax.validation import update_baseline as write_baseline
@@ -98,12 +99,12 @@ def gate(
         raise InputError(f"{twice[-1]} is named twice; --baseline, --junit and --markdown must be different files")
     with ExitStack() as reserved:
         for file in files:
-            reserved.enter_context(plan_folder.writable_file(file))
+            reserved.enter_context(output_files.writable_file(file))
         verdict = _compare_with(run, known)
         if junit_file:
-            plan_folder.write_text(junit_file, gates.junit(verdict))
+            output_files.write_text(junit_file, gates.junit(verdict))
         if markdown_file:
-            plan_folder.append_text(markdown_file, gates.gate_summary(verdict))
+            output_files.append_text(markdown_file, gates.gate_summary(verdict))
     print_json(_comparison_record(verdict)) if as_json else _print_comparison(verdict)
     if os.environ.get("GITHUB_ACTIONS") == "true":
         for line in gates.annotations(verdict):

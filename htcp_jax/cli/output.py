@@ -76,9 +76,9 @@ def stdout() -> Console:
 
 def print_json(record: Any) -> None:
     """Print `record` to stdout as JSON; NaN and infinities become null."""
-    from htcp_jax.runs import plan_folder
+    from htcp_jax.io import output_files
 
-    print(plan_folder.json_text(record))
+    print(output_files.json_text(record))
 
 
 def print_facts(title: str, facts: Mapping[str, str]) -> None:

@@ -83,9 +83,9 @@ def plan(
     claim_device(device)
     threading.Thread(target=_load_matplotlib, daemon=True).start()
     from htcp_jax import api  # imported here, as it imports JAX
-    from htcp_jax.runs import plan_folder
+    from htcp_jax.io import output_files
 
-    with plan_folder.written_whole(out) as folder:
+    with output_files.written_whole(out) as folder:
         made = plan_with_progress(job, device)
         made.write(folder, retract=retract)
     api.forget_validation(out)

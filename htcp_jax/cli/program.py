@@ -15,6 +15,7 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError
+from htcp_jax.io import output_files
 from htcp_jax.jobs import PlanConfig, build
 from htcp_jax.jobs import feed as feed_rates
 from htcp_jax.report import Column, Table
@@ -120,8 +121,8 @@ def program(
     made = plan_program.program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
     peak_torque = made.peak_torque
     text, found = made.text(format, out.stem, step_s), figures.program_figures(made.program, made.limits)
-    with plan_folder.made_folder(out.parent):
-        plan_folder.write_text(out, text)
+    with output_files.made_folder(out.parent):
+        output_files.write_text(out, text)
     checked = _check_motion(run, made, scenario) if check else {}
     if overloaded := peak_torque is not None and peak_torque.share > 1:
         warnings.warn(f"torque is {_torque(peak_torque)}; pass --allow-effort to accept it", stacklevel=1)

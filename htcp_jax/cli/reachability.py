@@ -23,11 +23,12 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.device import tables
 from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.io import output_files
 from htcp_jax.jobs import grid, seeded
 from htcp_jax.model import Scenario
 from htcp_jax.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, SearchStopped
 from htcp_jax.report import reach_study
-from htcp_jax.runs import Run, manifest, open_run, plan_folder, reachability_file
+from htcp_jax.runs import Run, manifest, open_run, reachability_file
 
 File = Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Sweep file, job file, or example.")]
 Each = Annotated[bool, typer.Option("--each", help="Also test every target of the path independently of the others.")]
@@ -88,18 +89,18 @@ def reachability(
         return own | {"beaten_by": {} if run is None else _beaten_scenarios(run, batch, found)}
 
     try:
-        with plan_folder.written_whole(out) as folder:
+        with output_files.written_whole(out) as folder:
             found = _search(batch, resolution, proof_cells, each)
             record = record_of(found)
             study = reach_study.ReachStudy(spec.name, batch, found, resolution, proof_cells, record["seed"])
             if each:
                 study.write(folder)
-            plan_folder.write_json(folder / reachability_file.REACHABILITY, record)
+            output_files.write_json(folder / reachability_file.REACHABILITY, record)
     except SearchStopped as stop:
         if not stop.found.prefix.any() or (out / reachability_file.REACHABILITY).exists():
             raise
-        with plan_folder.written_whole(out) as folder:
-            plan_folder.write_json(
+        with output_files.written_whole(out) as folder:
+            output_files.write_json(
                 folder / reachability_file.REACHABILITY, {"complete": False, **record_of(stop.found)}
             )
         raise Interrupted(

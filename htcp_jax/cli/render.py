@@ -10,7 +10,8 @@ from htcp_jax.cli.feed import OneWay, PlayedFeed, ProgramKeys, played_feed
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
-from htcp_jax.runs import open_plans, plan_folder
+from htcp_jax.io import output_files
+from htcp_jax.runs import open_plans
 from htcp_jax.trajectory import PlanProgram, plan_program
 from htcp_jax.viewer import Studio, offscreen, plot_strip, timed_play
 from htcp_jax.viewer import movie as movies
@@ -118,7 +119,7 @@ def render(
             found, feed_m_s, replay.method, scenario, retract=not one_way, overrides=overrides or ()
         )
     files = _files(out, movie, f"scenario-{scenario}-{replay.method}")
-    with plan_folder.written_whole(files.folder) as folder:
+    with output_files.written_whole(files.folder) as folder:
         if files.picture:
             with Studio(replay, width, _height(width), close, from_part=from_part) as studio:
                 Image.fromarray(studio.still(shown)).save(folder / files.picture, optimize=True)

@@ -7,8 +7,8 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
+from htcp_jax.io import output_files
 from htcp_jax.report import chapter, make_report, report_record, write_report
-from htcp_jax.runs import plan_folder
 
 Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Output folders of htcp sweep.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
@@ -30,7 +30,7 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
       htcp report out/workpiece out/workpiece-paper   several runs
     """
     made = make_report(runs)
-    with plan_folder.written_whole(out) as folder:
+    with output_files.written_whole(out) as folder:
         write_report(made, folder)
     if as_json:
         print_json(report_record(made))

@@ -15,11 +15,10 @@ from jaxtyping import Bool
 from htcp_jax.clearance.obstacles import self_collision, self_exclusions
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.io import robots
+from htcp_jax.io import output_files, robots
 from htcp_jax.io.robots import capsule_fit, close_fit, mjcf
 from htcp_jax.model import Robot
 from htcp_jax.report import Column, Table
-from htcp_jax.runs import plan_folder
 
 COLUMNS = (
     Column("body", "body"),
@@ -144,13 +143,13 @@ def convert(
     source = os.path.relpath(model, out.parent)
     from htcp_jax.viewer import draw_arm  # here, after checks of the input, as the import is slow
 
-    with plan_folder.written_whole(out.parent) as folder:
-        plan_folder.write_text(folder / out.name, mjcf.arm_xml(arm, source))
+    with output_files.written_whole(out.parent) as folder:
+        output_files.write_text(folder / out.name, mjcf.arm_xml(arm, source))
         with progress_bar("pairs of capsules") as progress:
             listed = _excluded_pairs(arm, robots.load_robot(folder / out.name, fewest_joints=1), progress)
         with progress_bar("pictures"):
             text = mjcf.arm_xml(arm, source, listed)
-            plan_folder.write_text(folder / out.name, text)
+            output_files.write_text(folder / out.name, text)
             made = robots.load_robot(folder / out.name, fewest_joints=1)
             own = self_collision.self_collision(made)
             carried = "" if arm.part is None else f", part on {arm.part}"

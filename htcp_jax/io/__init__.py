@@ -3,7 +3,8 @@
 `robots` reads arms and imports vendors' models. `parts` reads workpieces with their paths. `cell` reads the bodies of a
 work cell from an MJCF file.
 
-Only `files` opens files: it limits their size, follows no link out of a folder, and writes files atomically.
+`files` opens files: it limits their size, follows no link out of a folder, and writes files atomically. `output_files`
+writes what a user names: whole folders, JSON and text, with one line on failure.
 `strict_yaml` reads YAML and refuses harmful input. `strict_model` validates mappings; it refuses unknown keys and names
 the valid ones.
 

@@ -1,8 +1,9 @@
-from . import cell, files, parts, robots, strict_model, strict_yaml
+from . import cell, files, output_files, parts, robots, strict_model, strict_yaml
 
 __all__ = [
     "cell",
     "files",
+    "output_files",
     "parts",
     "robots",
     "strict_model",

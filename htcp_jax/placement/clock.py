@@ -8,8 +8,7 @@ import time
 from pathlib import Path
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files
-from htcp_jax.runs import plan_folder
+from htcp_jax.io import files, output_files
 
 FILE = "seconds.json"
 
@@ -39,7 +38,7 @@ class Clock:
         now = time.monotonic()
         if self._seconds is not None and rounds > len(self._ends):
             self._ends.append(sum(self._ends[-1:]) + now - self._last)
-            plan_folder.write_json(self._file, {"ends_s": self._ends})
+            output_files.write_json(self._file, {"ends_s": self._ends})
         self._last = now
 
 

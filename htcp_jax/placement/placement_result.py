@@ -21,13 +21,13 @@ import pyarrow as pa
 import yaml
 
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.io import files
+from htcp_jax.io import files, output_files
 from htcp_jax.jobs import PlanConfig, examples, load_config
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
 from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import columns as columns_of_files
-from htcp_jax.runs import lock, open_run, plan_folder, provenance
+from htcp_jax.runs import lock, open_run, provenance
 from htcp_jax.runs import open as plan_sets
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def locked_search(folder: Path, search: Search) -> Iterator[None]:
         InputError: If the folder contains another search, is in use or cannot be written.
         Interrupted: On Ctrl-C, instead of KeyboardInterrupt.
     """
-    with plan_folder.made_folder(folder) as is_new, lock.locked(folder):
+    with output_files.made_folder(folder) as is_new, lock.locked(folder):
         for place, stages, _ in os.walk(folder):
             for stage in stages:
                 files.resolved_inside(Path(place, stage), folder)  # refuses links that leave the folder
@@ -165,7 +165,7 @@ def _begin_search(folder: Path, search: Search) -> None:
     }
     file = folder / plan_sets.SEARCH
     if not file.exists():
-        plan_folder.write_json(file, requested)
+        output_files.write_json(file, requested)
         return
     try:
         there = dict(files.read_json(file, folder))
@@ -201,7 +201,7 @@ def write_result(
     if motions is not None:
         _write_jobs(found, [point.config for point in open_run(motions).points()])
     files.write_atomically(folder, MOUNTINGS, files.parquet_bytes(_mounting_table(search, scores)))
-    plan_folder.write_json(folder / RANKED, found.record())
+    output_files.write_json(folder / RANKED, found.record())
     return found
 
 
@@ -215,7 +215,7 @@ def _write_jobs(found: PlacementResult, configs: Sequence[PlanConfig]) -> None:
     for name, config in zip(names, configs, strict=True):
         own = _changed_keys(config.model_dump(mode="json"), plain) | {"method": search.file.confirm}
         text = f"# A mounting that htcp place ranked for {search.name}; htcp plan {name} gives its motion.\n"
-        plan_folder.write_text(found.folder / name, text + yaml.safe_dump(base | own, sort_keys=False))
+        output_files.write_text(found.folder / name, text + yaml.safe_dump(base | own, sort_keys=False))
 
 
 def _changed_keys(config: dict[str, Any], plain: dict[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from htcp_jax.clearance.obstacles import of_workpiece
 from htcp_jax.device import tables as lanes
-from htcp_jax.io import files
+from htcp_jax.io import files, output_files
 from htcp_jax.jobs import grid
 from htcp_jax.motion import lane_inputs
 from htcp_jax.notebook import html_facts
@@ -34,7 +34,7 @@ from htcp_jax.reachability import (
 )
 from htcp_jax.report.document import Column, Table, png, write_csv
 from htcp_jax.report.tables import percent
-from htcp_jax.runs import plan_folder, reachability_file, tables
+from htcp_jax.runs import reachability_file, tables
 from htcp_jax.viewer import ReachPanel, draw_reach
 
 if TYPE_CHECKING:
@@ -174,7 +174,7 @@ class ReachStudy:
 
     def write(self, folder: Path) -> None:
         """Write reachability.json, reach.csv and reach.png into an existing folder."""
-        plan_folder.write_json(folder / reachability_file.REACHABILITY, self.record())
+        output_files.write_json(folder / reachability_file.REACHABILITY, self.record())
         write_csv(folder / TABLE, self.table())
         files.write_atomically(folder, PICTURE, png(self.figure()))
 
@@ -184,7 +184,7 @@ class ReachStudy:
         Raises:
             InputError: If the files cannot be written.
         """
-        with plan_folder.written_whole(Path(folder)) as scratch:
+        with output_files.written_whole(Path(folder)) as scratch:
             self.write(scratch)
 
     def __repr__(self) -> str:

@@ -24,6 +24,7 @@ from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.device import devices
 from htcp_jax.device import tables as device_tables
 from htcp_jax.errors import InputError, Interrupted, Lost
+from htcp_jax.io import output_files
 from htcp_jax.jobs import grid as grids
 from htcp_jax.jobs import grid_axes, seeded
 from htcp_jax.model import task_row_kind
@@ -37,7 +38,6 @@ from htcp_jax.runs.input_files import anchor_files, file_hashes
 from htcp_jax.runs.local import Shard, plan_here, scenarios_of
 from htcp_jax.runs.lock import SignalReceived, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans
-from htcp_jax.runs.plan_folder import made_folder
 from htcp_jax.runs.provenance import code_of, planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
@@ -179,7 +179,7 @@ def keep_plans(
     """
     batch, folder = spec.batch(), Path(out)
     shutil.rmtree(folder, ignore_errors=True)
-    with made_folder(folder):
+    with output_files.made_folder(folder):
         run = writer.begin(folder, _manifest(spec, batch, tuple(plans), None, shard_scenarios))
         for method, found in plans.items():
             for span in spans(run.manifest):
@@ -350,7 +350,7 @@ def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any, Callable[[], No
         yield scratch.folder, scratch, lambda: None
         return
     folder = Path(out)
-    with made_folder(folder) as is_new:
+    with output_files.made_folder(folder) as is_new:
 
         def discard() -> None:
             if is_new and not any(folder.glob("*/*.parquet")):

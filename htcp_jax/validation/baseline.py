@@ -21,9 +21,9 @@ import yaml
 from pydantic import Field, model_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import strict_model, strict_yaml
+from htcp_jax.io import output_files, strict_model, strict_yaml
 from htcp_jax.motion import plans
-from htcp_jax.runs import Run, identity, labels, plan_folder, reachability_file
+from htcp_jax.runs import Run, identity, labels, reachability_file
 from htcp_jax.runs import manifest as manifests
 from htcp_jax.status import Status
 from htcp_jax.validation.result import MethodCheck, Refutation
@@ -246,7 +246,7 @@ def update_baseline(run: Run, file: Path, progress: Callable[[int, int], None] |
         planned=planned(manifest),
         methods=found.methods,
     )
-    plan_folder.write_text(file, HEAD + yaml.dump(updated.model_dump(), Dumper=_Dumper, sort_keys=False, width=118))
+    output_files.write_text(file, HEAD + yaml.dump(updated.model_dump(), Dumper=_Dumper, sort_keys=False, width=118))
     return updated
 
 

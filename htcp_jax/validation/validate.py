@@ -23,7 +23,7 @@ import numpy as np
 import scipy
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files
+from htcp_jax.io import files, output_files
 from htcp_jax.io.robots import model_source
 from htcp_jax.jobs import build, config
 from htcp_jax.runs import plan_folder
@@ -120,10 +120,10 @@ def write_validation(folder: Path, found: Validation) -> None:
             stacklevel=2,
         )
     else:
-        plan_folder.write_json(folder / plan_folder.VALIDATION, recorded)
+        output_files.write_json(folder / plan_folder.VALIDATION, recorded)
     summary = folder / plan_folder.SUMMARY
     if summary.exists():
-        plan_folder.write_json(summary, files.read_json(summary, folder) | {"validated": found.validated})
+        output_files.write_json(summary, files.read_json(summary, folder) | {"validated": found.validated})
 
 
 def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
