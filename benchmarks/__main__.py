@@ -2,6 +2,7 @@
 
     python -m benchmarks clearance         exact clearance queries against brute force, 5,000 to 500,000 points
     python -m benchmarks cell-distances    self-distances of arms, and distances to a cell, against MuJoCo's
+    python -m benchmarks moving-cells      cells whose part moves: poses, Jacobians and distances, against MuJoCo's
     python -m benchmarks piece-distances   processor time of distances of convex pieces
     python -m benchmarks piece-reference ARM...    distances of an arm's convex pieces, compared with FCL
     python -m benchmarks decompositions MESH...    convex pieces of link meshes by cuts, CoACD and V-HACD
@@ -33,6 +34,7 @@ import sys
 CASES = (
     "clearance",
     "cell-distances",
+    "moving-cells",
     "piece-distances",
     "piece-reference",
     "decompositions",

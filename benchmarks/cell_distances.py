@@ -64,7 +64,7 @@ class Compared(NamedTuple):
     others: int
 
 
-class _World(NamedTuple):
+class World(NamedTuple):
     """Placement without a workpiece."""
 
     T_world_workpiece: np.ndarray
@@ -113,13 +113,13 @@ def read(model: str, folder: Path) -> Path:
 def compare(file: Path, folder: Path, count: int) -> list[Compared]:
     """Compare every kind of shape, and pairs of the arm's capsules, at `count` configurations."""
     arm, robot = MujocoArm(file), load_robot(file)
-    (fixed,), own = make_fixtures(robot, load_cell(_cell(folder, SOLID))), self_collision(robot)
+    (fixed,), own = make_fixtures(robot, load_cell(write_cell(folder, SOLID))), self_collision(robot)
     x = drawn(robot, count)
-    ours, pairs = np.asarray(_ours(robot, fixed, jnp.asarray(x))), distances(robot, own.pairs, x)
-    theirs, their_pairs = _theirs(arm, _cell(folder, AS_MESH), fixed.names, own.pairs, x)
-    rows = [_compared(name, ours[:, k], theirs[:, k]) for k, name in enumerate(fixed.names)]
+    ours, pairs = np.asarray(shape_distances(robot, fixed, jnp.asarray(x))), distances(robot, own.pairs, x)
+    theirs, their_pairs = _theirs(arm, write_cell(folder, AS_MESH), fixed.names, own.pairs, x)
+    rows = [compared(name, ours[:, k], theirs[:, k]) for k, name in enumerate(fixed.names)]
     apart = pairs > -CROSSING * arm.radius[np.array(own.pairs)].sum(axis=1)
-    return [*rows, _compared("itself", pairs[apart], their_pairs[apart])]
+    return [*rows, compared("itself", pairs[apart], their_pairs[apart])]
 
 
 def compare_ring(file: Path, folder: Path, count: int) -> Ring:
@@ -138,7 +138,7 @@ def compare_ring(file: Path, folder: Path, count: int) -> Ring:
     assert isinstance(hoop, PlacedCloud)
     ring.apply_translation(RING_AT)
     x = drawn(robot, count)
-    world = _World(np.eye(4), np.zeros(4))
+    world = World(np.eye(4), np.zeros(4))
     ours = np.asarray(jax.jit(lambda x: jax.lax.map(partial(clearance, robot, (hoop,), world), x))(jnp.asarray(x)))
     _, p, q, *_ = arm.arm_poses(x)
     places = p[:, :, None] + np.linspace(0, 1, PLACES)[:, None] * (q - p)[:, :, None]
@@ -159,7 +159,7 @@ def drawn(robot: Robot, count: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(lower, upper, (count, len(lower)))
 
 
-def _cell(folder: Path, box: str) -> Path:
+def write_cell(folder: Path, box: str) -> Path:
     file = folder / ("solid.xml" if box == SOLID else "meshes.xml")
     asset = f'<asset><mesh name="wedge" vertex="{WEDGE}"/><mesh name="box" vertex="{BOX}"/></asset>'
     geoms = "".join(SHAPES.values()).replace("{box}", box)
@@ -168,7 +168,7 @@ def _cell(folder: Path, box: str) -> Path:
 
 
 @jax.jit
-def _ours(robot: Robot, fixed, x):
+def shape_distances(robot: Robot, fixed, x):
     """Return the arm's distances from every shape, by htcp_jax [m]."""
     return jax.lax.map(lambda x: fixed.distances(robot, *capsule_segments(robot, x)), x, batch_size=64)
 
@@ -203,6 +203,6 @@ def _bodies(arm: MujocoArm) -> list[str]:
     return [f"body {k}" for k in range(len(arm.radius))]
 
 
-def _compared(kind: str, ours: np.ndarray, theirs: np.ndarray) -> Compared:
+def compared(kind: str, ours: np.ndarray, theirs: np.ndarray) -> Compared:
     off = np.abs(ours - theirs).max()
     return Compared(kind, float(off), ours.size, int((theirs <= 0).sum()), int(((ours > 0) != (theirs > 0)).sum()))
