@@ -365,6 +365,18 @@ def test_a_corner_with_room_is_passed_faster_than_one_that_is_as_good_as_a_stop(
     assert wide < 0.8 * tight
 
 
+@pytest.mark.parametrize("count", [11, 101, 201, 1001])
+def test_a_line_takes_as_long_in_fine_points_as_in_coarse_ones(count):
+    """Legs that a joint passes within 1 ms (regression: the tool stopped at each target of a line in 0.5 mm steps)."""
+    robot, x = made_once.robot(), weld(count, length=0.1)
+    motion = Motion(x, np.arange(count), np.full(count, F, np.int8))
+    program = time_motion(robot, motion, free_radius(motion), joint_limits(robot), 0.02)
+    assert program.duration_s == pytest.approx(0.1 / 0.02, rel=0.1)
+    y = tcp_by_mujoco(program.timed(STEP_S).x)[:, 1]
+    middle = slice(len(y) // 5, -len(y) // 5)
+    assert np.diff(y)[middle] == pytest.approx(0.02 * STEP_S, rel=0.02)
+
+
 @pytest.mark.parametrize("off", [1e-9, 1e-7, 1e-6, 3e-6])
 def test_corners_that_all_but_touch_do_not_slow_the_tool_down(off):
     """Duration with two wide corners that nearly touch: independent of the small distance between them."""

@@ -39,6 +39,15 @@ class MotionSlack(NamedTuple):
         """Return the slack of the legs in `which`."""
         return MotionSlack(self.clearance[which], self.tube[which], self.rows and self.rows.only(which))
 
+    def replaced(self, which: Int[np.ndarray, "k"], by: "MotionSlack") -> "MotionSlack":
+        """Return the slack of all legs, with the slack of the legs in `which` replaced."""
+        clearance, tube, rows = self.clearance.copy(), self.tube.copy(), self.rows
+        clearance[which], tube[which] = by.clearance, by.tube
+        if rows and by.rows:
+            rows = rows._replace(left=rows.left.copy())
+            rows.left[which] = by.rows.left
+        return MotionSlack(clearance, tube, rows)
+
 
 def motion_slack(plans: Plans, scenario: int, motion: Motion, tube_m: float, robot: Robot | None = None) -> MotionSlack:
     """Return the slack of a plan's proof at each leg of its motion.
@@ -135,42 +144,47 @@ def _moving_legs(robot: Robot, motion: Motion, left: MotionSlack) -> _Polyline:
 def _merge_short_legs(polyline: _Polyline, limits: MotionLimits) -> _Polyline:
     """Return the polyline with very short legs merged with the previous leg.
 
-    The first configuration of a short leg is replaced by the next one if the displacement is within the slack.
+    The first configuration of a short leg is replaced by the next one if the displacement is within the slack. Of
+    consecutive short legs, those are merged that together are very short, or do not move the TCP on the path.
     """
-    short = (_duration(polyline.x, limits) < ONE_MOMENT_S) | ((polyline.group == Kind.PROCESS) & ~polyline.on_process)
-    goes = np.flatnonzero(short[1:] & (polyline.group[1:] == polyline.group[:-1])) + 1
-    if not len(goes):
+    still = (polyline.group == Kind.PROCESS) & ~polyline.on_process
+    short = (_duration(polyline.x, limits) < ONE_MOMENT_S) | still
+    goes, first = [], -1  # first configurations of the legs to merge, and the first of consecutive ones
+    for k in (np.flatnonzero(short[1:] & (polyline.group[1:] == polyline.group[:-1])) + 1).tolist():
+        first = first if goes and goes[-1] == k - 1 else k
+        if still[k] or first == k or _duration(polyline.x[[first, k + 1]], limits) < ONE_MOMENT_S:
+            goes.append(k)
+    if not goes:
         return polyline
-    to = np.arange(len(polyline.x))
+    goes, to = np.array(goes), np.arange(len(polyline.x))
     for k in goes[::-1]:
         to[k] = to[k + 1]
     before, displacement = goes - 1, polyline.x[to[goes]] - polyline.x[goes]
     arm = polyline.arm.only(goes)
     moved = arm.moved(displacement_bound(arm, np.abs(polyline.x[goes] - polyline.x[before]), displacement))
     off = np.linalg.norm(polyline.arm.tcp[to[goes]] - polyline.arm.tcp[goes], axis=1)
-    left, fits = _less(polyline.left, before, moved._replace(tcp=moved.tcp + off))
+    rest, fits = _less(polyline.left.only(before), moved._replace(tcp=moved.tcp + off))
     gone = np.zeros(len(polyline.x), bool)
     for k, fit in zip(goes[::-1], fits[::-1], strict=True):
         gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all configurations up to the replacement are removed
+    left, merged = polyline.left, np.flatnonzero(gone[goes])
+    if len(merged):
+        left = left.replaced(before[merged], rest.only(merged))
     kept = np.flatnonzero(~gone)
     last, first = kept[1:] - 1, kept[:-1]  # last and first of the merged legs; on the path the first leg's line is used
     row = np.where(polyline.group[first] == Kind.PROCESS, polyline.row[first], polyline.row[last])
     return _Polyline(polyline.x[kept], row, polyline.group[last], left.only(first), polyline.arm.only(kept))
 
 
-def _less(left: MotionSlack, legs: Int[np.ndarray, "k"], by: Displacement) -> tuple[MotionSlack, Bool[np.ndarray, "k"]]:
-    """Return the slack that a displacement of some legs leaves, and a mask of the legs with enough slack."""
-    whole = left.only(legs)
+def _less(whole: MotionSlack, by: Displacement) -> tuple[MotionSlack, Bool[np.ndarray, "k"]]:
+    """Return the slack that a displacement of all legs leaves, and a mask of the legs with enough slack."""
     rest = MotionSlack(whole.clearance - by.bodies, whole.tube - by.tcp)
     fits = (rest.clearance >= SHARE * whole.clearance) & (rest.tube >= SHARE * whole.tube)
-    clearance, tube, rows = left.clearance.copy(), left.tube.copy(), left.rows
-    clearance[legs], tube[legs] = rest.clearance, rest.tube
-    if rows:
+    if whole.rows:
         own = whole.rows.left - whole.rows.taken(by.features)
         fits &= (own >= SHARE * whole.rows.left).all(axis=1)
-        rows = rows._replace(left=rows.left.copy())
-        rows.left[legs] = own
-    return MotionSlack(clearance, tube, rows), fits
+        rest = rest._replace(rows=whole.rows._replace(left=own))
+    return rest, fits
 
 
 def _duration(x: np.ndarray, limits: MotionLimits) -> Float[np.ndarray, "m"]:
