@@ -14,7 +14,7 @@ from htcp_jax.motion.dead_ends import DeadEnds
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.beam.dead_ends import FEW, MOST_MISSED
 from htcp_jax.settings import Settings, settings_of
-from htcp_jax.status import Exclusion
+from htcp_jax.status import Exclusion, Status
 
 
 def with_effort(effort: float) -> Plans:
@@ -39,6 +39,14 @@ def test_what_was_tried_is_recorded_at_the_lost_target_and_grows_with_the_effort
     for s, target in zip(much.dead_ends.scenario, much.dead_ends.target, strict=True):
         assert 0 < target <= much.outcome(int(s)).failed
         assert "configurations sampled or extended" in much.dead_ends.on(int(s))[int(target)].description
+
+
+def test_a_target_with_known_clear_configurations_is_lost_for_want_of_a_segment():
+    """Regression: "no clear configuration found" next to "24 clear configurations found at the target"."""
+    plans = with_effort(20.0)
+    tried = [(end, plans.dead_ends.on(end.scenario).get(end.failed)) for end in map(plans.outcome, range(5))]
+    found = [end.status for end, known in tried if known and known.found and not known.connected]
+    assert len(found) > 2 and set(found) == {Status.PATH_BLOCKED}
 
 
 def towards_a_ball(**changes) -> Plans:

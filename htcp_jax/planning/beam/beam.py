@@ -122,6 +122,7 @@ class BeamSearch:
             finished = [one for one in ended if not self._begin_again(one)]
             for last in finished:
                 search, *path = self._record.chosen(last)
+                self._dead_ends.set_blocked(search)
                 via_points += self._record.write(search, *path)
                 tracked += int(target[search] - target[searches.chain(last)[-1]])
                 searches.forget(searches.chain(last))

@@ -102,6 +102,13 @@ class DeadEnds:
         self.tried[s, target] = Tried(excluded=Exclusion(reason))
         return True
 
+    def set_blocked(self, ended: int) -> None:
+        """Set the status of an ended search to PATH_BLOCKED if a clear configuration is known at the lost target."""
+        columns = self._searches.columns
+        lost = int(columns.scenario[ended]), int(columns.target[ended]) + 1
+        if columns.status[ended] == Status.RECOVERY_EXHAUSTED and self.tried.get(lost, Tried()).found:
+            columns.status[ended] = Status.PATH_BLOCKED
+
     def retry(self, ended: int) -> bool:
         """Begin another search after one has ended, and return True; return False if the scenario is finished."""
         columns, chain, problem = self._searches.columns, self._searches.chain(ended), self._problem
