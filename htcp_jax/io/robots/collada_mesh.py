@@ -36,7 +36,8 @@ def read_triangles(path: Path) -> Triangles:
     data = read_bytes(path)
     try:
         with quiet():
-            warnings.simplefilter("error", DeprecationWarning)  # NumPy's, for text that is no number
+            # NumPy's warning about text that is no number. pycollada causes other deprecation warnings itself.
+            warnings.filterwarnings("error", ".* could not be read to its end", DeprecationWarning)
             triangles = _scene_triangles(data)
     except Exception as error:  # a third-party parser on untrusted bytes: whatever it raises, the file is bad
         raise InputError(f"{path}: not a readable .dae file ({one_line(error)})") from None
