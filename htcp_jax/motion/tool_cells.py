@@ -190,7 +190,7 @@ def excluded(
 
     Args:
         executor: Compiled functions of the scene.
-        robot: The arm; None: the proof uses only the tool.
+        robot: The arm; None: the proof does not use the joints behind the tool.
         inputs: The lanes' inputs, one row per target.
         most: Maximum number of cells in either cover at a target.
         bodies: The bodies that the proof uses.

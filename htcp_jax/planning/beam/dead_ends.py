@@ -18,6 +18,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from htcp_jax.clearance.proof import exclusion
 from htcp_jax.device import tables
 from htcp_jax.motion import (
     CollisionChecker,
@@ -94,7 +95,8 @@ class DeadEnds:
             return False
         inputs, executor = problem.inputs(s, target), self._checker.executor
         (reason,) = exclusions.exclusions(executor, problem.robot, inputs, PROOF_CELLS).tolist()
-        if reason == Exclusion.NONE and tool_cells.excluded(executor, None, inputs, TOOL_CELLS).all():
+        tool = exclusion.Bodies.TOOL
+        if reason == Exclusion.NONE and tool_cells.excluded(executor, None, inputs, TOOL_CELLS, tool).all():
             reason = Exclusion.TOOL
         if reason == Exclusion.NONE:
             self._clear.add((s, target))
