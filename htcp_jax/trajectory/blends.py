@@ -167,9 +167,8 @@ def _merge_short_legs(polyline: _Polyline, limits: MotionLimits) -> _Polyline:
     gone = np.zeros(len(polyline.x), bool)
     for k, fit in zip(goes[::-1], fits[::-1], strict=True):
         gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all configurations up to the replacement are removed
-    left, merged = polyline.left, np.flatnonzero(gone[goes])
-    if len(merged):
-        left = left.replaced(before[merged], rest.only(merged))
+    merged = np.flatnonzero(gone[goes])
+    left = polyline.left.replaced(before[merged], rest.only(merged))
     kept = np.flatnonzero(~gone)
     last, first = kept[1:] - 1, kept[:-1]  # last and first of the merged legs; on the path the first leg's line is used
     row = np.where(polyline.group[first] == Kind.PROCESS, polyline.row[first], polyline.row[last])
