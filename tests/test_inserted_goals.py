@@ -159,6 +159,24 @@ def test_inserted_goals_lie_on_the_line_and_turn_evenly():
     np.testing.assert_allclose(task.turn(goals), max(np.linalg.norm(way), from_a + from_b))
 
 
+def test_goals_are_inserted_where_the_task_turns_the_tool_by_more_than_its_cones_allow():
+    path = [[0.5, 0.0, 0.3], [0.5, 0.002, 0.3], [0.5, 0.004, 0.3]]
+    angles = np.deg2rad([0.0, 19.0, 20.0])
+    normals = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1)
+    found = {}
+    for cone_deg in (None, 5.0, 15.0):
+        task = Task((TaskPoint(), AxisTowards(None, (0.0, 0.0, 1.0), cone=cone_deg is not None)))
+        cone = [] if cone_deg is None else [np.deg2rad(cone_deg)]
+        goals = np.stack([np.concatenate([place, normal, cone]) for place, normal in zip(path, normals, strict=True)])
+        stacked = scenarios.stack([replace(scenario(path), task_goals=goals[[0, 0, 1, 2]])])  # target 1 begins the path
+        found[cone_deg] = pieces_of(toy.robot(), task, stacked, toy.SETTINGS)[0, 1:].tolist()
+    widest = np.sqrt(8 * 0.125 * toy.SETTINGS.tube_m / (0.1 * kinematics.max_reach(toy.robot())))
+    assert found[None] == [1, np.ceil(angles[1] / widest), 1]
+    assert found[5.0] == [1, np.ceil((angles[1] - 2 * np.deg2rad(5.0)) / widest), 1]
+    assert found[15.0] == [1, 1, 1]
+    assert found[None][1] > found[5.0][1] > 1
+
+
 def test_inserted_scenarios_keep_the_files_goals_to_the_last_bit():
     stacked = scenarios.stack([toy.scenario(), scenario(CORNERS)])
     pieces = pieces_of(toy.robot(), TOY_TASK, stacked, toy.SETTINGS)

@@ -113,10 +113,15 @@ class Task:
             [part.interpolated(goals[..., at : at + part.numbers], share, places) for part, at in parts], axis=1
         )
 
-    def turn(self, goals: Float[np.ndarray, "n 2 G"]) -> Float[np.ndarray, "n"]:
-        """Return the largest angle, over all rows, between the orientations that two goals require [rad]."""
+    def turn(self, goals: Float[np.ndarray, "n 2 G"], least: bool = False) -> Float[np.ndarray, "n"]:
+        """Return the largest angle, over all rows, between the orientations that two goals require [rad].
+
+        Args:
+            goals: The two goals.
+            least: True to subtract the half angles of both goals' cones: by the rest the arm must turn.
+        """
         parts = zip(self.parts, self.starts, strict=True)
-        return np.max([part.turn(goals[..., at : at + part.numbers]) for part, at in parts], axis=0)
+        return np.max([part.turn(goals[..., at : at + part.numbers], least) for part, at in parts], axis=0)
 
     @property
     def starts(self) -> tuple[int, ...]:

@@ -157,8 +157,11 @@ class Row:
         """
         return mixed(goals, share)
 
-    def turn(self, goals: Float[np.ndarray, "n 2 g"]) -> Float[np.ndarray, "n"]:
-        """Return the angle between the orientations that two goals require [rad]; 0 if they require none."""
+    def turn(self, goals: Float[np.ndarray, "n 2 g"], least: bool = False) -> Float[np.ndarray, "n"]:
+        """Return the angle between the orientations that two goals require [rad]; 0 if they require none.
+
+        With `least`, the half angles of both goals' cones are subtracted.
+        """
         return np.zeros(len(goals))
 
 
@@ -386,12 +389,13 @@ class AxisTowards(Row):
             found[:, :3] = turned_directions(goals[:, 0, :3], goals[:, 1, :3], share)
         return found
 
-    def turn(self, goals):
+    def turn(self, goals, least=False):
         """Return the angle between the directions of two goals [rad]; 0 if the axis points at a place."""
         if self.looks_from_m is not None:
             return np.zeros(len(goals))
         a, b = goals[:, 0, :3], goals[:, 1, :3]
-        return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
+        found = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
+        return np.maximum(found - least * goals[..., 3:].sum(axis=(1, 2)), 0.0)
 
     def _direction(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Vector3:
         if self.looks_from_m is None:
@@ -471,10 +475,11 @@ class FrameOrientation(Row):
         found[:, :9] = turned_frames(each[:, 0], each[:, 1], share).reshape(-1, 9)
         return found
 
-    def turn(self, goals):
+    def turn(self, goals, least=False):
         """Return the angle between the rotations of two goals [rad]."""
         each = goals[..., :9].reshape(-1, 2, 3, 3)
-        return np.linalg.norm(frame_turns(each[:, 0], each[:, 1]), axis=1)
+        found = np.linalg.norm(frame_turns(each[:, 0], each[:, 1]), axis=1)
+        return np.maximum(found - least * goals[..., 9:].sum(axis=(1, 2)), 0.0)
 
     def _to_go(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Vector3:
         return rotation_vector(product(goal[:9].reshape(3, 3), value.reshape(3, 3)))  # value: the axes are rows

@@ -2,8 +2,10 @@
 
 Between two configurations the arm interpolates in joint space, so the TCP deviates from the straight line. On a segment
 of length L, at a distance r from the rotating joint, the deviation is L^2 / (8 r). A segment is cut into equal parts if
-this exceeds SHARE of the allowed distance even at the arm's full reach, or if the task's orientation rotates by more
-than TURN_RAD. Without `settings.path_check` no goals are inserted.
+this exceeds SHARE of the allowed distance even at the arm's full reach. If the task rotates the tool by an angle t, the
+deviation is r t^2 / 8. The angle of a part is limited to that with a deviation of SHARE of the allowed distance, at
+WRIST of the full reach. A rotation that the task's cones absorb does not count, but rotations of more than TURN_RAD
+are always cut. Without `settings.path_check` no goals are inserted.
 
 An inserted goal lies on the line between the segment's targets, with interpolated directions and frames. Methods,
 proofs and smoothing treat it as a target. After planning, the plans have one row per target of the file again, and the
@@ -30,8 +32,9 @@ from htcp_jax.settings import Settings
 from htcp_jax.status import MOTION, SegmentStatus, Status
 
 SHARE = 0.125  # share of the allowed distance from the line up to which no goals are inserted
-TURN_RAD = 0.8  # rotation of the task's orientation up to which no goals are inserted
-FINER = 4  # number of parts of a segment that just exceeds SHARE or TURN_RAD
+TURN_RAD = 0.8  # rotation of the task's orientation up to which no goals are inserted if the task's cones absorb it
+WRIST = 0.1  # distance of the TCP from the joints that rotate the tool, as a share of the full reach
+FINER = 4  # number of parts of a segment that just exceeds SHARE of the allowed distance or TURN_RAD
 MOST_PARTS = 10_000  # maximum number of parts of a segment
 HALVINGS = 2  # maximum number of times that a segment's parts are halved because joints cannot follow them
 
@@ -81,11 +84,13 @@ def pieces_of(robot: Robot, task: Task, scenarios: Scenario, settings: Settings)
     if not len(s) or settings.path_check != "all":
         return found
     tube_m = settings.tube_m if task.holds_tcp else task.tolerance_m
-    longest = np.sqrt(8 * kinematics.max_reach(robot) * tube_m * SHARE)
+    reach_m = kinematics.max_reach(robot)
+    longest, widest = np.sqrt(8 * SHARE * tube_m * reach_m), np.sqrt(8 * SHARE * tube_m / (WRIST * reach_m))
     places, goals = _ends(scenarios.targets, s, t), _ends(scenarios.goals, s, t)
     length = np.linalg.norm(places[:, 1] - places[:, 0], axis=1) / longest
     most = np.maximum(length, task.turn(goals) / TURN_RAD)
-    found[s, t] = np.where(most > 1, np.clip(np.ceil(FINER * most), 1, MOST_PARTS), 1)
+    turn = task.turn(goals, least=True) if task.holds_tcp else 0.0
+    found[s, t] = np.clip(np.ceil(np.maximum(np.where(most > 1, FINER * most, 1), turn / widest)), 1, MOST_PARTS)
     return found
 
 
