@@ -238,6 +238,11 @@ def test_at_the_failed_target_the_body_in_collision_stands_out(replay, screenles
     assert near(failed, FAILED) > near(before, FAILED) + 20
 
 
+def test_a_file_that_is_a_picture_is_the_only_file_written(made, screenless, tmp_path):
+    assert main(["render", str(made[1]), "--width", "160", "--out", str(tmp_path / "new" / "arm.PNG")]) == 0
+    assert [file.name for file in tmp_path.rglob("*")] == ["new", "arm.PNG"]
+
+
 def test_the_command_says_what_is_in_collision_and_which_scenario_it_is(made, planned, screenless, tmp_path, capsys):
     """Colliding body and scenario parameters in the output of the command (regression: only the scenario's number)."""
     words = ["--movie", "none", "--width", "160", "--out", str(tmp_path)]
@@ -256,6 +261,8 @@ def test_the_command_says_what_is_in_collision_and_which_scenario_it_is(made, pl
         (["--target", "10"], "scenario 0 has no target 10; it has 0 to 9"),
         (["--movie", "avi"], "'avi' is not a kind of movie; valid: gif, mp4"),
         (["--width", "5"], "--width is 5; valid: 160 to 3840 pixels"),
+        (["--out", "arm.png", "--movie", "gif"], "--out arm.png is a picture, but --movie is gif; omit --movie"),
+        (["--out", "arm.png", "--feed", "9mm/s"], "--feed applies to the movie, but --out arm.png writes no movie"),
     ],
 )
 def test_bad_input_is_one_line_exit_2_and_no_file(made, screenless, tmp_path, monkeypatch, capsys, arguments, line):

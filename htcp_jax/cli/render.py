@@ -45,7 +45,7 @@ FromPart = Annotated[
 Width = Annotated[int, typer.Option(metavar="PIXELS", help="Width of the picture; the movie has half of it.")]
 Out = Annotated[
     Path,
-    typer.Option(metavar="DIR", help="Output folder, or a movie file such as weld.mp4 to write only the movie."),
+    typer.Option(metavar="DIR", help="Output folder, or only one file such as weld.mp4 or arm.png."),
 ]
 
 
@@ -93,6 +93,7 @@ def render(
       htcp render out/plan                                         the plan of htcp plan
       htcp render out/plan --movie mp4 --close --width 1920        needs the extra "movie"
       htcp render out/plan --feed 200mm/s --out weld.mp4           only the movie, in real time
+      htcp render out/plan --out arm.png                           only the picture
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
       htcp render out/workpiece --scenario 24 --method nspace-sqp  one plan of a sweep
     """
@@ -101,8 +102,9 @@ def render(
     feed_m_s = played_feed(feed, speed=speed is not None, one_way=one_way, set=overrides)
     if speed is not None and not SLOWEST <= speed <= FASTEST:
         raise InputError(f"--speed is {speed:g}; valid: {SLOWEST:g} to {FASTEST:g}")
-    if feed_m_s is not None and movie == "none":
-        raise InputError("--feed applies to the movie, but --movie none writes no movie; omit one of them")
+    if feed_m_s is not None and (movie == "none" or _is_picture(out)):
+        no_movie = f"--out {out}" if _is_picture(out) else "--movie none"
+        raise InputError(f"--feed applies to the movie, but {no_movie} writes no movie; omit one of them")
     if not LEAST <= width <= MOST:
         raise InputError(f"--width is {width}; valid: {LEAST} to {MOST} pixels")
     offscreen.platform()  # raises an error before files are read
@@ -137,19 +139,27 @@ def _files(out: Path, movie: str | None, name: str) -> _Files:
     """Return the names of the files to write.
 
     Args:
-        out: Value of --out: a folder, or a movie file.
+        out: Value of --out: a folder, a movie file, or a picture (.png).
         movie: Value of --movie: the kind of movie; None if it is not set.
         name: Stem of the files in a folder.
 
     Raises:
-        InputError: If --out is a movie file whose suffix does not match --movie.
+        InputError: If --out is a file of another kind than --movie.
     """
+    if _is_picture(out):
+        if movie not in (None, "none"):
+            raise InputError(f"--out {out} is a picture, but --movie is {movie}; omit --movie")
+        return _Files(out.parent, out.name, None)
     if (kind := out.suffix[1:].lower()) in movies.KINDS:
         if movie not in (None, kind):
             raise InputError(f"--out {out} is a {kind} file, but --movie is {movie}; omit --movie")
         movies.check_kind(kind)
         return _Files(out.parent, None, out.name)
     return _Files(out, f"{name}.png", None if movie == "none" else f"{name}.{movie or movies.KINDS[0]}")
+
+
+def _is_picture(out: Path) -> bool:
+    return out.suffix.lower() == ".png"
 
 
 def _film(studio: Studio, made: PlanProgram, speed: float) -> movies.Film:

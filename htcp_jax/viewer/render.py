@@ -170,7 +170,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool, from_part: bool)
             place = {"name": f"target {t}", "pos": replay.target[t]}
             part.add_geom(**place, **bead, material="bead", rgba=_rgba(style.colour), **UNTOUCHED)
     for foot, tip in replay.normals:
-        glyph = {"type": _Geom.mjGEOM_CAPSULE, "fromto": [*foot, *tip], "size": [GLYPH_M, 0, 0]}
+        glyph = {"type": _Geom.mjGEOM_BOX, "fromto": [*foot, *tip], "size": [GLYPH_M, GLYPH_M, 0]}
         part.add_geom(**glyph, material="bead", rgba=_rgba(NORMAL), **UNTOUCHED)
     if replay.obstruction is not None and replay.obstruction.collides:
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
@@ -247,7 +247,7 @@ def _add_surroundings(spec: mujoco.MjSpec, replay: Replay, fine: bool, from_part
     visual = spec.visual
     visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.5] * 3, [0.3] * 3, [0.08] * 3
     visual.quality.shadowsize, visual.quality.offsamples = (8192, 8) if fine else (2048, 4)
-    visual.quality.numslices, visual.quality.numstacks = (64, 32) if fine else (32, 16)
+    visual.quality.numslices, visual.quality.numstacks = (64, 32) if fine else (20, 10)
     visual.map.znear, visual.rgba.haze = 0.01, [*SKY, 1]
     reach = np.ptp(np.concatenate([cloud, arms.p.reshape(-1, 3)]), axis=0)
     spec.stat.extent, spec.stat.center = np.linalg.norm(reach), cloud.mean(axis=0)
