@@ -177,6 +177,12 @@ def test_goals_are_inserted_where_the_task_turns_the_tool_by_more_than_its_cones
     assert found[None][1] > found[5.0][1] > 1
 
 
+def test_an_arm_on_a_slide_without_limits_gets_no_inserted_goals(monkeypatch):
+    monkeypatch.setattr(kinematics, "max_reach", lambda robot: np.inf)
+    found = pieces_of(toy.robot(), TOY_TASK, scenarios.stack([scenario(CORNERS)]), toy.SETTINGS)
+    np.testing.assert_array_equal(found, np.ones_like(found))
+
+
 def test_inserted_scenarios_keep_the_files_goals_to_the_last_bit():
     stacked = scenarios.stack([toy.scenario(), scenario(CORNERS)])
     pieces = pieces_of(toy.robot(), TOY_TASK, stacked, toy.SETTINGS)

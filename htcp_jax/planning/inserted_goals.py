@@ -85,7 +85,8 @@ def pieces_of(robot: Robot, task: Task, scenarios: Scenario, settings: Settings)
         return found
     tube_m = settings.tube_m if task.holds_tcp else task.tolerance_m
     reach_m = kinematics.max_reach(robot)
-    longest, widest = np.sqrt(8 * SHARE * tube_m * reach_m), np.sqrt(8 * SHARE * tube_m / (WRIST * reach_m))
+    longest = np.sqrt(8 * SHARE * tube_m * reach_m)
+    widest = np.sqrt(8 * SHARE * tube_m / (WRIST * reach_m)) if np.isfinite(reach_m) else np.inf
     places, goals = _ends(scenarios.targets, s, t), _ends(scenarios.goals, s, t)
     length = np.linalg.norm(places[:, 1] - places[:, 0], axis=1) / longest
     most = np.maximum(length, task.turn(goals) / TURN_RAD)
