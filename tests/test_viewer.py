@@ -116,6 +116,22 @@ def until(done: Callable[[], bool], seconds: float = 180.0) -> None:
         time.sleep(0.1)
 
 
+def step_to(page, viewer, slider, place: float) -> None:
+    """Press arrow keys on the slider one by one until viewer and page are at a place of the timeline.
+
+    The server moves the slider, too: keys that are pressed faster than the page is drawn are lost.
+    """
+    slider.focus()
+
+    def arrived() -> bool:
+        settled = slider.get_attribute("aria-valuenow") == f"{viewer.place:g}"
+        if settled and viewer.place != place:
+            page.keyboard.press("ArrowRight" if viewer.place < place else "ArrowLeft")
+        return settled and viewer.place == place
+
+    until(arrived)
+
+
 def seen(page) -> np.ndarray:
     """Screenshot left of the panel, without the notice at the top, as soon as it is stable.
 
@@ -140,10 +156,7 @@ def test_the_slider_moves_the_arm_in_the_browser(page, viewer, replays):
     assert viewer.target == 0 and page.get_by_text("Target 0").is_visible()
     before, start = seen(page), viewer.stage.arm_positions
     slider = page.get_by_role("slider").first
-    slider.focus()
-    for _ in range(6):
-        page.keyboard.press("ArrowRight")
-    until(lambda: viewer.target == 6 and slider.get_attribute("aria-valuenow") == "6")
+    step_to(page, viewer, slider, 6)
     replay = replays.replay(1, "baseline")
     np.testing.assert_allclose(viewer.stage.arm_positions[:8], (replay.p[6] + replay.q[6]) / 2, atol=1e-6)
     assert np.abs(viewer.stage.arm_positions - start).max() > 0.1
@@ -266,16 +279,7 @@ def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, t
     slider = page.get_by_role("slider").first
     assert viewer.shown == (0, "baseline") and page.get_by_text("Time [s]").first.is_visible()
     until(lambda: page.locator(".uplot canvas").count() == 3)
-    slider.focus()
-
-    def at_300_ms() -> bool:
-        """Press keys one by one until the slider is at 0.3 s: the server moves it, too, and faster keys are lost."""
-        settled = slider.get_attribute("aria-valuenow") == f"{viewer.place:g}"
-        if settled and viewer.place != 0.3:
-            page.keyboard.press("ArrowRight" if viewer.place < 0.3 else "ArrowLeft")
-        return settled and viewer.place == 0.3
-
-    until(at_300_ms)
+    step_to(page, viewer, slider, 0.3)
     arm = capsules_and_tcp(made.robot, made.program.at(np.array([viewer.place])).x)
     middle = (np.asarray(arm.p) + np.asarray(arm.q))[0] / 2
     np.testing.assert_allclose(viewer.stage.arm_positions[: len(middle)], middle, atol=1e-6)
