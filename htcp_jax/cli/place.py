@@ -10,11 +10,12 @@ import typer
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from htcp_jax import report
 from htcp_jax.cli.output import Device, Json, claim_device, print_facts, print_json, print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.placement import PlacementResult, PlaceProgress, mounting, tolerance
 from htcp_jax.placement import place as search_places
-from htcp_jax.report import Column, Table, draw_search
+from htcp_jax.report import Column, Table
 from htcp_jax.runs import sweep as sweeps
 
 NONE_FOUND = 3
@@ -89,7 +90,7 @@ def place(
             device=device,
             progress=progress,
         )
-    draw_search(found.folder)
+    report.draw_search(found.folder)
     if as_json:
         print_json(found.record())
     else:

@@ -6,6 +6,7 @@ from typing import Annotated, NamedTuple
 import typer
 from PIL import Image
 
+from htcp_jax import viewer
 from htcp_jax.cli.feed import OneWay, PlayedFeed, ProgramKeys, played_feed
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, progress_bar
@@ -13,7 +14,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import output_files
 from htcp_jax.runs import open_plans
 from htcp_jax.trajectory import PlanProgram, plan_program
-from htcp_jax.viewer import Studio, offscreen, plot_strip, timed_play
+from htcp_jax.viewer import Studio, offscreen, timed_play
 from htcp_jax.viewer import movie as movies
 from htcp_jax.viewer import replay as recordings
 
@@ -165,7 +166,9 @@ def _is_picture(out: Path) -> bool:
 def _film(studio: Studio, made: PlanProgram, speed: float) -> movies.Film:
     """Return the film of a robot program at `speed` times real time, with plots of the speeds below the picture."""
     play = timed_play.sample_program(made, timed_play.frame_times(made.program.duration_s, speed))
-    return studio.film(timed_play.arms_of(made, play)).over(plot_strip.PlotStrip(made, play, studio.width, speed).at)
+    return studio.film(timed_play.arms_of(made, play)).over(
+        viewer.plot_strip.PlotStrip(made, play, studio.width, speed).at
+    )
 
 
 def _height(width: int) -> int:
@@ -197,7 +200,7 @@ def _print_files(
         facts[replay.obstruction.heading] = replay.obstruction.description
     if made is not None:
         facts["program"] = "{duration_s:.2f} s at {feed_mm_s:g} mm/s, shown {how}".format(
-            **_lasts(made), how=plot_strip.shown_as(speed)
+            **_lasts(made), how=viewer.plot_strip.shown_as(speed)
         )
     print_facts(f"{replay.method}, scenario {replay.label}", facts | {"files": ", ".join(files)})
 

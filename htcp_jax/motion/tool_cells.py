@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof import arm_exclusion, branch_exclusion, exclusion
@@ -262,6 +262,6 @@ def _meets(own: Cells, other: Cells) -> Bool[np.ndarray, "n"]:
     meets = np.zeros(len(own.lane), bool)
     for k in np.unique(other.lane):
         here, there = own.lane == k, other.lane == k
-        away = cKDTree(other.wrist[there]).query(own.wrist[here])[0]
+        away = scipy.spatial.cKDTree(other.wrist[there]).query(own.wrist[here])[0]
         meets[here] = away <= own.moves[here] + other.moves[there].max()
     return meets

@@ -3,14 +3,16 @@
 The proposed mountings depend only on the results of earlier rounds and on the seed.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import cma
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.stats import qmc
 
 from htcp_jax.motion import selection
+
+if TYPE_CHECKING:
+    import cma
 
 EVEN = 0.5  # share of the budget for the Halton sequence
 ROUND = 512  # mountings per round of the Halton sequence
@@ -37,7 +39,7 @@ def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray
         count: The number of mountings, n.
         seed: The seed of the scrambling.
     """
-    sequence = qmc.Halton(dimensions, rng=np.random.default_rng(seed))
+    sequence = scipy.stats.qmc.Halton(dimensions, rng=np.random.default_rng(seed))
     if first:
         sequence.fast_forward(first)
     return sequence.random(count)
@@ -98,8 +100,10 @@ class Evolution:
             if run.sigma * np.sqrt(np.max(run.D**2)) < ENDED or run.stop():
                 self._runs[k] = self._begin(self._weights[k])
 
-    def _begin(self, weights: np.ndarray) -> cma.CMAEvolutionStrategy:
+    def _begin(self, weights: np.ndarray) -> "cma.CMAEvolutionStrategy":
         """Return a new run that starts at the best mounting apart from all earlier starts, or at random without one."""
+        import cma  # here, as the import is slow
+
         order = np.argsort(score(self._known, weights), kind="stable")
         u = np.concatenate([np.array(self._begun).reshape(-1, self._known.u.shape[1]), self._known.u])
         taken = len(self._begun)

@@ -16,10 +16,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.device import lane_function, tables
@@ -42,7 +40,7 @@ HOP = 0.15  # standard deviation of the moves in the first round [rad or m]
 LENGTH_M = 0.3  # distance of the tool's tip that is equivalent to a rotation of the tool by 1 rad
 TURN_M = LENGTH_M / np.sqrt(2)  # the same for rotation matrices, whose distance is sqrt(2) times the angle
 # Tool extension [m] -> configurations, and a tree of their poses
-KnownConfigurations = dict[float, tuple[np.ndarray, cKDTree]]
+KnownConfigurations = dict[float, tuple[np.ndarray, "scipy.spatial.cKDTree"]]
 
 
 OnTarget = tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m N"]]  # indices of targets, and configurations on them
@@ -101,10 +99,10 @@ def known_configurations(robot: Robot, extensions_m: np.ndarray) -> KnownConfigu
         extensions_m: Tool extensions of the scenarios (S,).
     """
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
-    x = lower + (upper - lower) * qmc.Halton(len(lower), scramble=False).random(KNOWN)
+    x = lower + (upper - lower) * scipy.stats.qmc.Halton(len(lower), scramble=False).random(KNOWN)
     pose = jax.jit(jax.vmap(_scaled_pose, in_axes=(None, 0)))
     tools = {float(own_m): robots.lengthen_tool(robot, float(own_m)) for own_m in np.unique(extensions_m)}
-    return {own_m: (x, cKDTree(np.asarray(pose(own, x)))) for own_m, own in tools.items()}
+    return {own_m: (x, scipy.spatial.cKDTree(np.asarray(pose(own, x)))) for own_m, own in tools.items()}
 
 
 def _scaled_pose(robot: Robot, x):
@@ -239,7 +237,7 @@ def _seeds(task: Task, known: KnownConfigurations, inputs: lane_inputs.LaneInput
     """Return the known configurations whose poses are nearest to each cell, and the index of each one's cell."""
     which, seeds = [], []
     extension, place = inputs.tool_extension_m[cells.lane], task.tcp_place(inputs.target)
-    R = Rotation.from_quat(cells.quaternion, scalar_first=True).as_matrix().reshape(-1, 9)
+    R = scipy.spatial.transform.Rotation.from_quat(cells.quaternion, scalar_first=True).as_matrix().reshape(-1, 9)
     for own_m, (x, tree) in known.items():
         own = np.flatnonzero(extension == own_m)
         near = tree.query(np.hstack([place[cells.lane[own]], TURN_M * R[own]]), SEEDS)[1]

@@ -16,8 +16,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
 
 from htcp_jax.model import Robot, Scenario
 from htcp_jax.motion import CollisionChecker, exclusions, lane_inputs
@@ -192,7 +192,9 @@ class _Judge:
             if not len(reached):
                 continue
             targets = self._scenarios.targets[s]
-            near = cKDTree(targets[reached]).query(targets[left], k=range(1, min(CARRIED, len(reached)) + 1))[1]
+            near = scipy.spatial.cKDTree(targets[reached]).query(
+                targets[left], k=range(1, min(CARRIED, len(reached)) + 1)
+            )[1]
             found |= {(s, t): tuple(own) for t, own in zip(left.tolist(), reached[near].tolist(), strict=True)}
         return found
 

@@ -1,4 +1,4 @@
-from . import chapter, charts, gate, reach_study, tables, timing, validation
+from . import chapter, charts, gate, reach_study, tables, timing_table, validation
 from .document import Column, Table
 from .place_pictures import draw_search
 from .report import make_report, report_record, write_report
@@ -14,7 +14,7 @@ __all__ = [
     "reach_study",
     "report_record",
     "tables",
-    "timing",
+    "timing_table",
     "validation",
     "write_report",
 ]

@@ -7,18 +7,21 @@ colliding bodies and no pictures, and gives the reason.
 import warnings
 from collections.abc import Mapping
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Int
-from matplotlib.figure import Figure
 
+from htcp_jax import viewer
 from htcp_jax.errors import InputError
 from htcp_jax.motion import Plans
 from htcp_jax.reachability import Obstruction, Reach
 from htcp_jax.runs import Run
 from htcp_jax.runs import open as plan_sets
-from htcp_jax.viewer import ReachPanel, draw_cell, draw_reach, reach_picture
 from htcp_jax.viewer import replay as recordings
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class OpenedScene:
@@ -54,7 +57,7 @@ class OpenedScene:
             self._colliding_bodies[method] = {} if replays is None else replays.obstructions(method)
         return self._colliding_bodies[method]
 
-    def picture(self, number: int, method: str, title: str) -> Figure | None:
+    def picture(self, number: int, method: str, title: str) -> "Figure | None":
         """Draw a scenario's arm in its workpiece; return None if the scene cannot be read.
 
         Args:
@@ -67,9 +70,9 @@ class OpenedScene:
             return None
         replay = replays.replay(number, method)
         plans = self._plans[method].rows([number]).narrowed()
-        return draw_cell(replay.robot, replay.cloud, replay.x[:1], plans, title, replay.fixtures)
+        return viewer.draw_cell(replay.robot, replay.cloud, replay.x[:1], plans, title, replay.fixtures)
 
-    def reach_picture(self, numbers: Int[np.ndarray, "S"], reach: Int[np.ndarray, "S T"], name: str) -> Figure | None:
+    def reach_picture(self, numbers: Int[np.ndarray, "S"], reach: Int[np.ndarray, "S T"], name: str) -> "Figure | None":
         """Draw the workpiece with its targets coloured by reach; return None if the scene cannot be read.
 
         Args:
@@ -81,7 +84,7 @@ class OpenedScene:
         if replays is None:
             return None
         panels = []
-        for number, own in zip(numbers[: reach_picture.PANELS].tolist(), reach, strict=False):
+        for number, own in zip(numbers[: viewer.reach_picture.PANELS].tolist(), reach, strict=False):
             method = next((each for each, plans in self._plans.items() if plans.exists[number].any()), None)
             if method is None:
                 continue
@@ -89,6 +92,6 @@ class OpenedScene:
             path = own[: len(replay.target)] != Reach.NOT_JUDGED
             base = np.asarray(replay.robot.T_parent_joint)[0, :3, 3]
             reached = own[: len(path)][path]
-            panels.append(ReachPanel(f"scenario {number}", replay.cloud, replay.target[path], reached, base))
+            panels.append(viewer.ReachPanel(f"scenario {number}", replay.cloud, replay.target[path], reached, base))
         first = f"; the first {len(panels)} of {len(numbers)} scenarios" if len(panels) < len(numbers) else ""
-        return draw_reach(panels, f"{name}: targets by their reach{first}")
+        return viewer.draw_reach(panels, f"{name}: targets by their reach{first}")

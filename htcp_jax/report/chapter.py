@@ -5,9 +5,9 @@ import re
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from htcp_jax.jobs import PlanConfig, config_file, examples, load_config
 from htcp_jax.motion import Plans, motion
@@ -19,6 +19,9 @@ from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.timing import feed_targets, timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
 from htcp_jax.status import SegmentStatus
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_SLICES = 9  # maximum number of maps side by side
 UNITS = "rad", "m"
@@ -203,7 +206,7 @@ def label(name: str) -> str:
     return f"{re.sub(r'(?<=[a-z])(?=[0-9])', ' ', text)} [{unit}]"
 
 
-def _success(part: Part, made: dict[str, Table]) -> Figure:
+def _success(part: Part, made: dict[str, Table]) -> "Figure":
     rows = made["results"].records()
     theirs = {row["method"]: row["paper_success_percent"] for row in made["paper"].records()}
     whole = all(row["scenarios"] == len(part.numbers) for row in rows)
@@ -264,7 +267,7 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     return [*along, Picture(f"{prefix}map", figure, alt)]
 
 
-def _full_names(axes: Iterable[charts.Axis]) -> list[str]:
+def _full_names(axes: "Iterable[charts.Axis]") -> list[str]:
     """Return sentences with the values that the charts number; empty if there are none."""
     return [
         f"In the charts, {axis.label} {', '.join(f'{name}: {value}' for name, value in axis.numbered.items())}."

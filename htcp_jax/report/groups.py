@@ -4,12 +4,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Int
-from matplotlib.figure import Figure
 
 from htcp_jax.motion import Plans, motion
 from htcp_jax.report import paper
@@ -17,6 +16,9 @@ from htcp_jax.report.validation import read_validation
 from htcp_jax.runs import Run, reachability_file
 from htcp_jax.runs import labels as scenario_labels
 from htcp_jax.runs import tables as scenario_tables
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @runtime_checkable
@@ -30,7 +32,7 @@ class SceneOfRun(Protocol):
     def colliding_bodies(self, method: str) -> dict[int, Any]:
         """Return the colliding body by scenario, for the scenarios in which a method failed."""
 
-    def picture(self, number: int, method: str, title: str) -> Figure | None:
+    def picture(self, number: int, method: str, title: str) -> "Figure | None":
         """Draw a scenario's arm in its workpiece; return None if the scene cannot be read.
 
         Args:
@@ -39,7 +41,7 @@ class SceneOfRun(Protocol):
             title: The title of the figure.
         """
 
-    def reach_picture(self, numbers: Int[np.ndarray, "S"], reach: Int[np.ndarray, "S T"], name: str) -> Figure | None:
+    def reach_picture(self, numbers: Int[np.ndarray, "S"], reach: Int[np.ndarray, "S T"], name: str) -> "Figure | None":
         """Draw the workpiece with its targets coloured by reach; return None if the scene cannot be read.
 
         Args:

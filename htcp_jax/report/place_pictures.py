@@ -5,10 +5,10 @@ draw_search("out/duct")
 
 from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Int
-from matplotlib.figure import Figure
 
 from htcp_jax.io import files
 from htcp_jax.placement import mounting
@@ -20,6 +20,9 @@ from htcp_jax.report.place_tables import SearchTable, read_search
 from htcp_jax.runs import Run, open_run
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.viewer import replay
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 BEST = 3  # number of mountings with pictures
 SAMPLE = 64  # number of failed mountings whose colliding bodies are determined
@@ -42,7 +45,7 @@ def draw_search(folder: str | Path) -> list[Path]:
     return [_save_figure(folder / f"{name}.png", figure) for name, figure in figures.items()]
 
 
-def best_pictures(folder: Path, found: SearchTable) -> dict[int, Figure]:
+def best_pictures(folder: Path, found: SearchTable) -> "dict[int, Figure]":
     """Draw the best mountings, each at its seam with the smallest guaranteed clearance.
 
     Returns:
@@ -111,6 +114,6 @@ def _given(found: SearchTable, rank: int) -> str:
     return ",  ".join(f"{one.name} {v:.4g} {one.unit}".strip() for one, v in zip(found.parameters, values, strict=True))
 
 
-def _save_figure(file: Path, figure: Figure) -> Path:
+def _save_figure(file: Path, figure: "Figure") -> Path:
     files.write_atomically(file.parent, file.name, png(figure))
     return file

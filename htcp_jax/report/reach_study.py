@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 import pyarrow as pa
-from matplotlib.figure import Figure
 
+from htcp_jax import viewer
 from htcp_jax.clearance.obstacles import of_workpiece
 from htcp_jax.device import tables as lanes
 from htcp_jax.io import files, output_files
@@ -35,10 +35,10 @@ from htcp_jax.reachability import (
 from htcp_jax.report.document import Column, Table, png, write_csv
 from htcp_jax.report.tables import percent
 from htcp_jax.runs import reachability_file, tables
-from htcp_jax.viewer import ReachPanel, draw_reach
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure
 
 
 TABLE, PICTURE = "reach.csv", "reach.png"  # files in addition to reachability_file.REACHABILITY
@@ -147,14 +147,14 @@ class ReachStudy:
         """
         return tables.table_frame(pa.Table.from_pylist(self.table().records()))
 
-    def figure(self) -> Figure:
+    def figure(self) -> "Figure":
         """Draw the workpiece with every target coloured by reach."""
         panels = []
         for s, point in enumerate(self.batch.points):
             cell, T = self.batch.cells[self.batch.cell[s]], np.asarray(self.batch.scenarios.T_world_workpiece[s])
             own = self.each.reach[s] != Reach.NOT_JUDGED
             panels.append(
-                ReachPanel(
+                viewer.ReachPanel(
                     f"scenario {point.number}" if len(self.batch.points) > 1 else "",
                     cell.workpiece.shown @ T[:3, :3].T + T[:3, 3],
                     np.asarray(self.batch.scenarios.targets[s])[own],
@@ -162,7 +162,9 @@ class ReachStudy:
                     np.asarray(cell.robot.T_parent_joint)[0, :3, 3],
                 )
             )
-        return draw_reach(panels, f"{self.name}: {self.counts[Reach.REACHABLE]:,} of {self._total:,} targets reachable")
+        return viewer.draw_reach(
+            panels, f"{self.name}: {self.counts[Reach.REACHABLE]:,} of {self._total:,} targets reachable"
+        )
 
     @property
     def _total(self) -> int:

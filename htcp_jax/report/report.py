@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import pyarrow as pa
-from matplotlib.figure import Figure
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import files
@@ -27,6 +26,7 @@ from htcp_jax.runs import tables as run_tables
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure
 
 
 class Report(NamedTuple):
@@ -38,7 +38,7 @@ class Report(NamedTuple):
     tables: tuple[Table, ...]  # of all parts, for CSV; the first column is the part
 
     @property
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> "dict[str, Figure]":
         """Charts of the report, by the stems of their file names."""
         return {block.name: block.figure for block in self.blocks if isinstance(block, Picture)}
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from jaxtyping import Int
-from scipy import stats
 
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.motion import Plans, motion
@@ -124,7 +124,7 @@ def pairs(part: Part) -> Table:
     for method in counts.keys() - {best}:
         apart = (counts[method] - counts[best])[planned[method] & planned[best]]
         more, fewer = int((apart > 0).sum()), int((apart < 0).sum())
-        p = float(stats.binomtest(more, more + fewer).pvalue) if more + fewer else None
+        p = float(scipy.stats.binomtest(more, more + fewer).pvalue) if more + fewer else None
         equal = len(apart) - more - fewer
         rows.append({"method": method, "other": best, "more": more, "fewer": fewer, "equal": equal, "p": p})
     rows.sort(key=lambda row: list(counts).index(row["method"]))

@@ -8,8 +8,8 @@ Otherwise s is the curve's own parameter u.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 
 from htcp_jax.model import Robot
 from htcp_jax.trajectory.curve import Blend, Curve, Derivatives
@@ -25,7 +25,7 @@ class PathCurve(NamedTuple):
     curve: Curve
     place: Float[np.ndarray, "m"]  # grid of s: [m] if the tool follows the path, else time at full speed [s]
     at_corner: Float[np.ndarray, "k 2"]  # s at the begin and end of each corner
-    spline: CubicSpline | None  # u(s); None: s is u
+    spline: "scipy.interpolate.CubicSpline | None"  # u(s); None: s is u
 
     def u(self, place: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the curve's own parameter u at positions s."""
@@ -53,9 +53,9 @@ def path_of_blend(robot: Robot, blend: Blend) -> PathCurve:
     u = _without_coinciding(curve, u)
     here = curve.at(u)
     rate = np.linalg.norm(np.einsum("nij,nj->ni", tcp_at(robot, here.x)[1], here.first), axis=1)
-    length = CubicSpline(u, rate).antiderivative()
+    length = scipy.interpolate.CubicSpline(u, rate).antiderivative()
     place = length(u)
-    return PathCurve(curve, place, length(ends), CubicSpline(place, u))
+    return PathCurve(curve, place, length(ends), scipy.interpolate.CubicSpline(place, u))
 
 
 def _without_coinciding(curve: Curve, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:

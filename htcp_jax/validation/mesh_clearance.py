@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
@@ -28,6 +27,8 @@ def read_triangles(path: str | Path) -> Triangles:
     Raises:
         InputError: If the file cannot be read.
     """
+    import trimesh  # here, as the import is slow and only meshes need it
+
     try:
         data, ending = io.BytesIO(files.read_bytes(Path(path))), Path(path).suffix.lower()[1:]
         mesh: Any = trimesh.load(data, file_type=ending, force="mesh", process=False, skip_materials=True)
@@ -76,6 +77,8 @@ def point_distances(p: Points, q: Points, points: Points) -> Float[np.ndarray, "
 
 
 def _triangle_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, "m"]:
+    import trimesh
+
     ends = [_size(trimesh.triangles.closest_point(triangles, end) - end) for end in (p, q)]
     corners = np.moveaxis(triangles, 1, 0)
     edges = [_segment_distance(p, q, corners[k], corners[k - 1]) for k in range(3)]

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
@@ -323,6 +322,8 @@ class MujocoCell:
 
     def _is_hollow(self, geom: int, excluded: frozenset[int]) -> bool:
         """Return True if a geom is a non-convex mesh; such a mesh is added as a wall of triangles."""
+        import trimesh  # here, as the import is slow and few cells need it
+
         model = self._model
         if model.geom_type[geom] != _MESH:
             return False
