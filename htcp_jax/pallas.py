@@ -5,9 +5,16 @@ The kernels use Pallas' Triton backend. If `Backend.interprets` is True, they ru
 
 from collections.abc import Callable
 
-from jax.experimental import pallas as pl
+import jax
 
 from htcp_jax.backend import backend, triton
+
+
+def instance() -> jax.Array:
+    """Return the index of the running instance of a kernel."""
+    from jax.experimental import pallas as pl
+
+    return pl.program_id(0)
 
 
 def kernel(program: Callable, out, programs: int, warps: int = 1) -> Callable:
@@ -19,6 +26,8 @@ def kernel(program: Callable, out, programs: int, warps: int = 1) -> Callable:
         programs: Number of instances of `program`, the size of the grid.
         warps: Warps per instance.
     """
+    from jax.experimental import pallas as pl  # here, as the import is slow and only GPUs need it
+
     return pl.pallas_call(
         program,
         out_shape=out,

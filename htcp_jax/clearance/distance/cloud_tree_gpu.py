@@ -10,12 +10,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.experimental import pallas as pl
 
 from htcp_jax.clearance.distance.bounding_discs import LineSegments, lower_bounds, single, squared_distance
 from htcp_jax.clearance.distance.branch_and_bound import FAN, NONE_LEFT, least_number, number_mask, order_keys
 from htcp_jax.clearance.distance.cloud_index import CloudIndex
-from htcp_jax.pallas import kernel
+from htcp_jax.pallas import instance, kernel
 from htcp_jax.types import Array, Float, Int
 
 
@@ -63,7 +62,7 @@ def _branches(index: CloudIndex) -> Float[Array, "8 n"]:
 def _tree_kernel(shared, branch_count, bodies, p, q, radius, limit, branches, leaves, points, out):
     one = partial(_nearest_leaf, branch_count, p, q, radius, branches, leaves, points)
     if not shared:
-        body = pl.program_id(0)
+        body = instance()
         out[body] = one(body, limit[body])[1]
         return
 
@@ -109,7 +108,7 @@ def _least_of_branch(measure, branch_count, rows, p, q, reach, start, *refs):
     All points of a branch are measured at once: with 32 threads, selecting leaves takes longer.
     """
     *refs, branches, points, out = refs
-    body = pl.program_id(0)
+    body = instance()
     segment, within = _segment(p, q, body), reach[body]
     own = [_row_of_body(ref, body) for ref in refs[:rows]]
     number = jax.lax.broadcasted_iota(jnp.int32, (FAN * FAN,), 0)

@@ -5,9 +5,8 @@ It has one instance per point, which returns at once if the point need not be me
 
 import jax
 import jax.numpy as jnp
-from jax.experimental import pallas as pl
 
-from htcp_jax.pallas import kernel
+from htcp_jax.pallas import instance, kernel
 from htcp_jax.types import Array, Bool, Float, Int
 
 BLOCK = 256  # facets per block
@@ -32,7 +31,9 @@ def highest(
 
 
 def _height_kernel(points, blocks, table, facet, height):
-    k = pl.program_id(0)
+    from jax.experimental import pallas as pl
+
+    k = instance()
     x, y, z = (points[k, i] for i in range(3))
     number = jax.lax.broadcasted_iota(jnp.int32, (BLOCK,), 0)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from htcp_jax import solvers
 from htcp_jax.errors import InputError
 from htcp_jax.motion import CollisionChecker, Plans, Problem
 from htcp_jax.planning.method import Method
@@ -14,7 +15,7 @@ from htcp_jax.planning.tracking.first_calls import first_calls
 from htcp_jax.planning.tracking.stages import Recoveries
 from htcp_jax.planning.tracking.work import Work
 from htcp_jax.settings import Settings
-from htcp_jax.solvers import ClarabelSolver, QPSolversSolver, step_qp
+from htcp_jax.solvers import step_qp
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,10 @@ def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) 
         return None
     name, _, backend = settings.qp.partition(":")
     makers: dict[str, Callable[[], step_qp.QPSolver]] = {
-        "clarabel": lambda: ClarabelSolver(2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance, task_rows),
-        "qpsolvers": lambda: QPSolversSolver(backend),
+        "clarabel": lambda: solvers.ClarabelSolver(
+            2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance, task_rows
+        ),
+        "qpsolvers": lambda: solvers.QPSolversSolver(backend),
     }
     if name not in makers:
         raise InputError(f"qp is {settings.qp!r}; valid: clarabel, device, qpsolvers:<name of a solver>")
