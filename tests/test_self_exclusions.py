@@ -88,6 +88,33 @@ def test_capsules_whose_meshes_never_touch_are_not_checked_and_those_whose_meshe
     assert ("a", "c") not in through and ("a", "d") not in through
 
 
+WRIST = """<mujoco model="wrist"><compiler angle="radian"/><worldbody>
+  <body name="a"><joint axis="0 0 1" range="-1 1"/><geom type="box" size="0.15 0.15 0.01"/>
+    <body name="b"><joint axis="0 0 1" range="-1 1"/><geom type="box" size="0.01 0.01 0.02"/>
+      <body name="c" pos="0 0 {height}"><joint axis="0 1 0" range="-{range} {range}"/>
+        <geom type="box" size="0.12 0.12 0.01"/><site name="tcp" pos="0 0 0.05"/>
+  </body></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("height", "range_rad", "rule"),
+    [(0.1, 1.2, None), (0.1, 0.5, "c"), (0.0, 1.2, "b")],
+    ids=["some", "never", "always"],
+)
+def test_meshes_decide_on_links_that_are_not_adjacent_where_capsules_always_overlap(
+    htcp, tmp_path, height, range_rad, rule
+):
+    """Regression: a torch was not tested against the forearm, as their capsules overlap in every configuration.
+
+    The capsules about the plates a and c have radii of 0.2 m. The plates touch if c turns by more than 0.85 rad.
+    """
+    (tmp_path / "wrist.xml").write_text(WRIST.format(height=height, range=range_rad))
+    htcp("robot", tmp_path / "wrist.xml", "--out", tmp_path / "arm.xml", "--most", 1)
+    arm = load_robot(tmp_path / "arm.xml")
+    listed = {frozenset((arm.capsule_names[a], arm.capsule_names[b])): kind for a, b, kind, _ in arm.exclusions}
+    assert listed.get(frozenset("ac")) == rule
+
+
 def test_a_pair_that_is_always_nearer_than_any_margin_is_not_checked(tmp_path):
     """Regression: the UR5's wrist, whose capsules are 0.08 mm apart at every configuration, could not plan at all."""
     bodies = "".join(

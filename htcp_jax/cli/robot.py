@@ -224,7 +224,11 @@ def _excluded_pairs(arm: robots.ImportedArm, made: Robot, progress: Callable[[in
         one, other = (names[k] for k in pair)
         return meshes.touch(one, other, x, at, np.flatnonzero(overlap))
 
-    return [(names[a], names[b], rule, share) for a, b, rule, share in self_exclusions.find_exclusions(made, touch)]
+    def touching_share(pair: tuple[int, int]) -> float:
+        return meshes.touching_share(*(names[k] for k in pair), at)
+
+    found = self_exclusions.find_exclusions(made, touch, touching_share)
+    return [(names[a], names[b], rule, share) for a, b, rule, share in found]
 
 
 def _robot_table(arm: robots.ImportedArm) -> Table:

@@ -4,7 +4,8 @@ Capsules are larger than links, so that some overlap in every configuration. A p
 
 a  the model excludes it: an <exclude> of MJCF, a <disable_collisions> of SRDF; or
 b  it overlaps, or is within NEAR_M, in at least 95 % of 10,000 random configurations within the joint limits; or its
-   links are joined by a slide, as in a telescope, and some of their capsules overlap in at least 95 % of them; or
+   links are joined by a slide, as in a telescope, and some of their capsules overlap in at least 95 % of them. If the
+   links are not adjacent and there are the vendor's meshes, these must overlap by more than 1 mm as often; or
 c  it overlaps in some of these configurations, but in none of them the vendor's meshes in the two capsules overlap by
    more than 1 mm. Without meshes this applies to adjacent links only.
 
@@ -35,6 +36,7 @@ TOGETHER = 500  # configurations measured at a time
 Pairs = tuple[tuple[int, int], ...]
 Samples = Float[np.ndarray, "n N"]
 Touch = Callable[[tuple[int, int], Bool[np.ndarray, "n"]], bool]
+Share = Callable[[tuple[int, int]], float]
 
 
 def candidates(robot: Robot) -> Pairs:
@@ -59,13 +61,16 @@ def distances(robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples) -> Flo
     return np.asarray(_sampled_distances(robot, tuple(pairs), x))
 
 
-def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[robots.Exclusion, ...]:
+def find_exclusions(
+    robot: Robot, touch: Touch | None = None, touching_share: Share | None = None
+) -> tuple[robots.Exclusion, ...]:
     """Return the pairs that rules b and c exclude, without those that the model excludes.
 
     Args:
         robot: The robot.
         touch: Function of a pair and of a mask of the `samples` that returns True if the vendor's meshes in the two
             capsules touch in any of the marked samples. None: there are no meshes.
+        touching_share: Function of a pair that returns the share of the `samples` in which these meshes touch [1].
     """
     stated = {(each.first, each.second) for each in robot.exclusions}
     pairs = [pair for pair in candidates(robot) if pair not in stated]
@@ -79,8 +84,11 @@ def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[robots.Ex
     found = []
     for k, (pair, share) in enumerate(zip(pairs, overlap.mean(axis=0).tolist(), strict=True)):
         own = not set(pair) & set(robot.mounted)
-        if near[k] >= ALWAYS or (own and share and _telescopes(robot, pairs, overlap, pair)):
-            found.append(robots.Exclusion(*pair, "b", near[k] if near[k] >= ALWAYS else share))
+        always = near[k] >= ALWAYS
+        if always and touching_share and own and share and not _adjacent(robot, pair):
+            always = touching_share(pair) >= ALWAYS
+        if always or (own and share and _telescopes(robot, pairs, overlap, pair)):
+            found.append(robots.Exclusion(*pair, "b", near[k] if always else share))
         elif own and share and (_adjacent(robot, pair) if touch is None else not touch(pair, overlap[:, k])):
             found.append(robots.Exclusion(*pair, "c", share))
     return tuple(found)

@@ -174,6 +174,18 @@ class LinkMeshes:
                         return True
         return False
 
+    def touching_share(self, one: str, other: str, at: Poses) -> float:
+        """Return the share [1] of some poses in which two capsules' pieces overlap by more than TOUCHING_M.
+
+        Args:
+            one: Name of a capsule.
+            other: Name of another capsule.
+            at: Poses of the bodies.
+        """
+        some = np.arange(len(at.position))[:: max(1, len(at.position) // SAMPLES)]
+        deep = (self.deepest_m(one, other, at, some[k : k + 1], robots.TOUCHING_M) for k in range(len(some)))
+        return float(np.mean([each > robots.TOUCHING_M for each in deep]))
+
     def _distance_m(self, one: str, other: str, at: Poses, k: int | np.integer) -> float:
         """Return the distance between two pieces [m]; minus the penetration depth if they overlap."""
         apart = fcl.distance(self._placed(one, at, k), self._placed(other, at, k))
