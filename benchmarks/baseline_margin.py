@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
 from htcp_jax.report.charts.style import new_figure
@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     arguments = parser.parse_args()
-    compile_cache.enable()
+    cache_folder.enable()
     spec = load_sweep(ROOT / "sweeps/workpiece.yaml", ROOT / "configs/paper.yaml", arguments.overrides)
     batch = spec.batch()
     success = np.zeros((len(TOLERANCES), len(MARGINS_M)))

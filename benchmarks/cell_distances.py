@@ -22,11 +22,11 @@ import numpy as np
 import trimesh
 
 from benchmarks import hardware
+from htcp_jax import cache_folder
 from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures
 from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import distances
-from htcp_jax.device import compile_cache
 from htcp_jax.io.cell import load_cell
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.mjcf import arm_xml
@@ -90,7 +90,7 @@ def main() -> None:
     parser.add_argument("--configurations", type=int, default=10_000)
     parser.add_argument("models", nargs="*", metavar="MODEL[:TCP]")
     requested = parser.parse_args()
-    compile_cache.enable()
+    cache_folder.enable()
     print(hardware.line())
     with tempfile.TemporaryDirectory() as scratch:
         for file in [GP50, *(read(model, Path(scratch)) for model in requested.models)]:

@@ -17,12 +17,12 @@ import numpy as np
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
+from htcp_jax import cache_folder
 from htcp_jax.clearance import Obstacles, clearance
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.obstacles.linearisation import linearise
 from htcp_jax.clearance.obstacles.obstacles import all_clear
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.device import compile_cache
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
 from htcp_jax.model.kinematics import capsule_segments
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the times as JSON, too")
     chosen = parser.parse_args()
-    compile_cache.enable()
+    cache_folder.enable()
     job = load_config(ROOT / "configs/duct.yaml", chosen.overrides)
     robot, workpiece, where = scene(job)
     random = np.random.default_rng(0)

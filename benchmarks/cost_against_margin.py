@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import htcp_jax
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 from htcp_jax.report.charts.style import LINES, new_figure, plain_axes
 from htcp_jax.solvers.path_qp import path_cost
 
@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     arguments = parser.parse_args()
-    compile_cache.enable()
+    cache_folder.enable()
     costs = {smooth: [] for smooth in SMOOTH}
     for margin_mm in MARGINS_MM:
         for smooth, row in costs.items():

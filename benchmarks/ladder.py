@@ -26,8 +26,9 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from benchmarks import hardware
+from htcp_jax import cache_folder
 from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
-from htcp_jax.device import compile_cache, devices
+from htcp_jax.device import devices
 from htcp_jax.jobs.grid import Batch, load_sweep
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion import Problem
@@ -165,7 +166,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=5000)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     chosen = parser.parse_args()
-    compile_cache.enable()
+    cache_folder.enable()
     batch = load_sweep(chosen.sweep, chosen.config, chosen.overrides).batch()
     numbers = batch.scenarios.number.tolist()
     print(hardware.line())

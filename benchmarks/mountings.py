@@ -20,7 +20,7 @@ from jaxtyping import Float
 from scipy.optimize import differential_evolution
 
 from benchmarks import hardware
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 from htcp_jax.jobs.grid import Sweep
 from htcp_jax.placement.place_file import Search, load_search
 from htcp_jax.placement.scores import evaluate_raised
@@ -136,7 +136,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int)
     parser.add_argument("--out", type=Path, default=Path("out/mountings"))
     requested = parser.parse_args()
-    compile_cache.enable()
+    cache_folder.enable()
     print(hardware.line())
     found = []
     spec = load_search(requested.file, changes={"objective": "clearance"})

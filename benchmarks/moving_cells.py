@@ -22,11 +22,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import cell_distances, hardware
 from benchmarks.cell_distances import FAR_M, WEDGE, Compared, Ring, compared
+from htcp_jax import cache_folder
 from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures
 from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import distances
-from htcp_jax.device import compile_cache
 from htcp_jax.io.cell import load_cell
 from htcp_jax.jobs import build, load_config
 from htcp_jax.model import Robot, kinematics
@@ -70,7 +70,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--configurations", type=int, default=10_000)
     count = parser.parse_args().configurations
-    compile_cache.enable()
+    cache_folder.enable()
     print(hardware.line())
     with tempfile.TemporaryDirectory() as scratch:
         for name, cell in cells(Path(scratch)).items():

@@ -47,7 +47,7 @@ TEST_FILES = 3
 MODEL = "convex_hull goals inverse_kinematics kinematics path_frames robot surface task task_rows".split()
 MODULES = [f"model/{name}.py" for name in MODEL] + ["io/robots/capsule_fit.py", "numerics.py"]
 MODULES += [f"{package}/**/*.py" for package in "solvers clearance device motion planning reachability".split()]
-NO_MATHEMATICS = "compile_cache.py", "devices.py", "processes.py", "registry.py", "__init__.py"
+NO_MATHEMATICS = "cache_folder.py", "devices.py", "processes.py", "registry.py", "__init__.py"
 NOT_COPIED = shutil.ignore_patterns(".git", ".venv", "build", "dist", "out", "site", "__pycache__", ".*_cache")
 FAMILIES = "Add Sub Mul Div FloorDiv Mod Pow", "RShift LShift BitOr BitAnd BitXor", "Eq NotEq Lt LtE Gt GtE", "Is IsNot"
 

@@ -21,8 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
+from htcp_jax import cache_folder
 from htcp_jax.clearance import Scene, own_scene
-from htcp_jax.device import Executor, compile_cache
+from htcp_jax.device import Executor
 from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.device.lane_function import DEEP_LOOP, LaneFunction
 from htcp_jax.jobs.grid import load_sweep
@@ -487,7 +488,7 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(EXPERIMENTS), help=f"of {', '.join(EXPERIMENTS)}")
     parser.add_argument("--cloud", choices=OVERRIDES, default="measured")
     chosen = parser.parse_args()
-    compile_cache.enable()
+    cache_folder.enable()
     for name in chosen.only.split(","):
         print(f"\n## {name}: {EXPERIMENTS[name].__doc__} Cloud: {chosen.cloud}.")
         EXPERIMENTS[name](Runs(chosen.cloud))

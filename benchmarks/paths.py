@@ -24,7 +24,7 @@ import htcp_jax
 from benchmarks import hardware
 from benchmarks.path_check import Verdicts, check, reachable
 from benchmarks.path_problems import IKLINK, PathProblem, made, problems, read_problem
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 from htcp_jax.settings import Settings
 
 ROW = "{:18} {:>9} {:>6} {:>8} {:>6} {:>6} {:>9} {:>5} {:>8} {:>8} {:>7} {:>6} {:>9} {:>8}"
@@ -145,7 +145,7 @@ def main() -> None:
     names = known if requested.problems is None else requested.problems.split(",")
     if unknown := set(names) - set(known):
         parser.error(f"{', '.join(sorted(unknown))}: no problem; valid: {', '.join(known)}")
-    compile_cache.enable()
+    cache_folder.enable()
     print(hardware.line())
     print(ROW.format(*HEAD), flush=True)
     for name in names:

@@ -34,7 +34,7 @@ from scipy.spatial import cKDTree
 from benchmarks import hardware, peer_motions, peer_planners, peer_trajopt
 from benchmarks.figures import Figure, save
 from benchmarks.peer_planners import Advance, Task
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 from htcp_jax.jobs.grid import Batch, load_sweep
 from htcp_jax.model.robot import GP50
 from htcp_jax.planning.batch import plan
@@ -180,7 +180,7 @@ def main() -> None:
     points = f"{len(batch.workpiece.cloud):,} points"
     print(f"{batch.workpiece.name}, {points}; {requested.scenarios} of {POSES} poses, {targets:,} targets")
     if requested.motions:
-        compile_cache.enable()
+        cache_folder.enable()
         parts = [point.config.workpiece for point in batch.points]
         print("turned about y, z [rad]:", ", ".join(f"{p.rotation_y_rad:g} {p.rotation_z_rad:g}" for p in parts))
         for row in peer_motions.rows(batch, planners, requested.limit_s):

@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.inverse_kinematics import reanchor
@@ -69,5 +69,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    compile_cache.enable()
+    cache_folder.enable()
     main()

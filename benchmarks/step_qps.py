@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from benchmarks import hardware
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.tracking import step_qps
@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=100_000)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     chosen = parser.parse_args()
-    compile_cache.enable()
+    cache_folder.enable()
     print(hardware.line())
     for config in ("paper", "duct"):
         qps = _recorded(config, chosen.overrides, chosen.count // 2)

@@ -16,8 +16,9 @@ import numpy as np
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
+from htcp_jax import cache_folder
 from htcp_jax.cli.output import claim_device
-from htcp_jax.device import Executor, compile_cache
+from htcp_jax.device import Executor
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.summary import summarise
@@ -43,7 +44,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the seconds and counts as JSON, too")
     chosen = parser.parse_args()
-    compile_cache.enable()
+    cache_folder.enable()
     claim_device(chosen.device)  # before anything is computed
     spent = _watch() if chosen.profile else {}
     print(hardware.line())

@@ -15,7 +15,7 @@ Kinematics, clearance and the null-space objective are pure functions of arrays,
     jax.grad(htcp_jax.clearance.clearance, argnums=3)(plan.robot, obstacle, plan.scenario, x)
 
 The names in `__init__.pyi` are public; each is loaded when it is first used. The first use of any of them also enables
-the cache of compiled functions (see `device.compile_cache`) and the display of figures in notebooks. Every subpackage
+the cache of compiled functions (see `cache_folder`) and the display of figures in notebooks. Every subpackage
 lists its public names in an `__init__.pyi`, too.
 """
 
@@ -26,7 +26,7 @@ import time
 
 import lazy_loader
 
-_imported_s = time.time()  # source files changed later may differ from the imported code, see `executable_key`
+_imported_s = time.time()  # source files changed later may differ from the imported code, see `cache_key`
 
 # On a CPU, XLA compiles a loop to a series of small kernels, which its thread pool or a library (YNNPACK) runs one by
 # one. Our loops consist of hundreds of tiny kernels. With these flags each loop is one native function. It takes half
@@ -50,6 +50,6 @@ _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 def __getattr__(name: str):
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public names: {', '.join(__all__)}")
-    importlib.import_module("htcp_jax.device.compile_cache").enable()
+    importlib.import_module("htcp_jax.cache_folder").enable()
     importlib.import_module("htcp_jax.notebook").show_figures()
     return _load(name)

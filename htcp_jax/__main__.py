@@ -1,12 +1,16 @@
 """Entry point of `htcp` and of `python -m htcp_jax`. It installs signal handlers before it imports JAX."""
 
+import gc
 import sys
 from typing import NoReturn
 
 from htcp_jax.process_exit import run
 
+OBJECTS = 100_000  # new objects after which Python collects garbage: imports create a million that remain
+
 
 def _command() -> int:
+    gc.set_threshold(OBJECTS)
     from htcp_jax.cli import main  # here, as the import takes a second
 
     return main()

@@ -1,13 +1,17 @@
-"""Decorators that cache results: by the identity of an object, or by the values of an array."""
+"""Decorators that cache results: by the identity of an object, or by the values of arguments."""
 
-import hashlib
+import pickle
+import time
 import weakref
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
+from types import FunctionType
 from typing import Any
 
-import numpy as np
+from htcp_jax import cache_folder
 
+SLOW_S = 0.02  # results that take longer to compute are stored in the cache folder, too
+LARGEST = cache_folder.MOST_BYTES // 16  # maximum size of a stored result
 _MISSING = object()
 
 
@@ -33,27 +37,47 @@ def cached_for_last(most: int) -> Callable[[Callable], Callable]:
     return decorated
 
 
-def cached_by_values(most: int) -> Callable[[Callable], Callable]:
-    """Return a decorator for a function of an array and of hashable arguments. It caches the results by their values.
+def cached_by_values(most: int) -> Callable[[FunctionType], Callable]:
+    """Return a decorator for a function of the core. It caches the results by the values of the arguments.
 
-    For example, a workpiece that is loaded twice is prepared once. Callers share the results and must not change them.
+    For example, a workpiece that is loaded twice is prepared once. Slow results are stored in the cache folder for
+    other processes, if it is enabled. Callers share the results and must not change them.
 
     Args:
-        most: Maximum number of cached results; the least recently used ones are dropped.
+        most: Maximum number of results in memory; the least recently used ones are dropped.
     """
 
-    def decorated(function: Callable) -> Callable:
-        results: dict[tuple, Any] = {}
+    def decorated(function: FunctionType) -> Callable:
+        results: dict[str, Any] = {}
 
         @wraps(function)
-        def result(array: np.ndarray, *others: Any) -> Any:
-            values = hashlib.blake2b(np.ascontiguousarray(array)).digest()
-            key = values, array.shape, array.dtype.str, *others
-            return _last_used(results, key, lambda: function(array, *others), most)
+        def result(*arguments: Any, **named: Any) -> Any:
+            from htcp_jax import cache_key  # here, as it imports JAX, and a job is read without JAX
+
+            key = repr(cache_key.described((arguments, named)))
+            return _last_used(results, key, lambda: _stored_result(partial(function, *arguments, **named)), most)
 
         return result
 
     return decorated
+
+
+def _stored_result(call: partial) -> Any:
+    """Return the result of a call from the cache folder, or compute it, and store it if this takes over SLOW_S."""
+    from htcp_jax import cache_key
+
+    key = cache_key.result_key(call) if cache_folder.folder() else None
+    if key is not None and (content := cache_folder.read(key)) is not None:
+        try:
+            return pickle.loads(content)
+        except Exception:  # a damaged pickle raises exceptions of many types
+            pass
+    start_s = time.perf_counter()
+    found = call()
+    if key is not None and time.perf_counter() - start_s > SLOW_S:
+        if len(content := pickle.dumps(found)) <= LARGEST:
+            cache_folder.write(key, content)
+    return found
 
 
 def _last_used(results: dict, key: Any, compute: Callable[[], Any], most: int) -> Any:

@@ -8,12 +8,12 @@ import hypothesis
 import jax
 import pytest
 
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 from htcp_jax.errors import InputError
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-compile_cache.enable()
+cache_folder.enable()
 MAPS, MAX_MAPS = Path("/proc/self/maps"), 20_000
 hypothesis.settings.register_profile("patient", deadline=None)  # no test depends on how busy the machine is
 hypothesis.settings.load_profile("patient")

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -18,13 +19,13 @@ import toy
 from jax.experimental.compilation_cache import compilation_cache
 
 import htcp_jax
-from htcp_jax import numerics
+from htcp_jax import cache_folder, cache_key, caching, numerics
 from htcp_jax.cli.main import main
-from htcp_jax.device import Executor, compile_cache, executable_key, kept_executables
+from htcp_jax.device import Executor, kept_executables
 from htcp_jax.device.executor import COMPILER, ExecutableCache
 from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.errors import InputError
-from htcp_jax.model import kinematics
+from htcp_jax.model import duct, kinematics
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion.lane_inputs import lane_inputs
@@ -41,7 +42,7 @@ def folder(tmp_path, monkeypatch):
     jax.config.update("jax_compilation_cache_dir", None)
     monkeypatch.setenv("HTCP_CACHE", str(tmp_path / "cache"))
     compilation_cache.reset_cache()
-    yield compile_cache.enable()
+    yield cache_folder.enable()
     jax.config.update("jax_compilation_cache_dir", before)
     compilation_cache.reset_cache()
 
@@ -66,7 +67,7 @@ def traced(call):
 
 def files(folder):
     """The short file that names the program, and the program."""
-    return sorted((folder / compile_cache.EXECUTABLES).iterdir(), key=lambda file: file.stat().st_size)
+    return sorted((folder / cache_folder.STORED).iterdir(), key=lambda file: file.stat().st_size)
 
 
 def test_what_one_process_compiled_another_one_loads_without_tracing_with_equal_bits(folder):
@@ -118,13 +119,13 @@ def test_a_file_of_another_executable_is_not_unpickled(folder):
     *_, file = files(folder)
     other = file.with_name(file.name[:-1] + ("0" if file.name[-1] != "0" else "1"))
     shutil.copy(file, other)
-    assert compile_cache.read_executable(file.name) and compile_cache.read_executable(other.name) is None
+    assert cache_folder.read(file.name) and cache_folder.read(other.name) is None
 
 
 def test_content_that_does_not_load_is_done_without(folder):
-    compile_cache.write_executable("a-0", b"a-1")
-    compile_cache.write_executable("a-1", b"no executable")
-    assert compile_cache.read_executable("a-1") == b"no executable"
+    cache_folder.write("a-0", b"a-1")
+    cache_folder.write("a-1", b"no executable")
+    assert cache_folder.read("a-1") == b"no executable"
     assert kept_executables.find("a-0", jax.devices()[0], ()) is None
 
 
@@ -134,9 +135,9 @@ def test_executables_are_read_only_from_a_folder_of_the_user_alone(folder, mode)
     settled()
     file, _ = files(folder)
     file.parent.chmod(mode)
-    assert compile_cache.read_executable(file.name) is None
+    assert cache_folder.read(file.name) is None
     file.parent.chmod(0o700)
-    assert compile_cache.read_executable(file.name)
+    assert cache_folder.read(file.name)
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no permissions here")
@@ -145,21 +146,21 @@ def test_a_folder_that_others_can_write_is_refused_in_one_line(folder, mode, cap
     jax.config.update("jax_compilation_cache_dir", None)
     folder.chmod(mode)
     with pytest.raises(InputError, match=f"chmod 700 {folder}"):
-        compile_cache.enable()
+        cache_folder.enable()
     assert main(["doctor"]) == 2 and capsys.readouterr().err.count("\n") == 1
 
 
 def test_files_that_were_not_used_for_the_longest_time_are_removed(folder, monkeypatch):
     for age, name in enumerate(("new", "used", "old")):
-        compile_cache.write_executable(name, bytes(1000))
-        os.utime(folder / compile_cache.EXECUTABLES / name, (1e9 - age, 1e9 - age))
+        cache_folder.write(name, bytes(1000))
+        os.utime(folder / cache_folder.STORED / name, (1e9 - age, 1e9 - age))
     (folder / "jit_old-cache").write_bytes(bytes(1000))  # of JAX's own cache
     os.utime(folder / "jit_old-cache", (1e8, 1e8))
     (folder / "thesis.txt").write_bytes(bytes(1000))  # of somebody else
     os.utime(folder / "thesis.txt", (1e7, 1e7))
-    assert compile_cache.read_executable("used")
-    monkeypatch.setattr(compile_cache, "MOST_BYTES", 3500)
-    compile_cache.write_executable("last", bytes(1000))
+    assert cache_folder.read("used")
+    monkeypatch.setattr(cache_folder, "MOST_BYTES", 3500)
+    cache_folder.write("last", bytes(1000))
     assert {file.name for file in files(folder)} == {"last", "new", "used"} and not (folder / "jit_old-cache").exists()
     assert (folder / "thesis.txt").exists()
 
@@ -169,7 +170,7 @@ def key_of(lane_function, settings=toy.SETTINGS, tables=(), scene=None):
     shapes = tuple((np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves)
     device = jax.devices()[0]
     values = lane_function.values(settings)
-    return executable_key.source_key(lane_function, values, device, COMPILER["cpu"], structure, shapes)
+    return cache_key.source_key(lane_function, values, device, COMPILER["cpu"], structure, shapes)
 
 
 def built_in():
@@ -205,8 +206,8 @@ def test_code_of_others_has_no_name():
         link: int
 
     for own in (Row(1), key_of, lambda x: x, partial(key_of, 1), object(), LaneFunction("own", key_of, STEP)):
-        with pytest.raises(executable_key.UnknownSource):
-            executable_key.described((own,))
+        with pytest.raises(cache_key.UnknownSource):
+            cache_key.described((own,))
     assert (
         key_of(LaneFunction("own", key_of, STEP)) is None and key_of(LaneFunction("a", abs, STEP, parts=(Row,))) is None
     )
@@ -215,7 +216,7 @@ def test_code_of_others_has_no_name():
 def test_source_that_changed_while_the_process_runs_has_no_name(monkeypatch):
     """The process may run what was in the file before."""
     assert key_of(TIP)
-    newest = max(file.stat().st_mtime for file in executable_key._source_files())
+    newest = max(file.stat().st_mtime for file in cache_key._source_files())
     monkeypatch.setattr(htcp_jax, "_imported_s", newest)
     assert key_of(TIP) is None
 
@@ -225,7 +226,7 @@ def test_source_that_was_replaced_by_an_older_file_has_no_name(monkeypatch):
     now = htcp_jax._imported_s
     for changed, is_named in ((now - 1, True), (now + 1, False)):
         known = SimpleNamespace(st_mtime=0.0, st_ctime=changed)
-        monkeypatch.setattr(executable_key, "os", SimpleNamespace(stat=lambda _: known, environ=os.environ))  # noqa: B023
+        monkeypatch.setattr(cache_key, "os", SimpleNamespace(stat=lambda _: known, environ=os.environ))  # noqa: B023
         assert (key_of(TIP) is not None) == is_named
 
 
@@ -255,14 +256,15 @@ def test_a_process_that_replaced_a_method_of_the_core_gets_no_name(monkeypatch):
 
 
 def test_the_source_in_a_name_is_that_of_the_core():
-    assert list(executable_key.CORE) == lint.CORE
+    assert list(cache_key.CORE) == lint.CORE
 
 
 INVERSE = """
 import jax, jax.numpy as jnp, numpy as np
 import htcp_jax
-from htcp_jax.device import compile_cache, kept_executables
-compile_cache.enable()
+from htcp_jax import cache_folder
+from htcp_jax.device import kept_executables
+cache_folder.enable()
 device, x = jax.devices("cpu")[0], (jnp.eye(3) + 0.1,)
 found = kept_executables.find("source", device, x)
 made = found is None
@@ -281,3 +283,20 @@ def test_an_executable_that_calls_lapack_runs_in_a_process_that_only_loads_it(tm
     assert [run.returncode for run in runs] == [0, 0], runs[1].stderr
     (first, inverse), (second, loaded) = (run.stdout.split(" ", 1) for run in runs)
     assert (first, second) == ("True", "False") and inverse == loaded
+
+
+def test_a_slow_result_is_stored_for_the_next_process_and_computed_again_if_its_file_is_damaged(folder, monkeypatch):
+    points, drawn = duct.duct_cloud.__wrapped__, duct.duct_cloud.__wrapped__(40)
+
+    def in_a_new_process():
+        return caching.cached_by_values(2)(points)(40)
+
+    monkeypatch.setattr(caching, "SLOW_S", np.inf)
+    assert np.array_equal(in_a_new_process(), drawn) and not files(folder)
+    monkeypatch.setattr(caching, "SLOW_S", 0.0)
+    assert np.array_equal(in_a_new_process(), drawn)
+    (file,) = files(folder)
+    cache_folder.write(file.name, pickle.dumps("stored"))
+    assert in_a_new_process() == "stored"
+    cache_folder.write(file.name, b"no pickle")
+    assert np.array_equal(in_a_new_process(), drawn)

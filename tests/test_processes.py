@@ -16,7 +16,8 @@ import pytest
 import toy
 
 import htcp_jax
-from htcp_jax.device import compile_cache, processes
+from htcp_jax import cache_folder
+from htcp_jax.device import processes
 from htcp_jax.device.processes import profitable_count, shares
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.model.scenario import stack
@@ -207,7 +208,7 @@ def test_fewer_processes_than_one_are_refused():
         toy.planned(processes=0)
 
 
-@pytest.mark.skipif(compile_cache.fcntl is None, reason="no locks here")
+@pytest.mark.skipif(cache_folder.fcntl is None, reason="no locks here")
 def test_who_comes_second_compiles_after_the_first(tmp_path):
     """Compilation of one executable by two threads: the second waits and loads the result; other ones do not wait."""
     before = jax.config.jax_compilation_cache_dir
@@ -215,14 +216,14 @@ def test_who_comes_second_compiles_after_the_first(tmp_path):
     entered = threading.Event()
 
     def second():
-        with compile_cache.compilation_lock("null space 0"):
+        with cache_folder.compilation_lock("null space 0"):
             entered.set()
 
     try:
-        with compile_cache.compilation_lock("null space 0"):
+        with cache_folder.compilation_lock("null space 0"):
             waiting = threading.Thread(target=second)
             waiting.start()
-            with compile_cache.compilation_lock("advance"):
+            with cache_folder.compilation_lock("advance"):
                 assert not entered.wait(0.2)
         waiting.join()
         assert entered.is_set()

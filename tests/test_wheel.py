@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from documented import ROOT
 
+from htcp_jax import cache_folder
 from htcp_jax.cli.main import COMMANDS
-from htcp_jax.device import compile_cache
 
 # Examples that would take longer than all other tests together are shortened.
 PART = {
@@ -44,7 +44,7 @@ def shell(wheel, tmp_path_factory) -> dict[str, str]:
     (packages,) = folder.glob("lib/python*/site-packages")
     (packages / "tests.pth").write_text(sysconfig.get_path("purelib"))
     own = {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "HOME": str(tmp_path_factory.mktemp("home"))}
-    others = {"COLUMNS": "200", "HTCP_CACHE": str(compile_cache.enable() or "off")}
+    others = {"COLUMNS": "200", "HTCP_CACHE": str(cache_folder.enable() or "off")}
     return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | own | others
 
 

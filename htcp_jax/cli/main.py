@@ -61,7 +61,7 @@ class Commands(TyperGroup):
 def _imported(name: str):
     function = getattr(importlib.import_module(f"htcp_jax.cli.{name}"), name)
     if "jax" in sys.modules:  # some commands do not import JAX
-        importlib.import_module("htcp_jax.device.compile_cache").enable()
+        importlib.import_module("htcp_jax.cache_folder").enable()
     alone = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, add_completion=False)
     alone.command(name, short_help=COMMANDS[name])(function)
     return typer.main.get_command(alone)

@@ -131,10 +131,9 @@ def plan_with_progress(job: PlanConfig, device: str | None = None) -> "Plan":
         InputError: See `api.plan`.
         Interrupted: On Ctrl-C.
     """
-    from htcp_jax import api
-    from htcp_jax.device import compile_cache
+    from htcp_jax import api, cache_folder
 
-    compile_cache.enable()
+    cache_folder.enable()
     with progress_bar("targets", first="loading and compiling; targets") as progress:
         search = _Search(progress, job.method == "beam")
         with stop_message(lambda: search.stop_text):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 from htcp_jax.errors import InputError
 from htcp_jax.io import parts, robots
 from htcp_jax.model import scenario as scenarios
@@ -38,7 +38,7 @@ class SelfTest(NamedTuple):
 
 def examine() -> dict[str, Any]:
     """Return data on the installation, as for `htcp doctor --json`; "sound" is True if the self-test passed."""
-    folder = compile_cache.enable()
+    folder = cache_folder.enable()
     test = self_test()
     return {
         "sound": test.passed,

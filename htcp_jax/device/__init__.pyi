@@ -1,4 +1,4 @@
-from . import compile_cache, devices, lane_function, processes, tables
+from . import devices, lane_function, processes, tables
 from .batching import Loop
 from .chunks import by_chunks
 from .executor import EXECUTABLES, Executor
@@ -8,7 +8,6 @@ __all__ = [
     "Executor",
     "Loop",
     "by_chunks",
-    "compile_cache",
     "devices",
     "lane_function",
     "processes",

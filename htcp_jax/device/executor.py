@@ -12,11 +12,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from htcp_jax import cache_folder
 from htcp_jax.backend import Backend, compiled_for, default_device
+from htcp_jax.cache_key import program_key, source_key
 from htcp_jax.clearance import Scene
-from htcp_jax.device import compile_cache, kept_executables
+from htcp_jax.device import kept_executables
 from htcp_jax.device.devices import cores
-from htcp_jax.device.executable_key import program_key, source_key
 from htcp_jax.device.lane_function import TRACKED, LaneFunction
 from htcp_jax.device.tables import concatenate, gather, pad
 from htcp_jax.model import Task
@@ -39,7 +40,7 @@ class ExecutableCache:
 
     Args:
         most: Maximum number of executables; if it is exceeded, the least recently used one is dropped.
-        on_disk: True to also store executables in the folder of `compile_cache`, for other processes.
+        on_disk: True to also store executables in the folder of `cache_folder`, for other processes.
     """
 
     def __init__(self, most: int = 256, on_disk: bool = False):
@@ -98,13 +99,13 @@ class ExecutableCache:
     def _found(self, key: tuple, settings: Settings | None, arguments: tuple) -> jax.stages.Compiled:
         """Load an executable from disk, or trace and compile it."""
         lane_function, values, device, *about = key
-        options, keeps = COMPILER.get(device.platform, {}), self._on_disk and compile_cache.folder() is not None
+        options, keeps = COMPILER.get(device.platform, {}), self._on_disk and cache_folder.folder() is not None
         source = source_key(lane_function, values, device, options, *about) if keeps else None
         if found := kept_executables.find(source, device, arguments):
             return found
         with self._tracing, compiled_for(Backend.of(device.platform)):
             lowered = lane_function.jitted(settings, device).lower(*arguments)
-        with compile_cache.compilation_lock(lane_function.name):
+        with cache_folder.compilation_lock(lane_function.name):
             if not keeps:
                 return lowered.compile(options)
             program = program_key(lane_function.name, lowered, device, options)

@@ -1,6 +1,6 @@
 """Executables written to the cache folder, and loaded again without tracing.
 
-An executable is stored under the name of its program, `executable_key.program_key`. A second, short file, named by
+An executable is stored under the name of its program, `cache_key.program_key`. A second, short file, named by
 `source_key`, contains this name, so that the executable is found without tracing. Only the process that compiled an
 executable stores it, as an executable loaded from JAX's own cache cannot be serialised again.
 
@@ -21,7 +21,7 @@ import jax
 import numpy as np
 from jax.experimental import serialize_executable
 
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 
 FAST = 1  # compression level: a fifth of the size in 10 ms
 CALLED = re.compile('custom_call_target="([^"]+)"')  # external calls in the text of an executable
@@ -37,7 +37,7 @@ def find(source: str | None, device: jax.Device, arguments: tuple) -> jax.stages
         device: The device.
         arguments: Arguments with the structure that the executable is compiled for.
     """
-    if source is None or (program := compile_cache.read_executable(source)) is None:
+    if source is None or (program := cache_folder.read(source)) is None:
         return None
     return _load(program.decode(errors="replace"), device, arguments)
 
@@ -60,7 +60,7 @@ def compiled(
         if hits or not _save(program, found, device):
             return found
     if source is not None:
-        compile_cache.write_executable(source, program.encode())
+        cache_folder.write(source, program.encode())
     return found
 
 
@@ -75,11 +75,11 @@ def _save(program: str, executable: jax.stages.Compiled, device: jax.Device) -> 
         content = pickle.dumps((code, example, bool(called)))
     except Exception:  # serialisation raises exceptions of many types
         return False
-    return compile_cache.write_executable(program, zlib.compress(content, FAST))
+    return cache_folder.write(program, zlib.compress(content, FAST))
 
 
 def _load(program: str, device: jax.Device, arguments: tuple) -> jax.stages.Compiled | None:
-    if (content := compile_cache.read_executable(program)) is None:
+    if (content := cache_folder.read(program)) is None:
         return None
     try:
         code, example, calls_lapack = pickle.loads(zlib.decompress(content))

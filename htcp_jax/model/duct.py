@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from htcp_jax.caching import cached_by_values
+
 # x, a, zc, b above, b below, n above, n below; lengths in m
 # fmt: off
 STATIONS = np.array([
@@ -102,6 +104,7 @@ def surface(x: Float[np.ndarray, "P"], angle: Float[np.ndarray, "P"]) -> Float[n
     return np.stack([x, at.a * radius * np.cos(angle), at.zc + b * radius * np.sin(angle)], axis=-1)
 
 
+@cached_by_values(2)
 def duct_cloud(points: int = POINTS, seed: int = 0) -> Float[np.ndarray, "{points} 3"]:
     """Return `points` random points [m], uniform by area on the duct's surface; the same bytes for the same seed.
 
@@ -123,6 +126,7 @@ def duct_cloud(points: int = POINTS, seed: int = 0) -> Float[np.ndarray, "{point
     return surface(x[row] + u * (x[1] - x[0]), angle[column] + v * (angle[1] - angle[0]))
 
 
+@cached_by_values(2)
 def weld(points: int = WELD_POINTS) -> Float[np.ndarray, "{points} 3"]:
     """Return the weld on the duct's wall as `points` points [m], from the inlet inwards.
 

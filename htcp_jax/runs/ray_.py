@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from htcp_jax.device import compile_cache
+from htcp_jax import cache_folder
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.jobs import PlanConfig, grid
 from htcp_jax.jobs import config as configs
@@ -207,7 +207,7 @@ def _plan_shard(
     method: str, scenarios: Scenario, share: configs.RayConfig, cell: Int[np.ndarray, "S"], *cells: grid.PlannerInputs
 ) -> tuple[Plans, dict]:
     """Plan one shard on a worker, and return the plans with their provenance."""
-    compile_cache.enable()
+    cache_folder.enable()
     cells = [each._replace(robot=jax.tree.map(jnp.asarray, each.robot)) for each in cells]
     return plan_cells(cells, cell, scenarios, method, max(1, int(share.num_cpus))), planned_by()
 

@@ -166,9 +166,9 @@ def hidden(
         seen = np.concatenate([path, along[:, arm.tool].reshape(-1, 3)])
         links = along[:, ~arm.tool].reshape(-1, 3)
         radii = np.tile(arm.radius[~arm.tool], ALONG)
-        apart = np.linalg.norm((seen @ plane)[:, None] - (links @ plane)[None], axis=2)
-        nearer = (links @ toward)[None] > (seen @ toward)[:, None]
-        covered = (nearer & (apart < radii[None])).any(axis=1)
+        x, y = (seen @ plane).T[..., None] - (links @ plane).T[:, None]
+        nearer = links @ toward > (seen @ toward)[:, None]
+        covered = (nearer & (x * x + y * y < radii**2)).any(axis=1)
         if wall is not None:
             for k, near in enumerate(wall.query_ball_point(seen @ plane, radius)):
                 covered[k] |= bool((cloud[near] @ toward > seen[k] @ toward + 3 * radius).any())

@@ -1,12 +1,12 @@
-"""The folder of compiled programs: the first run compiles for some seconds, later runs load programs from this folder.
+"""The cache folder: the first run compiles for some seconds, later runs load programs and results from this folder.
 
-The folder contains two kinds of files. The subfolder EXECUTABLES has compiled lane functions, which `kept_executables`
-finds and loads without tracing. All other functions are in JAX's own cache, which finds a program by its text, after
-tracing and lowering.
+The folder contains two kinds of files. The subfolder STORED has compiled lane functions, which `kept_executables` finds
+and loads without tracing, and results of functions, see `caching.cached_by_values`. All other compiled functions are in
+JAX's own cache, which finds a program by its text, after tracing and lowering.
 
-Both kinds contain native code, and executables are pickles: whoever can write into the folder can run code as this
-user. The folder must therefore not be writable by others. Executables are only read from a folder with mode 700 that
-the user owns.
+Compiled functions contain native code, and files in STORED are pickles: whoever can write into the folder can run code
+as this user. The folder must therefore not be writable by others. STORED is only read if it has mode 700 and the user
+owns it.
 
 platformdirs is not used, as it would be a dependency for a single path per operating system.
 """
@@ -31,14 +31,14 @@ except ImportError:  # not a POSIX system: without a lock, processes that start 
     fcntl = None
 
 OF_JAX = "-cache", "-atime"  # suffixes of the names of JAX's files
-EXECUTABLES = "executables"  # subfolder of the cache folder with the executables
+STORED = "executables"  # subfolder of the cache folder with executables and results
 MOST_BYTES = 2**30  # maximum size of all files; if it is exceeded, the files unused for the longest time are removed
 OTHERS_WRITE, OTHERS_ANY = 0o022, 0o077  # permissions of group and others
-DIGEST = 32  # bytes of the digest at the beginning of an executable's file
+DIGEST = 32  # bytes of the digest at the beginning of a stored file
 
 
 def enable() -> Path | None:
-    """Enable the cache of executables on disk, and return its folder.
+    """Enable the cache on disk, and return its folder.
 
     The folder is HTCP_CACHE or, if this variable is not set, the user's cache folder. A folder already set through JAX
     takes precedence. HTCP_CACHE=off disables the cache. If the folder belongs to another user or cannot be written, the
@@ -100,10 +100,10 @@ def _is_closed(path: Path, mode: int) -> bool:
     return not hasattr(os, "geteuid") or not stat.S_IMODE(os.stat(path).st_mode) & mode
 
 
-def read_executable(key: str) -> bytes | None:
-    """Return the executable stored under a key; None if its file is missing or damaged."""
+def read(key: str) -> bytes | None:
+    """Return the content stored under a key; None if its file is missing or damaged."""
     try:
-        file = _executables() / key
+        file = _stored() / key
         handle = os.open(file, READ | NO_LINK)
         with open(handle, "rb") as stream:
             if hasattr(os, "geteuid") and os.fstat(handle).st_uid != os.geteuid():
@@ -116,10 +116,10 @@ def read_executable(key: str) -> bytes | None:
     return data[DIGEST:] if data[:DIGEST] == _digest(key, data[DIGEST:]) else None
 
 
-def write_executable(key: str, content: bytes) -> bool:
-    """Store an executable under a key, atomically; return False if this fails."""
+def write(key: str, content: bytes) -> bool:
+    """Store content under a key, atomically; return False if this fails."""
     try:
-        place = _executables()
+        place = _stored()
         clear(place)
         handle, name = tempfile.mkstemp(prefix=PART, dir=place)  # readable only by the user
         with open(handle, "wb") as stream:
@@ -133,15 +133,15 @@ def write_executable(key: str, content: bytes) -> bool:
     return True
 
 
-def _executables() -> Path:
-    """Return the folder of executables, created if needed.
+def _stored() -> Path:
+    """Return the folder of stored files, created if needed.
 
     Raises:
         OSError: If the folder cannot be created, or if other users can access it.
     """
     if (there := folder()) is None or not there.is_dir():
         raise NotADirectoryError
-    place = there / EXECUTABLES
+    place = there / STORED
     place.mkdir(mode=0o700, exist_ok=True)
     if place.is_symlink() or not _is_own(place) or not _is_closed(place, OTHERS_ANY):
         raise PermissionError
@@ -158,7 +158,7 @@ def _remove_oldest(place: Path) -> None:
     Files that were unused for the longest time are removed first. Other files are kept.
     """
     found, of_jax = [], [each for each in os.scandir(place) if each.name.endswith(OF_JAX)]
-    for each in [*of_jax, *os.scandir(place / EXECUTABLES)]:
+    for each in [*of_jax, *os.scandir(place / STORED)]:
         with contextlib.suppress(OSError):  # removed by another process
             if each.is_file(follow_symlinks=False):
                 known = each.stat(follow_symlinks=False)

@@ -1,9 +1,9 @@
-"""Names of executables on disk: digests of everything that an executable depends on.
+"""Names of files in the cache folder: digests of everything that an executable or a result depends on.
 
-There are two names. `source_key` needs no tracing. It is the digest of the core's source, the versions of libraries,
-the processor or GPU, and a lane function with its settings and the shapes and static parts of its arguments. Static
-parts, in the structure of the pytree, are described by their contents. Classes and functions are described by their
-names, as the digest of the core's source covers their code.
+An executable has two names. `source_key` needs no tracing. It is the digest of the core's source, the versions of
+libraries, the processor or GPU, and a lane function with its settings and the shapes and static parts of its arguments.
+Static parts, in the structure of the pytree, are described by their contents. Classes and functions are described by
+their names, as the digest of the core's source covers their code. A result has one name, `result_key`.
 
 Lane functions that depend on code of another package or of a notebook have no `source_key`. Every process traces them,
 and then finds the executable by `program_key`, the digest of the program's text. `program_key` also finds programs that
@@ -30,7 +30,7 @@ from typing import Any
 import jax
 import numpy as np
 
-PACKAGE, ROOT = __name__.partition(".")[0], Path(__file__).parent.parent
+PACKAGE, ROOT = __name__.partition(".")[0], Path(__file__).parent
 CORE = "model", "solvers", "clearance", "device", "motion", "planning", "reachability"  # used by lane functions
 LIBRARIES = "jax", "jaxlib", "numpy", "optax"  # libraries that lane functions use
 INSTALLED = Path(jax.__file__).parents[1]  # folder of the installed libraries
@@ -75,6 +75,18 @@ def program_key(name: str, lowered: jax.stages.Lowered, device: jax.Device, opti
         options: Options of the compiler.
     """
     return _name(name, (_machine(device, options), lowered.as_text(), str(lowered.out_tree)))
+
+
+def result_key(call: partial) -> str | None:
+    """Return the name of a call's result, the same in every process; None if it depends on unknown code.
+
+    Args:
+        call: A function of the core and its arguments, which determine the result.
+    """
+    try:
+        return _name(call.func.__name__, (_source(), _installation(), version("scipy"), described(call)))
+    except UnknownSource:
+        return None
 
 
 def _name(function: str, about: tuple) -> str:
@@ -198,7 +210,8 @@ def described(value: Any) -> Any:
     if isinstance(value, enum.Enum):
         return of, value.name
     if isinstance(value, np.ndarray | np.generic):
-        return of, value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes()
+        digest = hashlib.blake2b(np.ascontiguousarray(value), digest_size=24)
+        return of, value.dtype.str, value.shape, digest.hexdigest()
     if isinstance(value, np.dtype):
         return of, value.str
     if isinstance(value, partial):
@@ -221,7 +234,8 @@ def _described_code(value: type | FunctionType) -> tuple:
         return value.__module__, value.__qualname__
     if package != PACKAGE or (len(inner) > 1 and inner[0] not in CORE):
         raise UnknownSource(value)
-    if _named(value.__module__, value.__qualname__) is value:
+    known = _named(value.__module__, value.__qualname__)
+    if value in (known, getattr(known, "__wrapped__", None)):
         return value.__module__, value.__qualname__
     if not isinstance(value, FunctionType):
         raise UnknownSource(value)
