@@ -11,7 +11,7 @@ from published import path_of
 
 import htcp_jax
 from htcp_jax.clearance.obstacles.self_collision import self_collision
-from htcp_jax.clearance.obstacles.self_exclusions import distances, samples
+from htcp_jax.clearance.obstacles.self_exclusions import NEAR_M, candidates, distances, overlaps, samples
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import LinkMeshes
@@ -346,3 +346,12 @@ def test_a_tool_that_passes_through_a_link_is_refused_at_a_start_outside_of_the_
     part = {"cloud": "none", "path": str(tmp_path / "path.csv")}
     with pytest.raises(InputError, match=r"capsule shaft is .* mm inside capsule panda_link"):
         htcp_jax.plan({"robot": robot, "workpiece": part, "start_rad": PANDA_START})
+
+
+def test_spheres_about_the_capsules_leave_out_no_pair_that_overlaps_or_is_near():
+    robot = load_robot()
+    pairs, x = candidates(robot), samples(robot)[:1200]
+    measured = distances(robot, pairs, x)
+    overlap, near = overlaps(robot, pairs, x)
+    assert np.array_equal(overlap, measured <= 0) and np.array_equal(near, measured <= NEAR_M)
+    assert 0.01 < overlap.mean() < 0.5

@@ -216,11 +216,11 @@ def _excluded_pairs(arm: robots.ImportedArm, made: Robot, progress: Callable[[in
     Pairs that the model or the SRDF file disables are not included.
     """
     meshes, names = robots.LinkMeshes.of(arm), made.capsule_names
-    x, tried = self_exclusions.samples(made), itertools.count(1)
+    x, tried, count = self_exclusions.samples(made), itertools.count(1), len(self_exclusions.candidates(made))
     at = meshes.poses(x)
 
     def touch(pair: tuple[int, int], overlap: Bool[np.ndarray, "n"]) -> bool:
-        progress(next(tried), len(self_exclusions.candidates(made)))
+        progress(next(tried), count)
         one, other = (names[k] for k in pair)
         return meshes.touch(one, other, x, at, np.flatnonzero(overlap))
 

@@ -19,22 +19,24 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from htcp_jax.clearance.distance.segments import nearest_points
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import safe_norm
-from htcp_jax.types import Float, Joints
+from htcp_jax.types import Float
 
 SAMPLES, SEED = 10_000, 0
 ALWAYS = 0.95
 NEAR_M = 1e-3 + 1e-9  # a pair that is always within 1 mm could not satisfy a usual margin; 1e-9 is for rounding
 SLIDE_M = 1.0  # range of a slide without limits, to either side
-TOGETHER = 500  # configurations measured at a time
+TOGETHER, AT_ONCE = 500, 20_000  # numbers of configurations and of pairs measured at a time
 
 Pairs = tuple[tuple[int, int], ...]
 Samples = Float[np.ndarray, "n N"]
+Ends = Float[np.ndarray, "n K 3"]
+Indices = Int[np.ndarray, "m"]
 Touch = Callable[[tuple[int, int], Bool[np.ndarray, "n"]], bool]
 Share = Callable[[tuple[int, int]], float]
 
@@ -58,7 +60,28 @@ def samples(robot: Robot) -> Samples:
 
 def distances(robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples) -> Float[np.ndarray, "n R"]:
     """Return the signed distance of the capsules of every pair at every configuration [m]."""
-    return np.asarray(_sampled_distances(robot, tuple(pairs), x))
+    p, q = map(np.asarray, _sampled_segments(robot, x))
+    row, pair = np.indices((len(x), len(pairs))).reshape(2, -1)
+    return _distances_in(robot, p, q, row, np.array(pairs)[pair]).reshape(len(x), -1)
+
+
+def overlaps(
+    robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples
+) -> tuple[Bool[np.ndarray, "n R"], Bool[np.ndarray, "n R"]]:
+    """Return two masks for every pair at every configuration: the capsules overlap; they are at most NEAR_M apart.
+
+    The results are those of `distances`, but capsules are only measured if the spheres about them are near.
+    """
+    p, q = map(np.asarray, _sampled_segments(robot, x))
+    (a, b), middle = np.array(pairs).T, (p + q) / 2
+    reach = np.linalg.norm(q - p, axis=2).max(axis=0) / 2 + np.asarray(robot.capsule_radius)
+    overlap, near = np.zeros((2, len(x), len(pairs)), bool)
+    for first in range(0, len(x), TOGETHER):
+        apart = middle[first : first + TOGETHER, a] - middle[first : first + TOGETHER, b]
+        row, pair = np.nonzero((apart**2).sum(axis=2) <= (reach[a] + reach[b] + 2 * NEAR_M) ** 2)
+        found = _distances_in(robot, p, q, first + row, np.array(pairs)[pair])
+        overlap[first + row, pair], near[first + row, pair] = found <= 0, found <= NEAR_M
+    return overlap, near
 
 
 def find_exclusions(
@@ -79,9 +102,8 @@ def find_exclusions(
     pairs = [pair for pair in pairs if not any(set(pair) <= set(own) for own in robot.listed_together)]
     if not pairs:
         return ()
-    measured = distances(robot, pairs, samples(robot))
-    overlap, near = measured <= 0, (measured <= NEAR_M).mean(axis=0).tolist()
-    found = []
+    overlap, is_near = overlaps(robot, pairs, samples(robot))
+    near, found = is_near.mean(axis=0).tolist(), []
     for k, (pair, share) in enumerate(zip(pairs, overlap.mean(axis=0).tolist(), strict=True)):
         own = not set(pair) & set(robot.mounted)
         always = near[k] >= ALWAYS
@@ -110,13 +132,23 @@ def _telescopes(
     return bool(overlap[:, same].any(axis=1).mean() >= ALWAYS)
 
 
-@jax.jit(static_argnums=1)
-def _sampled_distances(robot: Robot, pairs: Pairs, x: Float[jax.Array, "n N"]) -> Float[jax.Array, "n R"]:
-    a, b = (np.array(side) for side in zip(*pairs, strict=True))
+@jax.jit
+def _sampled_segments(robot: Robot, x: Float[jax.Array, "n N"]) -> tuple[Float[jax.Array, "n K 3"], ...]:
+    return jax.lax.map(lambda x: kinematics.capsule_segments(robot, x), jnp.asarray(x), batch_size=TOGETHER)
 
-    def at(x: Joints) -> Float[jax.Array, "R"]:
-        p, q = kinematics.capsule_segments(robot, x)
-        _, _, on_a, on_b = nearest_points(p[a], q[a], p[b], q[b])
-        return safe_norm(on_a - on_b) - robot.capsule_radius[a] - robot.capsule_radius[b]
 
-    return jax.lax.map(at, jnp.asarray(x), batch_size=TOGETHER)
+def _distances_in(robot: Robot, p: Ends, q: Ends, row: Indices, pair: Int[np.ndarray, "m 2"]) -> Float[np.ndarray, "m"]:
+    """Return the signed distances of the capsules of m pairs, each at the configuration of one row [m]."""
+    radius, found = np.asarray(robot.capsule_radius)[pair].sum(axis=1), np.empty(len(row))
+    for first in range(0, len(row), AT_ONCE):
+        some = np.resize(np.arange(first, min(first + AT_ONCE, len(row))), AT_ONCE)  # one size: it is compiled once
+        a, b = pair[some].T
+        apart = np.asarray(_apart(p[row[some], a], q[row[some], a], p[row[some], b], q[row[some], b]))
+        found[first : first + AT_ONCE] = apart[: len(row) - first]
+    return found - radius
+
+
+@jax.jit
+def _apart(*segments: Float[jax.Array, "m 3"]) -> Float[jax.Array, "m"]:
+    _, _, on_a, on_b = nearest_points(*segments)
+    return safe_norm(on_a - on_b)

@@ -36,8 +36,8 @@ class _MeshPart(NamedTuple):
     """Content of a capsule: a piece of a mesh, or the capsule itself."""
 
     body: int
-    shape: fcl.CollisionGeometry
-    T_body_shape: Float[np.ndarray, "4 4"]
+    shape: fcl.CollisionObject  # placed anew for every query
+    T_body_shape: Float[np.ndarray, "4 4"] | None  # None: the shape is in the body's frame
 
 
 class Poses(NamedTuple):
@@ -213,7 +213,9 @@ class LinkMeshes:
     def _placed(self, name: str, at: Poses, k: int | np.integer) -> fcl.CollisionObject:
         body, shape, T = self._parts[name]
         R, t = at.rotation[k, body], at.position[k, body]
-        return fcl.CollisionObject(shape, fcl.Transform(R @ T[:3, :3], R @ T[:3, 3] + t))
+        shape.setRotation(R if T is None else R @ T[:3, :3])
+        shape.setTranslation(t if T is None else R @ T[:3, 3] + t)
+        return shape
 
 
 class MeshesInFile(NamedTuple):
@@ -266,22 +268,21 @@ def _read_cuts(text: str) -> list[Cut]:
 
 
 def _capsule_part(body: int, held: Triangles | Capsule) -> _MeshPart:
-    T = np.eye(4)
     if not isinstance(held, Capsule):
         corners, faces = np.unique(held.reshape(-1, 3), axis=0, return_inverse=True)
         mesh = fcl.BVHModel()
         mesh.beginModel(len(held), len(corners))
         mesh.addSubModel(corners, faces.reshape(-1, 3))
         mesh.endModel()
-        return _MeshPart(body, mesh, T)
-    along, turn, flat = held.p - held.q, np.empty(4), np.empty(9)
+        return _MeshPart(body, fcl.CollisionObject(mesh), None)
+    T, along, turn, flat = np.eye(4), held.p - held.q, np.empty(4), np.empty(9)
     T[:3, 3], length = (held.p + held.q) / 2, float(np.linalg.norm(along))
     if length == 0:
-        return _MeshPart(body, fcl.Sphere(held.radius), T)
+        return _MeshPart(body, fcl.CollisionObject(fcl.Sphere(held.radius)), T)
     mujoco.mju_quatZ2Vec(turn, along / length)
     mujoco.mju_quat2Mat(flat, turn)
     T[:3, :3] = flat.reshape(3, 3)
-    return _MeshPart(body, fcl.Capsule(held.radius, length), T)
+    return _MeshPart(body, fcl.CollisionObject(fcl.Capsule(held.radius, length)), T)
 
 
 def _capsule_of_geom(model: mujoco.MjModel, geom: int) -> Capsule:
