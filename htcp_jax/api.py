@@ -160,7 +160,7 @@ class Plan:
         names += [name for each in self.obstacles for name in each.names if name]
         facts = {"self-collision": own[0]} if own else {}
         if self.robot.pieces is not None:
-            facts = {"bodies": f"{len(self.robot.capsule_names)} capsules, and meshes where these are in doubt"} | facts
+            facts = {"bodies": f"{len(self.robot.capsule_names)} capsules, and convex pieces where in doubt"} | facts
         return facts | ({"fixtures": ", ".join(names)} if names else {})
 
     def _details(self) -> dict[str, str]:
