@@ -246,7 +246,7 @@ def test_a_message_about_a_self_collision_says_how_far_both_capsules_are_from_th
     np.testing.assert_allclose(gaps, 1e3 * np.array(expected), rtol=0.01)
     with pytest.raises(InputError) as by_mesh:
         htcp_jax.plan(job(arm, tmp_path, FOLDED))
-    assert str(by_mesh.value) == str(by_capsule.value)
+    assert str(by_mesh.value) == str(by_capsule.value).replace("capsule c is", "c is").replace("capsule a;", "a;")
 
 
 def by_capsules(job: dict) -> dict:
@@ -357,5 +357,5 @@ def test_a_tool_that_passes_through_a_link_is_refused_at_a_start_outside_of_the_
     shaft = {"name": "shaft", "p_m": [0, 0, 0.05], "q_m": [0, 0, 0.287], "radius_m": 0.008}
     robot = {"model": str(tmp_path / "arm.xml"), "tool": {"tip_m": [0, 0, 0.3], "bodies": [holder, shaft]}}
     part = {"cloud": "none", "path": str(tmp_path / "path.csv")}
-    with pytest.raises(InputError, match=r"capsule shaft is .* mm inside capsule panda_link"):
+    with pytest.raises(InputError, match=r"capsule shaft is .* mm inside panda_link"):
         htcp_jax.plan({"robot": robot, "workpiece": part, "start_rad": PANDA_START})

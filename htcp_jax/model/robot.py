@@ -167,18 +167,20 @@ def radius_to_workpiece(robot: Robot) -> Float[Array, "K"]:
 
 
 def capsule_label(robot: Robot, name: str) -> str:
-    """Return a capsule's name for a message.
+    """Return the name for a message of a capsule, or of the part of a mesh whose convex piece is checked.
 
     The label of a numbered capsule, such as capsule3, is its link's name if the link has one. If the link has several
-    capsules, the capsule's own name follows in brackets.
+    capsules, the capsule's own name follows in brackets. The label of a part of a mesh is its own name, after its
+    link's unless it begins with that.
     """
-    if not name.startswith("capsule"):
+    has_piece = _has_piece(robot, name)
+    if not (name.startswith("capsule") or has_piece):
         return f"capsule {name}"
     link = robot.capsule_link[robot.capsule_names.index(name)]
-    own = (frame.name for frame in robot.frames if frame.link == link and not any(frame.origin_m))
-    if (body := next(own, None)) is None:
+    own = tuple(frame.name for frame in robot.frames if frame.link == link and not any(frame.origin_m))
+    if not own or name.startswith(own):
         return name
-    return f"{body} ({name})" if robot.capsule_link.count(link) > 1 else body
+    return f"{own[0]} ({name})" if has_piece or robot.capsule_link.count(link) > 1 else own[0]
 
 
 def mesh_note(
