@@ -160,7 +160,7 @@ class Plan:
         names += [name for each in self.obstacles for name in each.names if name]
         facts = {"self-collision": own[0]} if own else {}
         if self.robot.pieces is not None:
-            facts = {"bodies": f"{len(self.robot.capsule_names)} capsules, and meshes where these are in doubt"} | facts
+            facts = {"bodies": f"{len(self.robot.capsule_names)} capsules, and convex pieces where in doubt"} | facts
         return facts | ({"fixtures": ", ".join(names)} if names else {})
 
     def _details(self) -> dict[str, str]:
@@ -190,7 +190,10 @@ class Plan:
         s, required = self.summary, f"{1e3 * self.job.margin_m:g} mm required"
         if not s.tracked:
             return {"clearance": required}
-        facts = {"clearance": f"{s.clearance_min_mm:.3g} mm minimum, {s.clearance_mean_mm:.3g} mm mean; {required}"}
+        least = "" if self.robot.pieces is None else "at least "  # larger distances of pieces are not recorded
+        facts = {
+            "clearance": f"{s.clearance_min_mm:.3g} mm minimum, {least}{s.clearance_mean_mm:.3g} mm mean; {required}"
+        }
         if cover_mm := 1e3 * self.workpiece.covering_radius_m:
             measured = f"at least {s.clearance_min_mm + cover_mm:.3g} mm to the mesh's points"
             facts["clearance measured"] = f"{measured}, less their covering radius of {cover_mm:.3g} mm"

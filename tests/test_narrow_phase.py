@@ -256,9 +256,12 @@ def test_a_message_says_that_a_piece_was_measured_where_it_decided():
     decided = np.asarray(by_pieces(arm, rows, found))
     np.testing.assert_array_equal(decided, np.asarray(found.distance) != capsules)
     assert decided.any() and not decided.all() and not np.asarray(by_pieces(bare, rows, touch(bare))).any()
-    note = "; measured to the convex piece of the mesh in this capsule"
-    name = arm.capsule_names[0]
-    assert [mesh_note(arm, name, np.zeros(6), np.zeros(3), by_piece) for by_piece in (True, False)] == [note, ""]
+    first, second = arm.capsule_names[:2]
+    notes = {"the workpiece": first, capsule_label(arm, second): f"{first} and {second}"}
+    for other, names in notes.items():
+        note = mesh_note(arm, first, other, np.zeros(6), np.zeros((2, 3)), by_piece=True)
+        assert note == f"; measured to the convex piece of the mesh in {names}"
+    assert mesh_note(arm, first, "the workpiece", np.zeros(6), np.zeros((2, 3)), by_piece=False) == ""
 
 
 def test_a_message_names_the_nearest_body_by_the_pieces_where_they_decide():

@@ -15,6 +15,7 @@ from PIL import Image
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
+from htcp_jax.model.convex_piece import body_pieces, make_piece
 from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.status import Kind
 from htcp_jax.viewer import Studio, offscreen
@@ -236,6 +237,21 @@ def test_at_the_failed_target_the_body_in_collision_stands_out(replay, screenles
     with Studio(replay, *SIZE, close=True, fine=False) as studio:
         failed, before = studio.still(replay.failed), studio.still(replay.failed - 1)
     assert near(failed, FAILED) > near(before, FAILED) + 20
+
+
+def test_a_convex_piece_is_drawn_in_place_of_its_capsule(made, replay, screenless):
+    """Pieces as large as their capsules give the same picture; pieces that are the capsules' axes a thin arm."""
+    pictures, plan = [], made[0]
+    for share in (1.0, 0.0):
+        ends = zip(plan.robot.capsule_p, plan.robot.capsule_q, plan.robot.capsule_radius, strict=True)
+        shapes = [make_piece(np.stack([p, q]), share * float(radius)) for p, q, radius in ends]
+        robot = replace(plan.robot, pieces=body_pieces(shapes, np.full(len(shapes), 1.0)))
+        with Studio(replays_of("pieces", replace(plan, robot=robot)).replay(0, "baseline"), *SIZE) as studio:
+            pictures.append(studio.still(6).astype(int))
+    with Studio(replay, *SIZE) as studio:
+        capsules = studio.still(6)
+    same, thin = ((np.abs(picture - capsules).max(axis=2) > 40).mean() for picture in pictures)
+    assert same < 0.02 < 0.2 < thin
 
 
 def test_a_file_that_is_a_picture_is_the_only_file_written(made, screenless, tmp_path):

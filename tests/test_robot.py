@@ -1,5 +1,6 @@
 """The GP50 is the scene's robot; user-supplied models load; each error in a model is one line."""
 
+import dataclasses
 import os
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, kinematics
+from htcp_jax.model.convex_piece import body_pieces, make_piece
 from htcp_jax.model.robot import capsule_label, lengthen_tool
 from htcp_jax.validation.mujoco_arm import MujocoArm
 
@@ -408,6 +410,16 @@ def test_bad_model_gets_one_line(case, tmp_path, monkeypatch):
 @pytest.mark.parametrize(("capsule", "label"), [("capsule_4", "link4"), ("capsule_6b", "link6 (capsule_6b)")])
 def test_a_numbered_capsule_goes_by_its_link_and_by_its_own_name_only_among_others(capsule, label):
     assert capsule_label(gp50(), capsule) == label
+
+
+def test_a_part_of_a_mesh_goes_by_its_own_name_and_by_its_link_unless_it_begins_with_that():
+    arm = gp50()
+    names = ("link1", "link2_2", "torch_5", *arm.capsule_names[3:])
+    pieces = body_pieces([make_piece(np.eye(3))] * 8, np.array([1.0, 1.0, 1.0] + 5 * [0.0]))
+    named = dataclasses.replace(arm, capsule_names=names, capsule_link=(0, 1, 2, *arm.capsule_link[3:]), pieces=pieces)
+    assert [capsule_label(named, name) for name in names[:3]] == ["link1", "link2_2", "link3 (torch_5)"]
+    bare = dataclasses.replace(named, pieces=None)
+    assert [capsule_label(bare, name) for name in names[:3]] == ["capsule link1", "capsule link2_2", "capsule torch_5"]
 
 
 def test_gp50_refuses_an_unknown_profile():

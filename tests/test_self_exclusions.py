@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from published import path_of
+from scipy.spatial import cKDTree
 
 import htcp_jax
 from htcp_jax.clearance.obstacles.self_collision import self_collision
@@ -17,6 +18,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots import LinkMeshes
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.vendor_import import import_robot
+from htcp_jax.model.kinematics import capsule_segments
 
 ARM = """<mujoco model="shelf"><compiler angle="radian"/><worldbody>
   <body name="a"><joint axis="0 0 1" range="-2.5 2.5"/>
@@ -221,19 +223,30 @@ def test_the_deepest_overlap_is_named_where_the_model_excludes_all_pairs_that_ov
     assert re.fullmatch(r"\w and \w, [\d.]+ mm", found["excluded"])
 
 
-def test_a_message_about_a_collision_says_how_far_the_capsule_is_from_its_mesh_there(imported, tmp_path):
-    """Message about a collision: the distance between the capsule and its mesh there.
+def test_a_message_about_a_self_collision_says_how_far_both_capsules_are_from_their_meshes_there(imported, tmp_path):
+    """Message about a self-collision: the distances between both capsules and their meshes there.
 
     The capsules overlap so deeply that the meshes do, too; so no piece is measured, and the message does not say so.
     """
     arm = imported(0.0)
-    with pytest.raises(
-        InputError, match=r"capsule \w is .* mm inside capsule \w; the surface of this capsule is [\d.]+ mm from"
-    ) as by_capsule:
+    with pytest.raises(InputError) as by_capsule:
         htcp_jax.plan(by_capsules(job(arm, tmp_path, FOLDED)))
+    note = (
+        r"capsule c is .* mm inside capsule a; gap between mesh and capsule there: ([\d.]+) mm in c, ([\d.]+) mm in a"
+    )
+    gaps = [float(gap) for gap in re.search(note, str(by_capsule.value)).groups()]
+    robot = load_robot(arm)
+    p, q = (np.asarray(ends)[[2, 0], None] for ends in capsule_segments(robot, jnp.array(FOLDED)))
+    on_c, on_a = p + np.linspace(0, 1, 2001)[:, None] * (q - p)
+    distance, nearest = cKDTree(on_a).query(on_c)
+    axis_c, axis_a = on_c[distance.argmin()], on_a[nearest[distance.argmin()]]
+    surface = axis_a + float(robot.capsule_radius[0]) * (axis_c - axis_a) / distance.min()
+    outside = np.abs(surface - [0.15, 0, 0]) - [0.15, 0.15, 0.01]  # of the plate, which has its own frame at x = 0
+    expected = [robot.capsule_radius[2] - 0.02, np.linalg.norm(np.maximum(outside, 0))]
+    np.testing.assert_allclose(gaps, 1e3 * np.array(expected), rtol=0.01)
     with pytest.raises(InputError) as by_mesh:
         htcp_jax.plan(job(arm, tmp_path, FOLDED))
-    assert str(by_mesh.value) == str(by_capsule.value)
+    assert str(by_mesh.value) == str(by_capsule.value).replace("capsule c is", "c is").replace("capsule a;", "a;")
 
 
 def by_capsules(job: dict) -> dict:
@@ -344,7 +357,7 @@ def test_a_tool_that_passes_through_a_link_is_refused_at_a_start_outside_of_the_
     shaft = {"name": "shaft", "p_m": [0, 0, 0.05], "q_m": [0, 0, 0.287], "radius_m": 0.008}
     robot = {"model": str(tmp_path / "arm.xml"), "tool": {"tip_m": [0, 0, 0.3], "bodies": [holder, shaft]}}
     part = {"cloud": "none", "path": str(tmp_path / "path.csv")}
-    with pytest.raises(InputError, match=r"capsule shaft is .* mm inside capsule panda_link"):
+    with pytest.raises(InputError, match=r"capsule shaft is .* mm inside panda_link"):
         htcp_jax.plan({"robot": robot, "workpiece": part, "start_rad": PANDA_START})
 
 

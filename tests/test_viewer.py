@@ -18,6 +18,7 @@ import urllib.request
 from collections.abc import Callable
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import REBOUND
@@ -26,13 +27,14 @@ from PIL import Image
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.model.kinematics import capsules_and_tcp
+from htcp_jax.model.convex_piece import body_pieces, make_piece
+from htcp_jax.model.kinematics import body_poses, capsule_segments, capsules_and_tcp
 from htcp_jax.process_exit import INTERRUPTED
 from htcp_jax.status import SegmentStatus
 from htcp_jax.trajectory.plan_program import program_of_plans
 from htcp_jax.viewer.colours import FAILED
 from htcp_jax.viewer.playback import poses_along
-from htcp_jax.viewer.replay import Replays
+from htcp_jax.viewer.replay import Replays, replays_of
 from htcp_jax.viewer.timed_play import Curves
 from htcp_jax.viewer.viewpoints import View
 from htcp_jax.viewer.workcell import GivenCell, Workcell
@@ -269,6 +271,17 @@ def timed(tmp_path_factory):
     cell = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
     replays = Replays("timed", ("baseline",), lambda _: plans, cell)
     return replays, lambda number, method: program_of_plans("timed", plans, number, plan.job, 0.2, method)
+
+
+def test_a_convex_piece_is_placed_like_its_link(tmp_path):
+    plan = made_plan(tmp_path)
+    pieces = body_pieces([make_piece(np.eye(3))] * 8, np.array([1.0] * 7 + [0.0]))
+    viewer = Viewer(replays_of("pieces", replace(plan, robot=replace(plan.robot, pieces=pieces))), port=0)
+    viewer.stage.pose(6)
+    x, placed = jnp.asarray(plan.plans.x[0, 6]), viewer.stage.arm_positions
+    viewer.stop()
+    np.testing.assert_allclose(placed[:7], body_poses(plan.robot, x)[:7, :3, 3], atol=1e-6)
+    np.testing.assert_allclose(placed[7], np.mean(capsule_segments(plan.robot, x), axis=0)[7], atol=1e-6)
 
 
 def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, timed):

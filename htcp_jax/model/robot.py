@@ -167,41 +167,59 @@ def radius_to_workpiece(robot: Robot) -> Float[Array, "K"]:
 
 
 def capsule_label(robot: Robot, name: str) -> str:
-    """Return a capsule's name for a message.
+    """Return the name for a message of a capsule, or of the part of a mesh whose convex piece is checked.
 
     The label of a numbered capsule, such as capsule3, is its link's name if the link has one. If the link has several
-    capsules, the capsule's own name follows in brackets.
+    capsules, the capsule's own name follows in brackets. The label of a part of a mesh is its own name, after its
+    link's unless it begins with that.
     """
-    if not name.startswith("capsule"):
+    has_piece = _has_piece(robot, name)
+    if not (name.startswith("capsule") or has_piece):
         return f"capsule {name}"
     link = robot.capsule_link[robot.capsule_names.index(name)]
-    own = (frame.name for frame in robot.frames if frame.link == link and not any(frame.origin_m))
-    if (body := next(own, None)) is None:
+    own = tuple(frame.name for frame in robot.frames if frame.link == link and not any(frame.origin_m))
+    if not own or name.startswith(own):
         return name
-    return f"{body} ({name})" if robot.capsule_link.count(link) > 1 else body
+    return f"{own[0]} ({name})" if has_piece or robot.capsule_link.count(link) > 1 else own[0]
 
 
 def mesh_note(
-    robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"], by_piece: bool
+    robot: Robot,
+    capsule: str,
+    other: str,
+    x: Float[np.ndarray, "N"],
+    points: Float[np.ndarray, "2 3"],
+    by_piece: bool,
 ) -> str:
-    """Return the end of a collision message: how closely the body that was measured follows the vendor's mesh.
+    """Return the end of a collision message: how closely the bodies that were measured follow the vendor's meshes.
 
     Args:
         robot: The robot.
         capsule: Name of the capsule.
+        other: Name of the obstacle; in a self-collision the label of the other capsule.
         x: The configuration [rad or m].
-        point: The point of the capsule's surface, in the world [m].
+        points: The nearest points on the surfaces of the capsule and of the obstacle, in the world [m].
         by_piece: True if the clearance was measured to the convex piece in the capsule.
 
     Returns:
-        The end of the message; "" if the arm's file refers to no mesh for this capsule.
+        The end of the message; "" if the arm's file refers to no mesh for these capsules.
     """
+    names = [capsule, *(name for name in robot.capsule_names if capsule_label(robot, name) == other)]
     if by_piece:
-        return "; measured to the convex piece of the mesh in this capsule"
-    outside_m = robot.meshes.outside_m(capsule, robot, x, point) if robot.meshes else None
-    if outside_m is None:
+        measured = " and ".join(name for name in names if _has_piece(robot, name))
+        return f"; measured to the convex piece of the mesh in {measured}"
+    if robot.meshes is None:
         return ""
-    return f"; the surface of this capsule is {1e3 * outside_m:.3g} mm from its mesh there"
+    known = [
+        f"{1e3 * gap:.3g} mm in {name}"
+        for name, point in zip(names, points, strict=False)
+        if (gap := robot.meshes.outside_m(name, robot, x, point)) is not None
+    ]
+    return f"; gap between mesh and capsule there: {', '.join(known)}" if known else ""
+
+
+def _has_piece(robot: Robot, name: str) -> bool:
+    return robot.pieces is not None and bool(robot.pieces.excess_m[robot.capsule_names.index(name)] > 0)
 
 
 def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:

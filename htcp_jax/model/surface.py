@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 MOST = 60_000  # maximum number of points drawn
 NEIGHBOURS, REACHED = 24, 8  # neighbours to which a normal is fitted; a disc extends beyond the REACHED-th neighbour
 CORNERS, SURROUNDINGS = 6, 500
+THINNEST_M = 1e-4  # minimum radius of a hull
 
 
 class Surface(NamedTuple):
@@ -110,3 +111,14 @@ def discs(surface: Surface, side: int = 1, corners: int = CORNERS) -> Mesh:
         normals=np.repeat(normals, corners, axis=0),
         faces=(corners * np.arange(len(normals))[:, None, None] + fan).reshape(-1, 3),
     )
+
+
+def rounded_hull(
+    points: Float[np.ndarray, "P 3"], radius: float
+) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
+    """Return vertices [m] and triangles of the convex hull of points, thickened by a radius [m]."""
+    from trimesh import convex, creation  # a slow import that `plan.png` does not need
+
+    ball = max(radius, THINNEST_M) * creation.icosphere(subdivisions=1).vertices
+    hull = convex.convex_hull((points[:, None] + ball).reshape(-1, 3))
+    return np.array(hull.vertices), np.array(hull.faces)

@@ -267,11 +267,12 @@ def _start_contact(
         distance = np.where(fixed, distance, np.inf)
     row = int(distance.argmin())
     body = scene.rows.body[row]
-    surface = surface_points(scene.robot, scene.rows, touch)[row]
+    surface = np.asarray(surface_points(scene.robot, scene.rows, touch)[row])
+    points = np.stack([surface, surface - np.asarray(distance[row] * touch.normal[row])])
     by_piece = bool(by_pieces(scene.robot, scene.rows, touch)[row])
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
+    note = robots.mesh_note(scene.robot, robot.capsule_names[body], other, np.asarray(x), points, by_piece)
     other += INTERIOR_RULE if bool(touch.by_interior_rule[row]) else ""
-    note = robots.mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface), by_piece)
     label = robots.capsule_label(robot, robot.capsule_names[body])
     return float(touch.distance[row]), label, other + note, bool(fixed[row])
 

@@ -127,13 +127,13 @@ def obstructions(
     lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
     measured = Executor(scene, settings)(BRING, *lanes) if len(x_last) else ()
     found = []
-    for k, (row, point, surface, by_piece, depth, off, x) in enumerate(zip(*measured, strict=True)):
+    for k, (row, point, surfaces, by_piece, depth, off, x) in enumerate(zip(*measured, strict=True)):
         here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
         own = robots.lengthen_tool(robot, here.tool_extension_m)
         other = nearest_to(own, obstacles, here, jnp.asarray(x), int(row))
         number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
         body = robot.capsule_names[number]
-        note = robots.mesh_note(robot, body, x, surface, bool(by_piece))
+        note = robots.mesh_note(own, body, other, x, surfaces, bool(by_piece))
         one = Obstruction(
             body,
             point,
@@ -172,15 +172,17 @@ def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
     """Move one scenario's arm onto its goal, and measure the clearance in the resulting configuration.
 
     Returns:
-        Row of the smallest clearance, nearest points on the obstacle and on the body's surface [m], True if the
-            distance is that of a convex piece, depth [m], TCP error [m], and configuration [rad or m].
+        Row of the smallest clearance, nearest point of the obstacle [m], nearest points on the surfaces of the body and
+            of the obstacle [m], True if the distance is that of a convex piece, depth [m], TCP error [m], and
+            configuration [rad or m].
     """
     robot, obstacles, task = scene
     x, residual = inverse_kinematics.reanchor(robot, x_last, goal, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)
     row = jnp.argmin(touch.distance)
     surface, by_piece = (of(robot, scene.rows, touch)[row] for of in (surface_points, by_pieces))
-    return row, touch.witness[row], surface, by_piece, -touch.distance[row], residual, x
+    surfaces = jnp.stack([surface, surface - touch.distance[row] * touch.normal[row]])
+    return row, touch.witness[row], surfaces, by_piece, -touch.distance[row], residual, x
 
 
 BRING = lane_function.LaneFunction("bring", _brought_there, lane_function.DEEP)

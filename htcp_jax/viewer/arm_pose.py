@@ -24,6 +24,7 @@ class ArmPose(NamedTuple):
     target: int
     dwells: bool = False
     T_root: Float[np.ndarray, "4 4"] = AT_REST  # T_world_root: pose of the part's link if the part moves
+    links: Float[np.ndarray, "K 4 4"] | None = None  # see `links_at`
 
 
 def seen(pose: ArmPose, from_part: bool) -> ArmPose:
@@ -35,7 +36,8 @@ def seen(pose: ArmPose, from_part: bool) -> ArmPose:
     """
     if from_part or pose.T_root is AT_REST:
         return pose._replace(T_root=AT_REST)
-    return pose._replace(arm=kinematics.ArmShape(*(moved(part, pose.T_root) for part in pose.arm)))
+    links = None if pose.links is None else pose.T_root @ pose.links
+    return pose._replace(arm=kinematics.ArmShape(*(moved(part, pose.T_root) for part in pose.arm)), links=links)
 
 
 def moved(points: Float[np.ndarray, "*n 3"], T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "*n 3"]:
@@ -55,7 +57,8 @@ def arm_poses(
         dwells: True for configurations during a dwell.
     """
     arms = (kinematics.ArmShape(*arm) for arm in zip(*arms_at(robot, x), strict=True))
-    return [ArmPose(*frame) for frame in zip(arms, reached.tolist(), dwells.tolist(), roots_at(robot, x), strict=True)]
+    known = arms, reached.tolist(), dwells.tolist(), roots_at(robot, x), links_at(robot, x)
+    return [ArmPose(*frame) for frame in zip(*known, strict=True)]
 
 
 def together(row: Sequence[ArmPose]) -> kinematics.ArmShape:
@@ -78,9 +81,12 @@ def arms_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> kinematics.ArmShape:
 
 def pieces_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> list[dict[int, tuple[Float[np.ndarray, "_ 3"], float]]]:
     """Return the convex pieces at n configurations, by capsule: vertices [m] and the radius about them [m]."""
+    pieces = {} if robot.pieces is None else robot.pieces.checked()
+    return [{k: (moved(vertices, T[k]), r) for k, (vertices, r) in pieces.items()} for T in links_at(robot, x)]
+
+
+def links_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> list[Float[np.ndarray, "K 4 4"] | None]:
+    """Return the pose of each capsule's link at n configurations; None if no convex pieces are checked."""
     if robot.pieces is None:
-        return [{} for _ in x]
-    poses = np.asarray(EXECUTABLES.call(kinematics.body_poses_at, without_labels(robot), x))
-    vertices, radius = np.asarray(robot.pieces.piece.vertices), np.asarray(robot.pieces.piece.radius)
-    checked = np.flatnonzero(np.asarray(robot.pieces.excess_m) > 0).tolist()
-    return [{k: (moved(vertices[k], T[k]), float(radius[k])) for k in checked} for T in poses]
+        return [None] * len(x)
+    return list(np.asarray(EXECUTABLES.call(kinematics.body_poses_at, without_labels(robot), x)))

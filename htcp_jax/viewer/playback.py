@@ -13,7 +13,7 @@ STRIDE_M = 0.04  # maximum displacement of a point of the arm between consecutiv
 
 def pose_at(replay: Replay, target: int) -> ArmPose:
     """Return the pose of the arm at a target."""
-    return ArmPose(replay.arm_at(target), target, T_root=replay.T_root[target])
+    return ArmPose(replay.arm_at(target), target, T_root=replay.T_root[target], links=replay.links[target])
 
 
 def poses_along(replay: Replay) -> list[ArmPose]:

@@ -1,7 +1,7 @@
 """Pictures and movies of a plan, rendered by MuJoCo off screen.
 
-The arm's capsules are bodies that are placed at the plan's configurations. The cloud, cut open, is one mesh of small
-discs. The targets are beads coloured by status.
+The arm's capsules, or the convex pieces that are checked in their place, are bodies that are placed at the plan's
+configurations. The cloud, cut open, is one mesh of small discs. The targets are beads coloured by status.
 """
 
 from collections.abc import Sequence
@@ -123,6 +123,9 @@ class Studio:
         mujoco.mju_mat2Quat(self._data.mocap_quat[-1], pose.T_root[:3, :3].ravel())
         for body, axis in enumerate(ends[1] - ends[0]):
             mujoco.mju_quatZ2Vec(self._data.mocap_quat[body], axis)
+        for body in self._replay.pieces:
+            self._data.mocap_pos[body] = pose.links[body, :3, 3]
+            mujoco.mju_mat2Quat(self._data.mocap_quat[body], pose.links[body, :3, :3].ravel())
         self._model.geom_rgba[self._beads] = np.where(
             np.arange(len(self._beads))[:, None] < met, self._met_rgba, self._not_yet
         )
@@ -154,12 +157,16 @@ class Studio:
 def _model(replay: Replay, width: int, height: int, fine: bool, from_part: bool) -> mujoco.MjModel:
     """Return a MuJoCo model of a plan: a body per capsule, and a last body with all objects fixed to the part."""
     spec = mujoco.MjSpec()
-    ends = replay.arm_at(0).axes()
+    ends, pieces = replay.arm_at(0).axes(), replay.pieces
     radius = np.append(np.asarray(replay.robot.capsule_radius), TIP_M)
     colours = [*np.where(is_tool(replay.robot), TOOL, LINKS), TOOL]
     for k, (p, q, r, colour) in enumerate(zip(*ends, radius, colours, strict=True)):
         half = np.linalg.norm(q - p) / 2
         kind = {"type": _Geom.mjGEOM_CAPSULE} if half > 0 else {"type": _Geom.mjGEOM_SPHERE}
+        if k in pieces:
+            vertices, faces = surfaces.rounded_hull(*pieces[k])
+            spec.add_mesh(name=f"piece {k}", uservert=vertices.ravel(), userface=faces.ravel())
+            kind = {"type": _Geom.mjGEOM_MESH, "meshname": f"piece {k}"}
         body = spec.worldbody.add_body(mocap=True)
         body.add_geom(name=f"body {k}", **kind, size=[r, half, 0], rgba=_rgba(colour), **UNTOUCHED)
     part = spec.worldbody.add_body(name="part", mocap=True)

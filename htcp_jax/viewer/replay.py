@@ -83,6 +83,7 @@ class Replay(NamedTuple):
     x: Float[np.ndarray, "T N"]
     shape: kinematics.ArmShape  # the arm at the displayed configurations
     T_root: Sequence[Float[np.ndarray, "4 4"]]  # T_world_root at the displayed configurations
+    links: Sequence[Float[np.ndarray, "K 4 4"] | None]  # poses of the capsules' links
     witness: Witness
     motion: Motion  # motion up to the last tracked target
     summary: motion_summary.MotionSummary  # figures of the executable part
@@ -114,6 +115,11 @@ class Replay(NamedTuple):
     def tcp(self) -> Float[np.ndarray, "T 3"]:
         """Tool centre points at every target."""
         return self.shape.tcp
+
+    @property
+    def pieces(self) -> dict[int, tuple[Float[np.ndarray, "V 3"], float]]:
+        """Convex pieces that are checked, by capsule: vertices in the frame of the link [m], radius about them [m]."""
+        return {} if self.robot.pieces is None else self.robot.pieces.checked()
 
     @property
     def outcome(self) -> plan_arrays.Outcome:
@@ -213,6 +219,9 @@ class Replays:
             x=x,
             shape=shape,
             T_root=T_root,
+            links=[None] * len(x)
+            if robot.pieces is None
+            else np.asarray(kinematics.body_poses_at(robot, jnp.asarray(x))),
             witness=witness.rows(slice(len(x))),
             motion=motions.motions(alone, on_path, np.logical_and.accumulate(alone.tracked, axis=1)).of(0),
             summary=summary,

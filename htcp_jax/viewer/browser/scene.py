@@ -88,7 +88,7 @@ class BrowserScene:
             self._scene.reset()
             self._replay = replay
             self._part = self._scene.add_frame(PART, show_axes=False)
-            self._arm = [self._capsule(k, opacity) for k in range(replay.p.shape[1] + 1)]
+            self._arm = [self._body(k, opacity) for k in range(replay.p.shape[1] + 1)]
             self._add_targets()
             self._marks = self._add_marks()
             self._add_floor()
@@ -144,14 +144,18 @@ class BrowserScene:
         p, q = drawn.arm.axes()
         rotation = np.empty(4)
         mujoco.mju_mat2Quat(rotation, drawn.T_root[:3, :3].ravel())
+        rotations, positions = rotations_to(q - p), (p + q) / 2
+        for k in self._replay.pieces:
+            mujoco.mju_mat2Quat(rotations[k], drawn.links[k, :3, :3].ravel())
+            positions[k] = drawn.links[k, :3, 3]
         with self._server.atomic():
             self._part.wxyz, self._part.position = rotation, drawn.T_root[:3, 3]
-            for node, wxyz, middle in zip(self._arm, rotations_to(q - p), (p + q) / 2, strict=True):
-                node.wxyz, node.position = wxyz, middle
+            for node, wxyz, position in zip(self._arm, rotations, positions, strict=True):
+                node.wxyz, node.position = wxyz, position
 
     @property
     def arm_positions(self) -> Float[np.ndarray, "K1 3"]:
-        """Centres of the capsules and of the bare tip, as drawn."""
+        """Centres of the capsules and of the bare tip, and origins of the convex pieces' links, as drawn."""
         return np.array([node.position for node in self._arm])
 
     @property
@@ -201,15 +205,17 @@ class BrowserScene:
         for node in self._marks:
             node.visible = visible
 
-    def _capsule(self, k: int, opacity: float) -> viser.MeshHandle:
-        """Add the mesh of capsule k along its own z axis; an index after the last capsule adds the tool's bare tip."""
+    def _body(self, k: int, opacity: float) -> viser.MeshHandle:
+        """Add capsule k along its own z axis, or its convex piece; an index after the last adds the tool's bare tip."""
         robot = self._replay.robot
         p, q = (ends[k] for ends in self._replay.arm_at(0).axes())
         last = k == len(robot.capsule_link)
         radius = TIP_M if last else float(robot.capsule_radius[k])
-        mesh = trimesh.creation.capsule(height=float(np.linalg.norm(q - p)), radius=radius, count=ROUND)
+        capsule = trimesh.creation.capsule(height=float(np.linalg.norm(q - p)), radius=radius, count=ROUND)
+        piece = self._replay.pieces.get(k)
+        mesh = surfaces.rounded_hull(*piece) if piece else (capsule.vertices, capsule.faces)
         name, colour = f"/arm/{'tip' if last else f'{k + 1} {robot.capsule_names[k]}'}", compensated(self._colour(k))
-        return self._scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, opacity=opacity)
+        return self._scene.add_mesh_simple(name, *mesh, color=colour, opacity=opacity, flat_shading=piece is not None)
 
     def _colour(self, k: int, blocked: Obstruction | None = None) -> str:
         """Return the colour of capsule k, highlighted if it collides; an index after the last is the bare tip."""
