@@ -5,6 +5,7 @@ import subprocess
 from dataclasses import replace
 from itertools import pairwise
 
+import made_once
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,6 +16,8 @@ from PIL import Image
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
+from htcp_jax.jobs import PlanConfig
+from htcp_jax.model import Workpiece
 from htcp_jax.model.convex_piece import body_pieces, make_piece
 from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.status import Kind
@@ -24,6 +27,7 @@ from htcp_jax.viewer.colours import DWELL, FAILED, NEAREST, TargetStyle, rgb, ta
 from htcp_jax.viewer.movie import LAST_REPEATS, RATE, Film, write_movie
 from htcp_jax.viewer.playback import STRIDE_M, poses_along
 from htcp_jax.viewer.replay import replays_of
+from htcp_jax.viewer.workcell import Workcell
 
 SIZE = 320, 220
 
@@ -252,6 +256,12 @@ def test_a_convex_piece_is_drawn_in_place_of_its_capsule(made, replay, screenles
         capsules = studio.still(6)
     same, thin = ((np.abs(picture - capsules).max(axis=2) > 40).mean() for picture in pictures)
     assert same < 0.02 < 0.2 < thin
+
+
+def test_a_path_without_a_cloud_is_drawn_as_dots_and_not_as_a_wall():
+    path = np.linspace([0.5, 0, 0], [0.5, 0.6, 0], 13)
+    surface = Workcell(PlanConfig(), made_once.robot(), Workpiece("air", np.empty((0, 3)), path)).surface
+    assert np.array_equal(surface.points, path) and surface.radius.max() < 1e-3
 
 
 def test_a_file_that_is_a_picture_is_the_only_file_written(made, screenless, tmp_path):

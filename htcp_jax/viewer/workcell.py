@@ -19,6 +19,7 @@ from htcp_jax.runs import PlanSet, parameters, plan_folder
 from htcp_jax.runs import open as plan_sets
 
 MOST_CELLS = 8  # maximum number of workcells in memory
+DOT_M = 5e-4  # radius of a dot
 
 
 class Placement(NamedTuple):
@@ -53,8 +54,9 @@ class Workcell:
 
     @cached_property
     def surface(self) -> surfaces.Surface:
-        """Workpiece surface, for drawing."""
-        return surfaces.surface_of(self.workpiece.shown)
+        """Workpiece surface, for drawing; without a cloud, dots on the path."""
+        found = surfaces.surface_of(self.workpiece.shown)
+        return found if len(self.workpiece.cloud) else found._replace(radius=np.full(len(found.points), DOT_M))
 
 
 class RecordedCells:
