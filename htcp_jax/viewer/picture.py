@@ -135,7 +135,9 @@ def _draw_scene(
         frames = [seen(pose, from_part=bool(column)) for pose in poses]
         T, arm = frames[-1].T_root, together(frames)
         wall, targets = moved(cloud, T), moved(plans.target[row], T)
-        view = flat_side(wall, targets, ShownBodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot)))
+        if column == 0 or robot.part_moves:  # else both views are the same
+            shown_bodies = ShownBodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot))
+            view = flat_side(wall, targets, shown_bodies)
         _draw_wall(axes, view, wall)
         _draw_fixtures(axes, view, fixtures.placed(T))
         outlines = [_outlines(view, robot, *each) for each in zip(frames, pieces, strict=True)]
