@@ -158,7 +158,8 @@ class _Process:
         if event == "tempfile.mkdtemp":
             self.made.append(args[0])
         elif event == "open" and isinstance(args[0], str | Path) and os.path.basename(args[0]).startswith(PART):
-            self.made.append(os.path.abspath(args[0]))
+            if args[2] & os.O_CREAT:  # `unfinished.clear` opens those of other processes
+                self.made.append(os.path.abspath(args[0]))
         elif event == "os.mkdir" and not os.path.exists(args[0]):
             self.folders.append(os.path.abspath(args[0]))
 

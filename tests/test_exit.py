@@ -22,9 +22,11 @@ from htcp_jax.cli.sweep import _sweep_bars
 from htcp_jax.errors import Note
 from htcp_jax.model.robot import GP50
 from htcp_jax.planning import batch
+from htcp_jax.process_exit import PART
 from htcp_jax.runs import open_run
 from htcp_jax.runs.reachability_file import read_reachability
 from htcp_jax.runs.sweep import SweepProgress, sweep
+from htcp_jax.unfinished import temporary_folder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="phases are seen in /proc")
 LIMIT_S = 30.0  # 5 on a quiet machine
@@ -217,6 +219,16 @@ def test_a_process_ends_with_its_code_while_a_thread_is_at_work():
     )
     done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (3, "closed\n", "")
+
+
+def test_a_command_leaves_what_another_one_is_writing_into_the_same_folder(tmp_path):
+    code = "from htcp_jax import process_exit, unfinished; process_exit.run(lambda: unfinished.clear({!r}) or 0)"
+    with temporary_folder(tmp_path) as scratch:
+        write = scratch / f"{PART}file"
+        write.write_text("")
+        for folder in (tmp_path, scratch):
+            subprocess.run([sys.executable, "-c", code.format(str(folder))], env=environment(), check=True)
+        assert scratch.is_dir() and not write.exists()  # no process has locked the file
 
 
 def test_without_memory_a_command_ends_with_one_line(here):
