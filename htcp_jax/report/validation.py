@@ -134,14 +134,18 @@ def notes(found: dict[str, Any]) -> list[str]:
     """Return explanations of the columns that have values in a validation's tables."""
     lines = []
     if any(check.get("clearance_off_max_mm") is not None for check in found["methods"].values()):
-        lines.append("Differs from plan: the largest difference between a target's clearance in the plan and MuJoCo's.")
+        lines.append(
+            "Differs from plan: the largest difference between a target's clearance in the plan and MuJoCo's. Where "
+            "the plan's is a lower bound, as for meshes and convex pieces, only a smaller one of MuJoCo's counts."
+        )
     lines += found.get("unchecked", ())
     if found.get("excluded"):
         lines.append(f"Deepest overlap of two capsules that are not checked against each other: {found['excluded']}.")
     if any(check.get("clearance_less_cover_min_mm") is not None for check in found["methods"].values()):
         lines.append(
-            "Clearance is the distance to the mesh's triangles. Less cover: clearance minus the covering radius of the "
-            "planner's points on the mesh, which plans, sweeps and reports also subtract."
+            "Clearance is the smallest distance of all checked pairs, from the part to its mesh's triangles. Less "
+            "cover: distances from the part are smaller by the covering radius of the planner's points on the mesh, "
+            "which plans, sweeps and reports also subtract."
         )
     if found["between"]:
         lines.append(

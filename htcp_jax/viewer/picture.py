@@ -48,6 +48,7 @@ THINNEST_M = 1e-5  # half of the width at which a flat shape is drawn
 SMALLEST_M = 0.1  # minimum extent of a view, for example of a single point
 LEVELS = 32  # number of depth levels; drawing markers of one colour together is faster
 FONT_PT, LINE_LENGTH = 9.5, 90  # texts in the clearance plot: size, and maximum characters per line
+HEADROOM = 0.1  # free space above the curve, for texts, as a share of its height
 CLOSE = 0.03  # lines closer than this share of all targets have their texts left of the first line
 AXIS_PT, TILT = 22.0, 0.35  # axes of a view: length of one across the view; how far down one towards the eye points
 TRIAD_AT = 0.4, -0.42  # origin of the axes, from the view's lower left corner [inches]
@@ -128,7 +129,7 @@ def _draw_scene(
     poses = [ArmPose(kinematics.ArmShape(*one), 0, T_root=T) for *one, T in zip(*arm, roots, strict=True)]
     drawn = []
     attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
-    headings = _pose_heading(shown, robot.part_moves, attempted), "From the part" if robot.part_moves else "Inside"
+    headings = _pose_heading(shown, robot.part_moves, attempted), "From the part" if robot.part_moves else "Close-up"
     pieces = pieces_at(robot, x)
     for column, heading in enumerate(headings):
         axes = figure.add_subplot(grid[0, column])
@@ -147,7 +148,8 @@ def _draw_scene(
             _draw_obstruction(axes, view, robot, obstruction, T)
         _set_limits(axes, view.flat(wall) if column else None)
         _draw_triad(axes, view)
-        _heading(axes, f"{heading}, seen from azimuth {np.degrees(np.arctan2(view.near[1], view.near[0])):.0f}°")
+        azimuth = round(np.degrees(np.arctan2(view.near[1], view.near[0])))
+        _heading(axes, f"{heading}, seen from azimuth {azimuth}°")
         drawn.append((view, T))
     return drawn
 
@@ -341,8 +343,9 @@ def _set_limits(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
         axes.axhline(0, color=INK, linewidth=1, alpha=0.5, zorder=0)
     else:
         low, high = around.min(axis=0), around.max(axis=0)
-        border = 0.05 * max((high - low).max(), SMALLEST_M)
-        axes.set(xlim=(low[0] - border, high[0] + border), ylim=(low[1] - border, high[1] + border))
+        largest = max((high - low).max(), SMALLEST_M)
+        border = np.maximum(0.05 * largest, 0.25 * largest - (high - low) / 2)  # a line is shown with its surroundings
+        axes.set(xlim=(low[0] - border[0], high[0] + border[0]), ylim=(low[1] - border[1], high[1] + border[1]))
     draw_scale(axes, above=True)
 
 
@@ -383,7 +386,7 @@ def _pose_heading(shown: list[int], part_moves: bool, attempted: bool) -> str:
     at_first = "as near as it came to the failed target" if attempted else "at its start"
     where = at_first if last == "start" else f"at target {last}"
     others = f" (shadows: at {' and '.join(map(str, shadows))})" if shadows else ""
-    return f"The arm {where}{others}, {'in the world' if part_moves else 'cut open'}"
+    return f"The arm {where}{others}{', in the world' if part_moves else ''}"
 
 
 def _heading(axes: Axes, text: str) -> None:
@@ -405,6 +408,7 @@ def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float) -> None
         style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
         axes.axhline(1e3 * margin_m, label="required margin", **style)
     low, high = axes.get_ylim()
+    axes.set_ylim(low, high * (high / low) ** HEADROOM)
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 1e5 else (1,), numticks=99))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_locator(NullLocator())
