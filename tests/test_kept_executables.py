@@ -300,3 +300,20 @@ def test_a_slow_result_is_stored_for_the_next_process_and_computed_again_if_its_
     assert in_a_new_process() == "stored"
     cache_folder.write(file.name, b"no pickle")
     assert np.array_equal(in_a_new_process(), drawn)
+
+
+def test_programs_that_were_used_last_are_loaded_before_they_are_called(folder, monkeypatch):
+    monkeypatch.setattr(kept_executables, "_used", {})
+    expected, device = settled(), jax.devices()[0]
+    kept_executables.remember("toy")
+    kept_executables.preload("toy", device)
+    kept_executables.preload("never planned", device)
+    (begun,) = kept_executables._begun.values()
+    found, count = traced(settled)
+    assert count == 0 and begun.executable.done() and not kept_executables._begun
+    assert all(map(np.array_equal, jax.tree.leaves(found), jax.tree.leaves(expected)))
+    for file in folder.glob(f"{cache_folder.STORED}/settle*"):
+        file.write_bytes(b"damaged")
+    kept_executables.preload("toy", device)
+    again, count = traced(settled)
+    assert count > 0 and all(map(np.array_equal, jax.tree.leaves(again), jax.tree.leaves(expected)))

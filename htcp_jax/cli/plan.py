@@ -1,10 +1,12 @@
 """`htcp plan`: plan one job, print a table and write five files."""
 
+import contextlib
+import hashlib
 import importlib
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,7 +28,7 @@ from htcp_jax.cli.output import (
 from htcp_jax.errors import Interrupted
 from htcp_jax.jobs import PlanConfig, load_config, seeded
 from htcp_jax.planning import registry
-from htcp_jax.process_exit import INTERRUPTED, stop_message
+from htcp_jax.process_exit import INTERRUPTED, is_watched, stop_message
 
 if TYPE_CHECKING:
     from htcp_jax.api import Plan
@@ -82,12 +84,13 @@ def plan(
     job = job_of(config, seeded(overrides or (), seed), method)
     claim_device(device)
     threading.Thread(target=_load_matplotlib, daemon=True).start()
-    from htcp_jax import api  # imported here, as it imports JAX
-    from htcp_jax.io import output_files
+    with _programs_preloaded(job, device):
+        from htcp_jax import api  # imported here, as it imports JAX
+        from htcp_jax.io import output_files
 
-    with output_files.written_whole(out) as folder:
-        made = plan_with_progress(job, device)
-        made.write(folder, retract=retract)
+        with output_files.written_whole(out) as folder:
+            made = plan_with_progress(job, device)
+            made.write(folder, retract=retract)
     api.forget_validation(out)
     if as_json:
         print_json(made.record())
@@ -96,6 +99,25 @@ def plan(
         for where, why in made.failure().items():
             stdout().print(Text.assemble((f"{where}: ", "red"), why))
     return COMPLETE if made.complete else INCOMPLETE
+
+
+@contextlib.contextmanager
+def _programs_preloaded(job: PlanConfig, device: str | None) -> Iterator[None]:
+    """Return a context in whose beginning threads load the programs that the last plan of such a job used.
+
+    This is done only in the command's own process, as programs that are not called are not freed.
+    """
+    from htcp_jax import cache_folder
+    from htcp_jax.device import devices, kept_executables
+
+    if not is_watched() or cache_folder.enable() is None:
+        yield
+        return
+    alike = repr((job.method, job.robot, job.cell, job.task))
+    name = hashlib.blake2b(alike.encode(), digest_size=8).hexdigest()
+    kept_executables.preload(name, devices.choose(device)[0])
+    yield
+    kept_executables.remember(name)
 
 
 def _load_matplotlib() -> None:

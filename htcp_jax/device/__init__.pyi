@@ -1,4 +1,4 @@
-from . import devices, lane_function, processes, tables
+from . import devices, kept_executables, lane_function, processes, tables
 from .batching import Loop
 from .chunks import by_chunks
 from .executor import EXECUTABLES, Executor
@@ -9,6 +9,7 @@ __all__ = [
     "Loop",
     "by_chunks",
     "devices",
+    "kept_executables",
     "lane_function",
     "processes",
     "tables",

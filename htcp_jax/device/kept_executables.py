@@ -5,8 +5,11 @@ An executable is stored under the name of its program, `cache_key.program_key`. 
 executable stores it, as an executable loaded from JAX's own cache cannot be serialised again.
 
 On a CPU an executable calls functions of LAPACK by pointers. JAX sets the pointers when it lowers such a call. A
-process that only loads executables lowers none, so `_load` sets the pointers. An executable that calls other external
+process that only loads executables lowers none, so `_read` sets the pointers. An executable that calls other external
 functions is not stored.
+
+A command may `preload` the programs that it used last time. Nearly all of the time for loading is spent before JAX asks
+for the structure of the arguments, so that loading can begin before the scene is known.
 """
 
 import contextlib
@@ -16,6 +19,8 @@ import re
 import threading
 import zlib
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from typing import Any
 
 import jax
 import numpy as np
@@ -27,6 +32,10 @@ FAST = 1  # compression level: a fifth of the size in 10 ms
 CALLED = re.compile('custom_call_target="([^"]+)"')  # external calls in the text of an executable
 LAPACK = "lapack_"  # prefix of the names of LAPACK's functions
 HIT = "/jax/compilation_cache/cache_hits"  # JAX's event for a hit in its own cache
+
+_turn = threading.Lock()
+_begun: dict[str, "_Begun"] = {}  # programs whose loading has begun, by name
+_used: dict[str, None] = {}  # names of the programs that this process has used, in order
 
 
 def find(source: str | None, device: jax.Device, arguments: tuple) -> jax.stages.Compiled | None:
@@ -78,16 +87,70 @@ def _save(program: str, executable: jax.stages.Compiled, device: jax.Device) -> 
     return cache_folder.write(program, zlib.compress(content, FAST))
 
 
+class _Begun:
+    """A program that is loaded in a thread before it is called. JAX asks for the structure of its arguments last."""
+
+    def __init__(self) -> None:
+        self.structure: Future = Future()  # of the arguments
+        self.executable: Future = Future()
+        self._has_turn = False
+
+    def read(self, program: str, device: jax.Device) -> None:
+        """Load the program; only one is loaded at a time."""
+        _turn.acquire()
+        self._has_turn = True
+        try:
+            self.executable.set_result(_read(program, device, self))
+        finally:
+            self._end_turn()
+
+    def unflatten(self, leaves: list) -> Any:
+        """Return the arguments with these leaves, as soon as their structure is known. JAX calls it after loading."""
+        self._end_turn()
+        return self.structure.result().unflatten(leaves)
+
+    def _end_turn(self) -> None:
+        if self._has_turn:
+            self._has_turn = False
+            _turn.release()
+
+
+def preload(name: str, device: jax.Device) -> None:
+    """Begin to load the programs that were last used under a name, in threads.
+
+    Args:
+        name: The name, see `remember`.
+        device: The device.
+    """
+    for program in (cache_folder.read(f"used-{name}") or b"").decode().split():
+        _begun[program] = begun = _Begun()
+        threading.Thread(target=begun.read, args=(program, device), daemon=True).start()
+
+
+def remember(name: str) -> None:
+    """Store the names of the programs that this process has used, for `preload`."""
+    if (used := " ".join(_used).encode()) != cache_folder.read(f"used-{name}"):
+        cache_folder.write(f"used-{name}", used)
+
+
 def _load(program: str, device: jax.Device, arguments: tuple) -> jax.stages.Compiled | None:
+    structure = jax.tree.structure((arguments, {}))
+    _used.setdefault(program)
+    if (begun := _begun.pop(program, None)) is None:
+        return _read(program, device, structure)
+    begun.structure.set_result(structure)
+    return begun.executable.result()
+
+
+def _read(program: str, device: jax.Device, structure: Any) -> jax.stages.Compiled | None:
     if (content := cache_folder.read(program)) is None:
         return None
     try:
         code, example, calls_lapack = pickle.loads(zlib.decompress(content))
         if calls_lapack and device.platform == "cpu":
             _set_lapack()
-        structures = jax.tree.structure((arguments, {})), jax.tree.structure(example)
         return serialize_executable.deserialize_and_load(
-            code, *structures, backend=device.client, execution_devices=[device]
+            code, structure, jax.tree.structure(example), backend=device.client, execution_devices=[device]
         )
     except Exception:  # serialisation raises exceptions of many types
         return None
