@@ -77,14 +77,16 @@ def program_key(name: str, lowered: jax.stages.Lowered, device: jax.Device, opti
     return _name(name, (_machine(device, options), lowered.as_text(), str(lowered.out_tree)))
 
 
-def result_key(call: partial) -> str | None:
-    """Return the name of a call's result, the same in every process; None if it depends on unknown code.
+def result_key(function: FunctionType, about: tuple) -> str | None:
+    """Return the name of a function's result, the same in every process; None if it depends on unknown code.
 
     Args:
-        call: A function of the core and its arguments, which determine the result.
+        function: A function of the core.
+        about: Description of its arguments by `described`; they determine the result.
     """
     try:
-        return _name(call.func.__name__, (_source(), _installation(), version("scipy"), described(call)))
+        libraries = _installation(), version("scipy")
+        return _name(function.__name__, (_source(), libraries, described(function), about))
     except UnknownSource:
         return None
 

@@ -54,19 +54,24 @@ def cached_by_values(most: int) -> Callable[[FunctionType], Callable]:
         def result(*arguments: Any, **named: Any) -> Any:
             from htcp_jax import cache_key  # here, as it imports JAX, and a job is read without JAX
 
-            key = repr(cache_key.described((arguments, named)))
-            return _last_used(results, key, lambda: _stored_result(partial(function, *arguments, **named)), most)
+            about, call = cache_key.described((arguments, named)), partial(function, *arguments, **named)
+            return _last_used(results, repr(about), lambda: _stored_result(call, about), most)
 
         return result
 
     return decorated
 
 
-def _stored_result(call: partial) -> Any:
-    """Return the result of a call from the cache folder, or compute it, and store it if this takes over SLOW_S."""
+def _stored_result(call: partial, about: tuple) -> Any:
+    """Return the result of a call from the cache folder, or compute it, and store it if this takes over SLOW_S.
+
+    Args:
+        call: The function and its arguments.
+        about: Description of the arguments.
+    """
     from htcp_jax import cache_key
 
-    key = cache_key.result_key(call) if cache_folder.folder() else None
+    key = cache_key.result_key(call.func, about) if cache_folder.folder() else None
     if key is not None and (content := cache_folder.read(key)) is not None:
         try:
             return pickle.loads(content)

@@ -37,11 +37,6 @@ class BodyPieces(NamedTuple):
     planes: Float[Anywhere, "K D 4"]  # half-spaces that enclose the piece: unit normal, offset [m]
     excess_m: Float[Anywhere, "K"]  # largest distance of the capsule's surface from the piece; 0: there is no piece
 
-    def checked(self) -> dict[int, tuple[Float[np.ndarray, "V 3"], float]]:
-        """Return the bodies' pieces, by index of the body: vertices [m] and the radius about them [m]."""
-        vertices, radius = np.asarray(self.piece.vertices), np.asarray(self.piece.radius)
-        return {k: (vertices[k], float(radius[k])) for k in np.flatnonzero(np.asarray(self.excess_m) > 0).tolist()}
-
 
 def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexPiece:
     """Return the convex hull of P >= 1 points [m], thickened by a radius [m].

@@ -218,8 +218,17 @@ def mesh_note(
     return f"; gap between mesh and capsule there: {', '.join(known)}" if known else ""
 
 
+def checked_pieces(robot: Robot) -> dict[int, tuple[Float[np.ndarray, "V 3"], float]]:
+    """Return the convex pieces that are checked, by capsule: vertices in the link's frame and radius about them [m]."""
+    if robot.pieces is None:
+        return {}
+    vertices, radius = np.asarray(robot.pieces.piece.vertices), np.asarray(robot.pieces.piece.radius)
+    has_piece = np.flatnonzero(np.asarray(robot.pieces.excess_m) > 0).tolist()
+    return {k: (vertices[k], float(radius[k])) for k in has_piece}
+
+
 def _has_piece(robot: Robot, name: str) -> bool:
-    return robot.pieces is not None and bool(robot.pieces.excess_m[robot.capsule_names.index(name)] > 0)
+    return robot.capsule_names.index(name) in checked_pieces(robot)
 
 
 def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:

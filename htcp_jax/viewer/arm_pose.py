@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.device import EXECUTABLES
 from htcp_jax.model import Robot, kinematics
+from htcp_jax.model import robot as robots
 from htcp_jax.pytree import without_labels
 
 AT_REST = np.eye(4)
@@ -81,7 +82,7 @@ def arms_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> kinematics.ArmShape:
 
 def pieces_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> list[dict[int, tuple[Float[np.ndarray, "_ 3"], float]]]:
     """Return the convex pieces at n configurations, by capsule: vertices [m] and the radius about them [m]."""
-    pieces = {} if robot.pieces is None else robot.pieces.checked()
+    pieces = robots.checked_pieces(robot)
     return [{k: (moved(vertices, T[k]), r) for k, (vertices, r) in pieces.items()} for T in links_at(robot, x)]
 
 

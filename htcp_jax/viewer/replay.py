@@ -29,7 +29,7 @@ from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstruction_module
 from htcp_jax.runs import PlanSet, motion_summary, open_plans
-from htcp_jax.viewer.arm_pose import moved, roots_at
+from htcp_jax.viewer.arm_pose import links_at, moved, roots_at
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.normal_glyphs import NormalGlyphs, glyphs
 from htcp_jax.viewer.viewpoints import ShownBodies, ShownScene, Viewpoint, camera_view, camera_view_of
@@ -119,7 +119,7 @@ class Replay(NamedTuple):
     @property
     def pieces(self) -> dict[int, tuple[Float[np.ndarray, "V 3"], float]]:
         """Convex pieces that are checked, by capsule: vertices in the frame of the link [m], radius about them [m]."""
-        return {} if self.robot.pieces is None else self.robot.pieces.checked()
+        return robots.checked_pieces(self.robot)
 
     @property
     def outcome(self) -> plan_arrays.Outcome:
@@ -219,9 +219,7 @@ class Replays:
             x=x,
             shape=shape,
             T_root=T_root,
-            links=[None] * len(x)
-            if robot.pieces is None
-            else np.asarray(kinematics.body_poses_at(robot, jnp.asarray(x))),
+            links=links_at(robot, x),
             witness=witness.rows(slice(len(x))),
             motion=motions.motions(alone, on_path, np.logical_and.accumulate(alone.tracked, axis=1)).of(0),
             summary=summary,

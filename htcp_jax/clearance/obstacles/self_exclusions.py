@@ -73,13 +73,14 @@ def overlaps(
     The results are those of `distances`, but capsules are only measured if the spheres about them are near.
     """
     p, q = map(np.asarray, _sampled_segments(robot, x))
-    (a, b), middle = np.array(pairs).T, (p + q) / 2
+    each = np.array(pairs)
+    (a, b), middle = each.T, (p + q) / 2
     reach = np.linalg.norm(q - p, axis=2).max(axis=0) / 2 + np.asarray(robot.capsule_radius)
     overlap, near = np.zeros((2, len(x), len(pairs)), bool)
     for first in range(0, len(x), TOGETHER):
         apart = middle[first : first + TOGETHER, a] - middle[first : first + TOGETHER, b]
         row, pair = np.nonzero((apart**2).sum(axis=2) <= (reach[a] + reach[b] + 2 * NEAR_M) ** 2)
-        found = _distances_in(robot, p, q, first + row, np.array(pairs)[pair])
+        found = _distances_in(robot, p, q, first + row, each[pair])
         overlap[first + row, pair], near[first + row, pair] = found <= 0, found <= NEAR_M
     return overlap, near
 
