@@ -10,15 +10,16 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from test_validate_pieces import arm_file
 
+from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Workpiece
-from htcp_jax.model.kinematics import ArmShape, capsule_segments, capsules_and_tcp, tip_segment
+from htcp_jax.model.kinematics import ArmShape, capsule_segments, tip_segment
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.reachability import Obstruction
 from htcp_jax.status import Status
 from htcp_jax.viewer import draw_plan
-from htcp_jax.viewer.arm_pose import pieces_at
+from htcp_jax.viewer.arm_pose import arms_at, pieces_at
 from htcp_jax.viewer.picture import draw_scale, shown_targets, stadium
 
 COORDINATE = st.floats(-3, 3)
@@ -41,24 +42,24 @@ def test_the_last_tracked_configuration_is_the_last_drawn():
 
 
 def test_the_shape_of_the_arm_is_that_of_its_kinematics_with_one_rule_for_the_bare_tip():
-    x = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (3, 6)))
-    shape = capsules_and_tcp(gp50(), x)
+    x = np.random.default_rng(0).uniform(-1, 1, (3, 6))
+    shape = arms_at(gp50(), x)
     for w in range(len(x)):
-        alone = (*capsule_segments(gp50(), x[w]), *tip_segment(gp50(), x[w]))
+        one = jnp.asarray(x[w])
+        alone = (*capsule_segments(gp50(), one), *tip_segment(gp50(), one))
         for mine, theirs in zip(shape, alone, strict=True):
             np.testing.assert_allclose(mine[w], theirs, atol=1e-12)
         p, q = ArmShape(*(part[w] for part in shape)).axes()
         assert p.shape == q.shape == (len(gp50().capsule_names) + 1, 3)
-        np.testing.assert_allclose(np.stack([p[-1], q[-1]]), tip_segment(gp50(), x[w]), atol=1e-12)
+        np.testing.assert_allclose(np.stack([p[-1], q[-1]]), tip_segment(gp50(), one), atol=1e-12)
 
 
-def test_the_shapes_of_as_many_configurations_are_compiled_once():
-    """One compilation for every picture with as many configurations (regression: each picture compiled anew)."""
-    x = jnp.zeros((4, 6))
-    capsules_and_tcp(gp50(), x)
-    before = capsules_and_tcp._cache_size()
-    capsules_and_tcp(gp50(), x + 0.1)
-    assert capsules_and_tcp._cache_size() == before
+def test_pictures_of_other_numbers_of_configurations_compile_nothing():
+    """Regression: each picture was compiled anew, later each number of configurations."""
+    arms_at(gp50(), np.zeros((4, 6)))
+    before = len(EXECUTABLES)
+    longer = arms_at(gp50(), np.full((300, 6), 0.1))
+    assert len(EXECUTABLES) == before and longer.p.shape == (300, len(gp50().capsule_names), 3)
 
 
 @pytest.mark.parametrize("tracked", [0, 1, 60, 105])

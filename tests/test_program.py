@@ -21,7 +21,6 @@ from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.jobs.config import ProgramConfig
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.model import Task
-from htcp_jax.model.kinematics import capsules_and_tcp
 from htcp_jax.model.robot import GP50
 from htcp_jax.motion import Motion
 from htcp_jax.motion.manipulability import manipulability
@@ -35,6 +34,7 @@ from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.path import path_of_blend
 from htcp_jax.trajectory.program import time_motion
 from htcp_jax.trajectory.time_scaling import time_scaling
+from htcp_jax.viewer.arm_pose import arms_at
 
 _, A, F, D, R = Kind
 STEP_S = 1e-3
@@ -294,8 +294,8 @@ def test_no_point_of_the_arm_is_displaced_further_than_the_bound(model, tmp_path
 
 
 def _points(robot, x):
-    shape = capsules_and_tcp(robot, x)
-    return np.concatenate([shape.p, shape.q, np.asarray(shape.tcp)[:, None]], axis=1)
+    shape = arms_at(robot, x)
+    return np.concatenate([shape.p, shape.q, shape.tcp[:, None]], axis=1)
 
 
 def test_no_body_is_further_from_the_polyline_than_the_share_of_its_clearance():

@@ -16,7 +16,7 @@ import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.io.output_files import write_json
 from htcp_jax.io.robots.loading import gp50
-from htcp_jax.model.kinematics import capsules_and_tcp, tcp_pose
+from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.runs import open_plans
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY
 from htcp_jax.status import Kind
@@ -27,6 +27,7 @@ from htcp_jax.validation import check_timed
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.track import scene_of
 from htcp_jax.validation.validate import parts_of
+from htcp_jax.viewer.arm_pose import arms_at
 
 STEP_S = 1e-3
 ROUNDING = 1e-6  # of a limit: third differences of doubles over 1 ms
@@ -251,9 +252,9 @@ def from_polyline(curve) -> float:
     """Largest distance of any body's end from the straight joint paths between the curve's via points [m]."""
     u = curve.grid(9, 3)
     straight = np.stack([np.interp(u, curve.u, joint) for joint in curve.x.T], axis=1)
-    rounded, straight = (capsules_and_tcp(gp50(), jnp.asarray(x)) for x in (curve.at(u).x, straight))
+    rounded, straight = (arms_at(gp50(), x) for x in (curve.at(u).x, straight))
     ends = [(rounded.p, straight.p), (rounded.q, straight.q)]
-    return max(float(np.linalg.norm(np.asarray(a) - np.asarray(b), axis=2).max()) for a, b in ends)
+    return max(float(np.linalg.norm(a - b, axis=2).max()) for a, b in ends)
 
 
 def test_check_looks_at_all_of_it_by_mujoco_and_says_what_it_found(plans, here, capsys):

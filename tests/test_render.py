@@ -5,6 +5,7 @@ import subprocess
 from dataclasses import replace
 from itertools import pairwise
 
+import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.model import Workpiece
 from htcp_jax.model.convex_piece import body_pieces, make_piece
-from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
+from htcp_jax.model.kinematics import ArmShape, tcp_position
 from htcp_jax.status import Kind
 from htcp_jax.viewer import Studio, offscreen
 from htcp_jax.viewer.camera import kept_points, nearest_camera, open_side
@@ -120,8 +121,8 @@ def test_the_way_passes_the_configurations_between_targets_and_knows_where_the_a
     assert len(passed) == 2
     tips = np.array([pose.arm.tcp for pose in poses])
     for x in passed:
-        shape = capsules_and_tcp(dwelling.robot, x[None])
-        assert np.abs(tips[turning] - np.asarray(shape.tcp)).max(axis=1).min() < 1e-12
+        tcp = np.asarray(tcp_position(dwelling.robot, jnp.asarray(x)))
+        assert np.abs(tips[turning] - tcp).max(axis=1).min() < 1e-12
     points = np.array([np.vstack([pose.arm.p, pose.arm.q, pose.arm.tcp]) for pose in poses])
     assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 1.3 * STRIDE_M
     assert [pose.target for pose in poses] == sorted(pose.target for pose in poses)

@@ -3,14 +3,17 @@
 import json
 import subprocess
 from dataclasses import replace
+from functools import partial
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from made_plan import STATUSES, driven, made_plan, made_plans
 from PIL import Image
 
 from htcp_jax.cli import main
-from htcp_jax.model.kinematics import capsules_and_tcp
+from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.runs import open_plans
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.plan_program import program_of
@@ -48,7 +51,9 @@ def test_the_arm_in_each_frame_is_where_the_timed_curve_has_it_then(made, speed)
     row = arms_of(made, sample_program(made, times))
     for k in (0, len(times) // 3, len(times) - 1):
         x = made.program.at(np.array([k * speed / RATE])).x
-        np.testing.assert_allclose(row[k].arm.p, np.asarray(capsules_and_tcp(made.robot, x).p)[0], atol=1e-9)
+        np.testing.assert_allclose(
+            row[k].arm.p, np.asarray(capsule_segments(made.robot, jnp.asarray(x[0]))[0]), atol=1e-9
+        )
 
 
 def test_the_targets_are_come_to_when_the_tool_passes_them(made, folder):
@@ -76,7 +81,7 @@ def test_what_is_plotted_is_how_fast_the_timed_curve_is(made):
     np.testing.assert_allclose(
         np.stack(list(curves.share_percent.values()))[:, inner].T, 100 * rates / limits, atol=0.01
     )
-    tcp = [np.asarray(capsules_and_tcp(made.robot, x).tcp) for x in (before, after)]
+    tcp = [np.asarray(jax.vmap(partial(tcp_position, made.robot))(jnp.asarray(x))) for x in (before, after)]
     speed = 1e3 * np.linalg.norm(tcp[1] - tcp[0], axis=1) / (2 * STEP_S)
     plotted = np.stack(list(curves.tcp_mm_s.values()))
     assert ((~np.isnan(plotted)).sum(axis=0) == 1).all()  # each instant has one kind

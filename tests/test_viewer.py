@@ -28,7 +28,7 @@ from PIL import Image
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.model.convex_piece import body_pieces, make_piece
-from htcp_jax.model.kinematics import body_poses, capsule_segments, capsules_and_tcp
+from htcp_jax.model.kinematics import body_poses, capsule_segments
 from htcp_jax.process_exit import INTERRUPTED
 from htcp_jax.status import SegmentStatus
 from htcp_jax.trajectory.plan_program import program_of_plans
@@ -293,8 +293,8 @@ def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, t
     assert viewer.shown == (0, "baseline") and page.get_by_text("Time [s]").first.is_visible()
     until(lambda: page.locator(".uplot canvas").count() == 3)
     step_to(page, viewer, slider, 0.3)
-    arm = capsules_and_tcp(made.robot, made.program.at(np.array([viewer.place])).x)
-    middle = (np.asarray(arm.p) + np.asarray(arm.q))[0] / 2
+    p, q = capsule_segments(made.robot, jnp.asarray(made.program.at(np.array([viewer.place])).x[0]))
+    middle = (np.asarray(p) + np.asarray(q)) / 2
     np.testing.assert_allclose(viewer.stage.arm_positions[: len(middle)], middle, atol=1e-6)
     page.get_by_text("0.30 s: approach, TCP").wait_for()
     began, from_s = time.monotonic(), viewer.place

@@ -1,12 +1,10 @@
 """Execution of a method's lane functions on one scene and device, and the cache of their executables."""
 
-import inspect
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -58,8 +56,8 @@ class ExecutableCache:
 
     def get(
         self,
-        lane_function: "LaneFunction | _WholeFunction",
-        settings: Settings | None,
+        lane_function: LaneFunction,
+        settings: Settings,
         device: jax.Device,
         arguments: tuple,
         waiting: AbstractContextManager = NO_STOPWATCH,
@@ -85,18 +83,7 @@ class ExecutableCache:
                     self._keep(key, found)
         return found
 
-    def call(self, function: Callable, *arguments: Any) -> Any:
-        """Call a `jax.jit` function of the core on the default device, with an executable from the cache.
-
-        Args:
-            function: The function.
-            *arguments: Arrays, or robots and obstacles, whose labels are removed, see `without_labels`.
-        """
-        whole = _WholeFunction(function.__name__, inspect.unwrap(function))
-        arguments = jax.tree.map(np.asarray, arguments)
-        return self.get(whole, None, default_device(), arguments)(*arguments)
-
-    def _found(self, key: tuple, settings: Settings | None, arguments: tuple) -> jax.stages.Compiled:
+    def _found(self, key: tuple, settings: Settings, arguments: tuple) -> jax.stages.Compiled:
         """Load an executable from disk, or trace and compile it."""
         lane_function, values, device, *about = key
         options, keeps = COMPILER.get(device.platform, {}), self._on_disk and cache_folder.folder() is not None
@@ -132,20 +119,6 @@ class ExecutableCache:
             for key in self._compiled
             if key[0] == lane_function
         ]
-
-
-@dataclass(frozen=True)
-class _WholeFunction:
-    """A function without lanes or settings, with the interface of a `LaneFunction`."""
-
-    name: str
-    function: Callable
-
-    def values(self, settings: None) -> tuple:
-        return ()
-
-    def jitted(self, settings: None, device: jax.Device) -> jax.stages.Wrapped:
-        return jax.jit(self.function, keep_unused=True)
 
 
 EXECUTABLES = ExecutableCache(on_disk=True)  # executables of this process, shared by all plans

@@ -50,12 +50,6 @@ def body_poses(robot: Robot, x: Joints) -> Float[Array, "K 4 4"]:
     return jnp.concatenate([moved, jnp.broadcast_to(jnp.eye(4)[3:], (len(moved), 1, 4))], axis=1)
 
 
-@jax.jit
-def body_poses_at(robot: Robot, x: Float[Array, "W N"]) -> Float[Array, "W K 4 4"]:
-    """Return T_world_link of each capsule's link [m], at W configurations [rad or m]."""
-    return jax.vmap(lambda one: body_poses(robot, one))(x)
-
-
 def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
     """Return the bare tip in the world [m]: the segment from the nearest end of a capsule to the TCP.
 
@@ -82,34 +76,21 @@ class ArmShape(NamedTuple):
         return np.vstack([self.p, self.tip]), np.vstack([self.q, self.tcp])
 
 
-@jax.jit
-def capsules_and_tcp(robot: Robot, x: Float[Array, "W N"]) -> ArmShape:
-    """Return the arm's geometry at W configurations [rad or m].
-
-    The function is compiled once per robot structure and number of configurations.
-    """
-
-    def one(x: Joints) -> ArmShape:
-        return ArmShape(*capsule_segments(robot, x), *tip_segment(robot, x))
-
-    return jax.vmap(one)(x)
+def arm_shape(robot: Robot, x: Joints) -> ArmShape:
+    """Return the arm's geometry for drawing."""
+    return ArmShape(*capsule_segments(robot, x), *tip_segment(robot, x))
 
 
-@jax.jit
-def root_poses(robot: Robot, x: Float[Array, "W N"]) -> Float[Array, "W 4 4"]:
-    """Return the pose of the chain's root in the workshop [m], at W configurations [rad or m].
+def root_pose(robot: Robot, x: Joints) -> Pose:
+    """Return the pose of the chain's root in the workshop [m].
 
-    The root is the part's link if the part moves. Otherwise it is the world, and the poses are the identity.
+    The root is the part's link if the part moves. Otherwise it is the world, and the pose is the identity.
     """
     origin, axes = jnp.array([robot.world.origin_m]), jnp.array(robot.world.columns)
     link = -1 if robot.world.link is None else robot.world.link
-
-    def one(x: Joints) -> Pose:
-        rotation = directions(robot, x, axes, (link,) * 3)  # row i: the workshop's axis i, in the root's frame
-        place = -product(rotation, point_positions(robot, x, origin, (link,)).T)[:, 0]
-        return _homogeneous(_Frames(rotation, place))
-
-    return jax.vmap(one)(x)
+    rotation = directions(robot, x, axes, (link,) * 3)  # row i: the workshop's axis i, in the root's frame
+    place = -product(rotation, point_positions(robot, x, origin, (link,)).T)[:, 0]
+    return _homogeneous(_Frames(rotation, place))
 
 
 def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:

@@ -29,7 +29,7 @@ from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstruction_module
 from htcp_jax.runs import PlanSet, motion_summary, open_plans
-from htcp_jax.viewer.arm_pose import links_at, moved, roots_at
+from htcp_jax.viewer.arm_pose import arms_at, links_at, moved, roots_at
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.normal_glyphs import NormalGlyphs, glyphs
 from htcp_jax.viewer.viewpoints import ShownBodies, ShownScene, Viewpoint, camera_view, camera_view_of
@@ -195,7 +195,7 @@ class Replays:
         summary = motion_summary.summarise_motion(alone, on_path)
         looked_at = _segment_samples(alone, summary.clearance_target)
         witness = _witness(robot, cell.obstacle, placement, np.concatenate([x, looked_at]))
-        shape = kinematics.ArmShape(*map(np.asarray, kinematics.capsules_and_tcp(robot, jnp.asarray(x))))
+        shape = arms_at(robot, x)
         surface = cell.surface.placed(placement.T_world_workpiece)
         target, status = plans.target[number, there], plans.status[number, there]
         shown = _shown_targets(np.flatnonzero(plan_arrays.is_tracked(status)), on_path)
