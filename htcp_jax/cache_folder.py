@@ -31,6 +31,7 @@ except ImportError:  # not a POSIX system: without a lock, processes that start 
     fcntl = None
 
 OF_JAX = "-cache", "-atime"  # suffixes of the names of JAX's files
+UNLOCKED = 46  # digits of a program's name that its lock file omits
 STORED = "executables"  # subfolder of the cache folder with executables and results
 MOST_BYTES = 2**30  # maximum size of all files; if it is exceeded, the files unused for the longest time are removed
 OTHERS_WRITE, OTHERS_ANY = 0o022, 0o077  # permissions of group and others
@@ -177,11 +178,15 @@ def compilation_lock(program: str) -> Iterator[None]:
     """Lock the compilation of a program among processes that share the cache folder.
 
     Other processes wait, and then load the program. If the lock cannot be created, each process compiles the program.
+
+    Args:
+        program: Name of the program, see `program_key`. Programs whose names differ only in the last UNLOCKED digits
+            share a lock, which bounds the number of lock files.
     """
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):
             if fcntl is not None and (there := folder()):
-                handle = held.enter_context(open(there / f"{program.replace(' ', '-')}.lock", "w"))
+                handle = held.enter_context(open(there / f"{program[:-UNLOCKED]}.lock", "w"))
                 fcntl.flock(handle, fcntl.LOCK_EX)
         yield
 

@@ -216,14 +216,14 @@ def test_who_comes_second_compiles_after_the_first(tmp_path):
     entered = threading.Event()
 
     def second():
-        with cache_folder.compilation_lock("null space 0"):
+        with cache_folder.compilation_lock(f"advance-{0:048}"):
             entered.set()
 
     try:
-        with cache_folder.compilation_lock("null space 0"):
+        with cache_folder.compilation_lock(f"advance-{0:048}"):
             waiting = threading.Thread(target=second)
             waiting.start()
-            with cache_folder.compilation_lock("advance"):
+            with cache_folder.compilation_lock(f"advance-{1:0<48}"):
                 assert not entered.wait(0.2)
         waiting.join()
         assert entered.is_set()

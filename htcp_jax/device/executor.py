@@ -92,10 +92,10 @@ class ExecutableCache:
             return found
         with self._tracing, compiled_for(Backend.of(device.platform)):
             lowered = lane_function.jitted(settings, device).lower(*arguments)
-        with cache_folder.compilation_lock(lane_function.name):
-            if not keeps:
-                return lowered.compile(options)
-            program = program_key(lane_function.name, lowered, device, options)
+        if not keeps:
+            return lowered.compile(options)
+        program = program_key(lane_function.name, lowered, device, options)
+        with cache_folder.compilation_lock(program):
             return kept_executables.compiled(source, program, lambda: lowered.compile(options), device, arguments)
 
     def _kept(self, key: tuple) -> jax.stages.Compiled | None:

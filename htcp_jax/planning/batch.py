@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from htcp_jax import cache_folder
 from htcp_jax.clearance import Obstacle, Obstacles, Scene, by_pieces, contacts, nearest_to, surface_points
 from htcp_jax.clearance.obstacles import given_obstacle, obstacle_kind, of_workpiece, self_collision
 from htcp_jax.device import devices as compute_devices
@@ -34,6 +35,8 @@ INTERIOR_RULE = (  # after the name of the part, where not its points but the ru
     ", by the interior rule: deeper than workpiece.interior_depth_m behind the inlet a body must be in the part's "
     "hull; move it, or set workpiece.interior: none"
 )
+
+REPORT_S = 0.2  # interval at which progress is reported while executables are compiled
 
 
 class Progress(NamedTuple):
@@ -61,6 +64,7 @@ def plan(
     check_starts: bool = False,
     processes: int | None = None,
     targets_in_all: int | None = None,
+    compiled_first: Sequence[str] = (),
 ) -> Plans:
     """Plan every scenario with one method.
 
@@ -86,6 +90,8 @@ def plan(
         processes: Number of processes that share the scenarios on a CPU; None: see
             `processes.profitable_count`. Work that other processes cannot import, for example a method or an obstacle
             defined in a notebook, is planned in this one.
+        compiled_first: Names of methods that will plan such scenarios. Their executables are compiled before this plan,
+            in parallel, see `Method.further_calls`.
 
     Returns:
         The plans, one row per scenario.
@@ -122,31 +128,52 @@ def plan(
         processes = 1 if threads else worker_processes.profitable_count(cores, len(scenarios.number), targets)
     if processes < 1:
         raise InputError(f"processes is {processes}; it must be 1 or more")
-    if processes > 1 and devices[0].platform == "cpu" and registry.METHODS.is_shared(chosen):
-        how = {"method": method, "settings": settings, "threads": threads or 1, "task": task}
-        how |= {"check_paths": check_paths, "check_starts": check_starts}
-        shared = worker_processes.portable(robot, workpiece, tuple(obstacles))
-        if shared and worker_processes.portable(how):
-            return _spread(processes, how, shared, scenarios, progress)
     began = time.perf_counter()
-    scenarios = scenario_functions.with_max_joint_step(scenarios, settings.max_joint_step_rad)
-    with compute_devices.on(devices[0]):
-        problem = Problem(
+
+    def problem_of() -> Problem:
+        limited = scenario_functions.with_max_joint_step(scenarios, settings.max_joint_step_rad)
+        return Problem(
             robot,
             workpiece,
-            scenarios,
+            limited,
             settings,
             task,
             of_workpiece.all_obstacles(workpiece, obstacles),
             devices,
             threads or cores,
             check_paths,
-            _counter(scenarios, progress),
+            _counter(limited, progress),
         )
+
+    if processes > 1 and devices[0].platform == "cpu" and registry.METHODS.is_shared(chosen):
+        how = {"method": method, "settings": settings, "threads": threads or 1, "task": task}
+        how |= {"check_paths": check_paths, "check_starts": check_starts}
+        shared = worker_processes.portable(robot, workpiece, tuple(obstacles))
+        if shared and worker_processes.portable(how):
+            compile_s = 0.0
+            if compiled_first and cache_folder.folder():  # the other processes load what this one stores
+                with compute_devices.on(devices[0]):
+                    compile_s = _compile(problem_of(), compiled_first)
+            plans = _spread(processes, how, shared, scenarios, progress)
+            return plans._replace(compile_s=plans.compile_s + compile_s)
+    with compute_devices.on(devices[0]):
+        problem = problem_of()
+        compile_s = _compile(problem, compiled_first)
         plans = _planned_here(problem, chosen, method, obstacles, check_starts)
     spent = time.perf_counter() - began
-    compile_s = plans.compile_s + max(each.executor.compile_s for each in problem.checkers)
+    compile_s += plans.compile_s + max(each.executor.compile_s for each in problem.checkers)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
+
+
+def _compile(problem: Problem, methods: Sequence[str]) -> float:
+    """Compile the executables of methods on all cores, and return the time that this takes [s]."""
+    began, chosen = time.perf_counter(), [find(name) for name in methods if len(problem.to_plan)]
+    further = {call[0]: call for method in chosen for call in method.further_calls(problem)}
+    calls = further | {call[0]: call for method in chosen for call in method.first_calls(problem)}
+    with _preparing(problem, list(calls.values())) as compilations:
+        while wait(compilations, REPORT_S).not_done:
+            problem.progress(0, 0)
+    return time.perf_counter() - began
 
 
 def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obstacles, check_starts: bool) -> Plans:
@@ -155,7 +182,7 @@ def _planned_here(problem: Problem, chosen: Method, method: str, obstacles: Obst
     from htcp_jax.motion import home as home_motion
     from htcp_jax.planning import inserted_goals
 
-    with _preparing(problem, chosen) as compilations:
+    with _preparing(problem, chosen.first_calls(problem) if len(problem.to_plan) else ()) as compilations:
         if check_starts:
             _check_starts(problem, obstacles, compilations)
         problem, from_home = home_motion.leave_home(problem)
@@ -308,9 +335,8 @@ def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
 
 
 @contextmanager
-def _preparing(problem: Problem, method: Method) -> Iterator[list[Future]]:
-    """Compile a method's `first_calls` while the context is open; its value is the compilations."""
-    calls = method.first_calls(problem) if len(problem.to_plan) else ()
+def _preparing(problem: Problem, calls: Sequence[tuple]) -> Iterator[list[Future]]:
+    """Compile the executables of calls while the context is open; its value is the compilations."""
     with ExitStack() as stack:
         begun = [stack.enter_context(each.executor.preparing(calls)) for each in (problem.checkers if calls else ())]
         yield [compilation for own in begun for compilation in own]

@@ -36,3 +36,10 @@ class Method:
     def first_calls(self, problem: "Problem") -> Sequence[tuple]:
         """Return calls that `plan` will make, to compile their functions in parallel, see `Executor.preparing`."""
         return ()
+
+    def further_calls(self, problem: "Problem") -> Sequence[tuple]:
+        """Return calls that `plan` makes if targets are hard; a sweep compiles their functions, too, before it plans.
+
+        The call with the longest compilation comes first.
+        """
+        return ()

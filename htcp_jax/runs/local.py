@@ -50,11 +50,11 @@ def plan_here(
         report: Function that is called while a shard is planned, with the method and the shard's `batch.Progress`. An
             exception that it raises ends the planning.
     """
-    by = planned_by()
+    by, methods = planned_by(), tuple(dict.fromkeys(each.method for each in shards))
     targets_in_all = targets_in_all or sum(int(scenarios_of(batch, each.span)[1].count.sum()) for each in shards)
-    for shard in shards:
-        block = scenarios_of(batch, shard.span)
-        plans = plan_cells(batch.cells, *block, shard.method, threads, report, device, targets_in_all)
+    for number, shard in enumerate(shards):
+        block, first = scenarios_of(batch, shard.span), () if number else methods
+        plans = plan_cells(batch.cells, *block, shard.method, threads, report, device, targets_in_all, first)
         yield PlannedShard(shard, plans, by)
 
 
@@ -73,6 +73,7 @@ def plan_cells(
     report: Callable | None = None,
     device: str | None = None,
     targets_in_all: int | None = None,
+    compiled_first: Sequence[str] = (),
 ) -> Plans:
     """Plan stacked scenarios, with one planner call per group of scenarios that share their inputs.
 
@@ -85,6 +86,7 @@ def plan_cells(
         report: See `plan_here`; None: no reports.
         device: See `batch.plan`.
         targets_in_all: See `batch.plan`.
+        compiled_first: See `batch.plan`; for the first group.
     """
     parts: list[tuple[np.ndarray, Plans]] = []
     everything = len(cell), int(scenarios.count.sum())
@@ -104,6 +106,7 @@ def plan_cells(
             targets_in_all=targets_in_all,
             task=task,
             obstacles=obstacles,
+            compiled_first=() if parts else compiled_first,
         )
         if whole:
             return plans

@@ -23,6 +23,7 @@ from itertools import islice
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.device import tables
 from htcp_jax.motion import (
@@ -39,12 +40,13 @@ from htcp_jax.motion import (
     transfers,
 )
 from htcp_jax.planning.beam.dead_ends import DeadEnds
-from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION, inputs_and_tubes
+from htcp_jax.planning.beam.functions import EXTEND, MOVE_TOWARDS, SELF_MOTION, inputs_and_tubes
 from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
 from htcp_jax.planning.beam.tree import BeamTree
 from htcp_jax.planning.method import Method
+from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.status import SegmentStatus, Status
 
 MOST_TRANSFERS = 3  # maximum number of searches from other configurations per scenario
@@ -64,6 +66,11 @@ class BeamSearchMethod(Method):
         """Return the first calls of lane functions, see `Executor.preparing`."""
         return _calls(problem)
 
+    def further_calls(self, problem: Problem) -> list[tuple]:
+        """Return calls of the lane functions that continue after dead ends."""
+        inputs, x = _one_lane(problem)
+        return [(PUSH, inputs, x), (MOVE_TOWARDS, inputs, x, x)] if problem.checkers[0].executor.freedom else []
+
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios, shared among threads that write into different rows of the plans."""
         plans, threads = problem.empty_plans(), problem.threads
@@ -82,13 +89,18 @@ class BeamSearchMethod(Method):
 
 def _calls(problem: Problem) -> list[tuple]:
     """Return one call of each lane function, in the order in which they are needed, see `Executor.preparing`."""
-    one, zero = problem.to_plan[:1], np.zeros(1, int)
-    x, turns = problem.scenarios.x_start[one], np.zeros(1, bool)
-    inputs = lane_inputs.lane_inputs(problem.scenarios, one, zero)
+    one, zero, turns = problem.to_plan[:1], np.zeros(1, int), np.zeros(1, bool)
+    inputs, x = _one_lane(problem)
     proof = collision_checker.prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
     self_motions = [(SELF_MOTION, inputs, x, zero.astype(np.int32))] if problem.checkers[0].executor.freedom else []
     smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, inputs, x)]
     return [(step_functions.ADVANCE, inputs, x, x), (EXTEND, inputs, x), proof, *self_motions, *smooths]
+
+
+def _one_lane(problem: Problem) -> tuple[lane_inputs.LaneInputs, Float[np.ndarray, "1 N"]]:
+    """Return the inputs of a lane at the first target of the first scenario to plan, and the start."""
+    one = problem.to_plan[:1]
+    return lane_inputs.lane_inputs(problem.scenarios, one, np.zeros(1, int)), problem.scenarios.x_start[one]
 
 
 class BeamSearch:

@@ -11,7 +11,7 @@ from htcp_jax.motion import CollisionChecker, Plans, Problem
 from htcp_jax.planning.method import Method
 from htcp_jax.planning.tracking.candidates import PendingScenarios
 from htcp_jax.planning.tracking.engine import Engine
-from htcp_jax.planning.tracking.first_calls import first_calls
+from htcp_jax.planning.tracking.first_calls import first_calls, further_calls
 from htcp_jax.planning.tracking.stages import Recoveries
 from htcp_jax.planning.tracking.work import Work
 from htcp_jax.settings import Settings
@@ -29,6 +29,10 @@ class StepQPs(Recoveries, Method):
     def first_calls(self, problem: Problem) -> list[tuple]:
         """Return the first calls of lane functions, see `Executor.preparing`."""
         return first_calls(problem)
+
+    def further_calls(self, problem: Problem) -> list[tuple]:
+        """Return the first calls of the recoveries' lane functions."""
+        return further_calls(problem, self)
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios with one engine per thread; engines write into different rows of the plans.
