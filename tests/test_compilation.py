@@ -3,18 +3,20 @@
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+import toy
 
 from htcp_jax.clearance.proof.motion_proof import proven_clear
 from htcp_jax.device import Executor, Loop
 from htcp_jax.device.batching import chunked, refilled
 from htcp_jax.device.devices import cores
-from htcp_jax.device.executor import COMPILER, ExecutableCache, Stopwatch
+from htcp_jax.device.executor import COMPILER, EXECUTABLES, ExecutableCache, Stopwatch
 from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion import CollisionChecker
@@ -23,6 +25,7 @@ from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.step_functions import PROVE
 from htcp_jax.numerics import fold_keys
 from htcp_jax.settings import Settings
+from htcp_jax.status import Status
 
 
 def requested(count):
@@ -60,6 +63,15 @@ def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_reported():
     faulty = LaneFunction("faulty", lambda settings, scene, lane: settings.samples, STEP)
     with pytest.raises(AttributeError, match="samples"), executor.preparing([(faulty, inputs)]):
         pass
+
+
+@pytest.mark.parametrize("method", ["nspace-sqp", "nspace-sample", "hybrid"])
+def test_what_is_compiled_first_is_what_hard_targets_need(method):
+    settings = replace(toy.SETTINGS, alpha_rad=0.0321, samples=7)  # values of their own: nothing is compiled yet
+    toy.planned(method="baseline", settings=settings, compiled_first=(method,))
+    before, hard = len(EXECUTABLES), toy.planned(method=method, settings=settings)
+    assert (hard.status == Status.TRACKED_AFTER_RECOVERY).any()
+    assert len(EXECUTABLES) == before and hard.compile_s == 0
 
 
 def test_a_cancelled_compilation_never_begins():

@@ -70,6 +70,19 @@ def test_each_scenario_is_planned_as_it_would_be_alone_however_the_grid_is_cut(h
             np.testing.assert_array_equal(value, getattr(alone, name), err_msg=name)
 
 
+def test_the_programs_of_all_methods_are_compiled_before_the_first_one_plans(plate):
+    """The step length has a value of its own, so that no program of the second method is compiled yet."""
+    waited, overrides = {}, {"settings.alpha_rad": 0.0123}
+    sweep(
+        "grid.yaml",
+        "baseline,nspace-sqp",
+        "run",
+        overrides=overrides,
+        finished=lambda shard: waited.update({shard.method: shard.plans.compile_s}),
+    )
+    assert waited["baseline"] > 0 == waited["nspace-sqp"]
+
+
 def test_the_command_prints_a_table_that_lines_up_and_nothing_else_when_piped(here, capsys):
     assert main(["sweep", "grid.yaml", "--methods", "baseline,keep-clear", "--limit", "2", "--out", "run"]) == 0
     output = capsys.readouterr()

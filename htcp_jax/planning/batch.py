@@ -167,7 +167,9 @@ def plan(
 
 def _compile(problem: Problem, methods: Sequence[str]) -> float:
     """Compile the executables of methods on all cores, and return the time that this takes [s]."""
-    began, chosen = time.perf_counter(), [find(name) for name in methods if len(problem.to_plan)]
+    if not (methods and len(problem.to_plan)):
+        return 0.0
+    began, chosen = time.perf_counter(), [find(name) for name in methods]
     further = {call[0]: call for method in chosen for call in method.further_calls(problem)}
     calls = further | {call[0]: call for method in chosen for call in method.first_calls(problem)}
     with _preparing(problem, list(calls.values())) as compilations:
