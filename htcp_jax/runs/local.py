@@ -52,9 +52,10 @@ def plan_here(
     """
     by, methods = planned_by(), tuple(dict.fromkeys(each.method for each in shards))
     targets_in_all = targets_in_all or sum(int(scenarios_of(batch, each.span)[1].count.sum()) for each in shards)
-    for number, shard in enumerate(shards):
-        block, first = scenarios_of(batch, shard.span), () if number else methods
-        plans = plan_cells(batch.cells, *block, shard.method, threads, report, device, targets_in_all, first)
+    for shard in shards:
+        block = scenarios_of(batch, shard.span)
+        plans = plan_cells(batch.cells, *block, shard.method, threads, report, device, targets_in_all, methods)
+        methods = ()  # all are compiled
         yield PlannedShard(shard, plans, by)
 
 

@@ -30,7 +30,8 @@ def further_calls(problem: Problem, recoveries: Recoveries) -> list[tuple]:
             calls += [(stage.lane_function(k), inputs, x)]
     if recoveries.keep_clear and freedom:
         calls += [(ASCEND, inputs, x)]
-    return calls + ([(DRAW, inputs), (PUSH, inputs, x)] if recoveries.replan_backwards else [])
+    backwards = recoveries.replan_backwards and problem.settings.restart_rounds > 0
+    return calls + ([(DRAW, inputs), (PUSH, inputs, x)] if backwards else [])
 
 
 def _one_lane(problem: Problem) -> tuple[lane_inputs.LaneInputs, Lanes]:
