@@ -7,7 +7,7 @@ runs it for many lanes side by side. `by_chunks` runs such a loop for joint path
 not depend on the other rows of its batch.
 
 `devices` chooses CPU or GPU and the number of threads, and `processes` shares scenarios among worker processes.
-`EXECUTABLES` loads compiled programs from the cache folder, without tracing. `tables` has functions
+`kept_executables` stores compiled programs in the cache folder, and loads them without tracing. `tables` has functions
 for tables of arrays with one row per lane: gather, scatter, concatenate.
 """
 

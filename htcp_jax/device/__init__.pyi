@@ -1,10 +1,9 @@
 from . import devices, kept_executables, lane_function, processes, tables
 from .batching import Loop
 from .chunks import by_chunks
-from .executor import EXECUTABLES, Executor
+from .executor import Executor
 
 __all__ = [
-    "EXECUTABLES",
     "Executor",
     "Loop",
     "by_chunks",
