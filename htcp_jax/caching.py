@@ -10,7 +10,7 @@ from typing import Any
 
 from htcp_jax import cache_folder
 
-SLOW_S = 0.02  # results that take longer to compute are stored in the cache folder, too
+SLOW_S = 2e-4  # results that take longer to compute are stored in the cache folder, too; reading one takes as long
 LARGEST = cache_folder.MOST_BYTES // 16  # maximum size of a stored result
 _MISSING = object()
 

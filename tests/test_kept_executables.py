@@ -302,6 +302,26 @@ def test_a_slow_result_is_stored_for_the_next_process_and_computed_again_if_its_
     assert np.array_equal(in_a_new_process(), drawn)
 
 
+SCENE = """
+import sys
+from htcp_jax import cache_folder
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.jobs import build, load_config
+cache_folder.enable()
+_, workpiece, _ = build.scene(load_config(None, []))
+make_obstacle(workpiece)
+print(workpiece.largest_gap_m, *(name for name in ("scipy.interpolate", "scipy.spatial") if name in sys.modules))
+"""
+
+
+def test_the_scene_of_the_default_job_is_loaded_a_second_time_without_scipy(tmp_path):
+    environment = {**os.environ, "HTCP_CACHE": str(tmp_path / "cache"), "JAX_PLATFORMS": "cpu"}
+    command = [sys.executable, "-c", SCENE]
+    runs = [subprocess.run(command, env=environment, capture_output=True, text=True) for _ in range(2)]
+    (gap, *first), (again, *second) = (run.stdout.split() for run in runs)
+    assert gap == again and first == ["scipy.interpolate", "scipy.spatial"] and not second
+
+
 def test_programs_that_were_used_last_are_loaded_before_they_are_called(folder, monkeypatch):
     monkeypatch.setattr(kept_executables, "_used", {})
     expected, device = settled(), jax.devices()[0]

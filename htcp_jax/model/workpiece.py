@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from htcp_jax.caching import cached_by_values
 from htcp_jax.errors import InputError
 from htcp_jax.model.arrays import points, triple
 from htcp_jax.model.convex_hull import Hull, convex_hull
@@ -151,10 +152,10 @@ class Workpiece:
         """The points to draw [m]: the cloud, or the path if there is no cloud."""
         return self.cloud if len(self.cloud) else self.path
 
-    @cached_property
+    @property
     def largest_gap_m(self) -> float:
         """Largest distance of a point of the cloud from its nearest neighbour [m]; the largest hole is no smaller."""
-        return float(scipy.spatial.cKDTree(self.cloud).query(self.cloud, k=2)[0][:, 1].max())
+        return _largest_gap(self.cloud)
 
     @property
     def walls(self) -> str:
@@ -222,3 +223,14 @@ def _interior_hull(cloud: Float[np.ndarray, "P 3"], interior: str, tolerance_m: 
     if interior in ("hull", "none"):
         return Hull(np.empty((0, 3)), np.empty(0), cloud)
     raise InputError(f"interior is {interior!r}; valid: hull, none")
+
+
+@cached_by_values(4)
+def _largest_gap(cloud: Float[np.ndarray, "P 3"]) -> float:
+    return float(scipy.spatial.cKDTree(cloud).query(cloud, k=2)[0][:, 1].max())
+
+
+@cached_by_values(4)
+def median_distance(cloud: Float[np.ndarray, "P 3"], points: Float[np.ndarray, "n 3"]) -> float:
+    """Return the median distance of points from a cloud [m]."""
+    return float(np.median(scipy.spatial.cKDTree(cloud).query(points)[0]))

@@ -1,4 +1,5 @@
 from . import (
+    arm_poses,
     collision_checker,
     configuration_tree,
     dead_ends,
@@ -30,6 +31,7 @@ __all__ = [
     "Problem",
     "Tried",
     "ViaPoints",
+    "arm_poses",
     "collision_checker",
     "configuration_tree",
     "dead_ends",

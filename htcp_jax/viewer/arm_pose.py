@@ -10,11 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance import Scene
-from htcp_jax.device import Executor, lane_function
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model import robot as robots
-from htcp_jax.settings import Settings
+from htcp_jax.motion import arm_poses as poses
 
 AT_REST = np.eye(4)
 
@@ -72,12 +70,12 @@ def roots_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> list[Float[np.ndarray
     """Return T_world_root at n configurations; AT_REST if the part does not move."""
     if not robot.part_moves:
         return [AT_REST] * len(x)
-    return list(_at(robot, x).T_root)
+    return list(poses.at(robot, x).T_world_root)
 
 
 def arms_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> kinematics.ArmShape:
     """Return the arm at n configurations."""
-    return _at(robot, x).arm
+    return poses.at(robot, x).arm
 
 
 def pieces_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> list[dict[int, tuple[Float[np.ndarray, "_ 3"], float]]]:
@@ -90,30 +88,4 @@ def links_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> list[Float[np.ndarray
     """Return the pose of each capsule's link at n configurations; None if no convex pieces are checked."""
     if robot.pieces is None:
         return [None] * len(x)
-    return list(_at(robot, x).links)
-
-
-class _Lane(NamedTuple):
-    """Inputs of a lane."""
-
-    tool_extension_m: float | np.ndarray  # extension of the robot's tool
-
-
-class _Poses(NamedTuple):
-    """The arm, T_world_root and the poses of the capsules' links, at one or several configurations."""
-
-    arm: kinematics.ArmShape
-    T_root: np.ndarray
-    links: np.ndarray
-
-
-def _poses(settings, scene: Scene, lane: _Lane, x) -> _Poses:
-    robot = scene.robot
-    return _Poses(kinematics.arm_shape(robot, x), kinematics.root_pose(robot, x), kinematics.body_poses(robot, x))
-
-
-POSES = lane_function.LaneFunction("arm_pose", _poses, lane_function.STEP)
-
-
-def _at(robot: Robot, x: Float[np.ndarray, "n N"]) -> _Poses:
-    return Executor(Scene(robot, ()), Settings())(POSES, _Lane(np.zeros(len(x))), x)
+    return list(poses.at(robot, x).T_root_link)

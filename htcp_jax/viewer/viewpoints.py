@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float
 
 DIRECTIONS = 16
@@ -17,6 +16,7 @@ ABOVE_RAD = np.radians(16.0)  # angle by which a camera looks downwards
 ASIDE_RAD = np.radians(-28.0), np.radians(28.0)  # horizontal angles between a camera and the normal of the open side
 SQUARE = 0.05  # bonus for the view perpendicular to the path, in units of the hidden share
 FORESHORTENED, CUT_OFF = 0.3, 0.3  # weights of the penalties, in units of the hidden share
+SPACED = 300  # maximum number of points whose distance from the nearest other point is measured
 MOST_POINTS, ALONG = 3000, 12  # maximum number of samples of the cloud, and number of samples of a capsule's axis
 
 
@@ -95,7 +95,7 @@ def _best_view(scenes: Sequence[ShownScene], asides: Sequence[float], above_rad:
     scenes = [each._replace(cloud=each.cloud[:: -(-len(each.cloud) // MOST_POINTS)]) for each in scenes]
     cloud = scenes[0].cloud
     square = view_from_side(cloud, scenes[0].path)
-    apart = np.median(scipy.spatial.cKDTree(cloud).query(cloud, k=2)[0][:, 1]) if len(cloud) > 1 else 0.0
+    apart = _spacing(cloud)
     turns = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     best, least = Viewpoint(square, asides[0]), np.inf
     for turn in turns:  # the perpendicular side first; it wins if others are equally good
@@ -159,21 +159,44 @@ def hidden(
     plane = np.linalg.svd(toward[None])[2][1:].T  # two directions perpendicular to the view
     shares = np.linspace(0, 1, ALONG)[:, None, None]
     path = path[:: -(-len(path) // 40)]
-    wall = scipy.spatial.cKDTree(cloud @ plane) if len(cloud) else None
-    found = []
+    walled, found = _behind(cloud, radius, path, plane, toward), []
     for p, q in zip(arm.p, arm.q, strict=True):
         along = (1 - shares) * p + shares * q  # ALONG K 3
-        seen = np.concatenate([path, along[:, arm.tool].reshape(-1, 3)])
+        tool = along[:, arm.tool].reshape(-1, 3)
+        seen = np.concatenate([path, tool])
         links = along[:, ~arm.tool].reshape(-1, 3)
         radii = np.tile(arm.radius[~arm.tool], ALONG)
         x, y = (seen @ plane).T[..., None] - (links @ plane).T[:, None]
         nearer = links @ toward > (seen @ toward)[:, None]
         covered = (nearer & (x * x + y * y < radii**2)).any(axis=1)
-        if wall is not None:
-            for k, near in enumerate(wall.query_ball_point(seen @ plane, radius)):
-                covered[k] |= bool((cloud[near] @ toward > seen[k] @ toward + 3 * radius).any())
+        covered |= np.concatenate([walled, _behind(cloud, radius, tool, plane, toward)])
         found.append(covered.mean())
     return float(np.mean(found))
+
+
+def _behind(
+    cloud: Float[np.ndarray, "P 3"],
+    radius: float,
+    points: Float[np.ndarray, "n 3"],
+    plane: Float[np.ndarray, "3 2"],
+    toward: Float[np.ndarray, "3"],
+) -> Bool[np.ndarray, "n"]:
+    """Return True for points that are hidden by discs around the cloud's points, see `hidden`.
+
+    All pairs are tested: for so few points a k-d tree is slower, with the import of scipy.spatial.
+    """
+    x, y = (points @ plane).T[..., None] - (cloud @ plane).T[:, None]
+    nearer = cloud @ toward > (points @ toward)[:, None] + 3 * radius
+    return (nearer & (x * x + y * y <= radius**2)).any(axis=1)
+
+
+def _spacing(cloud: Float[np.ndarray, "P 3"]) -> float:
+    """Return the median distance of some points of a cloud from the nearest other point [m]; 0 for a single point."""
+    if len(cloud) < 2:
+        return 0.0
+    some = cloud[:: -(-len(cloud) // SPACED)]
+    square = sum((some[:, None, k] - cloud[:, k]) ** 2 for k in range(3))
+    return float(np.sqrt(np.median(np.partition(square, 1, axis=1)[:, 1])))
 
 
 def _foreshortened(path: Float[np.ndarray, "T 3"], toward: Float[np.ndarray, "3"]) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from htcp_jax.backend import backend
+from htcp_jax.caching import cached_by_values
 from htcp_jax.clearance.distance.half_spaces_gpu import highest
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float, Int
@@ -54,6 +55,7 @@ def half_spaces(
     return jax.device_put(HalfSpaces(*map(np.asarray, (normal, offset, core[:, :3], -core[:, 3], table))))
 
 
+@cached_by_values(4)
 def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
     """Return the facets of the core: the hull of the outermost vertices along evenly spread directions."""
     k = np.arange(CORE_VERTICES) + 0.5

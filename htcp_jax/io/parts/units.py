@@ -8,11 +8,10 @@ deviations cause a warning. The message names the unit that would make the sizes
 import warnings
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.model import Robot, kinematics
+from htcp_jax.model import Robot, kinematics, workpiece
 
 METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometres": 1e3}  # the most likely units first
 PATH_UNITS = {"millimetres": "mm", "inches": "in", "centimetres": "cm"}  # values of `workpiece.path_unit`
@@ -76,7 +75,7 @@ def check_path_unit(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 
     Raises:
         InputError: If the median distance of the path's points from the cloud is too large.
     """
-    if (distance := _median_distance(cloud, path)) > _stand_off(cloud):
+    if (distance := workpiece.median_distance(cloud, path)) > _stand_off(cloud):
         raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_hint(cloud, path)}")
 
 
@@ -91,7 +90,11 @@ def _part_hint(part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], u
     if not units:
         return "check that it is in metres, and keep only the part that the arm can reach"
     metres = METRES[units[0]]
-    whose = "it seems" if _median_distance(metres * part, path) <= _stand_off(metres * part) else "it and its path seem"
+    whose = (
+        "it seems"
+        if workpiece.median_distance(metres * part, path) <= _stand_off(metres * part)
+        else "it and its path seem"
+    )
     return f"{whose} to be in {units[0]}; convert to metres (factor {metres:g})"
 
 
@@ -101,7 +104,7 @@ def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) 
     for unit, metres in sorted(METRES.items(), key=lambda item: -item[1]):
         # With too small a unit any path is at the origin, but too short.
         right_length = 0.05 * extent <= metres * _extent(path) <= 2.0 * extent
-        if right_length and _median_distance(cloud, metres * path) <= 0.5 * extent:
+        if right_length and workpiece.median_distance(cloud, metres * path) <= 0.5 * extent:
             key = f", or set workpiece.path_unit: {PATH_UNITS[unit]}" if unit in PATH_UNITS else ""
             return f"the path seems to be in {unit}; convert it to metres (factor {metres:g}){key}"
     return "both must be in metres and in the same frame"
@@ -113,8 +116,3 @@ def _stand_off(cloud: Float[np.ndarray, "P 3"]) -> float:
 
 def _extent(points: Float[np.ndarray, "P 3"]) -> float:
     return float(np.ptp(points, axis=0).max())
-
-
-def _median_distance(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> float:
-    """Return the median distance of the path's points from the cloud [m]."""
-    return float(np.median(scipy.spatial.cKDTree(cloud).query(path)[0]))
