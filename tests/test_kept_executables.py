@@ -38,6 +38,7 @@ TRACING = "/jax/core/compile/jaxpr_trace_duration"
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """The folder of compiled programs, new for this test."""
+    toy.scene()  # now, so that none of its results is stored in the folder
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
     monkeypatch.setenv("HTCP_CACHE", str(tmp_path / "cache"))
