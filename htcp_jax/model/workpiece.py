@@ -152,7 +152,7 @@ class Workpiece:
         """The points to draw [m]: the cloud, or the path if there is no cloud."""
         return self.cloud if len(self.cloud) else self.path
 
-    @property
+    @cached_property
     def largest_gap_m(self) -> float:
         """Largest distance of a point of the cloud from its nearest neighbour [m]; the largest hole is no smaller."""
         return _largest_gap(self.cloud)

@@ -23,7 +23,6 @@ from itertools import islice
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from htcp_jax.device import tables
 from htcp_jax.motion import (
@@ -68,7 +67,8 @@ class BeamSearchMethod(Method):
 
     def further_calls(self, problem: Problem) -> list[tuple]:
         """Return calls of the lane functions that continue after dead ends."""
-        inputs, x = _one_lane(problem)
+        one = problem.to_plan[:1]
+        inputs, x = problem.inputs(int(one[0]), 0), problem.scenarios.x_start[one]
         return [(PUSH, inputs, x), (MOVE_TOWARDS, inputs, x, x)] if problem.checkers[0].executor.freedom else []
 
     def plan(self, problem: Problem) -> Plans:
@@ -90,17 +90,11 @@ class BeamSearchMethod(Method):
 def _calls(problem: Problem) -> list[tuple]:
     """Return one call of each lane function, in the order in which they are needed, see `Executor.preparing`."""
     one, zero, turns = problem.to_plan[:1], np.zeros(1, int), np.zeros(1, bool)
-    inputs, x = _one_lane(problem)
+    inputs, x = problem.inputs(int(one[0]), 0), problem.scenarios.x_start[one]
     proof = collision_checker.prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
     self_motions = [(SELF_MOTION, inputs, x, zero.astype(np.int32))] if problem.checkers[0].executor.freedom else []
     smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, inputs, x)]
     return [(step_functions.ADVANCE, inputs, x, x), (EXTEND, inputs, x), proof, *self_motions, *smooths]
-
-
-def _one_lane(problem: Problem) -> tuple[lane_inputs.LaneInputs, Float[np.ndarray, "1 N"]]:
-    """Return the inputs of a lane at the first target of the first scenario to plan, and the start."""
-    one = problem.to_plan[:1]
-    return lane_inputs.lane_inputs(problem.scenarios, one, np.zeros(1, int)), problem.scenarios.x_start[one]
 
 
 class BeamSearch:

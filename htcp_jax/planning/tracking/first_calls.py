@@ -36,6 +36,6 @@ def further_calls(problem: Problem, recoveries: Recoveries) -> list[tuple]:
 
 def _one_lane(problem: Problem) -> tuple[lane_inputs.LaneInputs, Lanes]:
     """Return a lane at the start of the first scenario to plan, and its inputs."""
-    executor, one, zero = problem.checkers[0].executor, problem.to_plan[:1], np.zeros(1, int)
+    sizes, one = problem.checkers[0].executor.sizes, problem.to_plan[:1]
     x = problem.scenarios.x_start[one]
-    return lane_inputs.lane_inputs(problem.scenarios, one, zero), new_lanes(executor.sizes, one, zero, x, x)
+    return problem.inputs(int(one[0]), 0), new_lanes(sizes, one, np.zeros(1, int), x, x)
