@@ -1,10 +1,12 @@
 """Toy arm of four joints and two capsules that reaches under a shelf of 200 points: a plan takes some 10 ms."""
 
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import yaml
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
@@ -92,3 +94,22 @@ def same(one: Plans, row: int, other: Plans, other_row: int, count: int) -> None
         np.testing.assert_array_equal(here, there, err_msg=name)
     for t in range(count):
         np.testing.assert_array_equal(one.via_points.on_segment(row, t), other.via_points.on_segment(other_row, t))
+
+
+def write_job(folder: Path, targets: int = TARGETS, settings: Settings = SETTINGS, **changes) -> Path:
+    """Write a job with the arm, the shelf and these settings, and return its file; `changes` replace its sections."""
+    (folder / "arm.xml").write_text(ARM)
+    np.savetxt(folder / "shelf.xyz", workpiece().cloud)
+    np.savetxt(folder / "path.csv", workpiece().path[:targets], delimiter=",")
+    part = {"cloud": "shelf.xyz", "path": "path.csv", "interior": "none", "tip_contact_m": None}
+    given = {each.name: getattr(settings, each.name) for each in fields(Settings)}
+    usual = Settings(q_weights=settings.q_weights)
+    given = {name: value for name, value in given.items() if value != getattr(usual, name)}
+    job = {
+        "robot": {"model": "arm.xml"},
+        "start_rad": list(START),
+        "workpiece": part | {"approach_to_inlet": 2, "approach_to_path": 2},
+        "settings": given,
+    }
+    (folder / "job.yaml").write_text(yaml.safe_dump(job | changes))
+    return folder / "job.yaml"
