@@ -1,7 +1,7 @@
 """Placement searches by real planners: each ranked mounting holds when planned alone, perturbed, and by MuJoCo.
 
-Neither threads nor kills have any influence on the results. The part is a plate behind a path of two points, moved
-towards the arm until nothing fits.
+Neither threads nor kills have any influence on the results. The toy's shelf is moved away until the arm reaches it no
+more; some slow searches move a plate behind a path of two points towards the GP50 until nothing fits.
 """
 
 import json
@@ -10,11 +10,13 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import toy
 from stranger_jobs import small_box_job
 from sweep_process import JOB, environment, make_sweep
 
@@ -22,6 +24,7 @@ import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import Interrupted
 from htcp_jax.placement import PlacementResult, place
+from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place_file import load_search
 from htcp_jax.placement.scores import MountingScores, sweep_of
 from htcp_jax.report.place_tables import read_search
@@ -41,6 +44,19 @@ within: {scenarios: 12}
 perturbation: {mm: 20, deg: 1}
 best: 3
 """
+TOY_FILE = """
+config: job.yaml
+place:
+  workpiece.rotation_y_rad: [-0.3, 0.3]
+  workpiece.shift_m: [[0.4, 0.6], 0.02, 0.0]
+objective: [clearance, joint motion]
+within: {scenarios: 12}
+perturbation: {mm: 20, deg: 3}
+best: 3
+"""
+TOY_BEAM = [
+    f"settings.{name}={getattr(toy.SETTINGS, name)}" for name in ("beam_width", "min_beam_width", "self_motions")
+]
 FEWER_TARGETS = "  approach_to_inlet: 1\n  approach_to_path: 1\n"
 SMALL_BEAM = "settings: {beam_width: 6, min_beam_width: 4, self_motions: 6, self_motion_rounds: 2, smooth: false}\n"
 RESULTS = "ranked.json", "mountings.parquet", "ranked/manifest.json"
@@ -48,10 +64,23 @@ KILLS = 20
 
 
 def make(folder: Path) -> Path:
+    """Write a search in front of the GP50."""
     make_sweep(folder)
     (folder / "job.yaml").write_text(JOB + FEWER_TARGETS + SMALL_BEAM)
     (folder / "place.yaml").write_text(FILE)
     return folder
+
+
+def make_toy(folder: Path) -> Path:
+    """Write a search with the toy arm, which takes seconds."""
+    toy.write_job(folder, 3, replace(toy.SETTINGS, smooth=False), program={"velocity": [2.0] * 4})
+    (folder / "place.yaml").write_text(TOY_FILE)
+    return folder
+
+
+def place_toy(folder: Path, out: str, **choices) -> PlacementResult:
+    """Search in quick plans with the toy's beam, whose programs are compiled anyway."""
+    return place(folder / "place.yaml", folder / out, overrides=TOY_BEAM, **choices)
 
 
 def results(folder: Path) -> dict[str, bytes]:
@@ -61,14 +90,24 @@ def results(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory) -> PlacementResult:
+def heard() -> list[PlaceProgress]:
+    """Progress of the uninterrupted search."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory, heard) -> PlacementResult:
     """An uninterrupted search."""
-    folder = make(tmp_path_factory.mktemp("placed"))
-    return place(folder / "place.yaml", folder / "out")
+    return place_toy(make_toy(tmp_path_factory.mktemp("placed")), "out", progress=heard.append)
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def here(tmp_path) -> Path:
+    return make_toy(tmp_path)
+
+
+@pytest.fixture
+def plate(tmp_path, monkeypatch) -> Path:
     monkeypatch.chdir(tmp_path)
     return make(tmp_path)
 
@@ -76,6 +115,7 @@ def here(tmp_path, monkeypatch):
 def start(folder: Path, out: str) -> subprocess.Popen:
     """Start the command as a process of its own."""
     words = [sys.executable, "-m", "htcp_jax", "place", "place.yaml", "--out", out]
+    words += [word for change in TOY_BEAM for word in ("--set", change)]
     pipe = subprocess.PIPE
     return subprocess.Popen(words, cwd=folder, env=environment(), stdout=pipe, stderr=pipe, text=True)
 
@@ -101,7 +141,7 @@ def test_some_mountings_are_complete_and_some_are_not_and_the_table_has_them_all
 def test_a_driver_killed_goes_on_to_the_same_bytes_with_another_number_of_threads(found, here):
     killed_somewhere(here, "out", 3, 0.02)
     assert not (here / "out" / "ranked.json").exists()
-    place("place.yaml", "out", threads=1)
+    place_toy(here, "out", threads=1)
     assert results(here / "out") == results(found.folder)
 
 
@@ -147,22 +187,20 @@ def test_a_search_that_is_stopped_before_the_end_leaves_a_ranking_that_says_so(h
             raise KeyboardInterrupt
 
     with pytest.raises(Interrupted):
-        place("place.yaml", "out", changes={"best": 1}, progress=stop)
+        place_toy(here, "out", changes={"best": 1}, progress=stop)
     reported = json.loads((here / "out" / "ranked.json").read_text())
     assert reported["ranked"] and reported["finished"] is False and reported["ranked"][0]["success_rate"] is None
     assert read_search(here / "out").is_final is False
     assert htcp_jax.plan(here / "out" / "best-1.yaml").complete
 
 
-def test_progress_counts_the_plans_of_each_stage_that_was_announced(here):
+def test_progress_counts_the_plans_of_each_stage_that_was_announced(found, heard):
     """Stages and counts of the progress (regression: "tolerance 64 of 32 scenarios", a search that stayed at 0)."""
-    seen = []
-    place("place.yaml", "out", changes={"best": 1}, progress=seen.append)
-    most = seen[0].most
-    assert list(dict.fromkeys(now.stage for now in seen)) == list(most)
-    assert all(now.scenarios <= now.of == most[now.stage] for now in seen)
+    most = heard[0].most
+    assert list(dict.fromkeys(now.stage for now in heard)) == list(most)
+    assert all(now.scenarios <= now.of == most[now.stage] for now in heard)
     for stage in most:
-        counts = [now.scenarios for now in seen if now.stage == stage]
+        counts = [now.scenarios for now in heard if now.stage == stage]
         assert counts == sorted(counts) and counts[-1] > 0
 
 
@@ -234,9 +272,9 @@ def test_the_numbers_in_the_files_are_json_and_ranked_in_their_order(found):
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_on_ray_and_another_seed_others(found, here):
     pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")
-    place("place.yaml", "ray", on="ray")
+    place_toy(here, "ray", on="ray")
     assert results(here / "ray") == results(found.folder)
-    place("place.yaml", "other", changes={"seed": 1})
+    place_toy(here, "other", changes={"seed": 1})
     other = results(here / "other")
     assert all(other[name] != results(found.folder)[name] for name in RESULTS[:2])
 
@@ -246,7 +284,7 @@ def test_20_kills_lose_nothing(found, here):
     draw, undisturbed = random.Random(0), results(found.folder)
     for kill in range(KILLS):
         killed_somewhere(here, f"out{kill}", draw.randrange(len(undisturbed)), draw.uniform(0, 0.3))
-        place("place.yaml", f"out{kill}")
+        place_toy(here, f"out{kill}")
         assert results(here / f"out{kill}") == undisturbed
 
 
@@ -256,7 +294,7 @@ def test_one_search_killed_again_and_again_comes_to_the_same(found, here):
     for _ in range(6):
         done = len(list((here / "out").rglob("*.parquet")))
         killed_somewhere(here, "out", done + draw.randrange(3), draw.uniform(0, 0.3))
-    place("place.yaml", "out")
+    place_toy(here, "out")
     assert results(here / "out") == results(found.folder)
 
 
@@ -271,12 +309,12 @@ def test_ctrl_c_ends_it_with_130_and_one_line_how_to_go_on(found, here):
     assert errors.strip().splitlines()[-1] == (
         "htcp: stopped; finished plans are in out; run the same command to resume"
     )
-    place("place.yaml", "out")
+    place_toy(here, "out")
     assert results(here / "out") == results(found.folder)
 
 
 @pytest.mark.slow
-def test_a_search_by_time_that_was_stopped_repeats_its_rounds_and_goes_on(here):
+def test_a_search_by_time_that_was_stopped_repeats_its_rounds_and_goes_on(plate):
     def stop(now) -> None:
         if now.scenarios > 600:
             raise KeyboardInterrupt
@@ -284,7 +322,7 @@ def test_a_search_by_time_that_was_stopped_repeats_its_rounds_and_goes_on(here):
     changes = {"within": {"seconds": 20}, "best": 1, "objective": "clearance"}
     with pytest.raises(Interrupted, match="finished plans are in out"):
         place("place.yaml", "out", changes=changes, progress=stop)
-    rounds = sorted((here / "out" / "rounds").glob("[0-9]*"))
+    rounds = sorted((plate / "out" / "rounds").glob("[0-9]*"))
     found = place("place.yaml", "out", changes=changes)
     assert len(found.scores) > len(rounds) > 1
     again = place("place.yaml", "out", changes=changes)
@@ -293,7 +331,7 @@ def test_a_search_by_time_that_was_stopped_repeats_its_rounds_and_goes_on(here):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("within", [1, 2, 5])
-def test_a_budget_of_a_few_scenarios_is_kept_to(here, within):
+def test_a_budget_of_a_few_scenarios_is_kept_to(plate, within):
     found = place("place.yaml", "out", changes={"within": {"scenarios": within}, "objective": "joint motion"})
     assert found.scenarios == within and len(found.mountings) <= within
 
@@ -307,15 +345,15 @@ def test_a_budget_of_a_few_scenarios_is_kept_to(here, within):
         {"start_rad.3": [0.4, 0.6]},
     ],
 )
-def test_what_may_vary_is_searched(here, ranges):
+def test_what_may_vary_is_searched(plate, ranges):
     changes = {"place": ranges, "best": 1, "within": {"scenarios": 6}, "objective": "clearance"}
     found = place("place.yaml", "out", changes=changes)
     assert found.mountings and len(found.mountings[0].values) == len(found.search.ranges.axes)
 
 
 @pytest.mark.slow
-def test_several_seams_are_done_only_where_all_of_them_are(here):
-    (here / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
+def test_several_seams_are_done_only_where_all_of_them_are(plate):
+    (plate / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
     near = {"workpiece.shift_m.x": [-0.1, 0.1]}
     changes = {"place": near, "seams": ["path.csv", "behind.csv"], "confirm": "keep-clear", "objective": "clearance"}
     changes["screen"] = "keep-clear"
