@@ -26,7 +26,7 @@ from htcp_jax.errors import Interrupted
 from htcp_jax.placement import PlacementResult, place
 from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place_file import load_search
-from htcp_jax.placement.scores import MountingScores, sweep_of
+from htcp_jax.placement.scores import QUICK, MountingScores, evaluate, sweep_of
 from htcp_jax.report.place_tables import read_search
 from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
@@ -175,8 +175,8 @@ def test_the_default_screen_finds_motions_in_a_box_whether_the_start_is_given_or
     ranges = {"workpiece.shift_m.z": [0.14, 0.18]}
     for start in ([], ["start_rad=auto"]):
         search = load_search({"place": ranges}, job, start)
-        run = sweep(sweep_of(search, np.array([[0.15], [0.17]])), [search.file.screen])
-        assert MountingScores(search, run, search.file.screen, np.array([[0.15], [0.17]])).complete.any()
+        scores = evaluate(search, sweep, np.array([[0.15], [0.17]]), search.file.screen, None, settings=QUICK)
+        assert scores.complete.any()
 
 
 def test_a_search_that_is_stopped_before_the_end_leaves_a_ranking_that_says_so(here):
