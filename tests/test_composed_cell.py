@@ -3,26 +3,19 @@
 import dataclasses
 import json
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy
-from test_moving_part import ARM, HEAD, PART, TABLE, TCP, TURNTABLE, cell_of, in_mujoco
+from test_moving_part import ARM, HEAD, TABLE, TCP, by_chain, cell_of, composed_in, in_mujoco, job_in
 
-import htcp_jax
 from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import LinkMeshes, load_robot
 from htcp_jax.jobs import build, load_config
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.model import kinematics
 from htcp_jax.runs.identity import identity
 from htcp_jax.runs.input_files import anchor_files, file_hashes
-from htcp_jax.runs.open import open_plans
-from htcp_jax.trajectory.plan_program import program_of
-from htcp_jax.validation import validate_results
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell
 
@@ -80,15 +73,8 @@ def test_composed_models_move_as_the_same_tree_written_by_hand_in_mujoco(models,
     assert robot.joint_names == ("b3", "b2", "b1", "rail", "a1", "a2", "a3") and robot.part_moves
     assert robot.capsule_names == ("trunk", "boom", "tip", "positioner.yoke", "positioner.plate")
     x = np.random.default_rng(1).uniform(robot.lower, robot.upper, (1000, 7))
-
-    @jax.jit
-    @jax.vmap
-    def found(x):
-        T, (p, q) = kinematics.tcp_pose(robot, x), kinematics.capsule_segments(robot, x)
-        return T[:3, 3], T[:3, :3], kinematics.jacobian(robot, x), (p + q) / 2
-
     expected = in_mujoco((tmp_path / "whole.xml").read_text(), robot.joint_names, "table", x)
-    for ours, theirs in zip(found(x), expected, strict=True):
+    for ours, theirs in zip(by_chain(robot, x), expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
     config = load_config(models)
     arm = MujocoArm(config.tree)
@@ -171,64 +157,25 @@ def test_a_positioner_with_boxes_is_imported_without_a_tool_and_composed(models,
         load_robot(made)
 
 
-# A job: the toy arm next to a turntable
+# A job: the toy arm next to a turntable. Its plan is compared in test_moving_part.py.
 
 
 @pytest.fixture
-def jobs(tmp_path):
-    """The same job twice: with a cell of one file, and composed of an arm's and a turntable's."""
-    light = '<compiler boundmass="1e-6" boundinertia="1e-6"/>'
-    whole = toy.ARM.replace("<worldbody>", light + PART.format("table") + "<worldbody>")
-    (tmp_path / "whole.xml").write_text(whole.replace("</worldbody>", TURNTABLE + "</worldbody>"))
-    (tmp_path / "arm.xml").write_text(toy.ARM)
-    stand = '<body name="stand" pos="0.55 0 0.15">'
-    assert stand in TURNTABLE
-    (tmp_path / "turntable.xml").write_text(
-        model_of(TURNTABLE.replace(stand, '<body name="stand" pos="0.55 0 0">')).replace(' angle="radian"', "")
-    )
-    turn = np.linspace(-1.5, 1.5, 7)
-    np.savetxt(
-        tmp_path / "path.csv",
-        np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), np.full(7, 0.09)], axis=1),
-        delimiter=",",
-    )
-    job = {
-        "workpiece": {"cloud": "none", "path": str(tmp_path / "path.csv")},
-        "start_rad": "auto",
-        "program": {"velocity": [1.0] * 5},
-        "settings": dataclasses.replace(toy.SETTINGS, q_weights=(1.0,) * 5),
-    }
-    composed = {
-        "robot": {"model": str(tmp_path / "arm.xml")},
-        "positioner": {"model": str(tmp_path / "turntable.xml"), "base_m": [0.0, 0.0, 0.15]},
-        "workpiece": {**job["workpiece"], "parent": "positioner.table"},
-    }
-    return job | {"robot": {"model": str(tmp_path / "whole.xml")}}, job | composed
+def composed(tmp_path):
+    """A job without points, whose cell is composed of an arm's and a turntable's model."""
+    job = job_in(tmp_path)
+    del job["cell"]
+    return composed_in(tmp_path, job | {"workpiece": {"cloud": "none", "path": job["workpiece"]["path"]}})
 
 
-def test_the_plan_of_a_composed_cell_is_that_of_the_same_tree_in_one_file(jobs, tmp_path):
-    whole, composed = map(htcp_jax.plan, jobs)
-    assert whole.complete and np.ptp(whole.plans.x[0, :, 0]) > 0.1  # the table turns
-    np.testing.assert_array_equal(np.asarray(composed.plans.x), np.asarray(whole.plans.x))
-    composed.save(tmp_path / "plan")
-    found = validate_results(tmp_path / "plan")
-    assert found.validated, found.refuted[:3]
-    made = program_of(open_plans(tmp_path / "plan"), 0.02)
-    assert all(name in made.text("ros", "weld") for name in ("turn", "j1", "j4")) and made.text("keyframes", "weld")
-    summary = json.loads((tmp_path / "plan/summary.json").read_text())
-    summary["config"]["positioner"]["base_m"] = [0.0, 0.02, 0.15]
-    (tmp_path / "plan/summary.json").write_text(json.dumps(summary))
-    assert not validate_results(tmp_path / "plan").validated
-
-
-def test_a_sweep_varies_base_poses_and_locked_joints_of_a_composed_cell(jobs):
-    composed = jobs[1] | {"start_rad": [0.0] * 4, "program": {"velocity": [1.0] * 4}}
+def test_a_sweep_varies_base_poses_and_locked_joints_of_a_composed_cell(composed):
+    composed |= {"start_rad": [0.0] * 4, "program": {"velocity": [1.0] * 4}}
     composed["settings"] = dataclasses.replace(toy.SETTINGS, q_weights=(1.0,) * 4)
     composed["robot"] = composed["robot"] | {"locked": {"turn": 0.0}}
     axes = [{"positioner.base_m.z": [0.15, 0.2]}, {"robot.locked.turn": [0.0, 0.4]}]
     batch = load_sweep({"grid": axes}, composed).batch()
     assert [point.config.tree.models[1].base_m[2] for point in batch.points] == [0.15, 0.15, 0.2, 0.2]
-    tcp = np.array([kinematics.tcp_position(batch.cells[k].robot, jnp.zeros(4)) for k in batch.cell])
+    tcp = np.array([by_chain(batch.cells[k].robot, np.zeros((1, 4)))[0][0] for k in batch.cell])
     np.testing.assert_allclose(tcp[:2, 2] - tcp[2:, 2], 0.05, atol=1e-12)  # seen from the part
     np.testing.assert_allclose(tcp[0, :2] @ tcp[1, :2], np.cos(0.4) * (tcp[0, :2] @ tcp[0, :2]), atol=1e-12)
 
@@ -248,11 +195,9 @@ def test_the_part_in_the_hand_at_a_tool_that_stands_in_the_world(models, tmp_pat
     hand = '<body name="flange" pos=".35 0 0" euler=".1 .2 .3"/>'
     whole = cell_of("flange", f'<body pos=".5 .1 0">{tool}</body>', ARM.format(hand))
     x = np.random.default_rng(2).uniform(robot.lower, robot.upper, (50, 3))
-    position, axes, jacobian, _ = in_mujoco(whole, robot.joint_names, "flange", x)
-    T = jax.vmap(kinematics.tcp_pose, (None, 0))(robot, x)
-    np.testing.assert_allclose(T[:, :3, 3], position, atol=1e-9)
-    np.testing.assert_allclose(T[:, :3, :3], axes, atol=1e-9)
-    np.testing.assert_allclose(jax.vmap(kinematics.jacobian, (None, 0))(robot, x), jacobian, atol=1e-9)
+    expected = in_mujoco(whole, robot.joint_names, "flange", x)
+    for ours, theirs in zip(by_chain(robot, x)[:3], expected[:3], strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -306,13 +251,13 @@ def test_models_that_form_no_chain_are_refused_in_one_line(change, message, mode
     assert not (tmp_path / "out").exists()
 
 
-def test_a_job_of_one_model_keeps_its_identity_and_the_files_of_a_composed_cell_are_part_of_it(jobs):
+def test_a_job_of_one_model_keeps_its_identity_and_the_files_of_a_composed_cell_are_part_of_it(composed):
     config = load_config().model_dump(mode="json")
     before = {key: value for key, value in config.items() if key not in ("positioner", "rail", "tool")}
     for section in ("robot", "workpiece"):
         before[section] = {key: value for key, value in before[section].items() if key != "parent"}
     assert identity(config, [], "float64", {}) == identity(before, [], "float64", {})
-    composed = load_config(jobs[1]).model_dump(mode="json")
+    composed = load_config(composed).model_dump(mode="json")
     files = file_hashes(anchor_files(composed))
     assert composed["positioner"]["model"] in files
     other = {**composed, "positioner": {**composed["positioner"], "base_m": [0, 0, 1]}}
