@@ -4,20 +4,18 @@ import json
 import re
 
 import pytest
-from sweep_process import JOB, make_sweep
-from test_place import FEWER_TARGETS, SMALL_BEAM
+from test_place import TOY_BEAM, make_toy
 
 from htcp_jax.cli import main
 
 HEAD = "config: job.yaml\nwithin: {scenarios: 4}\n"
-PLACE = "place: {workpiece.shift_m: [[-1.25, -0.8], 0.02, 0.0]}\n"
+PLACE = "place: {workpiece.shift_m: [[0.4, 0.6], 0.02, 0.0]}\n"
 
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A plate behind a path of two points; the folder is the working folder."""
-    make_sweep(tmp_path)
-    (tmp_path / "job.yaml").write_text(JOB + FEWER_TARGETS + SMALL_BEAM)
+    """The toy arm and shelf; the folder is the working folder."""
+    make_toy(tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -25,7 +23,8 @@ def here(tmp_path, monkeypatch):
 def place(text: str, *words: str) -> int:
     with open("place.yaml", "w", encoding="utf-8") as file:
         file.write(HEAD + text)
-    return main(["place", "place.yaml", "--out", "out", *words])
+    beam = [word for change in TOY_BEAM for word in ("--set", change)]
+    return main(["place", "place.yaml", "--out", "out", *beam, *words])
 
 
 @pytest.mark.parametrize(
@@ -56,16 +55,15 @@ def test_bad_input_is_one_line_and_leaves_nothing(here, capsys, text, words, say
 
 
 def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, capsys):
-    assert place("place: {workpiece.shift_m: [[-2.2, -2.16], 0.07, 0.37]}") == 2  # the plate is in the upper arm
+    assert place("place: {workpiece.shift_m: [[-0.35, -0.3], 0.0, 0.3]}") == 2  # the shelf is in the forearm
     output = capsys.readouterr()
     assert "no motion can start in any of 4 mountings: " in output.err and " mm inside the workpiece" in output.err
     assert output.err.count("\n") == 1 and not (here / "out").exists()
 
 
 def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_best(here, capsys):
-    (here / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
-    planners = "screen: keep-clear\nconfirm: keep-clear"
-    text = f"place: {{workpiece.shift_m.x: [-0.1, 0.1]}}\nseams: [path.csv, behind.csv]\n{planners}"
+    (here / "behind.csv").write_text("1.2,0,0.3\n1.22,0,0.3\n")
+    text = "place: {workpiece.shift_m.x: [0, 0.1]}\nseams: [path.csv, behind.csv]"
     assert place(text) == 3
     output = " ".join(capsys.readouterr().out.split())
     assert "1 of 2 seams; prevented by behind (" in output and "path 2, behind 0" in output
@@ -76,7 +74,7 @@ def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_bes
 
 def test_the_number_of_plans_is_printed_first_and_the_command_that_plans_the_best_last(here, capsys):
     """Number of plans, printed first, and the command that plans the best placement, printed last (regression)."""
-    assert place("place: {workpiece.shift_m.x: [-0.1, 0.1]}\nbest: 1", "--scenarios", "2") == 0
+    assert place("place: {workpiece.shift_m.x: [0, 0.1]}\nbest: 1", "--scenarios", "2") == 0
     output = capsys.readouterr().out
     most = int(re.match(r"up to ([\d,]+) plans: 8 to search, 7 to confirm, ", output)[1].replace(",", ""))
     made = [json.loads(file.read_text())["shards"] for file in (here / "out").rglob("manifest.json")]
