@@ -63,7 +63,7 @@ def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, 
 
 def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_best(here, capsys):
     (here / "behind.csv").write_text("1.2,0,0.3\n1.22,0,0.3\n")
-    text = "place: {workpiece.shift_m.x: [0, 0.1]}\nseams: [path.csv, behind.csv]"
+    text = "place: {workpiece.shift_m.x: [0.4, 0.5]}\nseams: [path.csv, behind.csv]"
     assert place(text) == 3
     output = " ".join(capsys.readouterr().out.split())
     assert "1 of 2 seams; prevented by behind (" in output and "path 2, behind 0" in output
@@ -74,7 +74,7 @@ def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_bes
 
 def test_the_number_of_plans_is_printed_first_and_the_command_that_plans_the_best_last(here, capsys):
     """Number of plans, printed first, and the command that plans the best placement, printed last (regression)."""
-    assert place("place: {workpiece.shift_m.x: [0, 0.1]}\nbest: 1", "--scenarios", "2") == 0
+    assert place("place: {workpiece.shift_m.x: [0.4, 0.5]}\nbest: 1", "--scenarios", "2") == 0
     output = capsys.readouterr().out
     most = int(re.match(r"up to ([\d,]+) plans: 8 to search, 7 to confirm, ", output)[1].replace(",", ""))
     made = [json.loads(file.read_text())["shards"] for file in (here / "out").rglob("manifest.json")]
