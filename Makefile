@@ -10,10 +10,12 @@ COMMA := ,
 # only of the modules that pyproject.toml names.
 PYTEST = $(VENV)/bin/python -m pytest --numprocesses logical --dist worksteal \
 	$(if $(WHOLE),--jaxtyping-packages=htcp_jax$(COMMA)beartype.beartype)
+# Tests that read files only: without JAX, annotations and the fixtures of the others.
+TEXT = --override-ini=addopts=--quiet --override-ini=pythonpath=tests --confcutdir=tests/text tests/text
 # What `make check` runs: the mathematics; a small plan and bad inputs by the command.
-CHECKED = $(patsubst %,tests/test_%.py,lint mathematics numerics kinematics sphere qp cma_es cli)
+CHECKED = $(patsubst %,tests/test_%.py,mathematics numerics kinematics sphere qp cma_es cli)
 
-.PHONY: demo install lint check test test-slow test-oldest notebooks docs gate update-baselines gate-runs gate-faults faults fuzz lock clean
+.PHONY: demo install lint check test test-changed test-slow test-oldest notebooks docs gate update-baselines gate-runs gate-faults faults fuzz lock clean
 
 demo: $(VENV)/.installed  ## plan the default job
 	$(VENV)/bin/htcp plan
@@ -22,6 +24,7 @@ lint: $(VENV)/.installed-test  ## style, imports, docstrings, shape annotations,
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/python tests/lint.py
+	$(VENV)/bin/python -m pytest $(TEXT)
 
 check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan, bad inputs
 	@echo "A first answer: less than two minutes on two cores"
@@ -32,8 +35,14 @@ test: lint  ## lint and the quick tests
 	@echo "The quick tests: about 22 minutes on two cores, fewer once programs are compiled"
 	$(PYTEST)
 
+BASE = HEAD
+test-changed: lint  ## the quick tests that a change since the commit BASE can break
+	files=$$($(VENV)/bin/python tests/changed.py $(BASE)) && if [ -n "$$files" ]; then $(PYTEST) $$files; fi
+
 test-slow: WHOLE = 1
-test-slow: lint  ## every test
+test-slow: export HTCP_CACHE = $(CURDIR)/build/cache
+test-slow: lint  ## every test, with all annotations executed and nothing compiled yet
+	rm -rf build/cache
 	$(PYTEST) -m "slow or not slow"
 
 gate-faults: $(VENV)/.installed-test  ## the tests that the gate notices a fault in each part of a plan

@@ -2,6 +2,7 @@
 
 import shutil
 import signal
+import warnings
 from pathlib import Path
 
 import hypothesis
@@ -14,7 +15,7 @@ from htcp_jax.errors import InputError
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 cache_folder.enable()
-MAPS, MAX_MAPS = Path("/proc/self/maps"), 20_000
+MAPS, MAX_MAPS = Path("/proc/self/maps"), 45_000  # of 65,530; one file adds at most 5,000
 hypothesis.settings.register_profile("patient", deadline=None)  # no test depends on how busy the machine is
 hypothesis.settings.load_profile("patient")
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a script, whose children would inherit it
@@ -30,8 +31,10 @@ FLAGS += [f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"]
 def forget_executables():
     """Clear compiled programs before they use up the 65,530 memory maps of a process, which crashes the compiler."""
     yield
-    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MAX_MAPS:
+    maps = MAPS.read_bytes().count(b"\n") if MAPS.exists() else None
+    if maps is None or maps > MAX_MAPS:
         jax.clear_caches()
+        warnings.warn(f"compiled programs were cleared at {maps} memory maps", pytest.PytestWarning, stacklevel=1)
 
 
 @pytest.fixture(autouse=True, scope="session")

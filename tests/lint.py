@@ -140,10 +140,10 @@ def public_faults(package: Path) -> Iterator[str]:
     or too few of them."""
     for file in sorted(package.rglob("__init__.pyi")):
         unit = ".".join(file.parent.relative_to(package).parts)
-        for name, target in _public_names(package, unit).items():
+        for name, target in public_names(package, unit).items():
             if not _exists(package, target, unit):
                 yield f"{unit or PACKAGE}: {target} does not exist, but {name} is public"
-        count = len(_public_names(package, unit))
+        count = len(public_names(package, unit))
         if not 5 <= count <= 15 and unit not in SIZES:
             yield f"{unit}: {count} public names; 5 to 15 are allowed, or a reason in SIZES"
     for file in sorted(package.rglob("*.py")):
@@ -151,11 +151,11 @@ def public_faults(package: Path) -> Iterator[str]:
         if file.stem == "__init__" and name in PACKAGES and not file.with_suffix(".pyi").is_file():
             yield f"{name}: no __init__.pyi with its public names"
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            for home, imported in _imports(node):
+            for home, imported in imports_in(node):
                 other = home.partition(".")[0]
                 foreign = other in PACKAGES and other != name.partition(".")[0]
                 if foreign and (package / other / "__init__.pyi").is_file():
-                    if imported not in _public_names(package, home):
+                    if imported not in public_names(package, home):
                         yield f"{name} imports {imported or 'all'} of {home}, which is not public there"
 
 
@@ -189,9 +189,9 @@ def _used(tree: ast.Module, package: Path) -> Iterator[tuple[str, str]]:
         local = {
             alias.name: alias.asname or alias.name for alias in getattr(node, "names", []) if hasattr(alias, "name")
         }
-        for module, name in _imports(node):
+        for module, name in imports_in(node):
             home = (module or name).partition(".")[0]
-            if _file(package.parent, _public_names(package, module).get(name, "no such module")) is None:
+            if _file(package.parent, public_names(package, module).get(name, "no such module")) is None:
                 yield home, name or module.rpartition(".")[2]
                 continue
             of_it = [one for one in attributes if isinstance(one.value, ast.Name) and one.value.id == local[name]]
@@ -200,7 +200,7 @@ def _used(tree: ast.Module, package: Path) -> Iterator[tuple[str, str]]:
                 yield home, name
 
 
-def _imports(node: ast.AST) -> Iterator[tuple[str, str]]:
+def imports_in(node: ast.AST) -> Iterator[tuple[str, str]]:
     """Names that a statement imports from the package, each with the dotted module within it. "" is the package itself,
     or the name of a module that is imported as a module."""
     if isinstance(node, ast.Import):
@@ -214,7 +214,7 @@ def _imports(node: ast.AST) -> Iterator[tuple[str, str]]:
             yield module.removeprefix(PACKAGE).removeprefix("."), name
 
 
-def _public_names(package: Path, unit: str) -> dict[str, str]:
+def public_names(package: Path, unit: str) -> dict[str, str]:
     """Public names of a package, each with its dotted name within the package: of the module, or module and name."""
     stub = package / unit.replace(".", "/") / "__init__.pyi"
     return _listed(stub.read_text(encoding="utf-8"), unit) if stub.is_file() else {}
@@ -233,7 +233,7 @@ def _listed(stub: str, unit: str) -> dict[str, str]:
 def _exists(package: Path, target: str, unit: str) -> bool:
     """True if there is a module of a dotted name, a module that binds the name, or another unit that lists it."""
     module, _, name = target.rpartition(".")
-    if _file(package.parent, target) is not None or (module != unit and name in _public_names(package, module)):
+    if _file(package.parent, target) is not None or (module != unit and name in public_names(package, module)):
         return True
     file = _file(package.parent, module)
     body = ast.parse(file.read_text(encoding="utf-8")).body if file else []
@@ -275,8 +275,8 @@ def _imported(file: Path, package: Path, known: set[str]) -> set[str]:
     """The `known` modules that a file imports; a public name counts as its module."""
     found = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        for module, name in _imports(node):
-            target = _public_names(package, module).get(name, "") if module else ""
+        for module, name in imports_in(node):
+            target = public_names(package, module).get(name, "") if module else ""
             found |= {module, f"{module}.{name}".strip("."), target, target.rpartition(".")[0]}
     return found & known
 
@@ -323,7 +323,7 @@ def _named(root: Path) -> dict[str, bool]:
 
     Modules and packages in the stub are excluded: pages show what is public of them.
     """
-    named = {each: False for each in _public_names(root / PACKAGE, "").values() if _file(root, each) is None}
+    named = {each: False for each in public_names(root / PACKAGE, "").values() if _file(root, each) is None}
     for page in sorted((root / "docs").rglob("*.md")):
         for name in _shown(page.read_text(encoding="utf-8"), root):
             named[name] = named.get(name, False) or page.stem in MATHEMATICS

@@ -202,7 +202,7 @@ def test_mathematics_names_its_source(package, text):
 
 
 def test_what_all_names_and_what_the_pages_show_is_public():
-    found = public(Path(__file__).parents[1])
+    found = public(Path(__file__).parents[2])
     assert set(htcp_jax.__all__) - {"charts", "clearance"} <= {name.rpartition(".")[2] for name in found}
     assert {"model.scenario.Scenario", "solvers.sphere.sqp", "runs.run_folder.open_run"} <= found.keys()
     assert found["solvers.sphere.sqp"].is_mathematics and not found["runs.run_folder.open_run"].is_mathematics
@@ -223,7 +223,7 @@ CALLS = {  # a call of the public interface -> the checker's code of its fault
 def test_a_wrong_call_of_the_public_interface_is_found_by_the_type_checker(tmp_path):
     (tmp_path / "calls.py").write_text("\n".join(["import htcp_jax", *CALLS, ""]))
     command = [sys.executable, "-m", "mypy", "--no-pretty", "--no-error-summary", tmp_path / "calls.py"]
-    result = subprocess.run(command, cwd=Path(__file__).parents[1], capture_output=True, text=True)
+    result = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
     found = {int(line): code for line, code in re.findall(r"^\S+:(\d+): error: .*\[(\S+)\]$", result.stdout, re.M)}
     expected = {line: code for line, code in enumerate(CALLS.values(), start=2) if code}
     assert found == expected, result.stdout + result.stderr
