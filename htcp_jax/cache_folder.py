@@ -36,6 +36,7 @@ STORED = "executables"  # subfolder of the cache folder with executables and res
 MOST_BYTES = 2**30  # maximum size of all files; if it is exceeded, the files unused for the longest time are removed
 OTHERS_WRITE, OTHERS_ANY = 0o022, 0o077  # permissions of group and others
 DIGEST = 32  # bytes of the digest at the beginning of a stored file
+UNREADABLE = "Error reading persistent compilation cache entry"  # how JAX's warning about a damaged file begins
 
 
 def enable() -> Path | None:
@@ -114,7 +115,15 @@ def read(key: str) -> bytes | None:
                 os.utime(file)  # the time of the last use, see `_remove_oldest`
     except OSError:
         return None
-    return data[DIGEST:] if data[:DIGEST] == _digest(key, data[DIGEST:]) else None
+    if data[:DIGEST] == _digest(key, data[DIGEST:]):
+        return data[DIGEST:]
+    warnings.warn(damaged(), UserWarning, stacklevel=2)
+    return None
+
+
+def damaged() -> str:
+    """Return the message about damaged files in the cache folder."""
+    return f"{folder()} has damaged files: what they contained is compiled anew; if this is repeated, remove the folder"
 
 
 def write(key: str, content: bytes) -> bool:

@@ -20,7 +20,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 import htcp_jax
 from htcp_jax import cache_folder, cache_key, caching, numerics
-from htcp_jax.cli.main import main
+from htcp_jax.cli.main import _warn, main
 from htcp_jax.device import Executor, kept_executables
 from htcp_jax.device.executor import COMPILER, ExecutableCache
 from htcp_jax.device.lane_function import STEP, LaneFunction
@@ -93,8 +93,24 @@ def test_a_damaged_file_is_compiled_anew_and_replaced(folder, number, damage):
     file.write_bytes(damage(file.read_bytes()))
     for programs in folder.glob("*-cache"):  # of JAX's own cache
         programs.unlink()
-    assert settled().tobytes() == first.tobytes()
+    with pytest.warns(UserWarning, match="has damaged files"):
+        assert settled().tobytes() == first.tobytes()
     assert traced(settled)[1] == 0
+
+
+def test_a_folder_of_damaged_files_is_one_line_of_the_command(folder, capsys):
+    first = settled()
+    for file in [*files(folder), *folder.glob("*-cache")]:
+        file.write_bytes(file.read_bytes()[:100])
+    jax.clear_caches()
+    with pytest.warns(UserWarning) as noted:
+        assert settled().tobytes() == first.tobytes()
+    texts = [str(each.message) for each in noted]
+    assert cache_folder.damaged() in texts and any(text.startswith(cache_folder.UNREADABLE) for text in texts)
+    shown = set()
+    for each in noted:
+        _warn(each.message, shown=shown)
+    assert capsys.readouterr().err == f"htcp: warning: {cache_folder.damaged()}\n"
 
 
 def test_a_program_from_jax_s_cache_is_right_and_not_stored(folder):
@@ -115,6 +131,7 @@ def test_source_that_changed_without_effect_compiles_nothing(folder):
     assert traced(settled)[1] == 0
 
 
+@pytest.mark.filterwarnings("ignore:.* has damaged files")
 def test_a_file_of_another_executable_is_not_unpickled(folder):
     settled()
     *_, file = files(folder)
@@ -323,6 +340,7 @@ def test_the_scene_of_the_default_job_is_loaded_a_second_time_without_scipy(tmp_
     assert gap == again and first == ["scipy.interpolate", "scipy.spatial"] and not second
 
 
+@pytest.mark.filterwarnings("ignore:.* has damaged files")
 def test_programs_that_were_used_last_are_loaded_before_they_are_called(folder, monkeypatch):
     monkeypatch.setattr(kept_executables, "_used", {})
     expected, device = settled(), jax.devices()[0]

@@ -13,11 +13,13 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated
 
 import typer
 from typer.core import TyperGroup
 
+from htcp_jax import cache_folder
 from htcp_jax.errors import InputError, Interrupted, Lost, Note
 from htcp_jax.process_exit import INTERRUPTED as STOPPED
 
@@ -167,7 +169,7 @@ def _run(words: list[str]) -> int:
         os.environ["_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"] = "1"  # use the shell that the argument names
     with warnings.catch_warnings():
         warnings.simplefilter("default", UserWarning)
-        warnings.showwarning = _warn
+        warnings.showwarning = partial(_warn, shown=set())
         code = app(args=words, prog_name="htcp", standalone_mode=False)
     if code == INTERRUPTED:  # typer's code for Ctrl-C
         _print_line(STOPPED)
@@ -193,9 +195,12 @@ def _forget_stdout() -> None:
         os.close(nowhere)
 
 
-def _warn(message: Warning, *_) -> None:
-    kind = "note" if isinstance(message, Note) else "warning"
-    _print_line(f"{kind}: {message}")
+def _warn(message: Warning, *_, shown: set[str]) -> None:
+    """Print a warning as one line, and only once. JAX warns of every damaged file in its cache."""
+    text = cache_folder.damaged() if str(message).startswith(cache_folder.UNREADABLE) else str(message)
+    if text not in shown:
+        shown.add(text)
+        _print_line(f"{'note' if isinstance(message, Note) else 'warning'}: {text}")
 
 
 def _print_refusal(reason: str) -> int:
