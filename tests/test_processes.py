@@ -86,24 +86,21 @@ def test_what_a_worker_raises_arrives():
         toy.planned(method="baseline", settings=replace(toy.SETTINGS, qp="nonsense"), processes=2)
 
 
-def test_what_progress_raises_ends_the_work_and_the_next_plan_begins_anew():
+@has_proc
+def test_what_progress_raises_ends_the_work_and_a_killed_worker_is_reported_and_the_next_plan_begins_anew():
+    """Error in the progress, then killed workers: an error at once, and each time the next call has new workers."""
+
     def stop(now):
         raise ArithmeticError("enough")
 
+    def kill(now):
+        if now.targets_tracked:  # the new workers plan
+            for worker in workers(os.getpid()):
+                with contextlib.suppress(ProcessLookupError):  # when one has ended, loky ends the others
+                    os.kill(worker, signal.SIGKILL)
+
     with pytest.raises(ArithmeticError, match="enough"):
         again(progress=stop)
-    assert again().tracked.any()
-
-
-@has_proc
-def test_a_worker_that_is_killed_is_reported_of():
-    """A killed worker: an error at once, and the next call works."""
-
-    def kill(now):
-        for worker in workers(os.getpid()):
-            with contextlib.suppress(ProcessLookupError):  # when one has ended, loky ends the others
-                os.kill(worker, signal.SIGKILL)
-
     with pytest.raises(Lost, match="a worker process was killed"):
         again(progress=kill, times=400)
     assert again().tracked.any()
