@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sweep_process import COLD, HALF, SHARDS, make_sweep, plan_half, rows, start, wait_for_work, without_progress
+import toy
+from sweep_process import COLD, HALF, SHARDS, plan_half, rows, start, wait_for_work, without_progress
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import load_sweep
@@ -31,14 +32,14 @@ KILLS = 20
 def undisturbed(tmp_path_factory) -> dict[str, bytes]:
     """Row files of an undisturbed sweep."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    make_sweep(folder)
+    toy.write_sweep(folder)
     return rows(sweep(folder / "grid.yaml", "baseline", folder / "run", shard_scenarios=1).folder)
 
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    make_sweep(tmp_path)
+    toy.write_sweep(tmp_path)
     return tmp_path
 
 
@@ -146,7 +147,7 @@ def test_on_a_full_disk_a_sweep_keeps_what_is_finished_and_goes_on_when_there_is
     if (mounted / "run" / "manifest.json").exists():
         kept = open_run(mounted / "run")
         assert len(kept.manifest.shards) < SHARDS
-        assert not kept.manifest.shards or kept.targets().num_rows == 13 * len(kept.manifest.shards)
+        assert not kept.manifest.shards or kept.targets().num_rows == 8 * len(kept.manifest.shards)
     mount("-o", "remount,size=10m", str(mounted))
     goes_on_to(Path.cwd(), "disk/run", undisturbed)
 
@@ -169,7 +170,8 @@ def test_a_scenario_that_is_not_a_number_fails_and_the_others_are_as_without_it(
     requested = load_sweep({"config": "job.yaml", "grid": [{"margin_m": [0, 0.0001, 0.0002]}]}).batch()
     odd = dataclasses.replace(requested.scenarios, margin_m=np.array([0.0, 1e300, 0.0002]))
     good, bad = (
-        batch.plan(requested.robot, requested.workpiece, each, "baseline") for each in (requested.scenarios, odd)
+        batch.plan(requested.robot, requested.workpiece, each, "baseline", toy.SETTINGS)
+        for each in (requested.scenarios, odd)
     )
     for name in ("status", "x", "clearance", "residual", "iterations", "path_clear"):
         before, after = getattr(good, name), getattr(bad, name)

@@ -96,7 +96,9 @@ def same(one: Plans, row: int, other: Plans, other_row: int, count: int) -> None
         np.testing.assert_array_equal(one.via_points.on_segment(row, t), other.via_points.on_segment(other_row, t))
 
 
-def write_job(folder: Path, targets: int = TARGETS, settings: Settings = SETTINGS, **changes) -> Path:
+def write_job(
+    folder: Path, targets: int = TARGETS, settings: Settings = SETTINGS, shift_m: tuple = (0.0, 0.0, 0.0), **changes
+) -> Path:
     """Write a job with the arm, the shelf and these settings, and return its file; `changes` replace its sections."""
     (folder / "arm.xml").write_text(ARM)
     np.savetxt(folder / "shelf.xyz", workpiece().cloud)
@@ -108,8 +110,15 @@ def write_job(folder: Path, targets: int = TARGETS, settings: Settings = SETTING
     job = {
         "robot": {"model": "arm.xml"},
         "start_rad": list(START),
-        "workpiece": part | {"approach_to_inlet": 2, "approach_to_path": 2},
+        "workpiece": part | {"approach_to_inlet": 2, "approach_to_path": 2, "shift_m": list(shift_m)},
         "settings": given,
     }
     (folder / "job.yaml").write_text(yaml.safe_dump(job | changes))
     return folder / "job.yaml"
+
+
+def write_sweep(folder: Path) -> None:
+    """Write the files of a sweep over six starts, all of which track their 8 targets by the baseline."""
+    write_job(folder, 3, shift_m=(0.45, 0.02, 0.0))
+    starts = [{"start_rad.j3": {"offsets": [-0.1, 0, 0.1]}}, {"start_rad.j4": {"offsets": [0, 0.1]}}]
+    (folder / "grid.yaml").write_text(yaml.safe_dump({"config": "job.yaml", "grid": starts}))
