@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 import sweep_process
+import toy
 from rich.progress import Progress
-from test_place import make
+from test_place import TOY_FILE
 
 from htcp_jax.cli import main, output
 from htcp_jax.cli.main import COMMANDS
@@ -53,7 +54,9 @@ WORDS = {
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory) -> Path:
     """Folder with jobs, a grid and its run; read-only."""
-    folder = make(tmp_path_factory.mktemp("swept"))
+    folder = tmp_path_factory.mktemp("swept")
+    toy.write_sweep(folder, program={"velocity": [2.0] * 4})
+    (folder / "place.yaml").write_text(TOY_FILE)
     sweep(folder / "grid.yaml", "baseline", folder / "run")
     return folder
 

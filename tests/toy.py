@@ -117,8 +117,8 @@ def write_job(
     return folder / "job.yaml"
 
 
-def write_sweep(folder: Path) -> None:
+def write_sweep(folder: Path, **changes) -> None:
     """Write the files of a sweep over six starts, all of which track their 8 targets by the baseline."""
-    write_job(folder, 3, shift_m=(0.45, 0.02, 0.0))
+    write_job(folder, 3, shift_m=(0.45, 0.02, 0.0), **changes)
     starts = [{"start_rad.j3": {"offsets": [-0.1, 0, 0.1]}}, {"start_rad.j4": {"offsets": [0, 0.1]}}]
     (folder / "grid.yaml").write_text(yaml.safe_dump({"config": "job.yaml", "grid": starts}))
