@@ -248,7 +248,7 @@ def test_the_world_is_as_far_from_the_arm_as_it_stands_whatever_the_table_does(j
     x = np.random.default_rng(0).uniform(-1, 1, (50, 5))
     still = x.copy()
     still[:, 0] = 0.3
-    arm = MujocoArm(job["robot"]["model"])
+    arm = MujocoArm(Path(job["robot"]["model"]))
     p, _ = jax.jit(jax.vmap(kinematics.capsule_segments, (None, 0)))(robot, np.vstack([x, still]))
     p = np.asarray(p)
     np.testing.assert_allclose(p[:50, : len(arm.names)], arm.arm_poses(x).p, atol=1e-9)
