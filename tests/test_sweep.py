@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sweep_process import JOB, PLATE
+import toy
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
@@ -29,20 +29,21 @@ grid:
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A working folder with a grid of three starts, 13 targets each."""
+    """A working folder with a grid of three starts of the GP50 in the duct, 13 targets each."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
-    (tmp_path / "plate.xyz").write_text(PLATE)
     (tmp_path / "job.yaml").write_text("workpiece: {path: path.csv}\n")
     (tmp_path / "grid.yaml").write_text(GRID)
     return tmp_path
 
 
 @pytest.fixture
-def plate(here):
-    """The folder with a plate, which is quicker to plan."""
-    (here / "job.yaml").write_text(JOB)
-    return here
+def small(tmp_path, monkeypatch):
+    """A working folder with a grid of three starts of the toy arm, 8 targets each."""
+    monkeypatch.chdir(tmp_path)
+    toy.write_job(tmp_path, 3, shift_m=(0.45, 0.02, 0.0))
+    (tmp_path / "grid.yaml").write_text(GRID.replace("joint3", "j3"))
+    return tmp_path
 
 
 @pytest.fixture
@@ -70,7 +71,7 @@ def test_each_scenario_is_planned_as_it_would_be_alone_however_the_grid_is_cut(h
             np.testing.assert_array_equal(value, getattr(alone, name), err_msg=name)
 
 
-def test_the_programs_of_all_methods_are_compiled_before_the_first_one_plans(plate):
+def test_the_programs_of_all_methods_are_compiled_before_the_first_one_plans(small):
     """The step length has a value of its own, so that no program of the second method is compiled yet."""
     waited, overrides = {}, {"settings.alpha_rad": 0.0123}
     sweep(
@@ -96,7 +97,7 @@ def test_the_command_prints_a_table_that_lines_up_and_nothing_else_when_piped(he
     assert lines[-1] == "Tracked: reached with the required clearance of 0.5 mm or more."
 
 
-def test_what_is_finished_is_not_planned_again(plate, shards):
+def test_what_is_finished_is_not_planned_again(small, shards):
     planned, note = shards
     sweep("grid.yaml", "baseline", "run", shard_scenarios=2, finished=note)
     assert planned == [("baseline", 0, 1), ("baseline", 2, 2)]
@@ -105,7 +106,7 @@ def test_what_is_finished_is_not_planned_again(plate, shards):
     assert run.methods == ("baseline", "keep-clear") and run.complete
 
 
-def test_a_limit_may_grow_but_not_shrink(plate, shards):
+def test_a_limit_may_grow_but_not_shrink(small, shards):
     planned, note = shards
     sweep("grid.yaml", "baseline", "run", limit=1, finished=note)
     run = sweep("grid.yaml", "baseline", "run", limit=3, finished=note)
@@ -123,30 +124,30 @@ def test_a_limit_may_grow_but_not_shrink(plate, shards):
         ({"overrides": ["margin_m=0"]}, "margin_m was 0.0005, now 0.0"),
         ({"seed": 1}, "settings.seed was 0, now 1"),
         ({"spec": "other.yaml"}, "its grid differs"),
-        ({"overrides": ["workpiece.cloud=moved.xyz"]}, "workpiece.cloud was plate.xyz, SHA-256 "),
+        ({"overrides": ["workpiece.cloud=moved.xyz"]}, "workpiece.cloud was shelf.xyz, SHA-256 "),
     ],
 )
-def test_another_sweep_never_mixes_with_the_old_rows(here, plate, change, line):
-    (here / "other.yaml").write_text(GRID.replace("-0.1", "-0.2"))
-    (here / "moved.xyz").write_text(PLATE + "\n0.45 0 0")
+def test_another_sweep_never_mixes_with_the_old_rows(small, change, line):
+    (small / "other.yaml").write_text((small / "grid.yaml").read_text().replace("-0.1", "-0.2"))
+    (small / "moved.xyz").write_text((small / "shelf.xyz").read_text() + "0.43 0 0.36\n")
     sweep("grid.yaml", "baseline", "run")
-    before = contents(here / "run"), (here / "run" / "manifest.json").read_bytes()
+    before = contents(small / "run"), (small / "run" / "manifest.json").read_bytes()
     with pytest.raises(InputError) as error:
         sweep(**{"spec": "grid.yaml", "methods": "baseline", "out": "run", **change})
     assert line in str(error.value) and "run contains another sweep: " in str(error.value)
-    assert (contents(here / "run"), (here / "run" / "manifest.json").read_bytes()) == before
+    assert (contents(small / "run"), (small / "run" / "manifest.json").read_bytes()) == before
 
 
-def test_the_same_files_elsewhere_are_the_same_sweep(plate, shards):
+def test_the_same_files_elsewhere_are_the_same_sweep(small, shards):
     planned, note = shards
     sweep("grid.yaml", "baseline", "run", finished=note)
-    os.rename(plate / "grid.yaml", plate / "renamed.yaml")
+    os.rename(small / "grid.yaml", small / "renamed.yaml")
     os.chdir("/")
-    assert sweep(plate / "renamed.yaml", "baseline", plate / "run", finished=note).complete and len(planned) == 1
+    assert sweep(small / "renamed.yaml", "baseline", small / "run", finished=note).complete and len(planned) == 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_sweep_that_the_same_call_completes(here, plate, number):
+def test_a_signal_ends_a_sweep_that_the_same_call_completes(small, number):
     sweep("grid.yaml", "baseline", "undisturbed", shard_scenarios=1)
     handler = signal.getsignal(number)
 
@@ -159,10 +160,10 @@ def test_a_signal_ends_a_sweep_that_the_same_call_completes(here, plate, number)
     assert stop.value.code == 128 + number
     assert signal.getsignal(number) is handler
     sweep("grid.yaml", "baseline", "run")
-    assert contents(here / "run") == contents(here / "undisturbed")
+    assert contents(small / "run") == contents(small / "undisturbed")
 
 
-def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_left(here, plate, capsys):
+def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_left(small, capsys):
     """Sweep resumed with fewer methods: its output lists the planned ones and the remaining ones (regression)."""
 
     def interrupt(now):
@@ -182,7 +183,7 @@ def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_
     assert {shard.method for shard in open_run("run").manifest.shards} == {"baseline"}
 
 
-def test_a_signal_stops_the_planner_in_the_middle_of_a_shard_and_leaves_nothing(here):
+def test_a_signal_stops_the_planner_in_the_middle_of_a_shard_and_leaves_nothing(small):
     reported = []
 
     def interrupt(now):
@@ -191,7 +192,7 @@ def test_a_signal_stops_the_planner_in_the_middle_of_a_shard_and_leaves_nothing(
 
     with pytest.raises(Interrupted, match="stopped before anything was finished; nothing was written"):
         sweep("grid.yaml", "baseline", "run", progress=interrupt)
-    assert reported[-1].targets_tracked < reported[-1].targets and not (here / "run").exists()
+    assert reported[-1].targets_tracked < reported[-1].targets and not (small / "run").exists()
 
 
 class Stopped(Method):
@@ -207,7 +208,7 @@ class Stopped(Method):
         return registry.find("baseline").plan(problem)
 
 
-def test_the_command_says_how_to_go_on_after_a_signal(plate, capsys):
+def test_the_command_says_how_to_go_on_after_a_signal(small, capsys):
     registry.register(Stopped())
     try:
         assert main(["sweep", "grid.yaml", "--methods", "stopped", "--shard", "1", "--out", "run"]) == 143
@@ -221,7 +222,7 @@ class Killed(BaseException):
     """Stand-in for kill -9: no cleanup may run after it."""
 
 
-def test_killed_at_any_write_a_sweep_continues_to_the_same_bytes(here, plate, monkeypatch):
+def test_killed_at_any_write_a_sweep_continues_to_the_same_bytes(small, monkeypatch):
     sweep("grid.yaml", "baseline", "undisturbed", shard_scenarios=2)
     replace, calls = os.replace, []
 
@@ -236,32 +237,32 @@ def test_killed_at_any_write_a_sweep_continues_to_the_same_bytes(here, plate, mo
     writes = 1 + 2 * 3  # the manifest at first; two tables and the manifest a shard
     for moment, after in itertools.product(range(1, writes + 1), (False, True)):
         calls.clear()
-        folder = here / f"run-{moment}-{after}"
+        folder = small / f"run-{moment}-{after}"
         with pytest.raises(Killed):
             sweep("grid.yaml", "baseline", folder, shard_scenarios=2)
         folder.mkdir(exist_ok=True)
         run = sweep("grid.yaml", "baseline", folder, shard_scenarios=2)
-        assert run.complete and contents(folder) == contents(here / "undisturbed")
+        assert run.complete and contents(folder) == contents(small / "undisturbed")
         assert not list(folder.glob(".part-*"))
 
 
-def test_progress_counts_what_was_kept(plate):
+def test_progress_counts_what_was_kept(small):
     sweep("grid.yaml", "baseline", "run", limit=2, shard_scenarios=2)
     reported = []
     sweep("grid.yaml", "baseline", "run", progress=reported.append)
-    assert reported[0] == ("baseline", 2, 3, 26, 39) and reported[-1] == ("baseline", 3, 3, 39, 39)
+    assert reported[0] == ("baseline", 2, 3, 16, 24) and reported[-1] == ("baseline", 3, 3, 24, 24)
 
 
-def test_without_a_folder_the_results_live_as_long_as_the_run(plate):
+def test_without_a_folder_the_results_live_as_long_as_the_run(small):
     run = sweep("grid.yaml", "baseline")
     folder = run.folder
     assert isinstance(run, Run) and run.scenarios().num_rows == 3
-    assert run.scenarios()["tracked"].to_pylist() == [13, 13, 13]
+    assert run.scenarios()["tracked"].to_pylist() == [8, 8, 8]
     del run
     assert not folder.exists()
 
 
-def test_a_run_can_be_read_while_it_is_planned(plate):
+def test_a_run_can_be_read_while_it_is_planned(small):
     seen = []
 
     def look(now):
@@ -307,7 +308,7 @@ def same(a: Summary, b: Summary) -> bool:
     return all(one == other or (one != one and other != other) for one, other in zip(a, b, strict=True))
 
 
-def test_what_was_just_planned_is_summed_up_without_reading_it_again(plate):
+def test_what_was_just_planned_is_summed_up_without_reading_it_again(small):
     running = RunningSummary()
     run = sweep("grid.yaml", "baseline,keep-clear", "out", shard_scenarios=2, finished=running.add)
     read = {method: summarise(run.plans(method)) for method in run.methods}
@@ -319,7 +320,7 @@ def test_what_was_just_planned_is_summed_up_without_reading_it_again(plate):
     np.testing.assert_array_equal(running.margins_m(fresh, *run.methods), margins)
 
 
-def test_what_was_planned_before_is_read_from_the_folder(plate):
+def test_what_was_planned_before_is_read_from_the_folder(small):
     sweep("grid.yaml", "baseline", "out", limit=2, shard_scenarios=1)
     running = RunningSummary()
     run = sweep("grid.yaml", "baseline", "out", shard_scenarios=1, finished=running.add)
@@ -327,7 +328,7 @@ def test_what_was_planned_before_is_read_from_the_folder(plate):
     np.testing.assert_array_equal(running.margins_m(run, "baseline"), [load_sweep("grid.yaml").config.margin_m])
 
 
-def test_the_command_s_table_needs_none_of_the_files_that_it_wrote(plate, monkeypatch, capsys):
+def test_the_command_s_table_needs_none_of_the_files_that_it_wrote(small, monkeypatch, capsys):
     def damaging(source, target, replace=os.replace):
         replace(source, target)
         if target.suffix == ".parquet":
@@ -335,4 +336,4 @@ def test_the_command_s_table_needs_none_of_the_files_that_it_wrote(plate, monkey
 
     monkeypatch.setattr(os, "replace", damaging)
     assert main(["sweep", "grid.yaml", "--methods", "baseline", "--out", "out"]) == 0
-    assert "39" in capsys.readouterr().out  # targets: three scenarios of 13
+    assert "24" in capsys.readouterr().out  # targets: three scenarios of 8
