@@ -21,6 +21,8 @@ hypothesis.settings.load_profile("patient")
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a script, whose children would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+collect_ignore = ["text"]  # tests that read files only, which `make lint` runs without this file
+
 BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
 REBOUND = "rebound.test"  # a name that the browser resolves to this machine, as in DNS rebinding
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
