@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from small_motions import SMALL, D_everywhere, off_line, planned, poses
+import toy
+from small_motions import SMALL, D_everywhere, off_line, poses
 from sphere_references import place
 
 from htcp_jax.clearance import in_workpiece
@@ -86,6 +87,14 @@ def places(a, b, count):
     return a + np.arange(1, count)[:, None] / count * (b - a)
 
 
+@cache
+def sampled():
+    """Smallest clearance of each path at PLACES configurations, and True where the tip passes there."""
+    _, a, b = lanes()
+    x = np.concatenate([places(*ends, PLACES) for ends in zip(a, b, strict=True)])
+    return clearances(x).reshape(MANY, -1).min(axis=1), tip_passes(x).reshape(MANY, -1).any(axis=1)
+
+
 def test_states_are_those_of_the_functions_of_one_configuration():
     inputs, q, _ = lanes()
     here = checker().states(inputs, q)
@@ -117,14 +126,10 @@ def test_what_is_projected_is_on_its_target():
 def test_proven_edges_are_clear_at_all_places_and_refuted_ones_collide_where_they_say():
     inputs, a, b = lanes()
     bare, guarded = checker(guarded=False).edges(inputs, a, b), checker().edges(inputs, a, b)
-    passes = np.array([tip_passes(places(*segment_status, PLACES)).any() for segment_status in zip(a, b, strict=True)])
-    for k, verdict in enumerate(bare.verdict):
-        if verdict == SegmentStatus.VALID:
-            assert clearances(places(a[k], b[k], PLACES)).min() >= bare.clearance[k] > 0
-        else:
-            assert (
-                verdict == SegmentStatus.IN_COLLISION and clearances((a[k] + bare.place[k] * (b[k] - a[k]))[None]) <= 0
-            )
+    smallest, passes = sampled()
+    valid, there = bare.verdict == SegmentStatus.VALID, clearances(a + bare.place[:, None] * (b - a))
+    assert (smallest >= bare.clearance)[valid].all() and (bare.clearance[valid] > 0).all()
+    assert (bare.verdict[~valid] == SegmentStatus.IN_COLLISION).all() and (there[~valid] <= 0).all()
     expected = np.where(passes & (bare.verdict == SegmentStatus.VALID), int(SegmentStatus.IN_COLLISION), bare.verdict)
     assert guarded.verdict.tolist() == expected.tolist() != bare.verdict.tolist()
     assert len(np.unique(bare.verdict)) == 2
@@ -143,8 +148,9 @@ def test_the_bare_tip_of_a_long_path_passes_through_no_triangle_between_the_firs
     along = (tip[1] - tip[0]) / np.linalg.norm(tip[1] - tip[0])
     u = np.cross(along, [0, 0, 1]) / np.linalg.norm(np.cross(along, [0, 0, 1]))
     triangle = tip.mean(axis=0) + 1e-3 * np.array([u, np.cross(along, u), -u - np.cross(along, u)])
+    large = 100 + np.eye(3)  # far away; without it the search would cut the tip into pieces of micrometres
     for offset, free in ((0, False), (0.1 * along, True)):
-        wall = TipGuard(WallTriangles((triangle + offset)[None]), 0.0)
+        wall = TipGuard(WallTriangles(np.stack([triangle + offset, large])), 0.0)
         guarded = CollisionChecker(checker().executor, Settings(), wall)
         assert guarded.path_clear(inputs, a, b).tolist() == [free]
 
@@ -154,8 +160,9 @@ def test_the_tcp_of_a_proven_edge_stays_in_its_tube():
     start, end = (np.asarray(TCPS(made_once.robot(), x)) for x in (a, b))
     robot, radius = made_once.robot(), np.full(MANY, 1e-4)
     found = checker(guarded=False).edges(inputs, a, b, Tube(start, end, radius)).verdict
+    tcps = np.asarray(TCPS(robot, np.concatenate([places(*ends, PLACES) for ends in zip(a, b, strict=True)])))
     for k, verdict in enumerate(found):
-        off = off_line(start[k], end[k], np.asarray(TCPS(robot, places(a[k], b[k], PLACES)))).max()
+        off = off_line(start[k], end[k], tcps.reshape(MANY, -1, 3)[k]).max()
         assert verdict != SegmentStatus.VALID or off <= 1e-4
     assert {SegmentStatus.VALID, SegmentStatus.OFF_PATH} <= set(found.tolist())
 
@@ -168,8 +175,8 @@ def test_a_path_is_clear_by_the_test_of_the_settings(test):
     found = CollisionChecker(
         checker().executor if test == "bisection" else Executor(made_once.scene(), settings), settings, guard()
     )
-    sampled = [places(*segment_status, PLACES) for segment_status in zip(a, b, strict=True)]
-    clear = np.array([clearances(x).min() > 0 and not tip_passes(x).any() for x in sampled])
+    smallest, passes = sampled()
+    clear = (smallest > 0) & ~passes
     assert found.path_clear(inputs, a, b).tolist() == clear.tolist()
     assert clear.any() and not clear.all()
 
@@ -279,11 +286,15 @@ def test_goals_follow_the_targets_of_an_approach_that_left_its_lines():
 
 def test_steps_after_a_method_return_plans_and_change_none():
     """Arrays that cannot be written into go through every step."""
-    problem, segments = leave_home(problem_of(poses()))
-    plans = planned()
-    plans = plans._replace(
-        path_clear=np.full_like(plans.path_clear, -1),
-        segment_status=np.full_like(plans.segment_status, SegmentStatus.NOT_CHECKED),
+    settings, scenarios = replace(toy.SETTINGS, smooth=False), toy.scenarios()
+    task, devices = Task(tolerance_m=settings.tolerance_m), choose(None)
+    problem, segments = leave_home(
+        Problem(toy.robot(), toy.workpiece(), stack(scenarios), settings, task, toy.scene().obstacles, devices, 1)
+    )
+    given = toy.planned(settings=settings, threads=1)
+    plans = given._replace(
+        path_clear=np.full_like(given.path_clear, -1),
+        segment_status=np.full_like(given.segment_status, SegmentStatus.NOT_CHECKED),
     )
     steps = (
         check_remaining_paths,
@@ -301,4 +312,4 @@ def test_steps_after_a_method_return_plans_and_change_none():
         for name, array in before.items():
             np.testing.assert_array_equal(getattr(plans, name), array, err_msg=name)
         plans = after
-    assert (plans.segment_status == planned().segment_status).all() and plans.executable.any()
+    assert (plans.segment_status == given.segment_status).all() and plans.executable.any()
