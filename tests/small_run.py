@@ -1,18 +1,23 @@
-"""Small real run of four scenarios by two methods, and functions that damage a copy of it."""
+"""Small runs of four scenarios by two methods, real and of the toy arm, and functions that damage a copy of them."""
 
 import hashlib
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import toy
 
+from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import duct
+from htcp_jax.planning import batch
 from htcp_jax.runs import open_run
 from htcp_jax.runs.manifest import MANIFEST
-from htcp_jax.runs.sweep import sweep
+from htcp_jax.runs.sweep import keep_plans, sweep
 from htcp_jax.status import Status
 
 METHODS = ("baseline", "cspace-sample")
@@ -23,6 +28,8 @@ grid:
   - robot.tool_extension_m: [0.0, {LONGER}]
   - workpiece.rotation_y_rad: [0.4, 0.5]
 """
+TOY_TARGETS = 8  # per scenario of the toy run
+TOY_SWEEP = SWEEP.replace("[0.4, 0.5]", "[0.0, 0.1]")
 
 
 def plan_small_run(place: Path) -> Path:
@@ -32,6 +39,27 @@ def plan_small_run(place: Path) -> Path:
     (place / "grid.yaml").write_text(SWEEP)
     sweep(place / "grid.yaml", METHODS, place / "run", shard_scenarios=2)
     return place
+
+
+@cache
+def _toy_folder() -> TemporaryDirectory:
+    folder = TemporaryDirectory()
+    place = Path(folder.name)
+    toy.write_job(place, 3, shift_m=(0.4, 0.02, -0.03), cell={"self_collision": False})
+    (place / "grid.yaml").write_text(TOY_SWEEP)
+    spec = load_sweep(place / "grid.yaml")
+    scene = spec.batch()
+    plans = batch.plan(scene.robot, scene.workpiece, scene.scenarios, METHODS[0], spec.config.settings)
+    keep_plans(spec, dict.fromkeys(METHODS, plans), place / "run", shard_scenarios=2)
+    return folder
+
+
+def toy_run() -> Path:
+    """Folder with a run of the toy arm, read and validated in a fifth of a second; read-only.
+
+    Two tools and two poses of the shelf, all targets tracked; the plans of the second method are those of the first.
+    """
+    return Path(_toy_folder().name)
 
 
 def spoil(folder: Path, scenario: int, target: int, method: str = METHODS[0], **values) -> None:
@@ -49,10 +77,18 @@ def spoil(folder: Path, scenario: int, target: int, method: str = METHODS[0], **
 def end_early(folder: Path, scenario: int, target: int, status: Status, method: str = METHODS[0]) -> None:
     """Change the rows of a scenario as if it had failed at this target."""
     lost = {"tracked": False, "clearance_m": None, "residual_m": None, "joint_step_rad": None, "path_clear": None}
-    for later in range(target, int(open_run(folder).scenarios(method)["targets"][scenario].as_py())):
-        name = (status if later == target else Status.NOT_ATTEMPTED).name
-        joints = {f"joint{j + 1}_rad": None for j in range(6)} | {f"tcp_{axis}_m": None for axis in "xyz"}
-        spoil(folder, scenario, later, method, status=name, **lost, **joints)
+    run = open_run(folder)
+    joints = dict.fromkeys(run.manifest.joints) | {f"tcp_{axis}_m": None for axis in "xyz"}
+
+    def cut(rows: pa.Table) -> pa.Table:
+        reported = rows.to_pylist()
+        for row in reported:
+            if row["scenario"] == scenario and row["target"] >= target:
+                name = (status if row["target"] == target else Status.NOT_ATTEMPTED).name
+                row |= {"status": name, **lost, **joints}
+        return pa.Table.from_pylist(reported, rows.schema)
+
+    rewrite(folder, method, scenario, cut)
 
 
 def rewrite(folder: Path, method: str, scenario: int, change: Callable[[pa.Table], pa.Table]) -> None:

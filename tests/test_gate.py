@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 import yaml
-from small_run import LONGER, end_early, rewrite, spoil
+from small_run import LONGER, TOY_TARGETS, end_early, rewrite, spoil, toy_run
 
 from htcp_jax.cli import main
 from htcp_jax.runs.identity import config_hash, identity
@@ -16,7 +16,7 @@ from htcp_jax.status import Status
 from htcp_jax.validation import Baseline, read_baseline
 
 PASSED, REGRESSION, BAD_INPUT = 0, 1, 2
-TARGETS = 19  # per scenario, in all four scenarios
+TARGETS = TOY_TARGETS  # per scenario, in all four scenarios
 
 
 def write_reachability(run, prefix, resolution_rad=0.1):
@@ -24,19 +24,20 @@ def write_reachability(run, prefix, resolution_rad=0.1):
     (run / REACHABILITY).write_text(json.dumps(record))
 
 
-@pytest.fixture(scope="session")
-def updated(planned):
-    """Small run with its reachability, and its baseline."""
-    run = shutil.copytree(planned / "run", planned / "with-reachability")
+@pytest.fixture(scope="module")
+def updated(tmp_path_factory):
+    """Folder with the toy's run, its reachability, and its baseline."""
+    place = tmp_path_factory.mktemp("updated")
+    run = shutil.copytree(toy_run() / "run", place / "run")
     write_reachability(run, [TARGETS] * 4)
-    assert main(["gate", str(run), "--baseline", str(planned / "baseline.yaml"), "--update"]) == PASSED
-    return planned
+    assert main(["gate", str(run), "--baseline", str(place / "baseline.yaml"), "--update"]) == PASSED
+    return place
 
 
 @pytest.fixture
 def run(updated, tmp_path):
     """Copy of the run that a test may damage."""
-    return shutil.copytree(updated / "with-reachability", tmp_path / "run")
+    return shutil.copytree(updated / "run", tmp_path / "run")
 
 
 @pytest.fixture
@@ -106,27 +107,27 @@ def test_time_never_gates(run, baseline):
 
 
 def test_a_scenario_that_ends_earlier_fails_and_is_named_with_target_and_reason(run, baseline, capsys):
-    end_early(run, 2, 12, Status.QP_INFEASIBLE)
+    end_early(run, 2, 4, Status.QP_INFEASIBLE)
     assert gate(run, baseline) == REGRESSION
     reported = capsys.readouterr().out
-    label = f"rotation y 0.4 rad, tool {LONGER} m"
-    line = f"baseline, scenario 2 ({label}): first at target 12, {TARGETS} tracked in the baseline, 12 now"
+    label = f"rotation y 0 rad, tool {LONGER} m"
+    line = f"baseline, scenario 2 ({label}): first at target 4, {TARGETS} tracked in the baseline, 4 now"
     assert f"{line}; {Status.QP_INFEASIBLE.message}" in reported.splitlines() and reported.endswith("FAILED\n")
-    assert "failed  baseline: 7 targets fewer tracked, 69 of 76; allowed decrease: 0" in reported
+    assert "failed  baseline: 4 targets fewer tracked, 28 of 32; allowed decrease: 0" in reported
     assert "failed  baseline: 1 scenario ended earlier; allowed: 0" in reported
-    assert "failed  baseline: 90.79 % of the reachable targets are tracked, 100.00 % in the baseline" in reported
+    assert "failed  baseline: 87.50 % of the reachable targets are tracked, 100.00 % in the baseline" in reported
 
 
 def test_as_much_as_the_baseline_allows_may_be_lost(run, baseline, capsys):
-    end_early(run, 2, 17, Status.ITERATION_LIMIT)
+    end_early(run, 2, 6, Status.ITERATION_LIMIT)
     edit(baseline, lambda raw: raw["allow"]["here"].update(targets=2, scenarios=1))
-    assert outcome(run, baseline, capsys)["changed"][0]["target"] == 17
+    assert outcome(run, baseline, capsys)["changed"][0]["target"] == 6
     edit(baseline, lambda raw: raw["allow"]["here"].update(targets=1))
     assert outcome(run, baseline, capsys)["passed"] is False
 
 
 def test_on_another_device_or_with_other_versions_another_allowance_holds(run, baseline, capsys):
-    end_early(run, 2, 17, Status.ITERATION_LIMIT)
+    end_early(run, 2, 6, Status.ITERATION_LIMIT)
     edit(baseline, lambda raw: raw["allow"]["elsewhere"].update(targets=2, scenarios=1))
     assert outcome(run, baseline, capsys)["passed"] is False
     edit_manifest(run, lambda manifest: manifest["planned_by"][0].update(device="cpu: another"))
@@ -137,47 +138,47 @@ def test_on_another_device_or_with_other_versions_another_allowance_holds(run, b
     assert outcome(run, baseline, capsys)["elsewhere"]
 
 
-def test_gains_elsewhere_do_not_hide_a_scenario_that_ends_earlier(run, planned, tmp_path, capsys):
+def test_gains_elsewhere_do_not_hide_a_scenario_that_ends_earlier(run, tmp_path, capsys):
     worse = shutil.copytree(run, tmp_path / "worse")
-    end_early(worse, 0, 10, Status.ITERATION_LIMIT)
+    end_early(worse, 0, 5, Status.ITERATION_LIMIT)
     assert gate(worse, tmp_path / "was.yaml", "--update") == PASSED
-    end_early(run, 1, 15, Status.RECOVERY_EXHAUSTED)
+    end_early(run, 1, 6, Status.RECOVERY_EXHAUSTED)
     capsys.readouterr()
     verdict = outcome(run, tmp_path / "was.yaml", capsys)
     (row, *_) = verdict["rows"]
-    assert (row["was_tracked"], row["tracked"], row["worse"], row["better"]) == (67, 72, 1, 1)
+    assert (row["was_tracked"], row["tracked"], row["worse"], row["better"]) == (29, 30, 1, 1)
     assert not verdict["passed"] and [one["scenario"] for one in verdict["changed"]] == [1, 0]
 
 
 def test_an_improvement_passes_and_is_listed(run, tmp_path, capsys):
     worse = shutil.copytree(run, tmp_path / "worse")
-    end_early(worse, 0, 10, Status.ITERATION_LIMIT)
+    end_early(worse, 0, 5, Status.ITERATION_LIMIT)
     assert gate(worse, tmp_path / "was.yaml", "--update") == PASSED
     capsys.readouterr()
     assert gate(run, tmp_path / "was.yaml") == PASSED
     reported = capsys.readouterr().out
     assert (
-        "better  baseline tracks 9 targets more" in reported
-        and "scenario 0 (rotation y 0.4 rad, tool 0 m): first" in reported
+        "better  baseline tracks 3 targets more" in reported
+        and "scenario 0 (rotation y 0 rad, tool 0 m): first" in reported
     )
     assert Status.ITERATION_LIMIT.message in reported
 
 
 def test_more_targets_fail_where_the_baseline_bounds_them(run, tmp_path, capsys):
     worse, was = shutil.copytree(run, tmp_path / "worse"), tmp_path / "was.yaml"
-    end_early(worse, 0, 10, Status.ITERATION_LIMIT)
+    end_early(worse, 0, 5, Status.ITERATION_LIMIT)
     assert gate(worse, was, "--update") == PASSED
-    for most, verdict in ((9, PASSED), (8, REGRESSION)):
+    for most, verdict in ((3, PASSED), (2, REGRESSION)):
         edit(was, lambda raw, most=most: raw["allow"]["here"].update(more_targets=most))
         assert gate(run, was) == verdict
-    assert "failed  baseline: 9 targets more tracked, 76 of 76; allowed increase: 8" in capsys.readouterr().out
+    assert "failed  baseline: 3 targets more tracked, 32 of 32; allowed increase: 2" in capsys.readouterr().out
 
 
 def test_another_reason_at_the_same_target_is_reported_and_passes(run, tmp_path, capsys):
     was = shutil.copytree(run, tmp_path / "was")
-    end_early(was, 0, 10, Status.ITERATION_LIMIT)
+    end_early(was, 0, 5, Status.ITERATION_LIMIT)
     gate(was, tmp_path / "was.yaml", "--update")
-    end_early(run, 0, 10, Status.QP_INFEASIBLE)
+    end_early(run, 0, 5, Status.QP_INFEASIBLE)
     capsys.readouterr()
     verdict = outcome(run, tmp_path / "was.yaml", capsys)
     assert verdict["passed"] and verdict["changed"][0]["reason"] == Status.QP_INFEASIBLE.message
@@ -211,7 +212,7 @@ def test_a_sweep_that_died_before_its_first_shard_fails(run, baseline, capsys):
     assert not verdict["passed"] and any("no finished shard" in failure for failure in verdict["failures"])
 
 
-@pytest.mark.parametrize("column", ["clearance_m", "status", "joint3_rad"])
+@pytest.mark.parametrize("column", ["clearance_m", "status", "j3_rad"])
 def test_a_missing_column_fails(run, baseline, capsys, column):
     for scenario in (0, 2):
         rewrite(run, "baseline", scenario, lambda rows: rows.drop_columns([column]))
@@ -237,11 +238,11 @@ def test_a_missing_reachability_and_one_of_another_search_fail(run, baseline, ca
 def test_a_lower_reachability_fails(run, baseline, capsys):
     write_reachability(run, [TARGETS, TARGETS, TARGETS, 4])
     verdict = outcome(run, baseline, capsys)
-    assert verdict["failures"] == ["reachability: 15 targets fewer reachable; allowed decrease: 0"]
+    assert verdict["failures"] == ["reachability: 4 targets fewer reachable; allowed decrease: 0"]
 
 
 def test_what_mujoco_refutes_fails_though_every_count_is_as_it_was(run, baseline, capsys):
-    spoil(run, 1, 7, joint2_rad=-1.5)
+    spoil(run, 1, 7, j2_rad=-1.5)
     verdict = outcome(run, baseline, capsys)
     assert not verdict["passed"] and verdict["changed"] == []
     line = "baseline: 1 tracked target refuted by MuJoCo, the first in scenario 1 at target 7: the TCP is"
@@ -250,13 +251,13 @@ def test_what_mujoco_refutes_fails_though_every_count_is_as_it_was(run, baseline
 
 def test_bounds_that_are_worse_than_before_fail(run, baseline, capsys):
     def better(raw):
-        raw["methods"]["baseline"].update(clearance_min_mm=5.0, tcp_error_max_mm=0.1)
+        raw["methods"]["baseline"].update(clearance_min_mm=50.0, tcp_error_max_mm=0.1)
 
     edit(baseline, better)
     failures = outcome(run, baseline, capsys)["failures"]
     assert any(failure.startswith("baseline: the minimum clearance is") for failure in failures)
     assert any(failure.startswith("baseline: the largest TCP error is") for failure in failures)
-    edit(baseline, lambda raw: raw["allow"]["here"].update(clearance_mm=10.0, tcp_error_mm=10.0))
+    edit(baseline, lambda raw: raw["allow"]["here"].update(clearance_mm=100.0, tcp_error_mm=10.0))
     assert outcome(run, baseline, capsys)["passed"]
 
 
@@ -290,9 +291,9 @@ def test_a_run_of_another_configuration_is_bad_input(updated, run, baseline, cap
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (lambda raw: raw["methods"]["baseline"]["scenarios"].pop(3), "tracked is 76, which does not match the sum"),
+        (lambda raw: raw["methods"]["baseline"]["scenarios"].pop(3), "tracked is 32, which does not match the sum"),
         (lambda raw: raw["methods"]["baseline"].update(tracked=0), "tracked is 0, which does not match the sum"),
-        (lambda raw: raw["methods"]["baseline"]["scenarios"].update({3: "19 FINE"}), "is not the result of a scenario"),
+        (lambda raw: raw["methods"]["baseline"]["scenarios"].update({3: "8 FINE"}), "is not the result of a scenario"),
         (lambda raw: raw["methods"]["baseline"].pop("tcp_error_max_mm"), "tcp_error_max_mm"),
         (lambda raw: raw["planned"].update(margin_m=0.1), "config_hash does not match"),
         (lambda raw: raw.update(methods={}), "methods"),
@@ -338,7 +339,7 @@ def test_what_may_not_be_a_baseline_leaves_the_baseline_as_it_was(run, baseline,
 
 
 def test_a_refuted_run_and_a_damaged_one_are_not_taken_as_the_baseline(run, tmp_path, capsys):
-    spoil(run, 1, 7, joint2_rad=-1.5)
+    spoil(run, 1, 7, j2_rad=-1.5)
     assert gate(run, tmp_path / "b.yaml", "--update") == BAD_INPUT
     assert "1 tracked target refuted" in capsys.readouterr().err
     (run / "targets" / "baseline-000000-000001.parquet").write_bytes(b"")

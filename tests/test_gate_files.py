@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from junitparser import Failure, JUnitXml, Skipped
 from markdown_it import MarkdownIt
-from small_run import end_early
+from small_run import end_early, toy_run
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
@@ -31,12 +31,12 @@ READER = MarkdownIt("commonmark").enable(["table", "strikethrough"])
 
 
 @pytest.fixture(scope="module")
-def place(planned, tmp_path_factory):
-    """Folder with the small run, its baseline, and a worse run: two scenarios end earlier, one by a single target."""
+def place(tmp_path_factory):
+    """Folder with the toy's run, its baseline, and a worse run: two scenarios end earlier, one by a single target."""
     place = tmp_path_factory.mktemp("gate")
-    run, worse = (shutil.copytree(planned / "run", place / name) for name in ("run", "worse"))
-    end_early(worse, 2, 12, Status.QP_INFEASIBLE)
-    end_early(worse, 1, 18, Status.ITERATION_LIMIT, "cspace-sample")
+    run, worse = (shutil.copytree(toy_run() / "run", place / name) for name in ("run", "worse"))
+    end_early(worse, 2, 4, Status.QP_INFEASIBLE)
+    end_early(worse, 1, 7, Status.ITERATION_LIMIT, "cspace-sample")
     assert main(["gate", str(run), "--baseline", str(place / "baseline.yaml"), "--update"]) == PASSED
     return place
 
@@ -76,16 +76,16 @@ def test_the_junit_file_has_one_test_case_per_method_and_check(place, tmp_path):
     found = cases((tmp_path / "gate.xml").read_text())
     methods = "grid.baseline", "grid.cspace-sample"
     assert list(found) == [("grid.run", "files"), *((method, check) for method in methods for check in CHECKS)]
-    assert (read.tests, read.failures, read.errors) == (19, 4, 0)
+    assert (read.tests, read.failures, read.errors) == (19, 6, 0)
     failed = {case: result[0].message for case, result in found.items() if result and isinstance(result[0], Failure)}
-    assert failed["grid.cspace-sample", "tracked targets"] == "1 target fewer tracked, 75 of 76; allowed decrease: 0"
+    assert failed["grid.cspace-sample", "tracked targets"] == "1 target fewer tracked, 31 of 32; allowed decrease: 0"
     assert failed["grid.baseline", "scenarios ending earlier"] == "1 scenario ended earlier; allowed: 0"
     assert isinstance(found["grid.baseline", "times"][0], Skipped)
 
 
 def test_a_failed_test_case_names_the_scenarios(verdict):
     (failure,) = cases(junit(verdict))["grid.baseline", "scenarios ending earlier"]
-    assert "baseline, scenario 2 (rotation y 0.4 rad, tool 0.01 m): first at target 12" in failure.text
+    assert "baseline, scenario 2 (rotation y 0 rad, tool 0.01 m): first at target 4" in failure.text
 
 
 def test_the_markdown_has_method_baseline_now_difference_and_the_scenarios_that_changed(place, tmp_path):
@@ -93,10 +93,10 @@ def test_the_markdown_has_method_baseline_now_difference_and_the_scenarios_that_
     found = texts((tmp_path / "gate.md").read_text())
     head = found.index("method")
     assert found[head : head + 5] == ["method", "verdict", "baseline", "now", "difference"]
-    assert found[head + 8 : head + 13] == ["baseline", "FAILED", "76", "69", "-7"]
-    scenario = found.index("2 (rotation y 0.4 rad, tool 0.01 m)")
+    assert found[head + 8 : head + 13] == ["baseline", "FAILED", "32", "28", "-4"]
+    scenario = found.index("2 (rotation y 0 rad, tool 0.01 m)")
     assert found[scenario - 1 : scenario + 6] == [
-        *("baseline", "2 (rotation y 0.4 rad, tool 0.01 m)", "19", "12", "-7", "12", Status.QP_INFEASIBLE.message)
+        *("baseline", "2 (rotation y 0 rad, tool 0.01 m)", "8", "4", "-4", "4", Status.QP_INFEASIBLE.message)
     ]
 
 
@@ -179,9 +179,11 @@ def test_a_method_that_fails_is_an_annotation_on_github_actions_alone(place, cap
     reported = [line for line in capsys.readouterr().out.splitlines() if line.startswith("::")]
     assert reported == [
         "::error title=htcp gate grid%3A baseline"
-        "::7 targets fewer tracked, 69 of 76; allowed decrease: 0%0A1 scenario ended earlier; allowed: 0",
+        "::4 targets fewer tracked, 28 of 32; allowed decrease: 0%0A"
+        "4 targets fewer executable, 28 of 32; allowed decrease: 0%0A1 scenario ended earlier; allowed: 0",
         "::error title=htcp gate grid%3A cspace-sample"
-        "::1 target fewer tracked, 75 of 76; allowed decrease: 0%0A1 scenario ended earlier; allowed: 0",
+        "::1 target fewer tracked, 31 of 32; allowed decrease: 0%0A"
+        "1 target fewer executable, 31 of 32; allowed decrease: 0%0A1 scenario ended earlier; allowed: 0",
     ]
 
 
