@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import toy
 import trimesh
-from sweep_process import COLD, HALF, SHARDS, finish, make_sweep, plan_half, rows, start, without_progress
+from sweep_process import COLD, HALF, SHARDS, finish, plan_half, rows, start, without_progress
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
@@ -29,14 +30,14 @@ pytestmark = pytest.mark.filterwarnings(r"ignore:os\.fork\(\) was called:Runtime
 def undisturbed(tmp_path_factory) -> dict[str, bytes]:
     """Row files of a sweep in one process."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    make_sweep(folder)
+    toy.write_sweep(folder)
     return rows(sweep(folder / "grid.yaml", "baseline", folder / "run", shard_scenarios=1).folder)
 
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    make_sweep(tmp_path)
+    toy.write_sweep(tmp_path)
     return tmp_path
 
 
