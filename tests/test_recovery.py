@@ -1,6 +1,5 @@
 """Recovery strategies: each follows the paper's algorithm and returns only valid configurations."""
 
-from dataclasses import replace
 from functools import cache, partial
 
 import jax
@@ -8,12 +7,14 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+import toy
 from sphere_references import place
 
 from htcp_jax.clearance import clearance, clearances, contacts, is_clear
-from htcp_jax.device.batching import finished
+from htcp_jax.device import Executor
 from htcp_jax.model.kinematics import jacobian, tcp_position
-from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.model.scenario import stack
+from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.tracking import StepQPs
 from htcp_jax.planning.tracking.null_space import (
@@ -26,7 +27,7 @@ from htcp_jax.planning.tracking.null_space import (
     stuck_key,
 )
 from htcp_jax.planning.tracking.sampling import cspace_samples, nspace_samples
-from htcp_jax.planning.tracking.stages import ENTER, NullSpace
+from htcp_jax.planning.tracking.stages import ENTER
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere
 
@@ -45,6 +46,7 @@ def run(function, *rest, settings=SETTINGS):
 
 
 _D = jax.jit(clearance)
+_CLEAR = jax.jit(jax.vmap(is_clear, (None, None, None, 0)))
 _TCP = jax.jit(tcp_position)
 
 
@@ -208,7 +210,7 @@ def test_cspace_samples_are_feasible_and_move_joints_3_to_6_alone():
         assert found.x.shape[0] == 8 * SETTINGS.samples
         np.testing.assert_array_equal(off[:, :2], 0.0)
         assert (np.abs(off) <= [0, 0, 1, 2, 2, 2]).all() and (np.abs(off).max(0)[2:] > [0.95, 1.9, 1.9, 1.9]).all()
-        clear = np.asarray(jax.jit(jax.vmap(lambda x, w=where: is_clear(robot, obstacle, w, x)))(found.x))
+        clear = np.asarray(_CLEAR(robot, obstacle, where, found.x))
         inside = ((found.x <= np.asarray(robot.upper)) & (found.x >= np.asarray(robot.lower))).all(1)
         feasible = clear & inside & (np.linalg.norm(off, axis=1) <= SETTINGS.max_sample_distance_rad)
         np.testing.assert_array_equal(found.valid, feasible & (np.cumsum(feasible) <= SETTINGS.samples))
@@ -259,30 +261,30 @@ def test_the_papers_six_come_first():
 
 
 STAGES = {
-    f"{method.name} {k}": stage
+    f"{method.name} {k}": stage.lane_function(k)
     for method in BUILT_IN
     if isinstance(method, StepQPs)
     for k, stage in enumerate(method.stages)
 }
-QUICK = replace(SHORT, population=8, generations=2)
 
 
 @pytest.mark.parametrize("name", STAGES)
 def test_every_stage_gives_what_its_kind_promises(name):
     """A self-motion returns a configuration on the target; a sampler returns candidates, and those done are clear."""
-    lane_function = STAGES[name].lane_function(0)
-    where, x, target = next(stuck_places(1))
-    lane = LaneInputs(*where, margin_m=0.0, tool_extension_m=0.0, number=0, target=target, row=0, round=0, seed=0)
-    self_motions = isinstance(STAGES[name], NullSpace)
-    step = jax.jit(lambda *lane: finished(lane_function.of(QUICK)(*lane)))
-    found = step(made_once.scene(), lane, x, *([x, 0, 1] if self_motions else []))
-    robot = made_once.robot()
-    if self_motions:
-        found, null_space_steps = found
-        assert null_space_steps == 1
-        assert found.residual <= QUICK.tolerance_m and not np.array_equal(found.x, x)
-        assert ((found.x >= robot.lower) & (found.x <= robot.upper)).all()
+    plans, scenarios, several = toy.plans_by("baseline"), toy.scenarios(), np.arange(5)
+    lower, upper = np.asarray(toy.robot().lower), np.asarray(toy.robot().upper)
+    lost = plans.tracked.sum(axis=1)
+    inputs, x = lane_inputs(stack(scenarios), several, lost), plans.before(several, lost)
+    executor, zero = Executor(toy.scene(), toy.SETTINGS), np.zeros(5, np.int32)
+    if STAGES[name].name.startswith("null space"):
+        found, null_space_steps = executor(STAGES[name], inputs, x, x, zero, zero + 1)
+        assert (null_space_steps == 1).all()
+        assert (found.residual <= toy.SETTINGS.tolerance_m).all() and (found.x != x).any(axis=1).all()
+        assert ((found.x >= lower) & (found.x <= upper)).all()
         return
-    assert found.x.shape[1:] == (6,) and len(found.x) == len(found.valid) == len(found.done) and found.valid.any()
-    for done in np.flatnonzero(found.done):
-        assert D(where, found.x[done]) > 0 and np.linalg.norm(tcp(found.x[done]) - target) <= QUICK.tolerance_m
+    found = executor(STAGES[name], inputs, x)
+    assert found.x.shape == (*found.valid.shape, 4) and found.done.shape == found.valid.shape
+    assert found.valid.any(axis=1).all()
+    for one, target, candidates, done in zip(scenarios, inputs.target, found.x, found.done, strict=True):
+        D, at = toy.measured(one, candidates)
+        assert (D[done] > 0).all() and (np.linalg.norm(at - target, axis=1)[done] <= toy.SETTINGS.tolerance_m).all()

@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import jax
 import numpy as np
 import yaml
 
@@ -12,6 +13,8 @@ from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
+from htcp_jax.model.kinematics import capsule_segments, tcp_position
+from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.motion import Plans
 from htcp_jax.motion.plans import ARRAYS
@@ -31,6 +34,8 @@ ARM = """
 """
 START = tuple(np.radians([0.0, 0.0, 100.0, 30.0]).tolist())
 TARGETS = 10  # of the path
+ROWS = 64  # configurations that `measured` evaluates at a time
+_ENDS = jax.jit(jax.vmap(lambda robot, x: (*capsule_segments(robot, x), tcp_position(robot, x)), (None, 0)))
 SHELF_M = 0.36  # height above the floor; the path is 6 cm lower
 # A narrow beam and few samples: the search is as short as it can be.
 SETTINGS = Settings(
@@ -83,6 +88,29 @@ def scenarios() -> tuple[Scenario, ...]:
 def planned(of=None, method: str = "beam", settings: Settings = SETTINGS, **choices) -> Plans:
     """Plans of scenarios, by default of all."""
     return plan(robot(), workpiece(), scenarios() if of is None else of, method, settings, **choices)
+
+
+@cache
+def plans_by(method: str = "beam", settings: Settings = SETTINGS) -> Plans:
+    """Plans of all scenarios by one thread, made once and read-only."""
+    plans = planned(method=method, settings=settings, threads=1)
+    for array in plans.arrays().values():
+        array.flags.writeable = False
+    return plans
+
+
+def measured(one: Scenario, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Clearance (n,) and TCP (n, 3) [m] at configurations (n, 4), by brute force in NumPy over all points."""
+    arm, T, rows = lengthen_tool(robot(), float(one.tool_extension_m)), one.T_world_workpiece, []
+    cloud = workpiece().cloud @ T[:3, :3].T + T[:3, 3]
+    for first in range(0, len(x), ROWS):
+        part = x[first : first + ROWS]
+        p, q, tcp = map(np.asarray, _ENDS(arm, np.resize(part, (ROWS, 4))))
+        d, ahead = (q - p)[:, :, None], cloud - p[:, :, None]  # rows, bodies, points
+        s = np.clip((ahead * d).sum(-1) / (d * d).sum(-1), 0, 1)[..., None]
+        distance = np.linalg.norm(ahead - s * d, axis=-1).min(-1) - np.asarray(arm.capsule_radius)
+        rows += zip(distance.min(-1)[: len(part)], tcp[: len(part)], strict=True)
+    return np.array([D for D, _ in rows]), np.array([tcp for _, tcp in rows])
 
 
 def same(one: Plans, row: int, other: Plans, other_row: int, count: int) -> None:
