@@ -1,5 +1,6 @@
 """Shared fixtures; strict JAX (no implicit promotion of ranks and dtypes), with compiled programs kept between runs."""
 
+import gc
 import shutil
 import signal
 import warnings
@@ -15,6 +16,7 @@ from htcp_jax.errors import InputError
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 cache_folder.enable()
+gc.set_threshold(100_000, 20, 20)  # tracing makes many objects, which default thresholds visit again and again
 MAPS, MAX_MAPS = Path("/proc/self/maps"), 45_000  # of 65,530; one file adds at most 5,000
 hypothesis.settings.register_profile("patient", deadline=None)  # no test depends on how busy the machine is
 hypothesis.settings.load_profile("patient")

@@ -10,7 +10,7 @@ from documented import ROOT
 
 from htcp_jax.cli import main
 
-WORKFLOW = (ROOT / ".github" / "workflows" / "ci.yml").read_text()
+WORKFLOW, NIGHTLY = ((ROOT / ".github" / "workflows" / name).read_text() for name in ("ci.yml", "nightly.yml"))
 DOCUMENTED = re.search(r"^```yaml\n(name: gate\n.*?)^```$", (ROOT / "docs" / "gate.md").read_text(), re.M | re.S)[1]
 
 
@@ -28,8 +28,8 @@ def targets(lines: list[str]) -> list[str]:
     return [words[1] for words in map(str.split, lines) if words[:1] == ["make"]]
 
 
-@pytest.mark.parametrize("target", targets(commands(WORKFLOW)))
-def test_every_make_target_of_the_workflow_is_in_the_makefile(target):
+@pytest.mark.parametrize("target", targets(commands(WORKFLOW) + commands(NIGHTLY)))
+def test_every_make_target_of_the_workflows_is_in_the_makefile(target):
     known = subprocess.run(["make", "--dry-run", target], cwd=ROOT, capture_output=True, text=True)
     assert known.returncode == 0, known.stderr
 

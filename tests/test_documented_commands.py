@@ -115,7 +115,7 @@ def test_every_command_has_a_way_to_be_run():
                 for command in block.commands:
                     assert re.search(rf"^ *{command} VENV=", ran, re.MULTILINE), f"{page}: {command} is not in .ci/run"
             if block.how == SUITE:
-                assert block.commands == ["make check", "make test-slow"]
+                assert block.commands == ["make check", "make test-changed", "make test-slow"]
     assert {block.how for page in pages() for block in blocks(page)} == set(WAYS)
 
 
