@@ -192,7 +192,8 @@ def test_it_is_for_the_settings_to_say_and_for_the_method_to_wish():
     """
 
     def made(method, smooth, **more):
-        return toy.planned(method=method, settings=replace(toy.SETTINGS, smooth=smooth), **more).x
+        of = toy.scenarios()[:2]
+        return toy.planned(of, method, replace(toy.SETTINGS, smooth=smooth), **more).x
 
     for method, wishes in (("beam", True), ("baseline", False)):
         plain, smoothed = made(method, False), made(method, True)
