@@ -1,5 +1,6 @@
 """Kinematics: equal to MuJoCo, MJX, autodiff, finite differences, and a recorded run of the cell."""
 
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -67,11 +68,39 @@ class Truth(NamedTuple):
     jacobian: np.ndarray  # (S, 3, N)
 
 
+class Found(NamedTuple):
+    """The package's results for S configurations."""
+
+    T_world_link: np.ndarray  # (S, N, 4, 4)
+    T_world_tcp: np.ndarray  # (S, 4, 4)
+    tcp: np.ndarray  # (S, 3)
+    p: np.ndarray  # (S, K, 3)
+    q: np.ndarray
+    jacobian: np.ndarray  # (S, 3, N)
+    body_jacobians: np.ndarray  # (S, K, 3, N), of the points p
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def found_by(robot: Robot, x: jax.Array) -> Found:
+    p, q = kinematics.capsule_segments(robot, x)
+    return Found(
+        kinematics.link_poses(robot, x),
+        kinematics.tcp_pose(robot, x),
+        kinematics.tcp_position(robot, x),
+        p,
+        q,
+        kinematics.jacobian(robot, x),
+        kinematics.point_jacobians(robot, x, p, robot.capsule_link),
+    )
+
+
 class Arm(NamedTuple):
     robot: Robot
     model: mujoco.MjModel
     xs: np.ndarray  # (1000, N), the first at zero: the GP50's wrist is singular there
     truth: Truth
+    found: Found
 
 
 def mujoco_says(model: mujoco.MjModel, xs: np.ndarray) -> Truth:
@@ -107,11 +136,7 @@ def arm(request, tmp_path_factory) -> Arm:
     robot, model = load_robot(path), mujoco.MjModel.from_xml_path(str(path))
     xs = np.random.default_rng(0).uniform(-np.pi, np.pi, (1000, len(robot.slides)))
     xs[0] = 0.0
-    return Arm(robot, model, xs, mujoco_says(model, xs))
-
-
-def over(function, robot: Robot, xs: np.ndarray):
-    return jax.jit(jax.vmap(lambda x: function(robot, x)))(jnp.asarray(xs))
+    return Arm(robot, model, xs, mujoco_says(model, xs), jax.tree.map(np.asarray, found_by(robot, xs)))
 
 
 def assert_close(actual, wanted, atol: float = 1e-9) -> None:
@@ -124,7 +149,7 @@ def round_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 def test_links_are_mujocos_bodies(arm):
     """Compare the orientation of each link with its body's, and its origin with the joint's anchor."""
-    T_world_link = np.asarray(over(kinematics.link_poses, arm.robot, arm.xs))
+    T_world_link = arm.found.T_world_link
     bodies = arm.model.jnt_bodyid
     last = np.flatnonzero(np.append(bodies[1:] != bodies[:-1], True))  # MuJoCo has no frame between a body's two joints
     rotation = arm.truth.body_rotation[:, bodies[last]]
@@ -136,15 +161,14 @@ def test_links_are_mujocos_bodies(arm):
 
 
 def test_tcp_is_mujocos_site(arm):
-    T_world_tcp = over(kinematics.tcp_pose, arm.robot, arm.xs)
-    assert_close(T_world_tcp[:, :3, :3], arm.truth.tcp_rotation)
-    assert_close(T_world_tcp[:, :3, 3], arm.truth.tcp)
-    assert_close(over(kinematics.tcp_position, arm.robot, arm.xs), arm.truth.tcp)
+    assert_close(arm.found.T_world_tcp[:, :3, :3], arm.truth.tcp_rotation)
+    assert_close(arm.found.T_world_tcp[:, :3, 3], arm.truth.tcp)
+    assert_close(arm.found.tcp, arm.truth.tcp)
 
 
 def test_capsule_ends_are_mujocos_geoms(arm):
     """Compare the ends of capsules and spheres, in the model's order, with p at the +z end, also on the base."""
-    p, q = over(kinematics.capsule_segments, arm.robot, arm.xs)
+    p, q = arm.found.p, arm.found.q
     geoms = round_geoms(arm.model)
     capsule = arm.model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_CAPSULE
     half = np.where(capsule, arm.model.geom_size[geoms, 1], 0.0)
@@ -158,7 +182,8 @@ def test_no_body_extends_beyond_its_reach(arm):
     """Bodies that move: within the bound for every configuration, slides to the ends of their ranges included."""
     xs = np.where(arm.robot.slides, np.clip(arm.xs, arm.robot.lower, arm.robot.upper), arm.xs)
     base, moves = np.asarray(arm.robot.T_parent_joint)[0, :3, 3], np.array(arm.robot.capsule_link) >= 0
-    ends = np.stack([np.asarray(end) for end in over(kinematics.capsule_segments, arm.robot, xs)])
+    at = found_by(arm.robot, xs)
+    ends = np.stack([np.asarray(end) for end in (at.p, at.q)])
     furthest = (np.linalg.norm(ends - base, axis=3) + np.asarray(arm.robot.capsule_radius)).max(axis=(0, 1))
     bound = kinematics.body_reach(arm.robot)
     assert (furthest[moves] <= bound[moves]).all() and (bound[~moves] == -np.inf).all()
@@ -175,30 +200,17 @@ def test_mjx_agrees(arm):
     with jax.numpy_rank_promotion("allow"):
         model, start = mjx.put_model(arm.model), mjx.make_data(arm.model)
         tcp, rotation, middle = jax.jit(jax.vmap(mjx_says))(jnp.asarray(arm.xs))
-    T_world_tcp = over(kinematics.tcp_pose, arm.robot, arm.xs)
-    assert_close(T_world_tcp[:, :3, 3], tcp)
-    assert_close(T_world_tcp[:, :3, :3], np.asarray(rotation).reshape(-1, 3, 3))
-    p, q = over(kinematics.capsule_segments, arm.robot, arm.xs)
+    assert_close(arm.found.T_world_tcp[:, :3, 3], tcp)
+    assert_close(arm.found.T_world_tcp[:, :3, :3], np.asarray(rotation).reshape(-1, 3, 3))
+    p, q = arm.found.p, arm.found.q
     assert_close((p + q) / 2, np.asarray(middle)[:, round_geoms(arm.model)])
 
 
-def test_jacobian_is_mujocos_and_the_derivative(arm):
-    """Compare the geometric Jacobian with mj_jacSite, jacfwd, jacrev and central differences."""
-    jacobian = over(kinematics.jacobian, arm.robot, arm.xs)
-    assert_close(jacobian, arm.truth.jacobian)
-    for derivative in (jax.jacfwd, jax.jacrev):
-        differentiated = derivative(kinematics.tcp_position, argnums=1)
-        assert_close(jacobian, over(differentiated, arm.robot, arm.xs))
-    # The errors of central differences: h^2 / 6 times the third derivative, some metres, and 1e-15 / h.
-    h = 1e-5
-    steps = h * np.concatenate([np.eye(len(arm.robot.slides)), -np.eye(len(arm.robot.slides))])
-    around = np.repeat(arm.xs, len(steps), axis=0) + np.tile(steps, (len(arm.xs), 1))
-    tcp = np.asarray(over(kinematics.tcp_position, arm.robot, around)).reshape(len(arm.xs), 2, -1, 3)
-    assert_close(jacobian, np.swapaxes((tcp[:, 0] - tcp[:, 1]) / (2 * h), 1, 2))
+def test_jacobians_are_mujocos_and_the_derivative(arm):
+    """Compare the geometric Jacobian with mj_jacSite, jacfwd, jacrev and central differences.
 
-
-def test_point_jacobians_are_the_derivative(arm):
-    """Compare the closed form with autodiff for points fixed to each link and to the world."""
+    Compare those of points fixed to each link and to the world with jacfwd.
+    """
     links = (-1, *range(len(arm.robot.slides)), 1, 0, -1)
     local = jnp.asarray(np.random.default_rng(1).normal(size=(len(links), 3)))
     index = np.array(links)
@@ -207,28 +219,31 @@ def test_point_jacobians_are_the_derivative(arm):
         T = jnp.concatenate([kinematics.link_poses(robot, x), jnp.eye(4)[None]])[index]
         return jnp.einsum("pij,pj->pi", T[:, :3, :3], local) + T[:, :3, 3]
 
-    def closed(robot: Robot, x: jax.Array) -> jax.Array:
-        return kinematics.point_jacobians(robot, x, points(robot, x), links)
+    @jax.jit
+    @partial(jax.vmap, in_axes=(None, 0))
+    def derivatives(robot: Robot, x: jax.Array):
+        of_tcp = [derivative(kinematics.tcp_position, argnums=1)(robot, x) for derivative in (jax.jacfwd, jax.jacrev)]
+        closed = kinematics.point_jacobians(robot, x, points(robot, x), links)
+        return of_tcp, closed, jax.jacfwd(points, argnums=1)(robot, x)
 
-    assert_close(over(closed, arm.robot, arm.xs), over(jax.jacfwd(points, argnums=1), arm.robot, arm.xs))
+    jacobian = arm.found.jacobian
+    assert_close(jacobian, arm.truth.jacobian)
+    of_tcp, closed, of_points = derivatives(arm.robot, arm.xs)
+    for differentiated in of_tcp:
+        assert_close(jacobian, differentiated)
+    assert_close(closed, of_points)
+    # The errors of central differences: h^2 / 6 times the third derivative, some metres, and 1e-15 / h.
+    h = 1e-5
+    ends = [[np.asarray(found_by(arm.robot, arm.xs + side * step).tcp) for side in (h, -h)]
+            for step in np.eye(len(arm.robot.slides))]  # fmt: skip
+    assert_close(jacobian, np.stack([(ahead - behind) / (2 * h) for ahead, behind in ends], axis=2))
 
 
 def test_batch_equals_the_loop(arm):
     """Compare bit by bit, so that the result of a scenario cannot depend on its batch."""
-
-    def everything(robot: Robot, x: jax.Array) -> tuple:
-        p, q = kinematics.capsule_segments(robot, x)
-        return (
-            p,
-            q,
-            kinematics.jacobian(robot, x),
-            kinematics.point_jacobians(robot, x, p, robot.capsule_link),
-        )
-
-    batch = over(everything, arm.robot, arm.xs[:65])
     for size in (1, 32):
-        part = over(everything, arm.robot, arm.xs[:size])
-        jax.tree.map(lambda few, all_, n=size: np.testing.assert_array_equal(few, all_[:n]), part, batch)
+        part = found_by(arm.robot, arm.xs[:size])
+        jax.tree.map(lambda few, all_, n=size: np.testing.assert_array_equal(few, all_[:n]), part, arm.found)
 
 
 # The recorded run, with its figures from scene.md.
@@ -247,6 +262,13 @@ def recorded_run() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rows[:, :6], rotation, pivot + rotation @ np.subtract(neutral, pivot)
 
 
+@cache
+def recorded_poses() -> Found:
+    """Results for the recorded run, padded to the number of configurations of the other tests."""
+    xs = recorded_run()[0]
+    return jax.tree.map(lambda all_: np.asarray(all_)[: len(xs)], found_by(gp50(), np.resize(xs, (1000, 6))))
+
+
 def distance(points: np.ndarray, p: np.ndarray, q: np.ndarray) -> float:
     """Smallest distance between the points and the segment from p to q."""
     along, reach = q - p, points - p
@@ -259,19 +281,19 @@ def test_recorded_run_follows_its_path():
     xs, rotation, origin = recorded_run()
     path = np.loadtxt(DUCT / "reference_path.csv", delimiter=",")[: len(xs)]
     target = np.einsum("sij,sj->si", rotation, path + np.array([0, 0.02, 0])) + origin
-    error = 1e3 * np.linalg.norm(over(kinematics.tcp_position, gp50(), xs) - target, axis=1)
+    error = 1e3 * np.linalg.norm(recorded_poses().tcp - target, axis=1)
     assert len(error) == 76
     assert (round(error.mean(), 3), round(error.max(), 3)) == (0.496, 0.996)
 
 
 def test_recorded_run_just_touches_the_cloud():
     """Minimum clearance of capsules 4 to 6c to the cloud: -0.25 mm, by brute force in numpy."""
-    xs, rotation, origin = recorded_run()
+    _, rotation, origin = recorded_run()
     cloud = np.loadtxt(DUCT / "cloud.xyz")
     robot = gp50()
     ps, qs = (
         np.einsum("sij,ski->skj", rotation, np.asarray(ends) - origin[:, None])  # in the workpiece frame
-        for ends in over(kinematics.capsule_segments, robot, xs)
+        for ends in (recorded_poses().p, recorded_poses().q)
     )
     near = [robot.capsule_names.index(f"capsule_{k}") for k in ("4", "5", "6a", "6b", "6c")]
     radius = np.asarray(robot.capsule_radius)

@@ -1,5 +1,7 @@
 """Every kind of row: its error by scipy's rotations, its derivatives by differences, and inverse kinematics onto it."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import made_once
@@ -40,15 +42,20 @@ def task_of(name: str, **more) -> tuple[Task, jax.Array]:
     return Task((part,), **more), jnp.asarray(goal, float)
 
 
+@jax.jit
+def frames_at(robot, x):
+    return tcp_pose(robot, x), link_poses(robot, x)
+
+
 def frame(link, x) -> np.ndarray:
-    robot = made_once.robot()
-    return np.asarray(tcp_pose(robot, x) if link is None else link_poses(robot, x)[link])
+    tcp, links = frames_at(made_once.robot(), x)
+    return np.asarray(tcp if link is None else links[link])
 
 
 def by_scipy(name: str, x) -> np.ndarray:
     """|error| of an equality, slack of an inequality, in the units of the row."""
     part, goal = PARTS[name]
-    T, goal = frame(part.link, jnp.asarray(x)), np.asarray(goal, float)
+    T, goal = frame(part.link, np.asarray(x)), np.asarray(goal, float)
     if isinstance(part, TaskPoint):
         return np.array([np.linalg.norm((T[:3, :3] @ part.offset_m + T[:3, 3])[[0, 2]] - goal)])
     if isinstance(part, PointAlong):
@@ -66,29 +73,89 @@ def by_scipy(name: str, x) -> np.ndarray:
     return np.array([goal[9] - turn if part.cone else turn])
 
 
+ALIKE = {"tolerance_m": 1e-3, "tolerance_rad": 1e-3}  # with equal tolerances an angle is not scaled
+
+
+@jax.jit
+@jax.vmap
+def numbers_at(x):
+    """Errors or slacks of all kinds, the least turns of the last link, and the slopes of the rows, by one program."""
+    robot = made_once.robot()
+    off, turn = {}, {}
+    for name in PARTS:
+        task, goal = task_of(name, **ALIKE)
+        value = task.value(robot, x)
+        off[name] = task.slack(value, goal) if task.bands else task.error(value, goal)
+        task, goal = task_of(name, tolerance_rad=0.01)
+        turn[name] = task.least_turn(robot, link_poses(robot, x)[-1, :3, :3], goal)
+    return off, turn
+
+
+def rows_at(x) -> dict:
+    """Minus the error of the equalities, and the slack of the inequalities without the inner margin of a step."""
+    robot, found = made_once.robot(), {}
+    for name in PARTS:
+        task, goal = task_of(name)
+        slack = task.linear_at(robot, x, goal).slack
+        found[name] = jnp.concatenate([-task.error(task.value(robot, x), goal), slack])
+    return found
+
+
+@jax.jit
+@jax.vmap
+def slopes_at(x):
+    """Rows of all kinds, their own Jacobians and those of jacfwd, by one program."""
+    own = {}
+    for name in PARTS:
+        task, goal = task_of(name)
+        linear = task.linear_at(made_once.robot(), x, goal)
+        own[name] = jnp.concatenate([linear.jacobian, linear.gradient])
+    return rows_at(x), own, jax.jacfwd(rows_at)(x)
+
+
+@cache
+def numbers() -> tuple:
+    """Ten configurations with the result of `numbers_at`."""
+    x = made_once.configurations(made_once.robot(), 10)
+    return x, *jax.tree.map(np.asarray, numbers_at(x))
+
+
+@cache
+def slopes() -> tuple:
+    """Own Jacobians at six configurations, those of jacfwd, and those of differences."""
+    x = made_once.configurations(made_once.robot(), 6)
+    steps = 1e-6 * np.concatenate([np.zeros((1, 6)), np.eye(6), -np.eye(6)])
+    rows, own, forward = jax.tree.map(np.asarray, slopes_at((x[:, None] + steps).reshape(-1, 6)))
+
+    def difference(row):
+        _, ahead, behind = np.split(row.reshape(6, 13, -1), [1, 7], axis=1)
+        return np.swapaxes(ahead - behind, 1, 2) / 2e-6
+
+    at_x = slice(None, None, 13)
+    return tuple(
+        {name: found[name] for name in PARTS}
+        for found in (
+            {name: rows[at_x] for name, rows in own.items()},
+            {name: rows[at_x] for name, rows in forward.items()},
+            {name: difference(row) for name, row in rows.items()},
+        )
+    )
+
+
 @pytest.mark.parametrize("name", PARTS)
 def test_a_row_is_off_by_what_scipy_says_in_its_own_unit(name):
-    task, goal = task_of(name, tolerance_m=1e-3, tolerance_rad=1e-3)  # with equal tolerances an angle is not scaled
-    robot = made_once.robot()
-    error, slack = (jax.jit(lambda x, f=f: f(task.value(robot, x), goal)) for f in (task.error, task.slack))
-    for x in made_once.configurations(robot, 10):
-        found = slack(x) if task.bands else np.linalg.norm(error(x))
-        np.testing.assert_allclose(found, by_scipy(name, x)[0], atol=1e-9)
-    assert task.rows + task.bands == len(np.atleast_1d(error(x))) + task.bands
+    task, _ = task_of(name, **ALIKE)
+    x, off, _ = numbers()
+    found = off[name] if task.bands else np.linalg.norm(off[name], axis=1)
+    np.testing.assert_allclose(found, [by_scipy(name, each)[0] for each in x], atol=1e-9)
+    assert task.bands or off[name].shape[1] == task.rows
 
 
 @pytest.mark.parametrize("name", PARTS)
 def test_its_jacobian_is_that_of_jacfwd_and_of_differences(name):
-    task, goal = task_of(name)
-    robot = made_once.robot()
-    linear = jax.jit(lambda x: task.linear_at(robot, x, goal))
-    both = jax.jit(lambda x: jnp.concatenate([-task.error(task.value(robot, x), goal), slacks(task, robot, x, goal)]))
-    forward = jax.jit(jax.jacfwd(both))
-    for x in made_once.configurations(robot, 6):
-        found = np.concatenate([linear(x).jacobian, linear(x).gradient])
-        slope = [(np.asarray(both(x + d)) - np.asarray(both(x - d))) / 2e-6 for d in 1e-6 * np.eye(6)]
-        np.testing.assert_allclose(found, forward(x), atol=1e-11)
-        np.testing.assert_allclose(found, np.transpose(slope), atol=3e-8)
+    own, forward, by_differences = (found[name] for found in slopes())
+    np.testing.assert_allclose(own, forward, atol=1e-11)
+    np.testing.assert_allclose(own, by_differences, atol=3e-8)
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -98,78 +165,89 @@ def test_the_least_turn_of_the_last_link_is_what_scipy_says_and_none_where_a_row
     For every arm the counted rows depend on the last link's rotation alone.
     """
     part, _ = PARTS[name]
-    task, goal = task_of(name, tolerance_rad=0.01)
-    robot = made_once.robot()
+    task, _ = task_of(name, tolerance_rad=0.01)
     counts = (
         isinstance(part, AxisTowards | FrameOrientation)
         and part.link is None
         and getattr(part, "looks_from_m", None) is None
     )
-    found = jax.jit(lambda x: task.least_turn(robot, link_poses(robot, x)[-1, :3, :3], goal))
-    for x in made_once.configurations(robot, 10):
-        off = -by_scipy(name, x)[0] if task.bands else by_scipy(name, x)[0] - 0.01
-        np.testing.assert_allclose(found(jnp.asarray(x)), max(off, 0.0) if counts else 0.0, atol=1e-9)
+    x, _, turn = numbers()
+    off = [-by_scipy(name, each)[0] if task.bands else by_scipy(name, each)[0] - 0.01 for each in x]
+    np.testing.assert_allclose(turn[name], np.maximum(off, 0.0) if counts else 0.0, atol=1e-9)
 
 
-def slacks(task, robot, x, goal):
-    """Slack of every row, without the inner margin of a step, which depends on the goal alone."""
-    linear = task.linear_at(robot, x, goal)
-    return linear.slack
+@jax.jit
+@jax.vmap
+def residuals_at(x):
+    """Residuals and Jacobians of the equalities of all kinds, each at its own configuration."""
+    robot, found = made_once.robot(), {}
+    for name in PARTS:
+        task, goal = task_of(name)
+        found[name] = task.residual_at(robot, x[name], goal), task.linear_at(robot, x[name], goal).jacobian
+    return found
+
+
+@cache
+def moved_onto() -> dict[str, tuple]:
+    """Configurations that inverse kinematics reaches for each kind, its residuals, and `residuals_at` there."""
+    robot, near, residual = made_once.robot(), {}, {}
+    for name in PARTS:
+        task, goal = task_of(name)
+        found = [
+            reanchor(robot, jnp.asarray(x), goal, task.fine_m, iterations=60, task=task)
+            for x in made_once.configurations(robot, 12)
+        ]
+        near[name], residual[name] = (np.array(each) for each in zip(*found, strict=True))
+    there = jax.tree.map(np.asarray, residuals_at(near))
+    return {name: (near[name], residual[name], *there[name]) for name in PARTS}
 
 
 @pytest.mark.parametrize("name", PARTS)
 def test_inverse_kinematics_comes_onto_it_and_its_null_space_leaves_it_alone(name):
-    task, goal = task_of(name)
-    robot = made_once.robot()
-    off, jac = (
-        jax.jit(f) for f in (lambda x: task.residual_at(robot, x, goal), lambda x: linear_at(task, robot, x, goal))
-    )
-    reached = 0
-    for x in made_once.configurations(robot, 12):
-        near, residual = reanchor(robot, jnp.asarray(x), goal, task.fine_m, iterations=60, task=task)
-        np.testing.assert_allclose(residual, off(near), atol=1e-15)
-        reached += bool(task.reached(residual))
-        if not task.reached(residual):
-            continue
+    task, _ = task_of(name)
+    near, residual, measured, jacobian = moved_onto()[name]
+    np.testing.assert_allclose(residual, measured, atol=1e-15)
+    reached = np.flatnonzero(task.reached(residual))
+    for k in reached:
         if task.bands:
-            assert by_scipy(name, near)[0] >= -2e-9
+            assert by_scipy(name, near[k])[0] >= -2e-9
         else:
-            assert by_scipy(name, near)[0] <= (task.tolerance_rad if task.parts[0].angular else task.tolerance_m)
-            basis = null_basis(jac(near))
-            assert basis.shape == (6, task.freedom(robot))
-            np.testing.assert_allclose(jac(near) @ basis, 0.0, atol=1e-9)
-    assert reached >= 9
-
-
-def linear_at(task, robot, x, goal):
-    """Jacobian of the equalities."""
-    return task.linear_at(robot, x, goal).jacobian
+            assert by_scipy(name, near[k])[0] <= (task.tolerance_rad if task.parts[0].angular else task.tolerance_m)
+            basis = null_basis(jnp.asarray(jacobian[k]))
+            assert basis.shape == (6, task.freedom(made_once.robot()))
+            np.testing.assert_allclose(jacobian[k] @ np.asarray(basis), 0.0, atol=1e-9)
+    assert len(reached) >= 9
 
 
 def test_a_broken_cone_is_never_reached_however_little_it_is_broken():
     task = Task((TaskPoint(), AxisTowards(None, Z)))
     robot, x = made_once.robot(), jnp.asarray(made_once.START)
-    T = np.asarray(tcp_pose(robot, x))
+    T, residual_at = frame(None, x), jax.jit(task.residual_at)
     off = np.arccos(T[2, 2])
     for limit, reached in [(off + 1e-6, True), (off - 1e-6, False), (off - 1e-3, False)]:
-        goal = jnp.array([*T[:3, 3], 0.0, 0.0, 1.0, limit])
-        assert bool(task.reached(task.residual_at(robot, x, goal))) is reached
+        goal = np.array([*T[:3, 3], 0.0, 0.0, 1.0, limit])
+        assert bool(task.reached(residual_at(robot, x, goal))) is reached
 
 
 def test_the_rotation_vector_is_scipys_also_next_to_half_a_turn():
     rng = np.random.default_rng(0)
+    vector_of = jax.jit(rotation_vector)
     for size in (0.0, 1e-9, 1e-3, 1.0, 2.0, 2.5, 3.1, np.pi - 1e-4):
         axis = rng.normal(size=3)
         vector = size * axis / np.linalg.norm(axis)
-        found = rotation_vector(jnp.asarray(Rotation.from_rotvec(vector).as_matrix()))
+        found = vector_of(Rotation.from_rotvec(vector).as_matrix())
         np.testing.assert_allclose(found, vector, atol=1e-9)
 
 
 def test_an_axis_that_points_the_other_way_is_half_a_turn_off_and_one_that_is_there_not_at_all():
-    direction = jnp.asarray(N1)
-    assert np.linalg.norm(axis_error(-direction, direction)) == pytest.approx(np.pi)
-    np.testing.assert_allclose(axis_error(direction, direction), 0.0, atol=1e-15)
-    assert np.isfinite(jax.jacfwd(axis_error)(direction, direction)).all()
+    @jax.jit
+    def error_and_slope(axis, direction):
+        return axis_error(axis, direction), jax.jacfwd(axis_error)(axis, direction)
+
+    assert np.linalg.norm(error_and_slope(-N1, N1)[0]) == pytest.approx(np.pi)
+    error, slope = error_and_slope(N1, N1)
+    np.testing.assert_allclose(error, 0.0, atol=1e-15)
+    assert np.isfinite(slope).all()
 
 
 def test_more_equalities_than_joints_are_refused():
