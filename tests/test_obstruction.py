@@ -69,7 +69,9 @@ def test_the_arm_is_brought_to_where_the_task_is_held():
     arm, part, scenario = scene(job)
     task, known = task_of_job(job, arm), (arm, part, scenario, np.array(START), 60, SETTINGS)
     held = obstruction(*known, task=task)
-    free = obstruction(arm, part, replace(scenario, task_goals=None), *known[3:])
+    anywhere = scenario.task_goals.copy()
+    anywhere[:, -1] = np.pi  # a cone of 180 degrees
+    free = obstruction(arm, part, replace(scenario, task_goals=anywhere), *known[3:], task=task)
     measure, goal = jax.jit(task.residual_at), jnp.asarray(scenario.task_goals[60])
     off = [float(measure(arm, jnp.asarray(found.x), goal)) for found in (held, free)]
     assert held.reached and off[0] <= SETTINGS.tolerance_m < off[1]
