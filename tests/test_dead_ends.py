@@ -18,7 +18,7 @@ from htcp_jax.status import Exclusion, Status
 
 
 def with_effort(effort: float) -> Plans:
-    return toy.planned(settings=replace(toy.SETTINGS, effort=effort, smooth=False), threads=1)
+    return toy.plans_by(settings=replace(toy.SETTINGS, effort=effort, smooth=False))
 
 
 def test_effort_adds_targets_at_most_and_leaves_complete_plans_as_they_are():
@@ -51,8 +51,9 @@ def test_a_target_with_known_clear_configurations_is_lost_for_want_of_a_segment(
 
 def towards_a_ball(**changes) -> Plans:
     """A path that ends in the middle of a hollow ball, into which no tool gets."""
-    k = np.arange(4000) + 0.5
-    z, turn = 1 - 2 * k / 4000, np.pi * (1 + 5**0.5) * k
+    count = len(toy.workpiece().cloud)  # as many points as the shelf has, so that the programs are the same
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
     ball = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
     path = np.array([[0.5, 0.3, 0.6], [0.5, 0.0, 0.5]])
     part = Workpiece("ball", path[-1] + 0.05 * ball, path, interior="none", pivot=np.zeros(3),
@@ -73,8 +74,8 @@ def test_sampling_ends_if_no_draw_arrives_at_the_target_whatever_the_effort():
     arm = toy.robot()
     arm = replace(arm, lower=arm.lower.at[0].set(0.0), upper=arm.upper.at[0].set(2.0))
     path = np.linspace([0.5, 0.02, 0.5], [0.5, -0.02, 0.5], 5)
-    part = Workpiece("line", np.eye(4, 3) + np.array([0.0, 0.0, 3.0]), path, interior="none", pivot=np.zeros(3),
-                     neutral_translation=np.zeros(3))  # fmt: skip
+    away, zero = toy.workpiece().cloud + np.array([0.0, 0.0, 3.0]), np.zeros(3)
+    part = Workpiece("line", away, path, interior="none", pivot=zero, neutral_translation=zero)
     settings = replace(toy.SETTINGS, effort=1000.0, path_check="recoveries")
     plans = plan(arm, part, make_scenario(arm, part, None, rotation=(0.0, 0.0)), settings=settings, threads=1)
     (tried,) = plans.dead_ends.on(0).values()
