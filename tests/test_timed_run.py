@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from small_run import rewrite
+from sweep_process import JOB, PLATE
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
@@ -23,16 +24,23 @@ from htcp_jax.trajectory.plan_program import program_of
 
 WELD = "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n0.195,-0.1739,0.1703\n"
 METHOD, LOST = "baseline", 3  # the scenario that has no motion
-GRID = {"grid": [{"workpiece.rotation_y_rad": [0.4, 0.41, 0.42, 3.0]}]}
+GRID = {"grid": [{"workpiece.shift_m.x": [0.0, 0.01, 0.02, 3.0]}]}
 SLOW = "program.velocity=[1, 1, 1, 1, 1, 1]"
+
+
+def job_in(place):
+    """Job with the files in this folder."""
+    part = yaml.safe_load(JOB)["workpiece"]
+    return {"workpiece": part | {name: str(place / part[name]) for name in ("cloud", "path")}}
 
 
 @pytest.fixture(scope="module")
 def untimed(tmp_path_factory):
-    """Three points of the generated duct's weld in three poses, and in one where they are out of reach."""
+    """Three points behind a plate in three poses, and in one where they are out of reach."""
     place = tmp_path_factory.mktemp("untimed")
     (place / "path.csv").write_text(WELD)
-    job = {"workpiece": {"path": str(place / "path.csv")}}
+    (place / "plate.xyz").write_text(PLATE)
+    job = job_in(place)
     run = sweep(GRID, METHOD, place / "run", config=job, shard_scenarios=2)
     assert (run.plans(METHOD).outcomes.executable == run.plans(METHOD).outcomes.targets).tolist() == [1, 1, 1, 0]
     return place / "run"
@@ -91,8 +99,8 @@ def test_a_run_that_is_not_timed_has_none_of_the_columns_and_its_report_is_quiet
 
 
 def test_a_sweep_with_a_feed_leaves_the_same_file_as_timing_it_afterwards(timed, untimed, tmp_path, capsys):
-    sweep_file, path = tmp_path / "sweep.yaml", untimed.parent / "path.csv"
-    (tmp_path / "job.yaml").write_text(yaml.safe_dump({"workpiece": {"path": str(path)}}))
+    sweep_file = tmp_path / "sweep.yaml"
+    (tmp_path / "job.yaml").write_text(yaml.safe_dump(job_in(untimed.parent)))
     sweep_file.write_text(yaml.safe_dump(GRID | {"config": "job.yaml"}))
     words = ["sweep", str(sweep_file), "--methods", METHOD, "--shard", "2", "--out", str(tmp_path / "run"), "--json"]
     assert main([*words, "--set", "program.feed=20mm/s"]) == 0
