@@ -3,6 +3,11 @@
 import csv
 import json
 import re
+from contextlib import redirect_stdout
+from functools import cache
+from io import StringIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +23,12 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots import LinkMeshes
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.vendor_import import import_robot
+from htcp_jax.jobs import load_config
+from htcp_jax.jobs.build import obstacles_of, scene
 from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.planning import batch
+from htcp_jax.planning.batch import check_start
+from htcp_jax.status import Status
 
 ARM = """<mujoco model="shelf"><compiler angle="radian"/><worldbody>
   <body name="a"><joint axis="0 0 1" range="-2.5 2.5"/>
@@ -44,13 +54,24 @@ def htcp(capsys):
     return run
 
 
+@cache
+def arm_text(z: float, *words) -> str:
+    """Text of the file that `htcp robot` writes for the arm with its plate at a height [m]."""
+    with TemporaryDirectory() as folder:
+        model, out = Path(folder) / "shelf.xml", Path(folder) / "arm.xml"
+        model.write_text(ARM.format(z=z))
+        with redirect_stdout(StringIO()):
+            assert main([str(word) for word in ("robot", model, "--out", out, "--most", 1, *words)]) == 0
+        return out.read_text()
+
+
 @pytest.fixture
-def imported(htcp, tmp_path):
-    """A function that imports the arm with its plate at a height [m], with further arguments of `htcp robot`."""
+def imported(tmp_path):
+    """A function that writes the model and the imported arm with its plate at a height [m]; see `arm_text`."""
 
     def made(z: float, *words):
         (tmp_path / "shelf.xml").write_text(ARM.format(z=z))
-        htcp("robot", tmp_path / "shelf.xml", "--out", tmp_path / "arm.xml", "--replace", "--most", 1, *words)
+        (tmp_path / "arm.xml").write_text(arm_text(z, *words))
         return tmp_path / "arm.xml"
 
     return made
@@ -77,6 +98,13 @@ def job(arm, tmp_path, start) -> dict:
         csv.writer(file).writerows([(x, y, z), (x, y, z - 0.002)])
     part = {"cloud": "none", "path": str(tmp_path / "path.csv")}
     return {"robot": {"model": str(arm)}, "workpiece": part, "start_rad": start, "method": "baseline"}
+
+
+def check(job: dict) -> None:
+    """Check a job's start, as `plan` does."""
+    config = load_config(job)
+    robot, workpiece, scenario = scene(config)
+    check_start(robot, workpiece, scenario, obstacles_of(config.cell, robot))
 
 
 def test_capsules_whose_meshes_never_touch_are_not_checked_and_those_whose_meshes_do_are(imported):
@@ -177,11 +205,6 @@ def test_a_start_deeper_in_an_excluded_pair_than_random_configurations_is_refuse
 
 
 def test_a_sweep_records_such_a_start_and_goes_on(imported, tmp_path):
-    from htcp_jax.jobs import load_config
-    from htcp_jax.jobs.build import obstacles_of, scene
-    from htcp_jax.planning import batch
-    from htcp_jax.status import Status
-
     arm = imported(0.0)
     with_pair(arm, "c")
     config = load_config(job(arm, tmp_path, FOLDED))
@@ -192,7 +215,9 @@ def test_a_sweep_records_such_a_start_and_goes_on(imported, tmp_path):
     assert plans.status[0, 0] == Status.START_IN_COLLISION
 
 
-def test_validate_works_out_for_itself_that_an_excluded_pair_does_not_always_overlap(htcp, imported, tmp_path):
+def test_validate_works_out_that_an_excluded_pair_does_not_always_overlap_and_names_the_deepest_overlap(
+    htcp, imported, tmp_path
+):
     arm = imported(0.0)
     with_pair(arm, "b")
     robot = load_robot(arm)
@@ -201,12 +226,8 @@ def test_validate_works_out_for_itself_that_an_excluded_pair_does_not_always_ove
     start = x[int(np.abs(depth - 0.01).argmin())].tolist()  # 10 mm deep, as many random configurations are
     plan = htcp_jax.plan(job(arm, tmp_path, start))
     plan.save(tmp_path / "plan")
-    assert "refuted" in htcp("validate", tmp_path / "plan", code=1)
-
-
-def test_validate_names_the_deepest_overlap_of_capsules_that_are_not_checked(htcp, imported, tmp_path):
-    htcp_jax.plan(job(imported(-0.1), tmp_path, FOLDED)).save(tmp_path / "plan")
-    reported = htcp("validate", tmp_path / "plan")
+    reported = htcp("validate", tmp_path / "plan", code=1)
+    assert "refuted" in reported
     assert re.search(
         r"Deepest overlap of two capsules that are not checked against each other: \w+ and \w+, [\d.]+ mm", reported
     )
@@ -230,7 +251,7 @@ def test_a_message_about_a_self_collision_says_how_far_both_capsules_are_from_th
     """
     arm = imported(0.0)
     with pytest.raises(InputError) as by_capsule:
-        htcp_jax.plan(by_capsules(job(arm, tmp_path, FOLDED)))
+        check(by_capsules(job(arm, tmp_path, FOLDED)))
     note = (
         r"capsule c is .* mm inside capsule a; gap between mesh and capsule there: ([\d.]+) mm in c, ([\d.]+) mm in a"
     )
@@ -245,7 +266,7 @@ def test_a_message_about_a_self_collision_says_how_far_both_capsules_are_from_th
     expected = [robot.capsule_radius[2] - 0.02, np.linalg.norm(np.maximum(outside, 0))]
     np.testing.assert_allclose(gaps, 1e3 * np.array(expected), rtol=0.01)
     with pytest.raises(InputError) as by_mesh:
-        htcp_jax.plan(job(arm, tmp_path, FOLDED))
+        check(job(arm, tmp_path, FOLDED))
     assert str(by_mesh.value) == str(by_capsule.value).replace("capsule c is", "c is").replace("capsule a;", "a;")
 
 
@@ -358,7 +379,7 @@ def test_a_tool_that_passes_through_a_link_is_refused_at_a_start_outside_of_the_
     robot = {"model": str(tmp_path / "arm.xml"), "tool": {"tip_m": [0, 0, 0.3], "bodies": [holder, shaft]}}
     part = {"cloud": "none", "path": str(tmp_path / "path.csv")}
     with pytest.raises(InputError, match=r"capsule shaft is .* mm inside panda_link"):
-        htcp_jax.plan({"robot": robot, "workpiece": part, "start_rad": PANDA_START})
+        check({"robot": robot, "workpiece": part, "start_rad": PANDA_START})
 
 
 def test_spheres_about_the_capsules_leave_out_no_pair_that_overlaps_or_is_near():
