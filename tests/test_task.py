@@ -39,8 +39,9 @@ TASKS = {
 def test_the_value_is_where_the_points_are_and_the_jacobian_its_derivative(name):
     robot, task = made_once.robot(), TASKS[name]
     value, jac = jax.jit(lambda x: task.value(robot, x)), jax.jit(lambda x: task.jacobian(robot, x))
+    poses = jax.jit(link_poses)
     for x in made_once.configurations(robot, 5):
-        T = np.asarray(link_poses(robot, jnp.asarray(x)))
+        T = np.asarray(poses(robot, jnp.asarray(x)))
         by_hand = []
         for point in task.parts:
             own = T[-1 if point.link is None else point.link]
@@ -55,15 +56,17 @@ def test_the_value_is_where_the_points_are_and_the_jacobian_its_derivative(name)
 @pytest.mark.parametrize("name", TASKS)
 def test_inverse_kinematics_reaches_any_task_and_its_null_space_leaves_it_alone(name):
     robot, task, rng = made_once.robot(), TASKS[name], np.random.default_rng(0)
+    value, residual_at, jacobian = map(jax.jit, (task.value, task.residual_at, task.jacobian))
     reached = 0
     for x in made_once.configurations_near(made_once.START, 10, 0.5):
-        target = task.value(robot, jnp.asarray(x))
+        target = value(robot, x)
         near, residual = reanchor(robot, jnp.asarray(x + rng.uniform(-0.1, 0.1, 6)), target, task.fine_m, task=task)
-        np.testing.assert_allclose(residual, task.residual_at(robot, near, target), atol=1e-15)
+        np.testing.assert_allclose(residual, residual_at(robot, near, target), atol=1e-15)
         reached += bool(task.reached(residual))
-        basis = null_basis(task.jacobian(robot, near))
+        J = jacobian(robot, near)
+        basis = null_basis(J)
         assert basis.shape == (6, task.freedom(robot))
-        np.testing.assert_allclose(task.jacobian(robot, near) @ basis, 0.0, atol=1e-9)
+        np.testing.assert_allclose(np.asarray(J) @ np.asarray(basis), 0.0, atol=1e-9)
     assert reached >= 8
 
 
@@ -162,8 +165,12 @@ def test_a_further_obstacle_is_kept_clear_of_as_the_workpiece_is():
     xs = np.array(made_once.START) + np.linspace(0, 1, 6)[:, None] * np.array([0.0, 0.25, -0.1, 0.0, 0.1, 0.0])
     scenario = dataclasses.replace(along(TCP_POSITION, xs), margin_m=np.asarray(margin_m))
 
+    @jax.jit
+    def smallest(floor: Floor, x):
+        return floor.smallest(robot, scenario, bodies_at(robot, scenario, x))
+
     def above(height_m: float, x) -> float:
-        return float(Floor(jnp.asarray(height_m)).smallest(robot, scenario, bodies_at(robot, scenario, jnp.asarray(x))))
+        return float(smallest(Floor(jnp.asarray(height_m)), jnp.asarray(x)))
 
     height_m = sorted(above(0.0, x) for x in xs)[1]  # some configurations are nearer than the margin
     free = plan(robot, duct, scenario, "baseline")
