@@ -77,15 +77,15 @@ _TIPS = jax.jit(jax.vmap(tip_segment, (None, 0)))
 
 def near_the_rib(robot: Robot, where: Scenario, count: int) -> np.ndarray:
     """Configurations whose spindle crosses the rib's plate, or nearly (count, N)."""
-    rng, found = np.random.default_rng(0), []
-    axis = jax.jit(lambda x: [end[-1] for end in capsule_segments(robot, x)])
+    widest = np.array([(-0.6, 0.6), (-1.2, 0.2), *[(-2, 2)] * 4])
+    x = np.random.default_rng(0).uniform(*widest.T, (16384, 6))
+    p, q = (np.asarray(end)[:, -1] for end in _SEGMENTS(robot, jnp.asarray(x)))
     x0 = where.T_world_workpiece[0, 3] + stranger_jobs.RIB[0]
-    while len(found) < count:
-        x = np.array([rng.uniform(-0.6, 0.6), rng.uniform(-1.2, 0.2), *rng.uniform(-2, 2, 4)])
-        p, q = (np.asarray(end) for end in axis(jnp.asarray(x)))
-        if min(p[0], q[0]) < x0 - 0.01 and max(p[0], q[0]) > x0 + 0.01 and 0.05 < min(p[2], q[2]) < 0.4:
-            found.append(x)
-    return np.array(found)
+    across = (np.minimum(p, q)[:, 0] < x0 - 0.01) & (np.maximum(p, q)[:, 0] > x0 + 0.01)
+    low = np.minimum(p, q)[:, 2]
+    found = x[across & (low > 0.05) & (low < 0.4)]
+    assert len(found) >= count
+    return found[:count]
 
 
 def test_a_spindle_through_a_plate_is_never_clear(car):
@@ -93,9 +93,9 @@ def test_a_spindle_through_a_plate_is_never_clear(car):
     robot, part, where = car
     obstacle = make_obstacle(part)
     assert part.covering_radius_m < stranger_jobs.SPINDLE_M
-    clear = jax.jit(is_clear)
     x = near_the_rib(robot, where, 40)
-    assert not any(clear(robot, obstacle, where, jnp.asarray(row)) for row in x)
+    clear = jax.jit(lambda *scene: jax.lax.map(lambda row: is_clear(*scene, row), x))
+    assert not np.asarray(clear(robot, obstacle, where)).any()
     assert not jax.jit(all_clear)(robot, obstacle, where, jnp.asarray(x[:1]))
 
 
@@ -199,7 +199,7 @@ def test_a_tiny_body_near_the_base_requires_no_points(tmp_path):
 def test_an_arm_with_a_tiny_body_at_its_tool_plans_in_a_small_part_and_a_warning_names_the_body(tmp_path):
     job = with_tiny_body(tmp_path, "probe")
     with pytest.warns(UserWarning, match=r"capsule probe has a radius of only 1 mm; set a smaller workpiece.mesh_spac"):
-        plan = htcp_jax.plan(job)
+        plan = htcp_jax.plan(job, method="baseline")
     assert 10_000 < len(plan.workpiece.cloud) < 100_000
     assert is_tracked(plan.plans.status).all()
 
