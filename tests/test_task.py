@@ -1,6 +1,7 @@
 """The task: M rows at points of the arm, its error, Jacobian and verdict; with M = N there is no null space."""
 
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from own_obstacles import Floor
 
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.errors import InputError
-from htcp_jax.model import Scenario, Task
+from htcp_jax.model import Robot, Scenario, Task
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import link_poses, tcp_position
 from htcp_jax.model.scenario import make_scenario
@@ -72,11 +73,14 @@ def test_inverse_kinematics_reaches_any_task_and_its_null_space_leaves_it_alone(
 
 def step_for(task: Task, x: np.ndarray, ahead: np.ndarray) -> step_qp.StepQP:
     """Step QP at x with its target at the task's value at `ahead`, without obstacles near."""
-    robot = made_once.robot()
-    error = task.error(task.value(robot, jnp.asarray(x)), task.value(robot, jnp.asarray(ahead)))
+    return _assembled(task, made_once.robot(), jnp.asarray(x), jnp.asarray(ahead))
+
+
+@partial(jax.jit, static_argnames="task")
+def _assembled(task: Task, robot: Robot, x: jax.Array, ahead: jax.Array) -> step_qp.StepQP:
+    error = task.error(task.value(robot, x), task.value(robot, ahead))
     far = jnp.full(1, 10.0), jnp.zeros((1, 6))
     limits = jnp.full(6, -4.0), jnp.full(6, 4.0)
-    x = jnp.asarray(x)
     return step_qp.assemble(Settings(), x, x, error, task.jacobian(robot, x), *far, jnp.zeros(()), *limits)
 
 
@@ -91,7 +95,7 @@ def test_both_solvers_take_the_same_step_for_any_task_also_without_a_choice(name
         device = jax.jit(solve_step)(qp)
         assert host.status[0] == device.status == step_qp.QPStatus.SOLVED
         np.testing.assert_allclose(device.y, host.y[0], atol=1e-6)
-        np.testing.assert_allclose(qp.A @ device.y, qp.b, atol=1e-9)
+        np.testing.assert_allclose(np.asarray(qp.A) @ np.asarray(device.y), qp.b, atol=1e-9)
 
 
 def test_a_step_without_a_choice_that_breaks_a_limit_is_infeasible():
@@ -173,8 +177,9 @@ def test_a_further_obstacle_is_kept_clear_of_as_the_workpiece_is():
         return float(smallest(Floor(jnp.asarray(height_m)), jnp.asarray(x)))
 
     height_m = sorted(above(0.0, x) for x in xs)[1]  # some configurations are nearer than the margin
-    free = plan(robot, duct, scenario, "baseline")
-    kept = plan(robot, duct, scenario, "baseline", obstacles=(Floor(jnp.asarray(height_m)),))
+    free, kept = (  # with a floor far below all configurations, and with this one
+        plan(robot, duct, scenario, "baseline", obstacles=(Floor(jnp.asarray(height)),)) for height in (-1e3, height_m)
+    )
     assert free.tracked.all() and min(above(height_m, x) for x in free.x[0]) < margin_m
     for x in kept.x[kept.tracked]:
         assert above(height_m, x) >= margin_m - 1e-12
