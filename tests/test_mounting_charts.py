@@ -132,7 +132,7 @@ def test_parameters_are_reported_as_a_person_reads_them():
     assert np.isclose(parameter(NAMES[0]).scale, 180 / np.pi) and parameter(NAMES[1]).scale == 1000
 
 
-def test_what_is_no_search_is_refused_in_a_line(tmp_path):
+def test_what_is_no_search_is_refused_in_a_line(tmp_path, capsys):
     folder = write_search(tmp_path / "made", 2)
     with pytest.raises(InputError, match="contains no search of htcp place"):
         read_search(tmp_path)
@@ -144,7 +144,8 @@ def test_what_is_no_search_is_refused_in_a_line(tmp_path):
         read_search(folder)
     with pytest.raises(InputError, match="without a ranked mounting"):
         open_plans(folder)
-    assert main(["render", str(folder), "--out", str(tmp_path / "out")]) == 2
+    assert main(["program", str(folder), "--feed", "20mm/s", "--out", str(tmp_path / "out.csv")]) == 2
+    assert "without a ranked mounting" in capsys.readouterr().err
 
 
 def test_a_search_opens_as_the_run_of_its_best_and_says_their_rank(tmp_path, planned):
