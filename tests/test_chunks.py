@@ -14,7 +14,6 @@ from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, in
 from htcp_jax.clearance.proof.motion_proof import Tube, next_interval
 from htcp_jax.device import Executor, Loop, by_chunks
 from htcp_jax.device.batching import chunked
-from htcp_jax.device.executor import ExecutableCache
 from htcp_jax.device.lane_function import BatchSize, DeviceSizes
 from htcp_jax.device.tables import gather
 from htcp_jax.model.scenario import stack
@@ -68,7 +67,7 @@ def test_proofs_in_chunks_are_unbroken_ones(table):
         SegmentStatus.UNDECIDED,
     ]
     in_chunks = replace(PROVE, sizes=DeviceSizes(table, table))
-    executor = Executor(made_once.scene(), Settings(), executables=ExecutableCache())
+    executor = Executor(made_once.scene(), Settings())
     for rows in (slice(None), slice(7, None, 20), [int(np.argmax(expected.queries))]):
         (segments, closely), own = gather(requested(), rows), gather(expected, rows)
         found = executor(in_chunks, *segments, closely)
@@ -129,9 +128,10 @@ def test_made_up_paths_come_out_as_from_end_to_end(capacity, width):
     # both halves are refuted, and the first one holds
     free_radius[::3], place[::3], bad[::3, :2] = 0.2, 0.9, (0.25, 0.75)
     paths = free_radius, place, bad, rng.integers(1, 4, capacity)
+    end_to_end, in_chunks = chunked(made_up, 1), by_chunks(made_up, width)
     for lanes in {1, capacity // 2 + 1, capacity}:
-        expected = gather(chunked(made_up, 1)(None, lanes, *paths), slice(lanes))
-        found = gather(by_chunks(made_up, width)(None, lanes, *paths), slice(lanes))
+        expected = jax.tree.map(lambda rows, lanes=lanes: np.asarray(rows)[:lanes], end_to_end(None, lanes, *paths))
+        found = jax.tree.map(lambda rows, lanes=lanes: np.asarray(rows)[:lanes], in_chunks(None, lanes, *paths))
         for name, value in found._asdict().items():
             np.testing.assert_array_equal(value, getattr(expected, name), name)
     assert capacity < 300 or np.unique(expected.verdict).tolist() == list(PathVerdict)

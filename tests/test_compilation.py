@@ -3,7 +3,6 @@
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -29,18 +28,17 @@ from htcp_jax.status import Status
 
 
 def requested(count):
-    """Lanes of the nominal scenario, and joint paths from near its start, some of them not clear."""
-    scenarios = jax.tree.map(np.asarray, stack([made_once.nominal()]))
-    a = made_once.configurations_near(np.array(made_once.START), count, 0.3)
+    """Lanes of a scenario, and joint paths from near its start, some of them not clear."""
+    a = made_once.configurations_near(toy.START, count, 0.3)
     b = a + 1.5 * np.random.default_rng(1).standard_normal(a.shape)
-    return lane_inputs(scenarios, np.zeros(count, int), np.zeros(count, int)), a, b
+    return lane_inputs(stack([toy.scenario()]), np.zeros(count, int), np.zeros(count, int)), a, b
 
 
 def test_what_is_prepared_is_what_is_called():
     """Check that a lane function is compiled once: the first call waits for the prepared program, later calls do not
     wait."""
     executables = ExecutableCache()
-    executor = Executor(made_once.scene(), Settings(), executables=executables)
+    executor = Executor(toy.scene(), Settings(), executables=executables)
     checker, (inputs, a, b) = CollisionChecker(executor, Settings()), requested(20)
     with executor.preparing([prove_call(checker.task, inputs, a, b)]):
         clear = checker.path_clear(inputs, a, b)
@@ -48,14 +46,14 @@ def test_what_is_prepared_is_what_is_called():
     before = executor.compile_s
     assert checker.path_clear(inputs, a, b).tolist() == clear.tolist()
     assert len(executables) == 1 and executor.compile_s == before
-    one = jax.jit(lambda a, b: proven_clear(made_once.scene(), made_once.nominal(), a, b))
-    assert clear.tolist() == [bool(one(*segment_status)) for segment_status in zip(a, b, strict=True)]
+    alone, scenario = jax.jit(proven_clear), toy.scenario()
+    assert clear.tolist() == [bool(alone(toy.scene(), scenario, *ends)) for ends in zip(a, b, strict=True)]
     assert clear.any() and not clear.all()
 
 
 def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_reported():
     executables = ExecutableCache()
-    executor = Executor(made_once.scene(), Settings(), executables=executables)
+    executor = Executor(toy.scene(), Settings(), executables=executables)
     inputs, a, b = requested(2)
     with executor.preparing([prove_call(executor.task, inputs, a, b)]):
         pass
@@ -66,17 +64,17 @@ def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_reported():
 
 
 @pytest.mark.parametrize("method", ["nspace-sqp", "nspace-sample", "hybrid"])
-def test_what_is_compiled_first_is_what_hard_targets_need(method):
-    settings = replace(toy.SETTINGS, alpha_rad=0.0321, samples=7)  # values of their own: nothing is compiled yet
-    toy.planned(method="baseline", settings=settings, compiled_first=(method,))
-    before, hard = len(EXECUTABLES), toy.planned(method=method, settings=settings)
+def test_what_is_compiled_first_is_what_hard_targets_need(method, monkeypatch):
+    monkeypatch.setattr(EXECUTABLES, "_compiled", {})  # nothing is in memory yet
+    toy.planned(method="baseline", compiled_first=(method,))
+    before, hard = len(EXECUTABLES), toy.planned(method=method)
     assert (hard.status == Status.TRACKED_AFTER_RECOVERY).any()
     assert len(EXECUTABLES) == before and hard.compile_s == 0
 
 
 def test_a_cancelled_compilation_never_begins():
     """Cancel what waits behind one compilation per core: a faulty lane function there is not compiled."""
-    executor = Executor(made_once.scene(), Settings(), executables=ExecutableCache())
+    executor = Executor(toy.scene(), Settings(), executables=ExecutableCache())
     inputs, a, b = requested(2)
     faulty = LaneFunction("faulty", lambda settings, scene, lane: settings.samples, STEP)
     calls = [prove_call(executor.task, inputs, a, b)] * cores() + [(faulty, inputs)]
@@ -123,13 +121,13 @@ def test_lanes_that_leave_their_slot_to_others_are_lanes_one_by_one():
 
     rng = np.random.default_rng(0)
     x, n = rng.normal(size=(64, 2)), rng.integers(0, 41, 64).astype(np.int32)
-    for lanes in (1, 7, 50, 64):
-        alone = chunked(lane_function, 1)(jnp.asarray(0.9), np.int32(lanes), x, n)
-        for width in (4, 8, 64):
-            together = refilled(lane_function, width)(jnp.asarray(0.9), np.int32(lanes), x, n)
+    one_by_one, scene = chunked(lane_function, 1), np.asarray(0.9)
+    for run in (refilled(lane_function, width) for width in (4, 8, 64)):
+        for lanes in (1, 7, 50, 64):
+            alone, together = (jax.device_get(each(scene, np.int32(lanes), x, n)) for each in (one_by_one, run))
             for one, other in zip(alone, together, strict=True):
                 np.testing.assert_array_equal(one[:lanes], other[:lanes])
-                assert not np.asarray(other)[lanes:].any()
+                assert not other[lanes:].any()
 
 
 def test_a_key_is_folded_number_by_number():

@@ -165,8 +165,7 @@ def test_an_engine_without_work_ends_when_no_other_one_has_any():
 
 @pytest.mark.parametrize("method", ["nspace-sqp", "cspace-sample"])
 def test_engines_that_share_their_lanes_make_the_plans_of_one(method):
-    one, four = (toy.planned(method=method, settings=PAPER, threads=threads) for threads in (1, 4))
-    same(one, four)
+    same(toy.plans_by(method, PAPER), toy.planned(method=method, settings=PAPER, threads=4))
 
 
 def test_an_engine_that_breaks_lets_the_others_end():
@@ -178,21 +177,22 @@ def test_an_engine_that_breaks_lets_the_others_end():
 
 
 def test_null_space_steps_in_chunks_are_those_in_one_call():
-    """Compare ten short null-space steps, where the baseline is stuck, with five and from their end five more."""
-    executor, steps_of = (
-        Executor(toy.scene(), replace(PAPER, alpha_rad=0.003)),
-        find("nspace-sqp").stages[0].lane_function(0),
-    )
-    plans = toy.planned(method="baseline", settings=PAPER)
+    """Compare ten null-space steps, where the baseline is stuck, with five and from their end five more.
+
+    No step ends with the required margin, for some lanes because there is no such configuration.
+    """
+    executor, steps_of = Executor(toy.scene(), PAPER), find("nspace-sqp").stages[0].lane_function(0)
+    plans = toy.plans_by("baseline", PAPER)
     lost = plans.tracked.sum(axis=1)
     which = np.arange(len(lost))
     inputs, x = lane_inputs(stack(toy.scenarios()), which, lost), plans.x[which, lost - 1]
+    inputs = inputs._replace(margin_m=np.where(which > 0, 1.0, inputs.margin_m))
     begin, zero, five = executor(ENTER, inputs, x).x, np.zeros(len(lost), np.int32), np.int32(STEPS_PER_CHUNK)
     whole, null_space_steps = executor(steps_of, inputs, x, begin, zero, zero + 2 * five)
     half, at = executor(steps_of, inputs, x, begin, zero, zero + five)
     rest, end = executor(steps_of, inputs, x, half.x, at, at + five)
-    more = null_space_steps > five  # the others are clear before
-    assert more.sum() >= 2 and (at[more] == five).all()
+    more = null_space_steps > five  # the first may be clear before
+    assert more.sum() >= 4 and (at[more] == five).all()
     np.testing.assert_array_equal(end[more], null_space_steps[more])
     np.testing.assert_array_equal(rest.x[more], whole.x[more])
 
@@ -234,18 +234,20 @@ def test_a_second_plan_compiles_nothing_whatever_the_number_of_scenarios():
 
 
 def test_another_seed_compiles_nothing_and_draws_others():
-    first, before = toy.planned(method="cspace-sample", settings=PAPER), len(EXECUTABLES)
-    other = toy.planned(method="cspace-sample", settings=replace(PAPER, seed=1))
+    first = toy.planned(method="cspace-sample", settings=PAPER, threads=1)
+    before = len(EXECUTABLES)
+    other = toy.planned(method="cspace-sample", settings=replace(PAPER, seed=1), threads=1)
     assert len(EXECUTABLES) == before and other.compile_s == 0
     assert not np.array_equal(first.x, other.x, equal_nan=True)
 
 
 def test_a_setting_compiles_the_lane_functions_that_read_it_and_no_others():
-    toy.planned(method="cspace-sample", settings=replace(PAPER, samples=8))
+    toy.planned(method="cspace-sample", settings=PAPER, threads=1)
     before = len(EXECUTABLES)
-    toy.planned(method="cspace-sample", settings=replace(PAPER, samples=9))
+    toy.planned(method="cspace-sample", settings=replace(PAPER, samples=9), threads=1)
     assert len(EXECUTABLES) == before + 1  # the lane function that draws the samples
-    toy.planned(method="cspace-sample", settings=replace(PAPER, samples=9, max_null_space_steps=7, population=9))
+    unread = replace(PAPER, samples=9, max_null_space_steps=7, population=9)
+    toy.planned(method="cspace-sample", settings=unread, threads=1)
     assert len(EXECUTABLES) == before + 1
 
 

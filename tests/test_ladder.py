@@ -20,7 +20,7 @@ def problem(*scenarios) -> Problem:
 
 def test_a_ladder_gets_as_far_as_the_beam_with_valid_vertices_and_the_same_ones_by_the_same_seed():
     one = problem(*toy.scenarios())
-    tracked = toy.planned(threads=1).tracked.sum(axis=1)
+    tracked = toy.plans_by().tracked.sum(axis=1)
     for s in range(len(tracked)):
         rungs = list(Ladder(one, s, SAMPLES).rungs())
         assert len(rungs) >= tracked[s]
