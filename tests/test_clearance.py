@@ -9,11 +9,14 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
+from test_cloud_index import smallest_distances
 
 from htcp_jax.backend import Backend, compiled_for
 from htcp_jax.clearance import clearance, clearances, contacts, is_clear
 from htcp_jax.clearance.obstacles.linearisation import linearise
-from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance_rows
+from htcp_jax.clearance.obstacles.obstacle import Contacts
+from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, all_clear, clearance_rows
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import capsule_segments
@@ -52,6 +55,62 @@ def jitted(function):
     return jax.jit(function)
 
 
+ROWS = 44  # configurations per call, in all tests
+
+
+@cache
+def _over_rows(function):
+    return jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(function, robot, obstacle, where), x))
+
+
+def at_each(function, robot, obstacle, where, x):
+    """`function` of (robot, obstacle, where, x) at every x, by one program for all tests."""
+    padded = np.concatenate([x, np.repeat(x[-1:], -len(x) % ROWS, axis=0)])
+    parts = [_over_rows(function)(robot, obstacle, where, part) for part in padded.reshape(-1, ROWS, x.shape[1])]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(x)], *parts)
+
+
+class Forms(NamedTuple):
+    """All forms of D at a configuration, and its gradients through the nearest points."""
+
+    contacts: Contacts
+    clearances: jax.Array
+    clearance: jax.Array
+    is_clear: jax.Array
+    linear: ClearanceRows
+    smallest: ClearanceRows  # where only the smallest row is required
+    only: ClearanceRows  # in its linearisation
+    forward: jax.Array
+    reverse: jax.Array
+
+
+def forms(robot, obstacle, where, x) -> Forms:
+    here = robot, obstacle, where, x
+    return Forms(
+        contacts(*here),
+        clearances(*here),
+        clearance(*here),
+        is_clear(*here),
+        linearise(*here).clearance,
+        clearance_rows(*here, smallest=True),
+        linearise(*here, smallest=True).clearance,
+        jax.jacfwd(nearest, argnums=3)(*here),
+        jax.jacrev(nearest, argnums=3)(*here),
+    )
+
+
+def nearest(robot, obstacle, where, x):
+    """D per row, without the custom derivative rule."""
+    return contacts(robot, obstacle, where, x).distance
+
+
+@cache
+def in_duct(wy=0.4, wz=0.1) -> Forms:
+    """All forms of D in the duct at this pose, at all `configurations`."""
+    robot, obstacle = made_once.scene()[:2]
+    return at_each(forms, robot, obstacle, posed(made_once.duct(), wy, wz), configurations())
+
+
 _ENDS = jax.jit(capsule_segments)
 
 
@@ -62,9 +121,7 @@ def numpy_clearances(robot, workpiece: Workpiece, where: Where, x):
     points = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
     D, hull = np.empty(len(p)), np.zeros(len(p), bool)
     for k in range(len(p)):
-        d = q[k] - p[k]
-        s = np.clip((points - p[k]) @ d / (d @ d or 1.0), 0, 1)
-        D[k] = np.linalg.norm(p[k] + s[:, None] * d - points, axis=1).min() - robot.capsule_radius[k]
+        D[k] = smallest_distances(p[[k]], q[[k]], points)[0] - robot.capsule_radius[k]
         for end in (p[k], q[k]):
             local = T[:3, :3].T @ (end - T[:3, 3])
             outside = np.max(workpiece.hull_normal @ local - workpiece.hull_offset)
@@ -74,109 +131,71 @@ def numpy_clearances(robot, workpiece: Workpiece, where: Where, x):
 
 
 def test_D_is_the_smallest_distance_to_all_points_and_minus_the_depth_outside_the_hull():
-    robot, obstacle = made_once.scene()[:2]
-    duct = made_once.duct()
+    robot, duct = made_once.robot(), made_once.duct()
     decided = 0
-    for wy, wz in ((0.4, 0.1), (0.2, -0.3)):
-        where = posed(duct, wy, wz)
-        for x in configurations()[::3]:
-            exact, hull = numpy_clearances(robot, duct, where, x)
-            touch = jitted(contacts)(robot, obstacle, where, x)
-            np.testing.assert_allclose(touch.distance, exact, rtol=0, atol=2e-15)
-            np.testing.assert_array_equal(touch.plane, hull)
+    for pose in ((0.4, 0.1), (0.2, -0.3)):
+        touch = in_duct(*pose).contacts
+        for k in range(0, len(configurations()), 3):
+            exact, hull = numpy_clearances(robot, duct, posed(duct, *pose), configurations()[k])
+            np.testing.assert_allclose(touch.distance[k], exact, rtol=0, atol=2e-15)
+            np.testing.assert_array_equal(touch.plane[k], hull)
             decided += hull.sum()
     assert decided > 20
 
 
 def test_all_forms_of_D_agree():
     """Scalar, verdict, and linearisation compute the same number with fewer operations."""
-    robot, obstacle = made_once.scene()[:2]
     signs = []
-    for wy, wz in ((0.4, 0.1), (0.8, 0.3)):
-        where = posed(made_once.duct(), wy, wz)
-        for x in configurations():
-            every = jitted(clearances)(robot, obstacle, where, x)
-            np.testing.assert_allclose(jitted(clearance)(robot, obstacle, where, x), every.min(), rtol=0, atol=1e-15)
-            linear = jitted(linearise)(robot, obstacle, where, x)
-            np.testing.assert_allclose(linear.clearance.distance, every, rtol=0, atol=1e-15)
-            assert jitted(is_clear)(robot, obstacle, where, x) == (every.min() > 0)
-            signs.append(every.min() > 0)
-    assert 50 < np.sum(signs) < len(signs) - 50
+    for pose in ((0.4, 0.1), (0.8, 0.3)):
+        found = in_duct(*pose)
+        least = found.clearances.min(axis=1)
+        np.testing.assert_allclose(found.clearance, least, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(found.linear.distance, found.clearances, rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(found.is_clear, least > 0)
+        signs.append(least > 0)
+    assert 50 < np.sum(signs) < np.size(signs) - 50
 
 
 def test_where_only_the_smallest_row_is_asked_for_it_is_right_and_no_other_is_nearer():
     """Check the smallest row, which then is the only row of a linearisation."""
-    robot, obstacle = made_once.scene()[:2]
-    where, x = posed(made_once.duct()), configurations()
-
-    def rows(look, smallest):
-        return jax.jit(jax.vmap(lambda x: look(robot, obstacle, where, x, smallest=smallest)))(x)
-
-    every, few = rows(clearance_rows, False), rows(clearance_rows, True)
-    lowest = np.arange(len(x)), np.argmin(every.distance, axis=1)
+    every, few, alone = in_duct().linear, in_duct().smallest, in_duct().only
+    lowest = np.arange(len(configurations())), np.argmin(every.distance, axis=1)
     np.testing.assert_allclose(few.distance[lowest], every.distance[lowest], rtol=0, atol=1e-15)
     np.testing.assert_allclose(few.gradient[lowest], every.gradient[lowest], rtol=0, atol=1e-12)
     assert (few.distance >= every.distance - 1e-15).all() and (few.distance > every.distance + 1e-3).any()
-    alone = rows(linearise, True).clearance
     np.testing.assert_allclose(alone.distance, few.distance[lowest][:, None], rtol=0, atol=1e-15)
     np.testing.assert_allclose(alone.gradient, few.gradient[lowest][:, None], rtol=0, atol=1e-12)
 
 
 def test_contacts_lie_where_they_say():
     """The contact point is on the body's axis; point - (distance + radius) normal is the cloud's point."""
-    robot, obstacle = made_once.scene()[:2]
-    duct, where = made_once.duct(), posed(made_once.duct())
+    robot, duct, where = made_once.robot(), made_once.duct(), posed(made_once.duct())
     T = np.asarray(where.T_world_workpiece)
-    for x in configurations()[::4]:
-        touch = jax.tree.map(np.asarray, jitted(contacts)(robot, obstacle, where, x))
+    points = cKDTree(duct.cloud @ T[:3, :3].T + T[:3, 3])
+    radius = np.asarray(robot.capsule_radius)
+    for k in range(0, len(configurations()), 4):
+        x, touch = configurations()[k], jax.tree.map(lambda leaf, k=k: leaf[k], in_duct().contacts)
         p, q = (np.asarray(end) for end in _ENDS(robot, x))
         along = np.linalg.norm(touch.point - p, axis=1) + np.linalg.norm(q - touch.point, axis=1)
         np.testing.assert_allclose(along, np.linalg.norm(q - p, axis=1), atol=1e-14)
         np.testing.assert_allclose(np.linalg.norm(touch.normal, axis=1), 1.0, atol=1e-14)
-        witness = touch.point - touch.normal * (touch.distance + robot.capsule_radius)[:, None]
-        points = duct.cloud @ T[:3, :3].T + T[:3, 3]
-        nearest = np.linalg.norm(points[None] - witness[~touch.plane][:, None], axis=2).min(axis=1)
-        np.testing.assert_allclose(nearest, 0.0, atol=1e-14)
-
-
-def gradients(robot, obstacle, where, x):
-    """Gradients of D (4, K, N) by four methods.
-
-    The rule for D's derivative; autodiff through the nearest points, forward and reverse; and central differences.
-    """
-    function = partial(jitted(clearances), robot, obstacle, where)
-    step = 1e-7 * np.eye(len(x))
-    differences = [(np.asarray(function(x + h)) - np.asarray(function(x - h))) / 2e-7 for h in step]
-    return (
-        np.asarray(jitted(linearise)(robot, obstacle, where, x).clearance.gradient),
-        np.asarray(jitted(_FORWARD)(robot, obstacle, where, x)),
-        np.asarray(jitted(_REVERSE)(robot, obstacle, where, x)),
-        np.stack(differences, axis=1),
-    )
-
-
-def nearest(robot, obstacle, where, x):
-    """D per row, without the custom derivative rule."""
-    return contacts(robot, obstacle, where, x).distance
-
-
-_FORWARD, _REVERSE = jax.jacfwd(nearest, argnums=3), jax.jacrev(nearest, argnums=3)
+        witness = touch.point - touch.normal * (touch.distance + radius)[:, None]
+        np.testing.assert_allclose(points.query(witness[~touch.plane])[0], 0.0, atol=1e-14)
 
 
 def test_the_derivative_of_D_is_that_of_autodiff_through_what_is_nearest_and_of_finite_differences():
     """Except at kinks, where the two sides of a central difference see different points."""
     robot, obstacle = made_once.scene()[:2]
-    where = posed(made_once.duct())
-    kinks, hull, total = 0, 0, 0
-    for x in configurations()[::2]:
-        closed, forward, reverse, differences = gradients(robot, obstacle, where, x)
-        np.testing.assert_allclose(forward, closed, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(reverse, closed, rtol=0, atol=1e-12)
-        smooth = np.abs(differences - closed).max(1) < 1e-6
-        kinks, total = kinks + (~smooth).sum(), total + len(smooth)
-        hull += np.asarray(jitted(contacts)(robot, obstacle, where, x).plane).sum()
-    assert kinks <= 0.002 * total
-    assert hull > 20
+    found, x = jax.tree.map(lambda leaf: leaf[::2], in_duct()), configurations()[::2]
+    closed = found.linear.gradient
+    np.testing.assert_allclose(found.forward, closed, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.reverse, closed, rtol=0, atol=1e-12)
+    steps = 1e-7 * np.concatenate([np.eye(6), -np.eye(6)])
+    around = at_each(clearances, robot, obstacle, posed(made_once.duct()), (x[:, None] + steps).reshape(-1, 6))
+    ahead, behind = np.moveaxis(around.reshape(len(x), 2, 6, -1), (1, 2, 3), (0, 3, 2))
+    smooth = np.abs((ahead - behind) / 2e-7 - closed).max(axis=1) < 1e-6
+    assert (~smooth).sum() <= 0.002 * smooth.size
+    assert found.contacts.plane.sum() > 20
 
 
 FEW = 50  # points: the same number in all tests, so that they share one compiled program
@@ -196,10 +215,11 @@ def test_the_gradient_is_finite_where_a_point_lies_on_a_capsules_axis():
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
     cloud = np.concatenate([p, q, 0.3 * p + 0.7 * q])
     obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array([1.0, 0, 0, 100.0]))
-    for gradient in gradients(robot, obstacle, where, x)[:3]:
+    found = at_each(forms, robot, obstacle, where, x[None])
+    for gradient in (found.linear.gradient, found.forward, found.reverse):
         assert np.isfinite(gradient).all()
-    np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), -robot.capsule_radius, atol=1e-15)
-    assert not jitted(is_clear)(robot, obstacle, where, x)
+    np.testing.assert_allclose(found.clearances[0], -robot.capsule_radius, atol=1e-15)
+    assert not found.is_clear[0]
 
 
 def test_without_an_interior_only_the_points_count():
@@ -208,10 +228,11 @@ def test_without_an_interior_only_the_points_count():
     workpiece = few_points(rng.normal((1.5, 0.0, 1.0), 1.0, (FEW, 3)))
     obstacle = make_obstacle(workpiece)
     where = Where(jnp.eye(4), jnp.array([1.0, 0, 0, -100.0]))
-    for x in configurations()[:20]:
+    found = at_each(forms, robot, obstacle, where, configurations()[:20])
+    for x, every, least in zip(configurations()[:20], found.clearances, found.clearance, strict=True):
         exact, hull = numpy_clearances(robot, _without_hull(workpiece), where, x)
-        np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), exact, rtol=0, atol=2e-15)
-        np.testing.assert_allclose(jitted(clearance)(robot, obstacle, where, x), exact.min(), rtol=0, atol=2e-15)
+        np.testing.assert_allclose(every, exact, rtol=0, atol=2e-15)
+        np.testing.assert_allclose(least, exact.min(), rtol=0, atol=2e-15)
         assert not hull.any()
 
 
@@ -253,14 +274,14 @@ def test_mujocos_own_geometry_measures_the_same():
     geoms = [model.geom(name).id for name in robot.capsule_names]
     spheres = [model.geom(f"point{k}").id for k in range(len(cloud))]
     obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array([1.0, 0, 0, 100.0]))
-    for x in made_once.configurations(robot, 15, seed=2):
+    xs = made_once.configurations(robot, 15, seed=2)
+    for x, ours in zip(xs, at_each(forms, robot, obstacle, where, xs).clearances, strict=True):
         data.qpos[:] = x
         mujoco.mj_kinematics(model, data)
         theirs = [
             min(mujoco.mj_geomDistance(model, data, geom, sphere, 100.0, None) for sphere in spheres) + radius
             for geom in geoms
         ]
-        ours = jitted(clearances)(robot, obstacle, where, jnp.asarray(x))
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
 
 
@@ -281,15 +302,16 @@ def test_a_longer_tool_is_measured_longer(extension):
     """Compare D with numpy for a longer and a shorter tool."""
     robot = lengthen_tool(made_once.robot(), extension)
     obstacle, where = made_once.scene().obstacles, posed(made_once.duct())
-    for x in configurations()[100:110]:
+    xs = configurations()[100:110]
+    for x, found in zip(xs, at_each(clearances, robot, obstacle, where, xs), strict=True):
         exact, _ = numpy_clearances(robot, made_once.duct(), where, x)
-        np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), exact, rtol=0, atol=2e-15)
+        np.testing.assert_allclose(found, exact, rtol=0, atol=2e-15)
 
 
 def test_the_nominal_start_is_clear():
     scenario = make_scenario(made_once.robot(), made_once.duct(), made_once.START)
     robot, obstacle = made_once.scene()[:2]
-    D = jitted(clearances)(robot, obstacle, posed(made_once.duct()), jnp.asarray(scenario.x_start))
+    D = at_each(clearances, robot, obstacle, posed(made_once.duct()), np.asarray(scenario.x_start)[None])
     assert D.min() > 0.05
 
 
