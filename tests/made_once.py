@@ -2,17 +2,19 @@
 
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from htcp_jax.clearance import Scene
+from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
+from htcp_jax.model.kinematics import tcp_position
 from htcp_jax.model.scenario import make_scenario
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
@@ -81,3 +83,29 @@ def configurations(of: Robot, count: int, seed: int = 0) -> np.ndarray:
 def configurations_near(x: np.ndarray, count: int, width: float, seed: int = 0) -> np.ndarray:
     """Uniform draws at most `width` [rad] from x in every joint (count, N)."""
     return np.asarray(x) + np.random.default_rng(seed).uniform(-width, width, (count, len(x)))
+
+
+class Pose(NamedTuple):
+    """All that distances to the duct read of a scenario."""
+
+    T_world_workpiece: jax.Array
+    interior_plane: jax.Array
+
+
+ROWS = 200  # configurations that `measured` evaluates at a time
+
+
+@jax.jit
+def _MEASURED(robot, obstacles, where, x):
+    return jax.lax.map(lambda x: (clearance(robot, obstacles, where, x), tcp_position(robot, x)), x)
+
+
+def measured(where, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Clearance (n,) of the robot in the duct and its TCP (n, 3) [m] at configurations (n, 6)."""
+    x, pose, found = np.asarray(x), Pose(*map(jnp.asarray, (where.T_world_workpiece, where.interior_plane))), []
+    for first in range(0, len(x), ROWS):
+        part = x[first : first + ROWS]
+        both = _MEASURED(*scene()[:2], pose, np.resize(part, (ROWS, x.shape[1])))
+        found.append([np.asarray(each)[: len(part)] for each in both])
+    D, tcp = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return D, tcp
