@@ -1,5 +1,6 @@
 """Recovery strategies: each follows the paper's algorithm and returns only valid configurations."""
 
+from dataclasses import replace
 from functools import cache, partial
 
 import jax
@@ -14,20 +15,19 @@ from htcp_jax.clearance import clearance, clearances, contacts, is_clear
 from htcp_jax.device import Executor
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.model.scenario import stack
-from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
+from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.tracking import StepQPs
 from htcp_jax.planning.tracking.null_space import (
     StuckScenario,
     anchor,
-    keep_clear_ascent,
     null_space_step,
     seen_rows,
     sphere_problem,
     stuck_key,
 )
 from htcp_jax.planning.tracking.sampling import cspace_samples, nspace_samples
-from htcp_jax.planning.tracking.stages import ENTER
+from htcp_jax.planning.tracking.stages import ASCEND, ENTER
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere
 
@@ -47,7 +47,8 @@ def run(function, *rest, settings=SETTINGS):
 
 _D = jax.jit(clearance)
 _CLEAR = jax.jit(jax.vmap(is_clear, (None, None, None, 0)))
-_TCP = jax.jit(tcp_position)
+AHEAD = np.array([0.0, 3e-3, 0.0])
+_TCP, _JACOBIAN = jax.jit(tcp_position), jax.jit(jacobian)
 
 
 def D(where, x):
@@ -63,6 +64,23 @@ def stuck_places(count):
     for k in range(0, 200, 200 // count):
         where, x = place(k)
         yield where, x, jnp.asarray(tcp(x))
+
+
+def stuck_lanes(count):
+    """Places as `stuck_places` yields them, and the lanes' inputs and configurations for an executor."""
+    places, nominal = list(stuck_places(count)), jax.tree.map(np.asarray, made_once.nominal())
+    poses = [replace(nominal, **jax.tree.map(np.asarray, where)._asdict()) for where, _, _ in places]
+    inputs = lane_inputs(stack(poses), np.arange(count), np.zeros(count, int))
+    return (
+        places,
+        inputs._replace(target=np.stack([target for _, _, target in places])),
+        np.stack([x for _, x, _ in places]),
+    )
+
+
+def executor():
+    """Executor with the settings of `test_planner.py`, whose programs are the same."""
+    return Executor(made_once.scene(), Settings(**made_once.PAPER_CHOICES))
 
 
 def directions(count):
@@ -160,15 +178,14 @@ def test_a_null_space_step_ends_on_the_target_and_says_how_clear_it_is():
 
 def test_a_recovery_begins_on_its_target_next_to_the_configuration_before():
     """Algorithm 1, line 9: the shortest joint motion, to first order, regardless of obstacles."""
-    enter, robot = jax.jit(ENTER.of(SETTINGS)), made_once.robot()
-    for where, x, target in stuck_places(4):
-        ahead = target + jnp.array([0.0, 3e-3, 0.0])
-        lane = LaneInputs(*where, margin_m=0.0, tool_extension_m=0.0, number=0, target=ahead, row=0, round=0, seed=0)
-        here = enter(made_once.scene(), lane, x)
-        assert np.linalg.norm(tcp(here.x) - ahead) <= 0.1 * SETTINGS.tolerance_m
-        shortest = np.linalg.pinv(jacobian(robot, x)) @ (ahead - target)
-        np.testing.assert_allclose(here.x - x, shortest, atol=3e-4)
-        np.testing.assert_allclose(here.clearance, D(where, here.x), atol=1e-14)
+    places, inputs, before = stuck_lanes(4)
+    found = executor()(ENTER, inputs._replace(target=inputs.target + AHEAD), before)
+    for k, (where, x, target) in enumerate(places):
+        ahead, now = np.asarray(target) + AHEAD, found.x[k]
+        assert np.linalg.norm(tcp(now) - ahead) <= 0.1 * SETTINGS.tolerance_m
+        shortest = np.linalg.pinv(_JACOBIAN(made_once.robot(), x)) @ (ahead - np.asarray(target))
+        np.testing.assert_allclose(now - x, shortest, atol=3e-4)
+        np.testing.assert_allclose(found.clearance[k], D(where, now), atol=1e-14)
 
 
 def test_an_anchor_moves_only_what_is_off_by_more_than_the_tolerance():
@@ -181,20 +198,18 @@ def test_an_anchor_moves_only_what_is_off_by_more_than_the_tolerance():
 
 
 def test_keep_clear_never_ends_worse_and_stays_on_the_target():
-    gained = []
-    for where, x, target in stuck_places(20):
-        before = D(where, x)
-        here = run(keep_clear_ascent, where, x, target)
-        assert here.clearance >= before and here.residual <= SETTINGS.tolerance_m
-        np.testing.assert_allclose(here.clearance, D(where, here.x), atol=1e-14)
-        again = run(keep_clear_ascent, where, jnp.asarray(here.x), target)  # with little left to gain
-        assert again.clearance >= here.clearance
-        if before >= SETTINGS.keep_clear_m:
-            np.testing.assert_array_equal(here.x, x)
-        else:
-            gained.append(here.clearance - before)
-        robot = made_once.robot()
-        assert (here.x <= robot.upper).all() and (here.x >= robot.lower).all()
+    (places, inputs, x), robot = stuck_lanes(20), made_once.robot()
+    before = np.array([D(where, x) for where, x, _ in places])
+    here = executor()(ASCEND, inputs, x)
+    assert (here.clearance >= before).all() and (here.residual <= SETTINGS.tolerance_m).all()
+    after = [D(where, own) for (where, _, _), own in zip(places, here.x, strict=True)]
+    np.testing.assert_allclose(here.clearance, after, atol=1e-14)
+    again = executor()(ASCEND, inputs, here.x)  # with little left to gain
+    assert (again.clearance >= here.clearance).all()
+    far = before >= SETTINGS.keep_clear_m
+    np.testing.assert_array_equal(here.x[far], x[far])
+    assert ((here.x <= np.asarray(robot.upper)) & (here.x >= np.asarray(robot.lower))).all()
+    gained = (here.clearance - before)[~far]
     assert np.median(gained) > 1e-3
 
 
