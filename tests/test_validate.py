@@ -10,8 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_run import LONGER, spoil
-from stranger_jobs import small_box_job
+import toy
+import yaml
+from hand_made import plans_with
+from small_run import LONGER, TOY_TARGETS, spoil, toy_run
 
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.cli import main
@@ -21,6 +23,7 @@ from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of, workpiece_key, workpiece_of
+from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Robot
 from htcp_jax.model.duct import POINTS
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
@@ -30,20 +33,40 @@ from htcp_jax.report.document import markdown
 from htcp_jax.report.validation import notes, read_validation, validated, verdict
 from htcp_jax.runs import open_run
 from htcp_jax.runs.plan_folder import VALIDATION
-from htcp_jax.runs.sweep import sweep
+from htcp_jax.runs.sweep import keep_plans, sweep
+from htcp_jax.status import Status
 from htcp_jax.validation import STEP_RAD, track, validate_results
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.track import samples_between
 
+ENDS = jax.jit(jax.vmap(lambda robot, x: (*capsule_segments(robot, x), tcp_position(robot, x)), (None, 0)))
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "job.yaml"
 
 
 @pytest.fixture
-def run(planned, tmp_path):
-    """A copy that a test may change."""
+def real(planned, tmp_path):
+    """Copy of the small real run that a test may change."""
     return shutil.copytree(planned / "run", tmp_path / "run")
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Copy of the toy's run that a test may change."""
+    return shutil.copytree(toy_run() / "run", tmp_path / "run")
+
+
+def mesh_job(folder: Path, **cell) -> Path:
+    """Job of the toy arm under a shelf of two triangles."""
+    job = toy.write_job(folder, 3, shift_m=(0.4, 0.02, -0.03), cell={"self_collision": False} | cell)
+    corners = [(x, y, toy.SHELF_M) for x, y in ((0.42, -0.2), (0.8, -0.2), (0.8, 0.2), (0.42, 0.2))]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["f 1 2 3", "f 1 3 4"]
+    (folder / "shelf.obj").write_text("\n".join(lines) + "\n")
+    raw = yaml.safe_load(job.read_text())
+    raw["workpiece"] |= {"cloud": "shelf.obj", "mesh_spacing_m": 0.02}
+    job.write_text(yaml.safe_dump(raw))
+    return job
 
 
 def scene(extension_m: float, rotation_y_rad: float, points: int = POINTS) -> CheckedScene:
@@ -76,21 +99,26 @@ def inside(planned, spread_rad: float, count: int) -> np.ndarray:
     return last + np.random.default_rng(2).uniform(-spread_rad, spread_rad, (count, 6))
 
 
-def test_a_run_validates_and_the_report_says_so(run, capsys):
-    assert main(["validate", str(run)]) == 0
+def test_a_run_validates(real, capsys):
+    assert main(["validate", str(real)]) == 0
     assert "validated" in capsys.readouterr().out
-    found = json.loads((run / VALIDATION).read_text())
+    found = json.loads((real / VALIDATION).read_text())
     one = found["methods"]["baseline"]
     assert found["validated"] and one["refuted"] == 0
-    assert one["checked"] == sum(open_run(run).scenarios("baseline")["tracked"].to_pylist()) > 60
+    assert one["checked"] == sum(open_run(real).scenarios("baseline")["tracked"].to_pylist()) > 60
     assert 0 < one["clearance_min_mm"] and one["tcp_error_max_mm"] <= 1
     assert max(one[f"{name}_off_max_mm"] for name in ("clearance", "tcp", "target")) < 1e-9
     assert one["paths_touching"] == one["paths_blocked"]
     assert one["clearance_between_min_mm"] <= one["clearance_min_mm"]
     scenario, target = one["clearance_min_at"]
-    recorded = open_run(run).plans("baseline").clearance
+    recorded = open_run(real).plans("baseline").clearance
     assert recorded[scenario, target] == np.nanmin(recorded)
-    assert validated(read_validation(open_run(run))) is True
+    assert validated(read_validation(open_run(real))) is True
+
+
+def test_the_report_says_that_a_run_is_validated(run):
+    assert main(["validate", str(run)]) == 0
+    found = json.loads((run / VALIDATION).read_text())
     text = markdown(make_report([run]).blocks)
     checked, paths, touching = (
         sum(check[name] for check in found["methods"].values()) for name in ("checked", "paths", "paths_touching")
@@ -103,8 +131,8 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
 
 def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monkeypatch, capsys):
     """Both distances to a mesh, and an announcement of long checks (regression: only one distance)."""
-    job, run = small_box_job(tmp_path), tmp_path / "run"
-    sweep({"grid": [{"workpiece.shift_m": [[0, 0, 0.1], [0, 0, 0.12]]}]}, ["baseline"], run, config=job)
+    job, run = mesh_job(tmp_path), tmp_path / "run"
+    sweep({"grid": [{"workpiece.rotation_y_rad": [0.0, 0.1]}]}, ["baseline"], run, config=job)
     monkeypatch.setattr(time, "perf_counter", lambda clock=time.perf_counter: 1e6 * clock())  # as on a slow machine
     assert main(["validate", str(run), "--between", "0"]) == 0
     output = capsys.readouterr()
@@ -125,12 +153,15 @@ def test_the_progress_within_one_plan_is_reported_and_does_not_change_its_result
 
 
 def test_the_cover_of_a_mesh_is_not_subtracted_from_distances_to_the_cell(tmp_path):
-    job, run, table = small_box_job(tmp_path, 0.005), tmp_path / "run", tmp_path / "table.xml"
-    top = 0.1807 - 0.02 - 0.078 - 1e-3  # 1 mm below the shoulder, whatever the arm does
-    table.write_text(
-        f'<mujoco><worldbody><geom type="box" size="1 1 .01" pos="0 0 {top - 0.01}"/></worldbody></mujoco>'
+    """The arm is upright, and its tool ends 1 mm below a ceiling."""
+    top = 0.3 + 0.4 + 0.4 + 0.16 + 0.02  # of the tool's capsule
+    ceiling = tmp_path / "ceiling.xml"
+    ceiling.write_text(
+        f'<mujoco><worldbody><geom type="box" size="1 1 .01" pos="0 0 {top + 1e-3 + 0.01}"/></worldbody></mujoco>'
     )
-    sweep({"grid": [{"cell.model": [str(table)]}]}, ["baseline"], run, config=job)
+    spec = load_sweep({"grid": [{"margin_m": [0.001]}]}, mesh_job(tmp_path, model=str(ceiling)))
+    upright = plans_with([[Status.TRACKED] * TOY_TARGETS], joints=4)
+    run = keep_plans(spec, {"baseline": upright}, tmp_path / "run").folder
     found = validate_results(run, between=0).methods["baseline"]
     np.testing.assert_allclose([found.clearance_min_mm, found.clearance_less_cover_min_mm], 1.0, atol=1e-3)
 
@@ -193,8 +224,8 @@ def test_between_two_targets_no_joint_turns_far_from_one_look_to_the_next(planne
 
 
 def test_the_tip_passes_through_the_discs_that_the_planner_places_in_its_own_way():
-    part = load_workpiece(tip_contact_m=0.01)
-    where = scene(0.0, 0.4)
+    part = load_workpiece(GeneratedDuct(points=3000), tip_contact_m=0.01)
+    where = scene(0.0, 0.4, points=3000)
     nominal, rng = np.array([0.0, -2.3, 0.5, 0.0, 0.5, -2.0]), np.random.default_rng(0)
     arm_poses = where.arm.arm_poses(nominal + rng.uniform(-0.05, 0.05, (1000, 6)))
     where.translate = arm_poses.tcp[0] - where.rotate @ part.cloud[0]  # the wall lies at the TCP
@@ -217,15 +248,15 @@ def test_tangents_of_a_path_that_pauses_and_reverses_are_the_planners():
     np.testing.assert_allclose(data_of(own).tangents, own.tangents, atol=1e-12)
 
 
-def test_a_configuration_5_mm_in_the_wall_is_refuted_and_named(run, capsys):
-    plans = open_run(run).plans("baseline")
+def test_a_configuration_5_mm_in_the_wall_is_refuted_and_named(real, capsys):
+    plans = open_run(real).plans("baseline")
     target = int(np.nanargmin(plans.clearance[3]))
     x = into_the_wall(scene(LONGER, 0.5), plans.x[3, target], 5e-3)
-    spoil(run, 3, target, **{f"joint{j + 1}_rad": float(value) for j, value in enumerate(x)})
-    assert main(["validate", str(run), "--between", "0"]) == 1
+    spoil(real, 3, target, **{f"joint{j + 1}_rad": float(value) for j, value in enumerate(x)})
+    assert main(["validate", str(real), "--between", "0"]) == 1
     label = f"rotation y 0.5 rad, tool {LONGER} m"
     assert f"baseline, scenario 3 ({label}), target {target}: " in capsys.readouterr().out
-    found = json.loads((run / VALIDATION).read_text())
+    found = json.loads((real / VALIDATION).read_text())
     (refuted,) = found["refuted"]
     assert not found["validated"] and "the arm is in collision: clearance -5.0" in refuted["reason"]
 
@@ -241,11 +272,11 @@ def test_a_recorded_clearance_that_is_1_mm_off_is_refuted(run):
 
 def test_a_joint_beyond_its_limits_and_a_configuration_that_is_not_there_are_refuted(run):
     x = open_run(run).plans("baseline").x[0, 3]
-    spoil(run, 0, 3, joint6_rad=float(x[5] - 2 * np.pi))
-    spoil(run, 2, 4, joint1_rad=None)
-    reasons = {(one.scenario, one.target): one.reason for one in validate_results(run).refuted}
+    spoil(run, 0, 3, j4_rad=float(x[3] - 2 * np.pi))
+    spoil(run, 2, 4, j1_rad=None)
+    reasons = {(one.scenario, one.target): one.reason for one in validate_results(run, between=0).refuted}
     assert set(reasons) == {(0, 3), (2, 4)}
-    assert "joint6 is outside its limits" in reasons[0, 3] and reasons[2, 4] == "no saved configuration"
+    assert "j4 is outside its limits" in reasons[0, 3] and reasons[2, 4] == "no saved configuration"
 
 
 def test_a_longer_tool_is_the_planner_s():
@@ -257,8 +288,8 @@ def test_a_longer_tool_is_the_planner_s():
 def _assert_same_configurations(arm: MujocoArm, robot: Robot, x: np.ndarray) -> None:
     """Check both readings of the arm; MuJoCo has the ends of an axis in either order."""
     at = arm.arm_poses(x)
-    p, q = jax.vmap(capsule_segments, (None, 0))(robot, jnp.asarray(x))
-    np.testing.assert_allclose(at.tcp, jax.vmap(tcp_position, (None, 0))(robot, jnp.asarray(x)), atol=1e-12)
+    p, q, tcp = map(np.asarray, ENDS(robot, jnp.asarray(x)))
+    np.testing.assert_allclose(at.tcp, tcp, atol=1e-12)
     np.testing.assert_allclose(at.p + at.q, p + q, atol=1e-12)
     np.testing.assert_allclose(abs(at.p - at.q), abs(p - q), atol=1e-12)
     np.testing.assert_array_equal(arm.radius, robot.capsule_radius)
@@ -361,13 +392,13 @@ def test_joint_speeds_are_in_proportion_to_the_feed_rate(planned):
     assert fast.speed_ratio_max == pytest.approx(3 * slow.speed_ratio_max) and slow.paths_touching is None
 
 
-def test_a_plan_validates_and_its_summary_says_so(planned, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(planned)
+def test_a_plan_validates_and_its_summary_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(toy_run())
     out = tmp_path / "plan"
-    main(["plan", "job.yaml", "--out", str(out)])
+    main(["plan", "job.yaml", "--method", "baseline", "--out", str(out)])
     capsys.readouterr()
     assert main(["validate", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["methods"]["baseline"]["checked"] > 10
+    assert json.loads(capsys.readouterr().out)["methods"]["baseline"]["checked"] == TOY_TARGETS
     summary = json.loads((out / "summary.json").read_text())
     assert summary["validated"] is True and summary["method"] == "baseline"
     (out / "trajectory.npz").write_bytes(b"PK")
@@ -383,17 +414,17 @@ def test_a_plan_validates_and_its_summary_says_so(planned, tmp_path, monkeypatch
         (["run", "--feed-mm-s", "0"], "must be positive"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_2(planned, monkeypatch, capsys, words, reason):
-    monkeypatch.chdir(planned)
-    before = sorted((file.name, file.stat().st_mtime_ns) for file in (planned / "run").iterdir())
+def test_bad_input_is_one_line_and_exit_2(monkeypatch, capsys, words, reason):
+    monkeypatch.chdir(toy_run())
+    before = sorted((file.name, file.stat().st_mtime_ns) for file in Path("run").iterdir())
     assert main(["validate", *words]) == 2
     error = capsys.readouterr().err
     assert reason in error and error.count("\n") == 1
-    assert before == sorted((file.name, file.stat().st_mtime_ns) for file in (planned / "run").iterdir())
+    assert before == sorted((file.name, file.stat().st_mtime_ns) for file in Path("run").iterdir())
 
 
-def test_a_path_that_has_changed_since_is_bad_input(planned, run, monkeypatch, capsys):
-    path = planned / "weld.csv"
+def test_a_path_that_has_changed_since_is_bad_input(run, capsys):
+    path = toy_run() / "path.csv"
     before = path.read_text()
     try:
         path.write_text(before + "0.9,0,0\n")
