@@ -179,7 +179,7 @@ def test_an_engine_that_breaks_lets_the_others_end():
 def test_null_space_steps_in_chunks_are_those_in_one_call():
     """Compare ten null-space steps, where the baseline is stuck, with five and from their end five more.
 
-    No step ends with the required margin, for some lanes because there is no such configuration.
+    All lanes but the first require a clearance of 1 m, which no step reaches.
     """
     executor, steps_of = Executor(toy.scene(), PAPER), find("nspace-sqp").stages[0].lane_function(0)
     plans = toy.plans_by("baseline", PAPER)
@@ -191,7 +191,7 @@ def test_null_space_steps_in_chunks_are_those_in_one_call():
     whole, null_space_steps = executor(steps_of, inputs, x, begin, zero, zero + 2 * five)
     half, at = executor(steps_of, inputs, x, begin, zero, zero + five)
     rest, end = executor(steps_of, inputs, x, half.x, at, at + five)
-    more = null_space_steps > five  # the first may be clear before
+    more = null_space_steps > five  # the first lane may be clear before
     assert more.sum() >= 4 and (at[more] == five).all()
     np.testing.assert_array_equal(end[more], null_space_steps[more])
     np.testing.assert_array_equal(rest.x[more], whole.x[more])
