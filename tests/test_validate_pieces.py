@@ -151,7 +151,9 @@ def test_a_plan_past_a_ball_in_a_capsule_is_validated_until_the_ball_is_in_the_p
     job = small_job(arm_file(tmp_path), tmp_path, out=(0, 1, 0))
     arm, start = MujocoArm(Path(job["robot"]["model"])), np.array(job["start_rad"])
     with_sphere(tmp_path, beside(arm, start, 0.045), 0.005)
-    found = htcp_jax.plan(job | {"cell": {"model": str(tmp_path / "cell.xml")}, "method": "beam"})
+    found = htcp_jax.plan(
+        job | {"cell": {"model": str(tmp_path / "cell.xml"), "self_collision": False}, "method": "baseline"}
+    )
     found.save(tmp_path / "plan")
     assert validate_results(tmp_path / "plan").validated
     summary = tmp_path / "plan" / "summary.json"
