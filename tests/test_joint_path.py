@@ -1,6 +1,6 @@
 """Joint paths: those proven clear are clear everywhere, and the bounds on the motion of the arm hold."""
 
-from functools import cache, partial
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 from sphere_references import place
 
-from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof.motion_bound import motion_bound, travel_bound
-from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M, path_clear, proven_clear
+from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M, path_clear
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.settings import Settings
 
 SAMPLES = Settings(path_test="samples")
 START = jnp.asarray(made_once.START)
-_D = jax.jit(clearance)
-_D_everywhere = jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(clearance, robot, obstacle, where), x))
 
 
 @cache
@@ -30,16 +28,12 @@ def _tested(settings):
 
 def smallest_D(where, a, b, places):
     """Smallest D at samples of the path, without its ends."""
-    x = a[None] + jnp.linspace(0, 1, places + 2)[1:-1, None] * (b - a)[None]
-    return float(jnp.min(_D_everywhere(*made_once.scene()[:2], where, x)))
+    a, b = np.asarray(a), np.asarray(b)
+    return made_once.measured(where, a + np.linspace(0, 1, places + 2)[1:-1, None] * (b - a))[0].min()
 
 
 def clear(where, a, b, settings=Settings()):  # noqa: B008 - frozen
     return bool(_tested(settings)(where, a, b))
-
-
-def D(where, x):
-    return float(_D(*made_once.scene()[:2], where, x))
 
 
 @cache
@@ -78,7 +72,7 @@ def test_bisection_finds_what_twenty_samples_miss():
 def test_a_path_of_no_length_is_as_clear_as_its_ends():
     where, x = place(0)
     assert clear(where, START, START)
-    assert bool(jax.jit(proven_clear)(Scene(*made_once.scene()), where, x, x)) == (D(where, x) > 0)
+    assert clear(where, x, x) == (made_once.measured(where, np.asarray(x)[None])[0][0] > 0)
 
 
 @pytest.mark.parametrize("model", ["gp50", "rail"])
@@ -141,7 +135,8 @@ def rail(folder):
 def test_samples_look_at_their_inner_steps_and_nowhere_else():
     verdicts = []
     for where, a, b in paths():
-        between = [D(where, a + k / 20 * (b - a)) > 0 for k in range(1, 20)]
+        inner = np.stack([np.asarray(a + k / 20 * (b - a)) for k in range(1, 20)])
+        between = made_once.measured(where, inner)[0] > 0
         assert clear(where, a, b, SAMPLES) == clear(where, b, a, SAMPLES) == all(between)
         assert clear(where, a, b, Settings(path_test="samples", path_steps=1))
         verdicts.append(all(between))
