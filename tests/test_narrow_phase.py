@@ -17,9 +17,9 @@ import htcp_jax
 from htcp_jax.clearance import Scene, by_pieces, clearance, contacts
 from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
-from htcp_jax.clearance.obstacles.fixtures import fixtures
+from htcp_jax.clearance.obstacles.fixtures import Fixtures, fixtures
 from htcp_jax.clearance.obstacles.narrow_phase import decide_together
-from htcp_jax.clearance.obstacles.obstacle import bodies_at
+from htcp_jax.clearance.obstacles.obstacle import Contacts, bodies_at
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.motion_proof import prove
@@ -95,19 +95,69 @@ def expected_m(capsules: float, pieces: list[float]) -> float:
     return max(capsules, min([LIMIT_M, *pieces]))
 
 
-def test_bodies_of_an_arm_are_as_far_apart_as_their_pieces():
+SETS = ("floor", "crate"), ("bar", "post")
+PART = {"own": slice(0, 10), "points": slice(10, 18)} | dict.fromkeys((*SETS[0], *SETS[1]), slice(18, 38))
+
+
+@jax.jit
+def each_alone(arm, obstacles, xs):
+    """Contacts of each obstacle alone, at every configuration."""
+    return jax.lax.map(lambda x: [contacts(arm, (each,), WHERE, x) for each in obstacles], xs)
+
+
+def sets_of_solids() -> tuple[Fixtures, Fixtures]:
+    """Two sets of solids, one with a floor, with different numbers of corners."""
+    return tuple(fixtures(arm_with_pieces(), [(name, SOLIDS[name]) for name in names]) for names in SETS)
+
+
+def only(solids: Fixtures, name: str) -> Fixtures:
+    """The same solids, of which one is checked."""
+    return dataclasses.replace(solids, is_checked=solids.is_checked & (np.array(solids.names) == name)[:, None])
+
+
+@cache
+def measured(first: str = "", second: str = "", by_capsules: bool = False) -> list[Contacts]:
+    """Contacts with both sets of solids or one solid of each, with points, and of the arm's own bodies."""
+    arm = dataclasses.replace(arm_with_pieces(), pieces=None) if by_capsules else arm_with_pieces()
+    solids = (only(each, name) if name else each for each, name in zip(sets_of_solids(), (first, second), strict=True))
+    obstacles = *solids, cloud_of(points(3000), 1e-3), SelfCollision(pairs())
+    return jax.tree.map(np.asarray, each_alone(arm, obstacles, configurations()))
+
+
+def configurations() -> np.ndarray:
     arm = arm_with_pieces()
-    pairs = tuple((a, b) for a in range(8) for b in range(8) if arm.capsule_link[a] > arm.capsule_link[b] + 1)
-    own, by_capsules = SelfCollision(pairs), dataclasses.replace(arm, pieces=None)
-    measured = jax.jit(lambda arm, x: contacts(arm, (own,), WHERE, x).distance)
-    rows, seen = own.rows(arm), 0
-    for x in made_once.configurations(arm, 10):
-        found, capsules = np.asarray(measured(arm, x)), np.asarray(measured(by_capsules, x))
+    return np.concatenate([made_once.configurations(arm, count, seed) for count, seed in ((10, 0), (8, 3), (20, 1))])
+
+
+def measured_at(name: str):
+    """Configurations of a test, and the distances to an obstacle by pieces and by capsules."""
+    solids = next((own for own in zip(*SETS, strict=True) if name in own), ("", ""))
+    row = {"points": 2, "own": 3}.get(name) or solids.index(name)
+    distances = [measured(*solids, by_capsules)[row].distance for by_capsules in (False, True)]
+    return [each[PART[name]] for each in (configurations(), *distances)]
+
+
+def points(count: int) -> np.ndarray:
+    return np.random.default_rng(2).uniform([-1.5, -1.5, 0], [1.5, 1.5, 2], (count, 3))
+
+
+def pairs() -> tuple[tuple[int, int], ...]:
+    """Pairs of bodies of links that are not adjacent."""
+    link = made_once.gp50().capsule_link
+    return tuple((a, b) for a in range(8) for b in range(8) if link[a] > link[b] + 1)
+
+
+def test_bodies_of_an_arm_are_as_far_apart_as_their_pieces():
+    arm, rows, seen = arm_with_pieces(), SelfCollision(pairs()).rows(arm_with_pieces()), 0
+    for x, found, capsules in zip(*measured_at("own"), strict=True):
         bodies = [placed_corners(arm, x, k) for k in range(8)]
         for row, (body, link) in enumerate(zip(*rows, strict=True)):
-            others = [b for a, b in pairs if a == body and arm.capsule_link[b] == link]
+            others = [b for a, b in pairs() if a == body and arm.capsule_link[b] == link]
+            if capsules[row] >= LIMIT_M:
+                assert found[row] == pytest.approx(capsules[row], abs=1e-6)
+                continue
             away = [apart_m(bodies[body][0], bodies[b][0]) - bodies[body][1] - bodies[b][1] for b in others]
-            if capsules[row] >= LIMIT_M or min(away) > 1e-6:
+            if min(away) > 1e-6:
                 assert found[row] == pytest.approx(expected_m(capsules[row], away), abs=1e-6)
             else:
                 assert capsules[row] <= found[row] <= 1e-6
@@ -137,43 +187,41 @@ def outline(name: str) -> tuple[np.ndarray, float]:
 
 def test_obstacles_that_are_searched_together_have_the_contacts_of_each_alone():
     """Two sets of solids, one with a floor, with different numbers of corners, and the arm itself."""
-    arm, seen = arm_with_pieces(), 0
-    pairs = tuple((a, b) for a in range(8) for b in range(8) if arm.capsule_link[a] > arm.capsule_link[b] + 1)
-    two = [fixtures(arm, [(name, SOLIDS[name]) for name in names]) for names in (("floor", "crate"), ("bar", "post"))]
-    every = *two, SelfCollision(pairs)
+    arm, every = arm_with_pieces(), (*sets_of_solids(), SelfCollision(pairs()))
 
-    def measured(x):
+    @jax.jit
+    @jax.vmap
+    def together(x):
         bodies = bodies_at(arm, WHERE, x)
-        alone = [each.contacts(arm, WHERE, bodies) for each in every]
-        return alone, [each.contacts(arm, WHERE, bodies) for each in decide_together(arm, every, WHERE, bodies)]
+        return [each.contacts(arm, WHERE, bodies) for each in decide_together(arm, every, WHERE, bodies)]
 
-    measured = jax.jit(measured)
-    for x in made_once.configurations(arm, 20, seed=2):
-        alone, together = measured(x)
-        for one, other in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
-            np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
-        seen += sum(int(np.sum(each.radius == 0)) for each in alone)
-    assert seen > 40  # decided by pieces
+    alone = [measured()[row] for row in (0, 1, 3)]
+    for one, other in zip(jax.tree.leaves(alone), jax.tree.leaves(together(configurations())), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+    assert sum(int(np.sum(each.radius == 0)) for each in alone) > 40  # decided by pieces
 
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_a_solid_is_as_far_away_as_the_pieces_are(name):
-    arm = arm_with_pieces()
-    own, by_capsules = fixtures(arm, [(name, SOLIDS[name])]), dataclasses.replace(arm, pieces=None)
-    measured = jax.jit(lambda arm, own, x: contacts(arm, (own,), WHERE, x).distance)
-    checked, seen = np.asarray(own.is_checked)[0], 0
-    for x in made_once.configurations(arm, 20, seed=1):
-        found, capsules = np.asarray(measured(arm, own, x)), np.asarray(measured(by_capsules, own, x))
+    arm, seen = arm_with_pieces(), 0
+    checked = next(
+        np.asarray(each.is_checked)[each.names.index(name)] for each in sets_of_solids() if name in each.names
+    )
+    for x, found, capsules in zip(*measured_at(name), strict=True):
         for k in np.flatnonzero(checked & np.isfinite(capsules)):
+            if capsules[k] <= -arm.pieces.excess_m[k] or arm.pieces.excess_m[k] == 0:
+                assert found[k] == capsules[k]
+                continue
+            if capsules[k] >= LIMIT_M:
+                assert found[k] == pytest.approx(capsules[k], abs=1e-6)
+                continue
             corners, radius = placed_corners(arm, x, k)
             if name == "floor":
                 away = float(corners[:, 2].min()) - 0.3 - radius
             else:
                 others, thick = outline(name)
                 away = apart_m(corners, others) - radius - thick
-            if capsules[k] <= -arm.pieces.excess_m[k] or arm.pieces.excess_m[k] == 0:
-                assert found[k] == capsules[k]
-            elif away > 1e-6 or name == "floor":
+            if away > 1e-6 or name == "floor":
                 assert found[k] == pytest.approx(expected_m(capsules[k], [away]), abs=3e-4 if name == "post" else 1e-6)
             else:
                 assert capsules[k] <= found[k] <= 1e-6
@@ -182,24 +230,19 @@ def test_a_solid_is_as_far_away_as_the_pieces_are(name):
 
 
 def test_points_are_as_far_away_as_the_pieces_are_at_most_by_a_tenth_less():
-    arm = arm_with_pieces()
-    points = np.random.default_rng(2).uniform([-1.5, -1.5, 0], [1.5, 1.5, 2], (3000, 3))
-    own, by_capsules = cloud_of(points, 1e-3), dataclasses.replace(arm, pieces=None)
-    measured = jax.jit(lambda arm, x: contacts(arm, (own,), WHERE, x).distance)
-    seen = 0
-    for x in made_once.configurations(arm, 8, seed=3):
-        found, capsules = np.asarray(measured(arm, x)), np.asarray(measured(by_capsules, x))
+    arm, cloud, seen = arm_with_pieces(), points(3000), 0
+    for x, found, capsules in zip(*measured_at("points"), strict=True):
         for k in range(8):
             if capsules[k] >= LIMIT_M or arm.pieces.excess_m[k] == 0:
                 assert found[k] == capsules[k]
                 continue
             corners, _ = placed_corners(arm, x, k)
             faces = ConvexHull(corners).equations
-            depth = -(points @ faces[:, :3].T + faces[:, 3]).max(axis=1).min()
+            depth = -(cloud @ faces[:, :3].T + faces[:, 3]).max(axis=1).min()
             if depth > 0:
                 assert found[k] == pytest.approx(max(capsules[k], -depth - 1e-3), abs=1e-6)
                 continue
-            near = points[np.argsort(np.linalg.norm(points - corners.mean(axis=0), axis=1))[:20]]
+            near = cloud[np.argsort(np.linalg.norm(cloud - corners.mean(axis=0), axis=1))[:20]]
             away = min(apart_m(corners, point[None]) for point in near) - 1e-3
             least, most = (expected_m(capsules[k], [share * (away + 1e-3) - 1e-3]) for share in (0.8, 1.0))
             assert least - 1e-6 <= found[k] <= most + 1e-6
@@ -209,15 +252,14 @@ def test_points_are_as_far_away_as_the_pieces_are_at_most_by_a_tenth_less():
 
 def test_the_gradient_is_that_of_the_distance():
     arm = arm_with_pieces()
-    points = np.random.default_rng(2).uniform([-1.5, -1.5, 0], [1.5, 1.5, 2], (3000, 3))
-    pairs = tuple((a, b) for a in range(8) for b in range(8) if arm.capsule_link[a] > arm.capsule_link[b] + 1)
-    obstacles = cloud_of(points, 1e-3), fixtures(arm, list(SOLIDS.items())), SelfCollision(pairs)
-    measured = jax.jit(lambda x: clearance_rows(arm, obstacles, WHERE, x))
-    seen = 0
-    for x in made_once.configurations(arm, 8, seed=4):
-        rows = measured(x)
-        steps = 1e-6 * np.eye(len(x))
-        ahead, back = (np.stack([measured(x + s * d).distance for d in steps], axis=1) for s in (1, -1))
+    obstacles = cloud_of(points(3000), 1e-3), fixtures(arm, list(SOLIDS.items())), SelfCollision(pairs())
+    xs, seen = made_once.configurations(arm, 8, seed=4), 0
+    steps = 1e-6 * np.concatenate([np.zeros((1, 6)), np.eye(6), -np.eye(6)])
+    measured = jax.jit(lambda xs: jax.lax.map(lambda x: clearance_rows(arm, obstacles, WHERE, x), xs))
+    found = measured((xs[:, None] + steps).reshape(-1, 6))
+    for k in range(0, len(found.distance), 13):
+        rows = jax.tree.map(lambda leaf, k=k: np.asarray(leaf[k]), found)
+        ahead, back = np.asarray(found.distance)[k + 1 : k + 13].reshape(2, 6, -1).transpose(0, 2, 1)
         slope = (ahead - back) / 2e-6
         smooth = np.abs(ahead + back - 2 * np.asarray(rows.distance)[:, None]).max(axis=1) < 1e-9
         flat = np.asarray(rows.distance) == LIMIT_M
@@ -229,8 +271,7 @@ def test_the_gradient_is_that_of_the_distance():
 
 def test_a_path_that_only_the_pieces_prove_is_clear_at_dense_samples():
     arm = arm_with_pieces()
-    points = np.random.default_rng(2).uniform([-1.5, -1.5, 0], [1.5, 1.5, 2], (300, 3))
-    scene = Scene(arm, (cloud_of(points, 1e-3), fixtures(arm, [("crate", SOLIDS["crate"])])))
+    scene = Scene(arm, (cloud_of(points(300), 1e-3), fixtures(arm, [("crate", SOLIDS["crate"])])))
     thick = scene._replace(robot=dataclasses.replace(arm, pieces=None))
     proved = jax.jit(lambda scene, a, b: prove(scene, WHERE, a, b))
     places = jax.jit(jax.vmap(lambda x: clearance(arm, scene.obstacles, WHERE, x)))
@@ -271,19 +312,19 @@ def test_a_message_names_the_nearest_body_by_the_pieces_where_they_decide():
     post = Rod(np.array([0.9, 0.2, 0.0]), np.array([0.9, 0.2, 2.0]), np.array(0.05))
     crate = Box(np.eye(3), np.array([0.9, -0.4, 1.0]), np.array([0.3, 0.3, 1.0]))
     both = fixtures(arm, [("crate", crate), ("post", post)])
-    alone = fixtures(arm, [("crate", crate)]), fixtures(arm, [("post", post)])
     pairs = tuple((a, b) for a in range(8) for b in range(8) if arm.capsule_link[a] > arm.capsule_link[b])
     own = SelfCollision(pairs)
     others = [[b for a, b in pairs if (a, arm.capsule_link[b]) == row] for row in zip(*own.rows(arm), strict=True)]
     row = next(k for k, each in enumerate(others) if len(each) > 1)
     of_row = [SelfCollision(((own.rows(arm).body[row], other),)) for other in others[row]]
-    clearances_of = jax.jit(
-        jax.vmap(
-            lambda arm, x: [contacts(arm, (each,), WHERE, x).distance for each in (*alone, *of_row)], in_axes=(None, 0)
-        )
-    )
-    xs = jnp.asarray(np.array(list(made_once.configurations(arm, 300, seed=3))))
-    by_piece, by_capsule = (list(map(np.asarray, clearances_of(each, xs))) for each in (arm, bare))
+    xs = jnp.asarray(made_once.configurations(arm, 300, seed=3))
+
+    def distances_of(arm):
+        crate, *own = (each.distance for each in each_alone(arm, (only(both, "crate"), *of_row), xs))
+        post, *_ = (each.distance for each in each_alone(arm, (only(both, "post"), *of_row), xs))
+        return list(map(np.asarray, (crate, post, *own)))
+
+    by_piece, by_capsule = distances_of(arm), distances_of(bare)
     solid, of_capsule = (np.argmin(each[:2], axis=0) for each in (by_piece, by_capsule))
     close = np.min(by_piece[:2], axis=0) < LIMIT_M
     rows = sorted(np.argwhere(close).tolist(), key=lambda each: solid[*each] == of_capsule[*each])  # unequal ones first
