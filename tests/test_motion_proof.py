@@ -1,6 +1,6 @@
 """Proofs of motions: proven joint paths hold at a thousand samples, refuted ones fail at the reported place."""
 
-from functools import cache, partial
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +10,10 @@ import pytest
 from sphere_references import Where, place
 from test_joint_path import rail
 
-from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof.bisection import PathVerdict, Proof
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
-from htcp_jax.clearance.proof.motion_proof import Tube, prove
+from htcp_jax.clearance.proof.motion_proof import DEEPEST, Tube, prove
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.model.robot import GP50
@@ -22,10 +22,8 @@ from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 
 PLACES = 1000
-_PROVEN = jax.jit(prove)
-_D = jax.jit(clearance)
-_D_everywhere = jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(clearance, robot, obstacle, where), x))
-_TCP, _TCPS, _JACOBIAN = jax.jit(tcp_position), jax.jit(jax.vmap(tcp_position, in_axes=(None, 0))), jax.jit(jacobian)
+_PROVEN = jax.jit(lambda *given, deepest: prove(*given, deepest=deepest))
+_TCP, _JACOBIAN = jax.jit(tcp_position), jax.jit(jacobian)
 
 
 def tcp(x):
@@ -37,8 +35,9 @@ def straight(a, b, places=PLACES):
     return np.asarray(a) + np.linspace(0, 1, places)[:, None] * (np.asarray(b) - np.asarray(a))
 
 
-def proof_of(where, a, b, around=None):
-    return Proof(*(leaf.item() for leaf in _PROVEN(Scene(*made_once.scene()), where, a, b, around)))
+def proof_of(where, a, b, around=None, deepest=DEEPEST):
+    found = _PROVEN(Scene(*made_once.scene()), where, a, b, around, deepest=np.int64(deepest))
+    return Proof(*(leaf.item() for leaf in found))
 
 
 def tube(start, end, radius):
@@ -121,9 +120,8 @@ def test_a_proven_motion_is_clear_in_its_tube_and_advances_at_a_thousand_places(
     lines = 0
     for (where, a, b, around), proof in those(PathVerdict.VALID):
         x = straight(a, b)
-        smallest = float(jnp.min(_D_everywhere(*made_once.scene()[:2], where, jnp.asarray(x))))
-        assert 0 < proof.clearance <= smallest + ROUNDING_M
-        points = np.asarray(_TCPS(made_once.robot(), jnp.asarray(x)))
+        D, points = made_once.measured(where, x)
+        assert 0 < proof.clearance <= D.min() + ROUNDING_M
         start, end = np.asarray(around.start), np.asarray(around.end)
         assert off_line(start, end, points).max() <= float(around.radius)
         assert (np.diff(points @ (end - start)) >= -1e-15).all()
@@ -134,7 +132,7 @@ def test_a_proven_motion_is_clear_in_its_tube_and_advances_at_a_thousand_places(
 
 def test_a_refuted_motion_is_wrong_where_it_says():
     for (where, a, b, _), proof in those(PathVerdict.IN_COLLISION):
-        assert float(_D(*made_once.scene()[:2], where, a + proof.place * (b - a))) <= 0
+        assert made_once.measured(where, np.asarray(a + proof.place * (b - a))[None])[0][0] <= 0
     for (_, a, b, around), proof in those(PathVerdict.OFF_PATH):
         point = tcp(a + proof.place * (b - a))
         assert off_line(np.asarray(around.start), np.asarray(around.end), point[None])[0] > float(around.radius)
@@ -154,9 +152,9 @@ def test_nothing_is_left_open_but_what_grazes():
 
 
 def test_with_fewer_halvings_what_needs_more_is_open_and_nothing_else_changes():
-    few, opened = jax.jit(partial(prove, deepest=1)), 0
+    opened = 0
     for (where, a, b, around), proof in zip(motions(), proofs(), strict=True):
-        again = Proof(*(leaf.item() for leaf in few(Scene(*made_once.scene()), where, a, b, around)))
+        again = proof_of(where, a, b, around, deepest=1)
         assert again.depth <= 1 and again.queries <= 3
         assert again == proof if proof.depth <= 1 else again.verdict == PathVerdict.UNDECIDED
         opened += again.verdict == PathVerdict.UNDECIDED
@@ -170,8 +168,8 @@ def test_what_touches_its_tube_all_along_is_open():
     line = tube(here + np.array([0, 0, 0.25]), here + np.array([1, 0, 0.25]), 0.25)
     proof = proof_of(where, start, start, line)
     assert proof.verdict == PathVerdict.UNDECIDED
-    assert proof_of(where, start, start, line._replace(radius=jnp.asarray(0.26))).verdict == PathVerdict.VALID
-    assert proof_of(where, start, start, line._replace(radius=jnp.asarray(0.24))).verdict == PathVerdict.OFF_PATH
+    assert proof_of(where, start, start, tube(line.start, line.end, 0.26)).verdict == PathVerdict.VALID
+    assert proof_of(where, start, start, tube(line.start, line.end, 0.24)).verdict == PathVerdict.OFF_PATH
 
 
 @pytest.mark.parametrize("turn", [0.3, 1.5, 1.65, 2.5])
@@ -216,7 +214,7 @@ def test_about_a_point_the_tcp_may_move_any_way():
     """Check motions that reverse on their line: valid in a ball that contains them, if they are clear."""
     turned = 0
     for (where, a, b, _), _ in those(PathVerdict.REVERSES):
-        points = np.asarray(_TCPS(made_once.robot(), jnp.asarray(straight(a, b))))
+        points = made_once.measured(where, straight(a, b))[1]
         middle = points.mean(axis=0)
         radius = np.linalg.norm(points - middle, axis=1).max()
         is_clear = proof_of(where, a, b).verdict == PathVerdict.VALID
