@@ -1,6 +1,7 @@
 """Obstacles of other packages, and the arm's own bodies: measured, proven and planned with like the workpiece."""
 
-from functools import cache
+from functools import cache, partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +11,8 @@ from own_obstacles import Floor
 
 from htcp_jax.clearance import Obstacle, Scene, clearance, clearances, contacts, is_clear, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles.obstacle import bodies_at
-from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance_rows, free_radius
+from htcp_jax.clearance.obstacles.obstacle import Contacts, bodies_at
+from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, all_clear, clearance_rows, free_radius
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.motion_proof import proven_clear
@@ -25,9 +26,40 @@ def obstacles() -> tuple[Obstacle, ...]:
     return (*make_obstacle(made_once.duct()), Floor(jnp.asarray(0.0)), SelfCollision(PAIRS))
 
 
+ROWS = 100  # configurations per call, in all tests
+
+
+class Answers(NamedTuple):
+    """Answers to every query at a configuration."""
+
+    clearances: jax.Array
+    clearance: jax.Array
+    is_clear: jax.Array
+    free_radius: jax.Array
+    rows: ClearanceRows
+    contacts: Contacts
+    ends: tuple
+
+
+@partial(jax.jit, static_argnames="queries")
+def _answered(robot, obstacles, where, x, queries):
+    return jax.lax.map(lambda x: [query(robot, obstacles, where, x) for query in queries], x)
+
+
+def answers(queries, x, own=None) -> list:
+    """Answers to queries at every x, by one program for any number."""
+    padded = np.concatenate([x, np.repeat(x[-1:], -len(x) % ROWS, axis=0)])
+    given = made_once.robot(), obstacles() if own is None else own, made_once.nominal()
+    parts = [_answered(*given, part, queries) for part in padded.reshape(-1, ROWS, x.shape[1])]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(x)], *parts)
+
+
 @cache
-def jitted(function):
-    return jax.jit(function)
+def answered() -> Answers:
+    """Answers to every query at all `configurations`."""
+    ends = lambda robot, obstacles, where, x: capsule_segments(robot, x)  # noqa: E731
+    queries = clearances, clearance, is_clear, free_radius, clearance_rows, contacts, ends
+    return Answers(*answers(queries, configurations()))
 
 
 @cache
@@ -39,16 +71,21 @@ def configurations() -> np.ndarray:
     )
 
 
-def by_hand(x) -> np.ndarray:
-    """Distances of the floor's and the pairs' rows by numpy: capsule ends, and axes cut into 400 pieces."""
+def by_hand(p, q) -> np.ndarray:
+    """Distances of the floor's and the pairs' rows by numpy: capsule ends, and 401 points of an axis to the other."""
     robot = made_once.robot()
-    p, q = (np.asarray(end) for end in jitted(capsule_segments)(robot, jnp.asarray(x)))
     radius = np.asarray(robot.capsule_radius)
     floor = np.where(np.array(robot.capsule_link) < 0, 10.0, np.minimum(p[:, 2], q[:, 2]) - radius)
     along = np.linspace(0, 1, 401)[:, None]
-    axes = p[:, None] + along[None] * (q - p)[:, None]
-    apart = [np.linalg.norm(axes[a][:, None] - axes[b][None], axis=2).min() - radius[a] - radius[b] for a, b in PAIRS]
+    apart = [
+        smallest_distance(p[a] + along * (q[a] - p[a]), p[b], q[b] - p[b]) - radius[a] - radius[b] for a, b in PAIRS
+    ]
     return np.concatenate([floor, apart])
+
+
+def smallest_distance(points, p, d) -> float:
+    s = np.clip((points - p) @ d / max(d @ d, 1e-30), 0, 1)
+    return np.linalg.norm(points - p - s[:, None] * d, axis=1).min()
 
 
 def test_every_kind_is_an_obstacle_and_the_rows_are_those_of_the_bodies_and_of_the_pairs():
@@ -60,73 +97,82 @@ def test_every_kind_is_an_obstacle_and_the_rows_are_those_of_the_bodies_and_of_t
 
 
 def test_a_bodys_row_is_the_nearest_of_all_kinds_and_a_pair_has_its_own():
-    robot, where = made_once.robot(), made_once.nominal()
+    every = answered()
+    (parts,) = answers((clearances,), configurations(), obstacles()[:2])
     decided = 0
-    for x in configurations():
-        own = by_hand(x)
-        part = np.asarray(jitted(clearances)(robot, obstacles()[:2], where, x))
-        found = np.asarray(jitted(clearances)(robot, obstacles(), where, x))
+    for p, q, part, found in zip(*every.ends, parts, every.clearances, strict=True):
+        own = by_hand(p, q)
         np.testing.assert_allclose(found[:8], np.minimum(part, own[:8]), atol=1e-14)
         np.testing.assert_allclose(found[8:], own[8:], atol=3e-3)  # numpy cuts the axes into pieces of a few mm
         assert (found[8:] <= own[8:] + 1e-12).all()
-        np.testing.assert_allclose(jitted(clearance)(robot, obstacles(), where, x), found.min(), atol=1e-14)
-        assert jitted(is_clear)(robot, obstacles(), where, x) == (found.min() > 0)
         decided += (own[:8] < part).any() + (found[8:].min() < found[:8].min())
     assert decided > 20
+    np.testing.assert_allclose(every.clearance, every.clearances.min(axis=1), atol=1e-14)
+    np.testing.assert_array_equal(every.is_clear, every.clearances.min(axis=1) > 0)
 
 
 def test_the_gradient_is_that_of_the_distance_also_where_both_bodies_move():
-    robot, where, h = made_once.robot(), made_once.nominal(), 1e-6
-    for x in configurations()[::4]:
-        rows = jitted(clearance_rows)(robot, obstacles(), where, x)
-        steps = h * np.eye(6)
-        ends = [[np.asarray(jitted(clearances)(robot, obstacles(), where, x + s * d)) for d in steps] for s in (1, -1)]
-        slope = ((np.array(ends[0]) - np.array(ends[1])) / (2 * h)).T
-        kink = np.abs(slope - rows.gradient).max(axis=1) > 1e-4  # another point, or another kind, is nearest next to x
+    steps = 1e-6 * np.concatenate([np.eye(6), -np.eye(6)])
+    (ends,) = answers((clearances,), (configurations()[::4, None] + steps).reshape(-1, 6))
+    for gradient, (ahead, behind) in zip(answered().rows.gradient[::4], ends.reshape(-1, 2, 6, 12), strict=True):
+        slope = ((ahead - behind) / 2e-6).T
+        kink = np.abs(slope - gradient).max(axis=1) > 1e-4  # another point, or another kind, is nearest next to x
         assert kink.mean() < 0.2
-        np.testing.assert_allclose(np.asarray(rows.gradient)[~kink], slope[~kink], atol=1e-4)
+        np.testing.assert_allclose(gradient[~kink], slope[~kink], atol=1e-4)
 
 
 def test_a_contact_held_never_predicts_less_than_the_truth_and_the_truth_where_it_was_seen():
-    robot, where = made_once.robot(), made_once.nominal()
+    robot = made_once.robot()
     rows, rng = rows_of(robot, obstacles()), np.random.default_rng(0)
     hold = jax.jit(lambda robot, x, touch: hold_contacts(robot, x, rows, touch))
     predict = jax.jit(lambda robot, x, held: predict_distances(robot, x, rows, held)[0])
-    for x in configurations()[60::2]:
-        touch = jitted(contacts)(robot, obstacles(), where, x)
+    xs, touches = jax.tree.map(lambda leaf: leaf[60::2], (configurations(), answered().contacts))
+    near = xs[:, None] + np.stack([rng.uniform(-0.1, 0.1, (4, 6)) for _ in xs])
+    (truths,) = answers((clearances,), near.reshape(-1, 6))
+    for k, (x, places, truth) in enumerate(zip(xs, near, truths.reshape(len(xs), 4, -1), strict=True)):
+        touch = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), touches)
         held = hold(robot, jnp.asarray(x), touch)
         np.testing.assert_allclose(predict(robot, x, held), touch.distance, atol=1e-12)
-        for near in x + rng.uniform(-0.1, 0.1, (4, 6)):
-            truth = np.asarray(jitted(clearances)(robot, obstacles(), where, near))
-            predicted = np.asarray(predict(robot, near, held))
-            assert (predicted >= truth - 1e-12)[~np.asarray(touch.plane)].all()
-            assert (predicted >= truth - 1e-12)[8:].all()
+        for place, exact in zip(places, truth, strict=True):
+            predicted = np.asarray(predict(robot, place, held))
+            assert (predicted >= exact - 1e-12)[~np.asarray(touch.plane)].all()
+            assert (predicted >= exact - 1e-12)[8:].all()
 
 
 def test_paths_are_clear_where_no_place_of_them_touches_any_kind():
-    robot, where, scene = made_once.robot(), made_once.nominal(), Scene(made_once.robot(), obstacles())
-    proven = jax.jit(lambda a, b: proven_clear(scene, where, a, b))
-    verdicts, rng = [], np.random.default_rng(1)
-    for x in configurations()[20:80]:  # the first forty are random, often in collision
-        end = x + rng.uniform(-0.2, 0.2, 6)
-        places = x + np.linspace(0, 1, 41)[:, None] * (end - x)
-        truth = all(bool(jitted(is_clear)(robot, obstacles(), where, place)) for place in places)
-        assert bool(jitted(all_clear)(robot, obstacles(), where, jnp.asarray(places))) == truth
-        assert truth or not bool(proven(x, end))
-        verdicts.append(bool(proven(x, end)))
-        if truth:
-            assert (np.asarray(jitted(free_radius)(robot, obstacles(), where, x)) > 0).all()
-    assert 5 <= sum(verdicts) <= len(verdicts) - 5
+    where, scene = made_once.nominal(), Scene(made_once.robot(), obstacles())
+    rng = np.random.default_rng(1)
+    starts = configurations()[20:80]  # the first forty are random, often in collision
+    ends = starts + np.stack([rng.uniform(-0.2, 0.2, 6) for _ in starts])
+    places = starts[:, None] + np.linspace(0, 1, 41)[:, None] * (ends - starts)[:, None]
+    (clear,) = answers((is_clear,), places.reshape(-1, 6))
+    truth = clear.reshape(len(starts), 41).all(axis=1)
+
+    @jax.jit
+    def verdicts(scene, where, starts, ends, places):
+        def verdict(path):
+            return all_clear(*scene[:2], where, path[2]), proven_clear(scene, where, *path[:2])
+
+        return jax.lax.map(verdict, (starts, ends, places))
+
+    found, proven = map(np.asarray, verdicts(scene, where, starts, ends, places))
+    np.testing.assert_array_equal(found, truth)
+    assert truth[proven].all() and 5 <= proven.sum() <= len(proven) - 5
+    assert (answered().free_radius[20:80][truth] > 0).all()
 
 
 def test_contacts_alone_answer_every_query():
     robot, where, floor = made_once.robot(), made_once.nominal(), Floor(jnp.asarray(0.0))
-    for x in configurations()[:20]:
-        bodies = bodies_at(robot, where, jnp.asarray(x))
-        for query in ("smallest", "touches", "free_radius"):
-            by_contacts = getattr(Obstacle, query)(floor, robot, where, bodies)
-            np.testing.assert_array_equal(by_contacts, getattr(floor, query)(robot, where, bodies))
-    along = jax.vmap(lambda x: bodies_at(robot, where, x))(jnp.asarray(configurations()[:20]))
-    for body in range(len(robot.capsule_link)):
-        requested = robot, where, along, jnp.asarray(body), jnp.ones(20, bool)
-        assert bool(Obstacle.touches_along(floor, *requested)) == bool(floor.touches_along(*requested))
+
+    @partial(jax.jit, static_argnums=0)
+    def answer(of, xs):
+        along = jax.vmap(lambda x: bodies_at(robot, where, x))(xs)
+        each = [jax.vmap(lambda bodies, query=query: getattr(of, query)(floor, robot, where, bodies))(along)
+                for query in ("smallest", "touches", "free_radius")]  # fmt: skip
+        bodies = jnp.arange(len(robot.capsule_link))
+        every = jnp.ones(len(xs), bool)
+        return each, jax.vmap(lambda body: of.touches_along(floor, robot, where, along, body, every))(bodies)
+
+    xs = jnp.asarray(configurations()[:20])
+    for by_contacts, own in zip(*map(jax.tree.leaves, (answer(Obstacle, xs), answer(Floor, xs))), strict=True):
+        np.testing.assert_array_equal(by_contacts, own)
