@@ -42,10 +42,11 @@ def plan_small_run(place: Path) -> Path:
 
 
 @cache
-def _toy_folder() -> TemporaryDirectory:
+def _toy_folder(points: int) -> TemporaryDirectory:
     folder = TemporaryDirectory()
     place = Path(folder.name)
-    toy.write_job(place, 3, shift_m=(0.4, 0.02, -0.03), cell={"self_collision": False})
+    changes = {"cell": {"self_collision": False}, "program": {"velocity": [2.0] * 4}}
+    toy.write_job(place, points, shift_m=(0.4, 0.02, -0.03), **changes)
     (place / "grid.yaml").write_text(TOY_SWEEP)
     spec = load_sweep(place / "grid.yaml")
     scene = spec.batch()
@@ -54,12 +55,13 @@ def _toy_folder() -> TemporaryDirectory:
     return folder
 
 
-def toy_run() -> Path:
+def toy_run(points: int = 3) -> Path:
     """Folder with a run of the toy arm, read and validated in a fifth of a second; read-only.
 
     Two tools and two poses of the shelf, all targets tracked; the plans of the second method are those of the first.
+    The targets are these points of the path and five before it.
     """
-    return Path(_toy_folder().name)
+    return Path(_toy_folder(points).name)
 
 
 def spoil(folder: Path, scenario: int, target: int, method: str = METHODS[0], **values) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from hostile import KINDS, SHARD, commands
 from made_plan import made_plan
+from small_run import toy_run
 from sweep_process import environment
 
 from htcp_jax.cli import main
@@ -22,14 +23,14 @@ from htcp_jax.unfinished import SCRATCH, clear, temporary_folder
 
 PEAK = 10**9  # bytes
 LONGEST_S = 120  # longer than any command takes on any machine
-PLACE = "place: {workpiece.rotation_y_rad: [0.3, 0.5]}\nwithin: {scenarios: 4}\n"
+PLACE = "config: job.yaml\nplace: {workpiece.rotation_y_rad: [0.0, 0.1]}\nwithin: {scenarios: 4}\n"
 HERE = Path(__file__).parent
 
 
 @pytest.fixture(scope="module")
-def good(planned, tmp_path_factory):
+def good(tmp_path_factory):
     """Folder with a run, a plan and a search, and the files of their jobs."""
-    place = shutil.copytree(planned, tmp_path_factory.mktemp("good") / "place")
+    place = shutil.copytree(toy_run(4), tmp_path_factory.mktemp("good") / "place")
     found = {"prefix": [1] * 4, "most": [9] * 4, "resolution_rad": 0.1, "seed": 0}
     (place / "run" / "reachability.json").write_text(json.dumps(found))
     assert main(["gate", str(place / "run"), "--baseline", str(place / "baseline.yaml"), "--update"]) == 0
