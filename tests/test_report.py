@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +27,9 @@ from htcp_jax.report.best import best_scenarios
 from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.chapter import answer, chapter, choice, label, part_facts, tables_of
 from htcp_jax.report.document import Heading, Picture, html, markdown
-from htcp_jax.report.groups import read_parts
+from htcp_jax.report.groups import Part, read_parts
 from htcp_jax.report.motions import meaning, motion_table
-from htcp_jax.report.report import overview
+from htcp_jax.report.report import Report, overview
 from htcp_jax.runs import Run, open_run
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.reachability_file import REACHABILITY
@@ -133,10 +134,18 @@ def test_a_long_text_is_no_column_of_single_words_on_a_narrow_screen(tmp_path, b
     page.close()
 
 
-def part_of(folder, name: str):
-    run = open_run(folder / name)
-    (part,) = read_parts(run, name, OpenedScene)
+def read_part(folder: Path, name: str) -> Part:
+    (part,) = read_parts(open_run(folder / name), name, OpenedScene)
     return part
+
+
+part_of = cache(read_part)  # where no test has changed the folder
+
+
+@cache
+def report_of(folder: Path, *names: str) -> Report:
+    """Report on runs that no test has changed."""
+    return make_report([folder / name for name in names])
 
 
 def rows_of(table: Table) -> dict[str, dict]:
@@ -227,7 +236,7 @@ def test_the_headline_counts_what_can_be_driven_next_to_what_is_tracked(folder):
     assert (base["tracked"], base["executable"], base["targets"]) == (25, 2, 26)
     assert base["executable_percent"] == pytest.approx(100 * 2 / 26)
     assert hybrid["tracked"] == hybrid["executable"] == 26
-    figures = make_report([folder / "one"]).figures
+    figures = report_of(folder, "one").figures
     texts = [text.get_text() for text in figures["success"].axes[0].texts]
     assert texts == ["96.15 %  (25 of 26), executable 7.69 %", "100.00 %  (26 of 26), executable 100.00 %"]
 
@@ -235,7 +244,7 @@ def test_the_headline_counts_what_can_be_driven_next_to_what_is_tracked(folder):
 def test_the_maps_count_what_can_be_driven(folder):
     """Maps of executable targets (regression: the map showed tracked targets only)."""
     part = part_of(folder, "poses")
-    figure = make_report([folder / "poses"]).figures["map"]
+    figure = report_of(folder, "poses").figures["map"]
     cells = [text.get_text() for text in figure.axes[0].texts]
     assert cells[:4] == ["1\n(105)", "1\n(104)", "1\n(103)", "1\n(102)"] and len(cells) == len(part.numbers)
     assert [text.get_text() for text in figure.axes[1].texts] == ["105"] * 49
@@ -243,7 +252,7 @@ def test_the_maps_count_what_can_be_driven(folder):
 
 def test_the_report_shows_the_cell_and_the_best_scenarios_with_their_parameters(folder):
     """Picture of the cell, and the best scenarios with their parameters (regression: neither was shown)."""
-    made = make_report([folder / "poses"])
+    made = report_of(folder, "poses")
     assert "cell" in made.figures
     rows = made.frame("best").to_dict("records")
     assert [row["method"] for row in rows] == ["baseline"] * 3 + ["hybrid"] * 3
@@ -343,11 +352,11 @@ def test_a_chapter_begins_with_the_scenarios_that_can_be_run_and_their_guarantee
 
 def test_a_study_with_a_scene_of_its_own_is_not_compared_with_the_paper_s(folder):
     """Comparison with the paper's configuration: none for a study with its own scene (regression)."""
-    names = [block.name for block in make_report([folder / "one"]).blocks if isinstance(block, Table)]
+    names = [block.name for block in report_of(folder, "one").blocks if isinstance(block, Table)]
     assert "configuration" not in names
     (table,) = (
         block
-        for block in make_report([folder / "one", folder / "measuring"]).blocks
+        for block in report_of(folder, "one", "measuring").blocks
         if isinstance(block, Table) and block.name == "configuration"
     )
     assert [column.key for column in table.columns] == ["key", "one", "measuring"]
@@ -358,7 +367,7 @@ def test_ranges_and_slices_carry_their_units(folder):
     """Units of ranges and slices (regression: "rotation y = 0.2", without a unit)."""
     reported = " ".join(part_facts(part_of(folder, "poses")))
     assert "rotation y (0.2 to 0.8 rad, 11.5 to 45.8 degrees)" in reported
-    titles = [axes.get_title() for axes in make_report([folder / "starts"]).figures["map"].axes]
+    titles = [axes.get_title() for axes in report_of(folder, "starts").figures["map"].axes]
     assert "start joint 3 = 0.3 rad" in titles
 
 
@@ -370,7 +379,7 @@ def test_what_was_run_is_reported_with_every_deviation(folder):
 
 
 def test_groups_are_parts_with_tables_of_their_own(folder):
-    report = make_report([folder / "groups", folder / "one"])
+    report = report_of(folder, "groups", "one")
     assert [part.name for part in report.parts] == ["groups: first", "groups: second", "one"]
     assert [len(part.numbers) for part in report.parts] == [2, 3, 2]
     assert [
@@ -407,7 +416,7 @@ def test_the_reach_of_each_target_is_a_table_and_a_picture_and_an_unknown_word_i
     known = {"prefix": [11, 11], "most": [11, 11], "resolution_rad": 0.1, "seed": 0}
     try:
         file.write_text(json.dumps(known | {"each": each}))
-        rows = rows_of(tables.reach_table(part_of(folder, "one")))
+        rows = rows_of(tables.reach_table(read_part(folder, "one")))
         assert {reach: row["targets"] for reach, row in rows.items()} == {
             "reachable": 16,
             "excluded: tool": 2,
@@ -416,7 +425,7 @@ def test_the_reach_of_each_target_is_a_table_and_a_picture_and_an_unknown_word_i
         assert "reach" in {block.name for block in make_report([folder / "one"]).blocks if isinstance(block, Picture)}
         file.write_text(json.dumps(known | {"each": [["perhaps"]] * 2}))
         with pytest.raises(InputError, match=REACHABILITY):
-            part_of(folder, "one")
+            read_part(folder, "one")
     finally:
         file.unlink()
 
@@ -425,7 +434,7 @@ def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tm
     file = folder / "one" / REACHABILITY
     try:
         file.write_text(json.dumps({"prefix": [12, 13], "most": [13, 13], "resolution_rad": 0.1, "seed": 0}))
-        part = part_of(folder, "one")
+        part = read_part(folder, "one")
         rows = rows_of(tables.reachability_table(part))
         assert (rows["baseline"]["reachable"], rows["baseline"]["of_reachable_percent"]) == (25, 100)
         assert (rows["baseline"]["short"], rows["baseline"]["beyond"]) == (1, 1)
@@ -437,7 +446,7 @@ def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tm
         for damaged in ("{", "[]", '{"prefix": [12, 13]}', *wrong):
             file.write_text(damaged)
             with pytest.raises(InputError, match=REACHABILITY):
-                part_of(folder, "one")
+                read_part(folder, "one")
     finally:
         file.unlink()
 
@@ -524,9 +533,7 @@ def test_success_is_drawn_along_a_parameter_of_the_task_with_what_is_reachable_n
 
 
 def test_grids_of_any_number_of_axes_are_drawn(folder):
-    pictures = {
-        name: re.findall(r"\((map.*)\)", markdown(make_report([folder / name]).blocks)) for name in ("one", "four")
-    }
+    pictures = {name: re.findall(r"\((map.*)\)", markdown(report_of(folder, name).blocks)) for name in ("one", "four")}
     assert pictures == {"one": ["map.png"], "four": ["map-1-2.png", "map-3-4.png"]}
 
 
