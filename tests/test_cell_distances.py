@@ -1,7 +1,9 @@
 """Distances between capsules and the solids of a cell: equal to MuJoCo's, with correct contacts and gradients."""
 
 import threading
-from functools import cache, partial
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 from published import MODELS, path_of
+from test_obstacles import answers
 
 from benchmarks import cell_distances
 from htcp_jax.clearance import Scene, clearances, contacts, is_clear, rows_of
@@ -219,9 +222,9 @@ def test_published_arms_are_as_far_from_a_cell_and_themselves_as_mujoco_says(nam
     assert ring.wrong == 0 and ring.above_m <= 1e-9 and ring.below_m < 0.02
 
 
-def everything(folder) -> Fixtures:
+@cache
+def everything() -> Fixtures:
     """All shapes, in several sizes, next to the default arm."""
-    file = folder / "cell.xml"
     geoms = "".join(
         geom.replace('"it"', f'"{kind}"').replace(POSE, f'pos="{np.cos(k)} {np.sin(k)} 1.1" euler="20 30 40"')
         for k, (kind, (geom, _)) in enumerate(SHAPES.items())
@@ -229,22 +232,46 @@ def everything(folder) -> Fixtures:
     more = '<geom type="mesh" mesh="tent" pos="1.6 -0.4 -1"/><geom type="mesh" mesh="wedge" pos="-1.5 0.4 1"/>'
     asset = f'<mesh name="wedge" vertex="{WEDGE}"/><mesh name="tent" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>'
     geoms = geoms.replace('pos="1.0 0.0 1.1" euler="20 30 40"', 'pos="0 0 -1.3"')  # the plane's
-    file.write_text(f"<mujoco><asset>{asset}</asset><worldbody>{geoms}{more}</worldbody></mujoco>")
-    (found,) = make_fixtures(made_once.robot(), load_cell(file))
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "cell.xml"
+        file.write_text(f"<mujoco><asset>{asset}</asset><worldbody>{geoms}{more}</worldbody></mujoco>")
+        (found,) = make_fixtures(made_once.robot(), load_cell(file))
     return found
 
 
-def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path):
-    robot, where, own = made_once.robot(), made_once.nominal(), everything(tmp_path)
+def to_each(robot, obstacles, where, x):
+    """Distances of every capsule to every solid."""
+    return obstacles[0].distances(robot, *capsule_segments(robot, x))
+
+
+def through(robot, obstacles, where, x):
+    """Gradients without the rule for the derivative."""
+    return jax.jacfwd(lambda x: contacts(robot, obstacles, where, x).distance)(x)
+
+
+@cache
+def answered() -> list:
+    """Configurations and answers to all queries there: the first 25 are random, and so are the other 6."""
+    robot = made_once.robot()
+    x = np.concatenate([made_once.configurations(robot, 25), made_once.configurations(robot, 6, seed=3)])
+    queries = clearances, is_clear, to_each, clearance_rows, contacts, through
+    return [x, *(answers((query,), x, (everything(),))[0] for query in queries)]  # one program for all compiles longer
+
+
+def clearances_at(x) -> np.ndarray:
+    """Distances of every row at every x (M, R)."""
+    return answers((clearances,), x, (everything(),))[0]
+
+
+def test_of_many_solids_the_nearest_decides_whatever_is_searched_first():
+    robot, where, own = made_once.robot(), made_once.nominal(), everything()
     assert len(own.names) == 9 and own.names.count("") == 1 and own.pieces is not None  # "" is a row of padding
-    each = jax.jit(lambda x: own.distances(robot, *capsule_segments(robot, x)))
     touching = 0
-    for x in made_once.configurations(robot, 25):
-        found = jitted(clearances)(robot, (own,), where, x)
-        every = np.where(own.is_checked, each(x), np.inf)
+    for x, found, clear, each, *_ in zip(*(leaf[:25] for leaf in answered()[:4]), strict=True):
+        every = np.where(own.is_checked, each, np.inf)
         expected = every.min(axis=0)
         np.testing.assert_allclose(found, expected, atol=1e-14)
-        assert jitted(is_clear)(robot, (own,), where, x) == (expected.min() > 0)
+        assert clear == (expected.min() > 0)
         touching += int(expected.min() <= 0)
         row = int(expected.argmin())
         nearest = own.names[every[:, row].argmin()]
@@ -287,51 +314,51 @@ def test_the_fixtures_of_another_arm_compile_nothing(tmp_path):
     assert found.names[:2] == ("floor", "box 0") and not compiled
 
 
-def test_gradients_and_what_is_held_are_those_of_the_distance(tmp_path):
+def test_gradients_and_what_is_held_are_those_of_the_distance():
     """Compare gradients with finite differences where the nearest point stays the same.
 
     A fixed contact never predicts less than the true distance, except for planes.
     """
-    robot, where, own, h = made_once.robot(), made_once.nominal(), (everything(tmp_path),), 1e-6
-    rows, rng, odd = rows_of(robot, own), np.random.default_rng(0), 0
-    value = partial(jitted(clearances), robot, own, where)
-    through = jitted(jax.jacfwd(lambda *at: contacts(*at).distance, 3))  # without the rule for the derivative
-    for x in made_once.configurations(robot, 6, seed=3):
-        found = jitted(clearance_rows)(robot, own, where, x)
-        np.testing.assert_allclose(through(robot, own, where, x), found.gradient, atol=1e-9)
-        slope = np.stack([(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(6)], axis=1)
-        odd += int((np.abs(slope - found.gradient) > 1e-4).any(axis=1).sum())
-        touch = jitted(contacts)(robot, own, where, x)
-        held = hold_contacts(robot, jnp.asarray(x), rows, touch)
-        np.testing.assert_allclose(predict_distances(robot, x, rows, held)[0], touch.distance, atol=1e-12)
-        near = x + rng.uniform(-0.1, 0.1, 6)
-        predicted = np.asarray(predict_distances(robot, near, rows, held)[0])
-        assert (predicted >= np.asarray(value(near)) - 1e-12)[~np.asarray(touch.plane)].all()
-    assert odd <= 4
+    robot, rows, rng = made_once.robot(), rows_of(made_once.robot(), (everything(),)), np.random.default_rng(0)
+    x, _, _, _, found, touches, by_autodiff = jax.tree.map(lambda leaf: leaf[25:], answered())
+    np.testing.assert_allclose(by_autodiff, found.gradient, atol=1e-9)
+    near = x + np.stack([rng.uniform(-0.1, 0.1, 6) for _ in x])
+    steps = 1e-6 * np.concatenate([np.eye(6), -np.eye(6)])
+    around = clearances_at(np.concatenate([near, (x[:, None] + steps).reshape(-1, 6)]))
+    ahead, behind = around[6:].reshape(6, 2, 6, -1).transpose(1, 0, 3, 2)
+    assert (np.abs((ahead - behind) / 2e-6 - found.gradient) > 1e-4).any(axis=2).sum() <= 4
+
+    @jax.jit
+    def predicted(x, near, touch):
+        held = hold_contacts(robot, x, rows, touch)
+        return [predict_distances(robot, place, rows, held)[0] for place in (x, near)]
+
+    for k in range(6):
+        touch = jax.tree.map(lambda leaf, k=k: leaf[k], touches)
+        here, there = predicted(x[k], near[k], jax.tree.map(jnp.asarray, touch))
+        np.testing.assert_allclose(here, touch.distance, atol=1e-12)
+        assert (np.asarray(there) >= around[k] - 1e-12)[~touch.plane].all()
 
 
-def test_joint_paths_next_to_solids_are_proven_and_refuted_as_they_are(tmp_path):
-    robot, where, own = made_once.robot(), made_once.nominal(), (everything(tmp_path),)
-    proof = jax.jit(lambda a, b: prove(Scene(robot, own), where, a, b))
-    rng, verdicts = np.random.default_rng(1), []
-    for a in made_once.configurations(robot, 24):
-        b = a + rng.uniform(-0.3, 0.3, 6)
-        places = a + np.linspace(0, 1, 51)[:, None] * (b - a)
-        truth = np.asarray(jitted(everywhere)(robot, own, where, places))
-        found = proof(a, b)
-        if found.verdict == PathVerdict.VALID:
-            assert truth.min() >= float(found.clearance) - 1e-9 > 0
-        elif found.verdict == PathVerdict.IN_COLLISION:
-            assert jitted(clearances)(robot, own, where, a + float(found.place) * (b - a)).min() <= 0
-        assert jitted(all_clear)(robot, own, where, places) == (truth.min() > 0)
-        verdicts.append(int(found.verdict))
-    assert verdicts.count(PathVerdict.VALID) >= 3 and verdicts.count(PathVerdict.IN_COLLISION) >= 3
+def test_joint_paths_next_to_solids_are_proven_and_refuted_as_they_are():
+    robot, rng = made_once.robot(), np.random.default_rng(1)
+    a = made_once.configurations(robot, 24)
+    b = a + np.stack([rng.uniform(-0.3, 0.3, 6) for _ in a])
+    places = a[:, None] + np.linspace(0, 1, 51)[:, None] * (b - a)[:, None]
 
+    @jax.jit
+    def verdicts(scene, where, paths):
+        def verdict(path):
+            return prove(scene, where, *path[:2]), all_clear(*scene[:2], where, path[2])
 
-def everywhere(robot, obstacles, where, places):
-    return jax.lax.map(partial(clearances, robot, obstacles, where), places)
+        return jax.lax.map(verdict, paths)
 
-
-@cache
-def jitted(function):
-    return jax.jit(function)
+    found, clear = verdicts(Scene(robot, (everything(),)), made_once.nominal(), (a, b, places))
+    truth = clearances_at(places.reshape(-1, 6)).reshape(24, -1).min(axis=1)
+    at_place = clearances_at(a + np.asarray(found.place)[:, None] * (b - a)).min(axis=1)
+    valid, colliding = (np.asarray(found.verdict) == each for each in (PathVerdict.VALID, PathVerdict.IN_COLLISION))
+    assert (truth >= np.asarray(found.clearance) - 1e-9)[valid].all() and (truth > 0)[valid].all()
+    assert (np.asarray(found.clearance) > 1e-9)[valid].all()
+    assert (at_place <= 0)[colliding].all()
+    np.testing.assert_array_equal(clear, truth > 0)
+    assert valid.sum() >= 3 and colliding.sum() >= 3
