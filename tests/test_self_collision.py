@@ -78,9 +78,14 @@ def test_nearly_parallel_segments_and_points_are_measured_as_exactly():
     t, u = np.asarray(t)[:, None], np.asarray(u)[:, None]
     np.testing.assert_allclose(distance, np.linalg.norm(p + t * (q - p) - r - u * (s - r), axis=1), atol=1e-12)
     for k in range(40):
-        apart = lambda v, k=k: np.sum((p[k] + v[0] * (q - p)[k] - r[k] - v[1] * (s - r)[k]) ** 2)  # noqa: E731
+        along, other = (q - p)[k], (s - r)[k]
+
+        def apart(v, k=k, along=along, other=other):
+            d = p[k] + v[0] * along - r[k] - v[1] * other
+            return d @ d, np.array([2 * d @ along, -2 * d @ other])
+
         starts = [(0, 0), (0, 1), (1, 0), (1, 1), (0.5, 0.5)]
-        best = min(minimize(apart, v, bounds=[(0, 1)] * 2, tol=1e-15).fun for v in starts)
+        best = min(minimize(apart, v, jac=True, bounds=[(0, 1)] * 2, tol=1e-15).fun for v in starts)
         assert found[k] <= np.sqrt(best) + 1e-9 and found[k] >= np.sqrt(best) - 1e-5
 
 
