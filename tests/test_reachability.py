@@ -32,7 +32,7 @@ COARSE = 0.22
 def found():
     robot, workpiece = made_once.robot(), made_once.duct()
     scenarios = [make_scenario(robot, workpiece, made_once.START, rotation=pose) for pose in ((0.4, 0.1), (0.8, 0.0))]
-    how = {"resolution_rad": COARSE, "proof_cells": 256}
+    how = {"resolution_rad": COARSE, "proof_cells": 1024}
     return robot, workpiece, scenarios, reachable_prefixes(robot, workpiece, stack(scenarios), **how)
 
 
