@@ -27,12 +27,12 @@ lint: $(VENV)/.installed-test  ## style, imports, docstrings, shape annotations,
 	$(VENV)/bin/python -m pytest $(TEXT)
 
 check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan, bad inputs
-	@echo "A first answer: less than two minutes on two cores"
+	@echo "A first answer: 2.5 minutes on two cores the first time"
 	$(VENV)/bin/htcp doctor
 	$(PYTEST) $(CHECKED)
 
 test: lint  ## lint and the quick tests
-	@echo "The quick tests: about 22 minutes on two cores, fewer once programs are compiled"
+	@echo "The quick tests: 17 minutes on two cores the first time, fewer once programs are compiled"
 	$(PYTEST)
 
 BASE = HEAD
