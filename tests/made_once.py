@@ -1,6 +1,7 @@
 """Objects that several tests need and that are slow to make: made once per session."""
 
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
-from htcp_jax.model.kinematics import tcp_position
+from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.scenario import make_scenario
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
@@ -85,6 +86,23 @@ def configurations_near(x: np.ndarray, count: int, width: float, seed: int = 0) 
     return np.asarray(x) + np.random.default_rng(seed).uniform(-width, width, (count, len(x)))
 
 
+@cache
+def in_rows(function: Callable, count: int) -> Callable:
+    """`function(*shared, *row)` as `call(shared, *rows)` for any number of rows, by one program for `count` of them."""
+    compiled = jax.jit(lambda shared, rows: jax.lax.map(lambda row: function(*shared, *row), rows))
+
+    def padded(leaf, first: int) -> np.ndarray:
+        leaf = np.asarray(leaf)
+        return np.resize(leaf[first : first + count], (count, *leaf.shape[1:]))
+
+    def call(shared: tuple, *rows):
+        total = len(jax.tree.leaves(rows)[0])
+        parts = [compiled(shared, jax.tree.map(partial(padded, first=first), rows)) for first in range(0, total, count)]
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:total], *parts)
+
+    return call
+
+
 class Pose(NamedTuple):
     """All that distances to the duct read of a scenario."""
 
@@ -92,20 +110,14 @@ class Pose(NamedTuple):
     interior_plane: jax.Array
 
 
-ROWS = 200  # configurations that `measured` evaluates at a time
+def _clearance_and_tcp(robot, obstacles, where, x):
+    return clearance(robot, obstacles, where, x), tcp_position(robot, x)
 
 
-@jax.jit
-def _MEASURED(robot, obstacles, where, x):
-    return jax.lax.map(lambda x: (clearance(robot, obstacles, where, x), tcp_position(robot, x)), x)
+def measured(where, x: np.ndarray, arm: Robot | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Clearance (n,) of the robot, or of one with another tool, in the duct and its TCP (n, 3) [m] at x (n, 6)."""
+    pose = Pose(*map(jnp.asarray, (where.T_world_workpiece, where.interior_plane)))
+    return in_rows(_clearance_and_tcp, 200)((arm or robot(), scene().obstacles, pose), x)
 
 
-def measured(where, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Clearance (n,) of the robot in the duct and its TCP (n, 3) [m] at configurations (n, 6)."""
-    x, pose, found = np.asarray(x), Pose(*map(jnp.asarray, (where.T_world_workpiece, where.interior_plane))), []
-    for first in range(0, len(x), ROWS):
-        part = x[first : first + ROWS]
-        both = _MEASURED(*scene()[:2], pose, np.resize(part, (ROWS, x.shape[1])))
-        found.append([np.asarray(each)[: len(part)] for each in both])
-    D, tcp = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return D, tcp
+ENDS = jax.jit(jax.vmap(lambda robot, x: (*capsule_segments(robot, x), tcp_position(robot, x)), (None, 0)))

@@ -1,16 +1,12 @@
 """Small scenarios for the beam search, and brute-force checks of motions at sampled points."""
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 
-import jax
-import jax.numpy as jnp
 import made_once
 import numpy as np
 
-from htcp_jax.clearance import clearance
-from htcp_jax.model.kinematics import tcp_position
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.motion.plans import ARRAYS
@@ -20,8 +16,6 @@ from htcp_jax.settings import Settings
 # A small search: none of these settings is compiled into a program.
 SMALL = Settings(beam_width=6, min_beam_width=6, self_motions=6, self_motion_rounds=2, smooth=False)
 PLACES = 200  # samples on every straight joint path
-D_everywhere = jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(clearance, robot, obstacle, where), x))
-_TCPS = jax.jit(jax.vmap(tcp_position, in_axes=(None, 0)))
 
 
 def scenario(number=0, rotation=(0.4, 0.1), start=made_once.START, **changes):
@@ -84,14 +78,14 @@ def check_segment(one, t, configurations, radius):
     It is clear everywhere. On the path the TCP stays near its line and never reverses; while the arm changes its
     configuration, the TCP stays near the previous target.
     """
-    robot, where = lengthen_tool(made_once.robot(), float(one.tool_extension_m)), jax.tree.map(jnp.asarray, one)
+    robot = lengthen_tool(made_once.robot(), float(one.tool_extension_m))
     smallest = np.inf
     for k, (a, b) in enumerate(pairwise(configurations)):
-        x = jnp.asarray(a + np.linspace(0, 1, PLACES)[:, None] * (b - a))
-        smallest = min(smallest, float(jnp.min(D_everywhere(robot, made_once.scene()[1], where, x))))
+        D, points = made_once.measured(one, a + np.linspace(0, 1, PLACES)[:, None] * (b - a), robot)
+        smallest = min(smallest, D.min())
         if t <= one.on_path:
             continue
-        points, (start, end) = np.asarray(_TCPS(robot, x)), one.targets[t - 1 : t + 1]
+        start, end = one.targets[t - 1 : t + 1]
         turns = k < len(configurations) - 2
         assert off_line(start, start if turns else end, points).max() <= radius
         assert turns or (np.diff(points @ (end - start)) >= -1e-15).all()
@@ -113,10 +107,9 @@ def check_rows(scenarios, plans, settings):
         robot = lengthen_tool(made_once.robot(), float(one.tool_extension_m))
         own = plans.tracked[s]
         x, count = plans.x[s, own], int(own.sum())
-        D = D_everywhere(robot, made_once.scene()[1], jax.tree.map(jnp.asarray, one), jnp.asarray(x))
+        D, tcp = made_once.measured(one, x, robot)
         np.testing.assert_allclose(plans.clearance[s, own], D, atol=1e-13)
         assert (plans.clearance[s, own] > 0).all() and (plans.clearance[s, own] >= one.margin_m).all()
-        tcp = np.asarray(_TCPS(robot, jnp.asarray(x)))
         np.testing.assert_allclose(plans.tcp[s, own], tcp, atol=1e-13)
         residual = np.linalg.norm(tcp - one.targets[:count], axis=1)
         np.testing.assert_allclose(plans.residual[s, own], residual, atol=1e-13)

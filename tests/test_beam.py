@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 import toy
 from small_motions import (
     SMALL,
-    D_everywhere,
     check_motions,
     check_rows,
     first_of,
@@ -36,13 +34,6 @@ from htcp_jax.settings import Settings
 from htcp_jax.status import Kind, SegmentStatus, Status
 
 
-def check_all_motions(scenarios, plans, radius):
-    """Check motions by brute force, with as many targets for every scenario, so that one program checks them all."""
-    most = 110
-    same_shape = [replace(one, targets=np.resize(one.targets, (most, 3)), task_goals=None) for one in scenarios]
-    check_motions(same_shape, plans, radius)
-
-
 def test_what_is_tracked_is_a_motion_from_the_given_start():
     """Tracked targets: proven motions from the start.
 
@@ -52,7 +43,7 @@ def test_what_is_tracked_is_a_motion_from_the_given_start():
     plans = planned()
     assert (plans.executable == plans.tracked).all() and (plans.tracked.sum(axis=1) > 60).all()
     assert (plans.segment_status[plans.tracked] == SegmentStatus.VALID).all()
-    check_all_motions(poses(), plans, SMALL.tolerance_m)
+    check_motions(poses(), plans, SMALL.tolerance_m)
     on_path = np.array([int(one.on_path) for one in poses()])
     assert (plans.via_points.target > on_path[plans.via_points.scenario]).any()  # a change of configuration on the path
 
@@ -126,7 +117,7 @@ def test_a_narrower_tube_is_kept_to():
     plans = plan_by_beam(poses()[2:], settings)
     assert (plans.executable == plans.tracked).all() and plans.tracked.sum() > 60
     few = Plans.concatenate([plans])._replace(status=np.where(np.arange(plans.status.shape[1]) < 40, plans.status, 7))
-    check_all_motions(poses()[2:], few._replace(status=few.status.astype(np.int8)), settings.tube_m)
+    check_motions(poses()[2:], few._replace(status=few.status.astype(np.int8)), settings.tube_m)
 
 
 def test_progress_counts_every_target_and_every_scenario():
@@ -177,7 +168,7 @@ def test_points_of_the_path_that_are_met_twice_are_no_obstacle():
     twice = replace(twice, count=twice.count.astype(np.int32))
     plans = plan_by_beam([twice])
     assert plans.executable.all()
-    check_all_motions([twice], plans, SMALL.tolerance_m)
+    check_motions([twice], plans, SMALL.tolerance_m)
 
 
 # Validating motions
@@ -275,10 +266,9 @@ def test_at_a_point_that_is_met_twice_the_tool_may_go_any_way():
 def test_an_arm_that_touches_on_its_segment_is_no_motion(target):
     """Arm in collision within one segment: no motion, although the targets themselves are clear."""
     one, plans = example()
-    where, scene = jax.tree.map(jnp.asarray, one), made_once.scene()
     before = plans.start[0] if target == 0 else plans.x[0, target - 1]
     far = made_once.configurations_near(before, 200, 1.5)
-    D = np.asarray(D_everywhere(*scene[:2], where, jnp.asarray(far)))
+    D, _ = made_once.measured(one, far)
     through = ViaPoints.of([(0, target, far[[int(np.argmin(D))]])], 6)
     assert D.min() < 0
     changed = verified(one, via_points=through)
@@ -315,7 +305,7 @@ def test_a_change_of_configuration_has_to_stay_at_the_target_before():
         segment_status = np.stack([there, back])
         changed = verified(one, via_points=ViaPoints.of([(0, target, segment_status)], 6))
         assert changed.segment_status[0, target] == verdict
-        ends(changed, target, verdict) if verdict != SegmentStatus.VALID else check_all_motions(
+        ends(changed, target, verdict) if verdict != SegmentStatus.VALID else check_motions(
             [one], changed, SMALL.tolerance_m
         )
 
@@ -346,7 +336,7 @@ def test_what_another_method_makes_is_verified_as_well():
     """Motions of another method, validated as well: by brute force, the verdicts are right."""
     scenarios = [first_of(scenario(k, rotation), 24) for k, rotation in enumerate([(0.4, 0.0), (0.8, -0.3)])]
     plans = plan(made_once.robot(), made_once.duct(), scenarios, "baseline", SMALL)
-    check_all_motions(scenarios, plans, SMALL.tolerance_m)
+    check_motions(scenarios, plans, SMALL.tolerance_m)
     assert plans.executable.sum() > 24
 
 
@@ -367,5 +357,5 @@ def test_other_configurations_at_the_first_target_lead_further_by_a_transfer():
     straight = plans._replace(via_points=ViaPoints.none(plans.x.shape[2]))  # as recorded if the straight path is clear
     kinds = motion(straight, 0, int(lost.on_path)).kind
     assert (kinds[:2] == Kind.TRANSFER).all() and (kinds[2:] > Kind.TRANSFER).all()
-    check_all_motions([lost, easy], plans, settings.tube_m)
+    check_motions([lost, easy], plans, settings.tube_m)
     same(own, 1, plans, 1, 30)

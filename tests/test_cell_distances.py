@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 import pytest
 from published import MODELS, path_of
-from test_obstacles import answers
 
 from benchmarks import cell_distances
 from htcp_jax.clearance import Scene, clearances, contacts, is_clear, rows_of
@@ -222,6 +221,9 @@ def test_published_arms_are_as_far_from_a_cell_and_themselves_as_mujoco_says(nam
     assert ring.wrong == 0 and ring.above_m <= 1e-9 and ring.below_m < 0.02
 
 
+ROWS = 100  # configurations per call, in all tests
+
+
 @cache
 def everything() -> Fixtures:
     """All shapes, in several sizes, next to the default arm."""
@@ -255,12 +257,12 @@ def answered() -> list:
     robot = made_once.robot()
     x = np.concatenate([made_once.configurations(robot, 25), made_once.configurations(robot, 6, seed=3)])
     queries = clearances, is_clear, to_each, clearance_rows, contacts, through
-    return [x, *(answers((query,), x, (everything(),))[0] for query in queries)]  # one program for all compiles longer
+    return [x, *(answer(query, x) for query in queries)]  # one program for all compiles longer
 
 
-def clearances_at(x) -> np.ndarray:
-    """Distances of every row at every x (M, R)."""
-    return answers((clearances,), x, (everything(),))[0]
+def answer(query, x):
+    """Answer to a query next to everything, at every x."""
+    return made_once.in_rows(query, ROWS)((made_once.robot(), (everything(),), made_once.nominal()), x)
 
 
 def test_of_many_solids_the_nearest_decides_whatever_is_searched_first():
@@ -324,7 +326,7 @@ def test_gradients_and_what_is_held_are_those_of_the_distance():
     np.testing.assert_allclose(by_autodiff, found.gradient, atol=1e-9)
     near = x + np.stack([rng.uniform(-0.1, 0.1, 6) for _ in x])
     steps = 1e-6 * np.concatenate([np.eye(6), -np.eye(6)])
-    around = clearances_at(np.concatenate([near, (x[:, None] + steps).reshape(-1, 6)]))
+    around = answer(clearances, np.concatenate([near, (x[:, None] + steps).reshape(-1, 6)]))
     ahead, behind = around[6:].reshape(6, 2, 6, -1).transpose(1, 0, 3, 2)
     assert (np.abs((ahead - behind) / 2e-6 - found.gradient) > 1e-4).any(axis=2).sum() <= 4
 
@@ -354,8 +356,8 @@ def test_joint_paths_next_to_solids_are_proven_and_refuted_as_they_are():
         return jax.lax.map(verdict, paths)
 
     found, clear = verdicts(Scene(robot, (everything(),)), made_once.nominal(), (a, b, places))
-    truth = clearances_at(places.reshape(-1, 6)).reshape(24, -1).min(axis=1)
-    at_place = clearances_at(a + np.asarray(found.place)[:, None] * (b - a)).min(axis=1)
+    truth = answer(clearances, places.reshape(-1, 6)).reshape(24, -1).min(axis=1)
+    at_place = answer(clearances, a + np.asarray(found.place)[:, None] * (b - a)).min(axis=1)
     valid, colliding = (np.asarray(found.verdict) == each for each in (PathVerdict.VALID, PathVerdict.IN_COLLISION))
     assert (truth >= np.asarray(found.clearance) - 1e-9)[valid].all() and (truth > 0)[valid].all()
     assert (np.asarray(found.clearance) > 1e-9)[valid].all()

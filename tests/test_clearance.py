@@ -1,6 +1,6 @@
 """Clearance D(x, O): equal to plain numpy over all points, to MuJoCo's distances, and to the recorded run."""
 
-from functools import cache, partial
+from functools import cache
 from typing import NamedTuple
 
 import jax
@@ -58,16 +58,9 @@ def jitted(function):
 ROWS = 44  # configurations per call, in all tests
 
 
-@cache
-def _over_rows(function):
-    return jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(function, robot, obstacle, where), x))
-
-
 def at_each(function, robot, obstacle, where, x):
-    """`function` of (robot, obstacle, where, x) at every x, by one program for all tests."""
-    padded = np.concatenate([x, np.repeat(x[-1:], -len(x) % ROWS, axis=0)])
-    parts = [_over_rows(function)(robot, obstacle, where, part) for part in padded.reshape(-1, ROWS, x.shape[1])]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(x)], *parts)
+    """`function` of (robot, obstacle, where, x) at every x."""
+    return made_once.in_rows(function, ROWS)((robot, obstacle, where), x)
 
 
 class Forms(NamedTuple):

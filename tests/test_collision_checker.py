@@ -12,7 +12,7 @@ import made_once
 import numpy as np
 import pytest
 import toy
-from small_motions import SMALL, D_everywhere, off_line, poses
+from small_motions import SMALL, off_line, poses
 from sphere_references import place
 
 from htcp_jax.clearance import in_workpiece
@@ -73,8 +73,7 @@ def lanes():
 
 
 def clearances(x):
-    robot, obstacles, _ = made_once.scene()
-    return np.asarray(D_everywhere(robot, obstacles, one()[0], jnp.asarray(x)))
+    return made_once.measured(one()[0], x)[0]
 
 
 def tip_passes(x):

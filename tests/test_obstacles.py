@@ -41,17 +41,15 @@ class Answers(NamedTuple):
     ends: tuple
 
 
-@partial(jax.jit, static_argnames="queries")
-def _answered(robot, obstacles, where, x, queries):
-    return jax.lax.map(lambda x: [query(robot, obstacles, where, x) for query in queries], x)
+@cache
+def _together(queries):
+    return lambda *here: [query(*here) for query in queries]
 
 
 def answers(queries, x, own=None) -> list:
-    """Answers to queries at every x, by one program for any number."""
-    padded = np.concatenate([x, np.repeat(x[-1:], -len(x) % ROWS, axis=0)])
+    """Answers to queries at every x."""
     given = made_once.robot(), obstacles() if own is None else own, made_once.nominal()
-    parts = [_answered(*given, part, queries) for part in padded.reshape(-1, ROWS, x.shape[1])]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(x)], *parts)
+    return made_once.in_rows(_together(queries), ROWS)(given, x)
 
 
 @cache

@@ -62,21 +62,8 @@ def test_the_arm_behind_the_tool_proves_that_the_end_of_a_path_is_out_of_reach(f
 ROWS = 400  # configurations or cells of a call, so that each function is compiled once
 
 
-def in_rows(function):
-    """Compiled `function(shared, *row)` that is called with fewer rows than it is compiled for."""
-    compiled = jax.jit(lambda shared, rows: jax.lax.map(lambda row: function(shared, *row), rows))
-
-    def call(shared, *rows):
-        count = len(rows[-1])
-        rows = jax.tree.map(lambda leaf: np.resize(leaf, (ROWS, *np.shape(leaf)[1:])), rows)
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], compiled(shared, rows))
-
-    return call
-
-
-def all_branches(shared, at, R, rho):
+def all_branches(robot, tolerance_m, at, R, rho):
     """All branches of a cell, stacked, and the orientation of the link before the wrist at each."""
-    robot, tolerance_m = shared
     own = jax.vmap(lambda number: branch(robot, at, R, rho, number, tolerance_m))(np.arange(BRANCHES))
     return own, jax.vmap(lambda x: link_poses(robot, x)[2, :3, :3])(own.x)
 
@@ -87,8 +74,11 @@ def arm_cells(scene, s, x, about, turns):
     return where, arm_cell(scene, s, s.margin_m, s.target, about, turns)
 
 
-poses = in_rows(lambda robot, x: (tcp_position(robot, x), link_poses(robot, x)[:, :3, :3]))
-branches, cells_of_the_arm = in_rows(all_branches), in_rows(arm_cells)
+def tcp_and_links(robot, x):
+    return tcp_position(robot, x), link_poses(robot, x)[:, :3, :3]
+
+
+poses, branches, cells_of_the_arm = (made_once.in_rows(each, ROWS) for each in (tcp_and_links, all_branches, arm_cells))
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +90,7 @@ def cells(found):
     row = draw.integers(result.prefix[s])
     x, axis, inputs = result.x[s, row], draw.normal(size=(300, 3)), lane_inputs(stack(scenarios), s, row)
     axis *= (draw.uniform(0, size) / np.linalg.norm(axis, axis=1))[:, None]
-    middle = Rotation.from_rotvec(axis) * Rotation.from_matrix(poses(robot, x)[1][:, -1])
+    middle = Rotation.from_rotvec(axis) * Rotation.from_matrix(poses((robot,), x)[1][:, -1])
     turns = size[:, None] * draw.uniform(0, 1, (300, 6))
     return x, inputs, middle, size, x + turns * draw.uniform(-1, 1, (300, 6)), turns
 
@@ -114,7 +104,7 @@ def run(lane_function, inputs, middle, *rest):
 def test_a_configuration_is_in_the_cells_about_it_with_its_wrist_and_excluded_by_none_where_it_is_clear(found, cells):
     assert has_wrist(found[0])
     x, inputs, middle, size, about, turns = cells
-    at, of_arm = cells_of_the_arm(made_once.scene(), inputs, x, about, turns)
+    at, of_arm = cells_of_the_arm((made_once.scene(),), inputs, x, about, turns)
     for cell in (run(TOOL, inputs, middle, size), of_arm):
         assert not cell.collides.any()
         assert (np.linalg.norm(cell.wrist - at, axis=1) <= cell.moves).all()
@@ -145,7 +135,7 @@ def test_a_configuration_is_in_a_branch_of_any_cell_of_its_tool_s_orientation(jo
     x, size, number = draw.uniform(-3.1, 3.1, (400, 6)), draw.choice([1e-6, 1e-3, 0.03, 0.5], 400), np.arange(400)
     x[:, 4] = np.choose(number % 4, [x[:, 4], 0.0, 1e-7, 1e-4])
     x[:, 2] = np.where(number // 4 % 4 == 3, -0.202, x[:, 2])
-    at, R = poses(robot, x)
+    at, R = poses((robot,), x)
     turned, aside = draw.normal(size=(2, 400, 3))
     turned *= (draw.uniform(0, size) / np.linalg.norm(turned, axis=1))[:, None]
     aside *= (draw.uniform(0, tolerance_m, 400) / np.linalg.norm(aside, axis=1))[:, None]
@@ -159,7 +149,7 @@ def test_a_configuration_is_in_a_branch_of_any_cell_of_its_tool_s_orientation(jo
 
 def test_the_branches_of_a_small_cell_are_narrow():
     robot, x = made_once.robot(), np.array([[0.3, -0.5, 0.4, 0.6, 0.9, -0.2]])
-    at, R = poses(robot, x)
+    at, R = poses((robot,), x)
     own, _ = branches((robot, 0.0), at, R[:, -1], np.array([1e-6]))
     assert own.turns[~own.empty].max() < 1e-4
     assert np.abs(own.x - x)[~own.empty].max(axis=-1).min() < 1e-5

@@ -6,8 +6,8 @@ import shutil
 import time
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
+import made_once
 import numpy as np
 import pytest
 import toy
@@ -26,7 +26,6 @@ from htcp_jax.jobs.build import robot_of, workpiece_key, workpiece_of
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Robot
 from htcp_jax.model.duct import POINTS
-from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.robot import GP50, lengthen_tool
 from htcp_jax.report import make_report
 from htcp_jax.report.document import markdown
@@ -41,7 +40,6 @@ from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.track import samples_between
 
-ENDS = jax.jit(jax.vmap(lambda robot, x: (*capsule_segments(robot, x), tcp_position(robot, x)), (None, 0)))
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "job.yaml"
 
 
@@ -288,7 +286,7 @@ def test_a_longer_tool_is_the_planner_s():
 def _assert_same_configurations(arm: MujocoArm, robot: Robot, x: np.ndarray) -> None:
     """Check both readings of the arm; MuJoCo has the ends of an axis in either order."""
     at = arm.arm_poses(x)
-    p, q, tcp = map(np.asarray, ENDS(robot, jnp.asarray(x)))
+    p, q, tcp = map(np.asarray, made_once.ENDS(robot, jnp.asarray(x)))
     np.testing.assert_allclose(at.tcp, tcp, atol=1e-12)
     np.testing.assert_allclose(at.p + at.q, p + q, atol=1e-12)
     np.testing.assert_allclose(abs(at.p - at.q), abs(p - q), atol=1e-12)

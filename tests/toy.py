@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import jax
+import made_once
 import numpy as np
 import yaml
 
@@ -13,7 +13,6 @@ from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
-from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.motion import Plans
@@ -35,7 +34,6 @@ ARM = """
 START = tuple(np.radians([0.0, 0.0, 100.0, 30.0]).tolist())
 TARGETS = 10  # of the path
 ROWS = 64  # configurations that `measured` evaluates at a time
-_ENDS = jax.jit(jax.vmap(lambda robot, x: (*capsule_segments(robot, x), tcp_position(robot, x)), (None, 0)))
 SHELF_M = 0.36  # height above the floor; the path is 6 cm lower
 # A narrow beam and few samples: the search is as short as it can be.
 SETTINGS = Settings(
@@ -105,7 +103,7 @@ def measured(one: Scenario, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     cloud = workpiece().cloud @ T[:3, :3].T + T[:3, 3]
     for first in range(0, len(x), ROWS):
         part = x[first : first + ROWS]
-        p, q, tcp = map(np.asarray, _ENDS(arm, np.resize(part, (ROWS, 4))))
+        p, q, tcp = map(np.asarray, made_once.ENDS(arm, np.resize(part, (ROWS, 4))))
         d, ahead = (q - p)[:, :, None], cloud - p[:, :, None]  # rows, bodies, points
         s = np.clip((ahead * d).sum(-1) / (d * d).sum(-1), 0, 1)[..., None]
         distance = np.linalg.norm(ahead - s * d, axis=-1).min(-1) - np.asarray(arm.capsule_radius)
