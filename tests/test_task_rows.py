@@ -131,15 +131,8 @@ def slopes() -> tuple:
         _, ahead, behind = np.split(row.reshape(6, 13, -1), [1, 7], axis=1)
         return np.swapaxes(ahead - behind, 1, 2) / 2e-6
 
-    at_x = slice(None, None, 13)
-    return tuple(
-        {name: found[name] for name in PARTS}
-        for found in (
-            {name: rows[at_x] for name, rows in own.items()},
-            {name: rows[at_x] for name, rows in forward.items()},
-            {name: difference(row) for name, row in rows.items()},
-        )
-    )
+    own, forward = ({name: each[::13] for name, each in found.items()} for found in (own, forward))
+    return own, forward, {name: difference(row) for name, row in rows.items()}
 
 
 @pytest.mark.parametrize("name", PARTS)
