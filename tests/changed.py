@@ -14,6 +14,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 from lint import PACKAGE, imports_in, public_names
@@ -104,13 +105,14 @@ def _package_imports(file: Path, package: Path, modules: Iterable[str]) -> set[s
     return found & set(modules)
 
 
-def _loaded(package: Path, module: str, name: str) -> set[str]:
+@cache
+def _loaded(package: Path, module: str, name: str) -> frozenset[str]:
     """Return the modules that an import of a name loads; those of all public names if it is a package."""
     whole = f"{module}.{name}".strip(".")
     target = public_names(package, module).get(name, whole)
     targets = public_names(package, whole).values() if target == whole else [target]
     inner = [_loaded(package, *target.rpartition(".")[::2]) for target in targets]
-    return {module, whole}.union(*inner)
+    return frozenset({module, whole}).union(*inner)
 
 
 def _names(text: str) -> set[str]:
