@@ -145,6 +145,14 @@ def test_a_row_is_off_by_what_scipy_says_in_its_own_unit(name):
 
 
 @pytest.mark.parametrize("name", PARTS)
+def test_a_kind_has_as_many_equations_and_inequalities_as_its_jacobian_has_rows(name):
+    part, _ = PARTS[name]
+    own, _, _ = slopes()
+    assert min(part.equalities, part.inequalities) == 0
+    assert own[name].shape[1] == part.equalities + part.inequalities
+
+
+@pytest.mark.parametrize("name", PARTS)
 def test_its_jacobian_is_that_of_jacfwd_and_of_differences(name):
     own, forward, by_differences = (found[name] for found in slopes())
     np.testing.assert_allclose(own, forward, atol=1e-11)
