@@ -1,4 +1,4 @@
-from . import attached, capsule_fit, close_fit, composed, mjcf, model_file, model_source, safe_xml
+from . import attached, capsule_fit, close_fit, composed, joint_limits, mjcf, model_file, model_source, safe_xml
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot, part_moves
 from .vendor_import import ImportedArm, body_name, chain_text, import_robot
@@ -14,6 +14,7 @@ __all__ = [
     "composed",
     "gp50",
     "import_robot",
+    "joint_limits",
     "load_robot",
     "mjcf",
     "model_file",
