@@ -38,9 +38,10 @@ def load_robot(
             the TCP is the model's only site, or a URDF's outermost link.
         limits: Joint limits. "model": the file's joint ranges, infinite where it has none. "simulation": +-pi for
             hinges, and the file's ranges for slides. "datasheet": the file's `<numeric>` "datasheet_lower" and
-            "datasheet_upper", one value per joint. A file such as MoveIt's joint_limits.yaml: its ranges, and the
-            model's for joints without one, see `joint_limits.read_joint_limits`. Speeds and accelerations are always the file's `<numeric>` "speed"
-            and "acceleration", or a URDF's `<limit>`; efforts are `actuatorfrcrange`, or a URDF's `effort`.
+            "datasheet_upper", one value per joint. The name of a file such as MoveIt's joint_limits.yaml: its ranges,
+            and those of "model" for joints without one, see `joint_limits.read_joint_limits`. Speeds and accelerations
+            are always the model's `<numeric>` "speed" and "acceleration", or a URDF's `<limit>`; efforts are
+            `actuatorfrcrange`, or a URDF's `effort`.
         base_m: Position of the model's own frame in the world.
         base_rpy_rad: Orientation of the model's own frame: rotations about world x, then y, then z.
         tool: Tool to mount on the frame `tcp_site`, which is then the flange.

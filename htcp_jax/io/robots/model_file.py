@@ -137,10 +137,11 @@ def read_robot_file(
     joints = list(chain.joints)
     joint_names = check_joints(model, path, joints, chain, fewest=fewest)
     slides = tuple(bool(kind == _SLIDE) for kind in model.jnt_type[joints])
-    name = model.names.partition(b"\0")[0].decode(errors="replace") or path.stem
+    arm_name = model.names.partition(b"\0")[0].decode(errors="replace") or path.stem
     widest = [limit[joints] for limit in _joint_limits(model, path, "model")]  # the lists were sampled within these
     if joint_limits.is_limits_file(limits):
-        lower, upper = _limits_of_file(limits, joint_names, name, slides, *widest)
+        speed = joint_numbers(model, path, "speed", default=math.inf)[joints]
+        lower, upper = _limits_of_file(limits, joint_names, arm_name, slides, widest, speed)
     else:
         lower, upper = (limit[joints] for limit in _joint_limits(model, path, limits))
     T_parent_joint, frames = link_frames(model, T_world_base, chain)
@@ -178,7 +179,7 @@ def read_robot_file(
     exclusions = [*_excluded(model, capsules), *_listed_pairs(path, lists.pairs, capsules)]
     valid = bool((lower >= widest[0]).all() and (upper <= widest[1]).all())
     facts = {
-        "name": name,
+        "name": arm_name,
         "joint_names": joint_names,
         "slides": slides,
         "capsule_names": tuple(capsule.name for capsule in capsules),
@@ -524,15 +525,21 @@ def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.n
 
 
 def _limits_of_file(
-    file: str, names: tuple[str, ...], arm: str, slides: tuple[bool, ...], lower: np.ndarray, upper: np.ndarray
+    file: str,
+    names: tuple[str, ...],
+    arm: str,
+    slides: tuple[bool, ...],
+    ranges: Sequence[np.ndarray],
+    speed: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and upper limits in a file, or the model's `lower` and `upper` where it states none.
+    """Return the lower and upper limits in a file, or the model's `ranges` where it states none.
 
-    A Note names what the file leaves to the model, and what is not used.
+    A Note names what the file leaves to the model, what is wider or faster than in the model, and what is not used.
     """
+    lower, upper = ranges
     stated = joint_limits.read_joint_limits(file, names, arm)
     limits = stated.ranges(slides, lower, upper)
-    if text := stated.note((lower, upper)):
+    if text := stated.note((lower, upper), speed):
         warnings.warn(text, Note, stacklevel=2)
     return limits
 
