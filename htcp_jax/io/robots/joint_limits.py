@@ -21,7 +21,8 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import strict_yaml
 
 SECTION = "joint_limits"
-ENDINGS = ".yaml", ".yml"
+ENDINGS = ".yaml", ".yml", ".json"
+MODELS = ".urdf", ".srdf", ".xacro", ".xml", ".mjcf"  # endings of files that have no such section
 RATES = "velocity", "acceleration", "jerk"
 BOUNDS = {"position": ("min_position", "max_position")} | {
     rate: (f"max_{rate}",) for rate in RATES
@@ -179,7 +180,7 @@ def read_joint_limits(path: str | Path, names: Sequence[str], arm: str) -> Joint
             number, or another limit is not positive.
     """
     file = str(path)
-    if not is_limits_file(path):
+    if Path(path).suffix.lower() in MODELS:
         raise InputError(
             f"{file} is not a file with joint limits; valid: a YAML file such as MoveIt's joint_limits.yaml"
         )
