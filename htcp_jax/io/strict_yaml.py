@@ -5,6 +5,7 @@ Plain values are those of YAML 1.2's core schema. PyYAML by itself reads YAML 1.
 memory.
 """
 
+import math
 import re
 import reprlib
 from pathlib import Path
@@ -17,6 +18,7 @@ from htcp_jax.io.files import opened
 
 LARGEST_FILE = 2 * 2**20  # [bytes]; PyYAML reads about 150 kB per second
 DEEPEST = 50
+UNITS = {"!degrees": math.pi / 180, "!radians": 1.0, "!meters": 1.0, "!millimeters": 1e-3}  # as in xacro, by tag
 
 
 def read_yaml(path: str | Path) -> dict:
@@ -25,19 +27,41 @@ def read_yaml(path: str | Path) -> dict:
     Raises:
         InputError: If the file cannot be read, is not strict YAML, or does not contain a mapping.
     """
+    return parse_mapping(read_text(path), str(path))
+
+
+def read_text(path: str | Path) -> str:
+    """Return the text of a YAML file.
+
+    Raises:
+        InputError: If the file cannot be read.
+    """
     try:
         with opened(Path(path), largest=LARGEST_FILE) as stream:
-            text = stream.read().decode()
+            return stream.read().decode()
     except InputError as error:
         raise InputError(f"cannot read {error}") from None
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise InputError(f"cannot read {path}: {reason}") from None
-    raw = parse_yaml(text, str(path))
+
+
+def parse_mapping(text: str, source: str, units: bool = False) -> dict:
+    """Return the mapping that a YAML text describes; {} if the text is empty.
+
+    Args:
+        text: The text.
+        source: Name of the text, for messages.
+        units: True to allow the tags in `UNITS`.
+
+    Raises:
+        InputError: If the text is not strict YAML, or does not describe a mapping.
+    """
+    raw = parse_yaml(text, source, units)
     if raw is None:
         return {}
     if not isinstance(raw, dict):
-        raise InputError(f"{path}: must be a mapping of keys to values, but is {reprlib.repr(raw)}")
+        raise InputError(f"{source}: must be a mapping of keys to values, but is {reprlib.repr(raw)}")
     return raw
 
 
@@ -45,6 +69,7 @@ class _Loader(yaml.SafeLoader):
     """Safe YAML loader that refuses repeated keys, aliases, tags and deep nesting."""
 
     yaml_implicit_resolvers: ClassVar[dict] = {}
+    tags: ClassVar[tuple[str, ...]] = ()  # allowed tags
     depth = 0
 
     def compose_node(self, parent, index):
@@ -59,7 +84,7 @@ class _Loader(yaml.SafeLoader):
     def _problem(self, event: yaml.Event) -> str | None:
         if isinstance(event, yaml.AliasEvent):
             return f"alias *{event.anchor} is not allowed; write its value out"
-        if event.tag is not None:
+        if event.tag is not None and event.tag not in self.tags:
             return f"tag {event.tag} is not allowed; use a plain value"
         return "nested too deeply" if self.depth > DEEPEST else None
 
@@ -93,18 +118,36 @@ for tag in (INT, FLOAT):
     _Loader.add_constructor(tag, _Loader.construct_number)
 
 
-def parse_yaml(text: str, source: str) -> Any:
+class _UnitLoader(_Loader):
+    """Loader that also reads numbers with a unit, as xacro and MoveIt do: `!degrees 180`."""
+
+    tags = tuple(UNITS)
+
+    def construct_quantity(self, node):
+        try:
+            return UNITS[node.tag] * float(self.construct_scalar(node))
+        except ValueError:
+            problem = f"{node.tag} {node.value} is not a number"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from None
+
+
+for tag in UNITS:
+    _UnitLoader.add_constructor(tag, _UnitLoader.construct_quantity)
+
+
+def parse_yaml(text: str, source: str, units: bool = False) -> Any:
     """Return the value that a YAML text describes.
 
     Args:
         text: The text.
         source: Name of the text, for messages.
+        units: True to allow the tags in `UNITS`.
 
     Raises:
         InputError: If the text is not strict YAML.
     """
     try:
-        return yaml.load(text, _Loader)
+        return yaml.load(text, _UnitLoader if units else _Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = f", line {mark.line + 1}" if mark else ""

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots import remarks
 from htcp_jax.io.robots.frames import joint_name
 from htcp_jax.io.robots.model_source import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, split_name
 from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, PART, read_spec, unreadable_model
@@ -196,6 +197,10 @@ def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:
             size = {} if isinstance(each, mujoco.MjsText) else {"size": len(each.data)}
             if head := next((head for head in _OF_CAPSULES if each.name.startswith(head)), None):
                 add(name=head + prefix + each.name.removeprefix(head), data=each.data, **size)
+            elif each.name.startswith(remarks.ON_JOINT):
+                add(name=each.name, data=each.data)
+            elif each.name.startswith(remarks.ON_BODY):
+                add(name=remarks.ON_BODY + prefix + each.name.removeprefix(remarks.ON_BODY), data=each.data)
             elif each.name in PER_JOINT:
                 values.setdefault(each.name, {}).update(zip(own, each.data, strict=True))
             elif each.name == MADE_FROM:

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.errors import InputError
-from htcp_jax.io.robots import close_fit
+from htcp_jax.errors import InputError, Note
+from htcp_jax.io.robots import close_fit, remarks
 from htcp_jax.io.robots.capsule_fit import (
     MORE_PIECES,
     MOST,
@@ -27,6 +27,7 @@ from htcp_jax.io.robots.capsule_fit import (
 from htcp_jax.io.robots.composed import PER_JOINT
 from htcp_jax.io.robots.fixed_joints import fix_joints, followers
 from htcp_jax.io.robots.frames import joint_name
+from htcp_jax.io.robots.joint_limits import read_joint_limits
 from htcp_jax.io.robots.model_file import (
     FEWEST_JOINTS,
     Chain,
@@ -39,6 +40,7 @@ from htcp_jax.io.robots.model_file import (
     no_log,
     upwards,
 )
+from htcp_jax.io.robots.remarks import OF_IMPORT
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
 from htcp_jax.io.robots.srdf import disabled_pairs
@@ -133,6 +135,7 @@ def import_robot(
     srdf: Path | None = None,
     fixed: Mapping[str, float] | None = None,
     fewest: int = FEWEST_JOINTS,
+    limits: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, count: None,
 ) -> ImportedArm:
     """Read a URDF or MJCF file with its meshes.
@@ -151,13 +154,14 @@ def import_robot(
         srdf: SRDF file with excluded pairs of links, see `disabled_pairs`.
         fixed: Values [rad or m], by joint name, of joints to freeze, on the chain to the TCP or off it.
         fewest: Minimum number of joints; 1 for a positioner or a rail.
+        limits: File with limits of moving joints that replace the model's, see `read_joint_limits`.
         progress: Function that is called with the number of finished bodies and their total.
 
     Raises:
         InputError: For a file or a mesh that cannot be read, a missing or ambiguous TCP, an unknown link of the part or
             one without a joint between it and the TCP, ball and free joints on the chain, too few joints, more than
-            nine joints if the part moves, a model without shapes, the SRDF file of another robot, an unknown joint or a
-            value beyond its limits in `fixed`, and a tolerance out of range.
+            nine joints if the part moves, a joint without a range, a model without shapes, the SRDF file of another
+            robot, an unknown joint or a value beyond its limits in `fixed`, and a tolerance out of range.
     """
     fit = _Fit(most, tolerance_m)
     spec, shapes, model = _read_model(path, visual)
@@ -179,7 +183,12 @@ def import_robot(
             f"{path}: no shapes to enclose by capsules; geoms of the model: {_geom_kinds(geoms) or 'none'}"
         )
     hint = other_frames(model, bodies, tip) if root == 0 else ""
-    joint_names = check_joints(model, path, joints, chain, hint, fewest)
+    joint_names = check_joints(model, path, joints, chain, hint, fewest, OF_IMPORT)
+    numbers = {name: joint_numbers(model, path, name, np.inf) for name in PER_JOINT if _has(model, name)}
+    ranges = remarks.own_ranges(model, joints)
+    if limits is not None:
+        ranges = _limits_in_file(model, joints, limits, numbers)
+    remarks.check_ranges(model, path, joints, ranges, OF_IMPORT)
     if root == 0:
         warn_of_jaw(model, path, tip, joints)
     # whatever is unreadable
@@ -194,6 +203,10 @@ def import_robot(
     frozen = [j for j in moving if j not in joints and model.jnt_bodyid[j] in bodies]
     _warn_of_followers(model, path, joints, frozen, shaped)
     excluded = [geom for geom in chosen if geom not in own]
+    speeds = numbers.get("speed", np.full(model.njnt, np.inf))
+    remarks.note_limits(model, path, joints, ranges, speeds[list(joints)])
+    if limits is not None:
+        model.jnt_limited[list(joints)], model.jnt_range[list(joints)] = np.isfinite(ranges).all(axis=1), ranges
     return ImportedArm(
         model,
         tip,
@@ -204,12 +217,39 @@ def import_robot(
         bodies,
         covers,
         tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
-        {name: joint_numbers(model, path, name, np.inf)[sorted(joints)] for name in PER_JOINT if _has(model, name)},
+        {name: values[sorted(joints)] for name, values in numbers.items()},
         tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body_of(model, g))}" for g in excluded),
         visual,
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
         tuple(disabled),
     )
+
+
+def _limits_in_file(
+    model: mujoco.MjModel, joints: Sequence[int], file: Path, numbers: dict[str, Float[np.ndarray, "J"]]
+) -> Float[np.ndarray, "N 2"]:
+    """Return the ranges of N joints in a file, or else in the model [rad or m]; write speeds and accelerations.
+
+    Args:
+        model: The compiled model.
+        joints: Indices of the joints.
+        file: The file with joint limits.
+        numbers: Speeds and accelerations of the model's J joints, by name; they are modified.
+
+    Raises:
+        InputError: For a file that cannot be read.
+    """
+    at, own = list(joints), remarks.own_ranges(model, joints)
+    stated = read_joint_limits(file, [joint_name(model, j) for j in joints], model_name(model))
+    if note := stated.note((own[:, 0], own[:, 1])):
+        warnings.warn(note, Note, stacklevel=3)
+    for name, kind in (("speed", "velocity"), ("acceleration", "acceleration")):
+        rates = stated.rates(kind)
+        if np.isfinite(rates).any():
+            values = numbers.setdefault(name, np.full(model.njnt, np.inf))
+            values[at] = np.where(np.isnan(rates), values[at], rates)
+    slides = [bool(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE) for j in joints]
+    return np.stack(stated.ranges(slides, own[:, 0], own[:, 1]), axis=1)
 
 
 def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed: Collection[int]) -> Chain:
