@@ -19,7 +19,7 @@ from htcp_jax.io.robots.frames import joint_name
 
 ON_JOINT, ON_BODY = "remark on joint ", "remark on body "  # heads of a text's name, before the joint's or body's
 NO_RANGE, NO_SPEED, ENDLESS, SOFT, ONE_BOUND = "no range", "no speed", "endless", "soft limits", "one bound"
-UNUSED_RANGE = "unused range"
+UNUSED_RANGE, LONG_AXIS = "unused range", "long axis"
 # Each of these is followed by a value.
 FOLLOWS, COUPLED, TYPE, HELD = "follows ", "is coupled to ", "type ", "is held at "
 LARGEST_RANGE = 1e6  # [rad or m]; a larger bound is none
@@ -151,13 +151,18 @@ def note_limits(
     """
     said = {joint_name(model, j): _remarks(model, joint_name(model, j)) for j in joints}
     is_own = (own_ranges(model, joints) == ranges).all(axis=1)
+    always = np.full(len(said), True)
     for remark, (applies, text) in {
         SOFT: (is_own, "the soft limits of <safety_controller>, tighter than the range, are the range of {}"),
         ENDLESS: (is_own, "a range beyond 1e6 rad counts as unlimited: {}"),
         UNUSED_RANGE: (is_own, "the range of a continuous joint is not used: {}"),
-        NO_SPEED: (np.isinf(speeds), "the speed 0 of {} counts as missing; htcp program needs speeds: --limits FILE or "
-                   "program.velocity"),
-    }.items():  # fmt: skip
+        LONG_AXIS: (always, "the length of the <axis> of {} is not 1 and has no effect"),
+        NO_SPEED: (
+            np.isinf(speeds),
+            "the speed of {} is not positive and counts as missing; htcp program needs it: --limits FILE or "
+            "program.velocity",
+        ),
+    }.items():
         named = [name for name, is_so in zip(said, applies, strict=True) if is_so and remark in said[name]]
         if named:
             shown = ", ".join([*named[:MOST_NAMED], *(["..."] if len(named) > MOST_NAMED else [])])

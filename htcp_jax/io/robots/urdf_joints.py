@@ -5,7 +5,6 @@ both bounds of the range that holds, and remarks on what matters only for joints
 """
 
 import math
-import sys
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -19,6 +18,7 @@ from htcp_jax.io.robots.urdf_elements import short
 WORLD = "world"  # MuJoCo's own body 0; a URDF's root link may have this name
 TYPES = "revolute", "continuous", "prismatic", "fixed", "floating", "planar"
 BALL = "spherical"  # pybullet's and MuJoCo's addition
+ROUNDED = 0.01  # an axis whose length differs more from 1 is named
 _SPEEDS = {"speed": ("velocity",), "acceleration": ("acceleration", "drake:acceleration")}
 
 
@@ -88,39 +88,43 @@ def read_joints(root: Element, path: Path) -> UrdfJoints:
         InputError: For a descending range, soft limits that contradict it, and a moving joint with an axis of 0.
     """
     found = UrdfJoints({name: {} for name in _SPEEDS}, {})
-    lost: list[str] = []
-    names = {each.get("name", "") for each in root.findall("joint")}
-    for joint in root.findall("joint"):
+    joints = [each for each in root.findall("joint") if each.get("type") != "fixed"]
+    _warn_of_lost_leaders(root, path)
+    has_world = WORLD not in {each.get("link") for each in root.findall("joint/child")}
+    for joint in joints:
         name, kind = joint.get("name", ""), joint.get("type", "")
-        _check_axis(joint, kind, path)
-        said = _range_remarks(joint, path) if kind in ("revolute", "prismatic") else []
+        if kind in ("floating", "planar", BALL):
+            _relieve(joint, has_world)
+            endings = remarks.PLANAR_ENDINGS if kind == "planar" else ("",)
+            found.remarks.update({name + ending: [remarks.TYPE + kind] for ending in endings})
+            continue
+        said = found.remarks[name] = _axis_remarks(joint, path)
+        said += [] if kind == "continuous" else _range_remarks(joint, path)
         if kind == "continuous" and _states_range(joint):
             said.append(remarks.UNUSED_RANGE)
-        if kind in ("revolute", "continuous", "prismatic"):
-            for numeric, attributes in _SPEEDS.items():
-                given = [number for each in attributes if (number := _number(joint, "limit", each)) > 0]
-                found.numbers[numeric][name] = min(given, default=math.inf)
-            if joint.find("limit[@velocity]") is not None and not _number(joint, "limit", "velocity") > 0:
-                said.append(remarks.NO_SPEED)
-        if kind != "fixed" and (mimic := joint.find("mimic")) is not None:
-            said.append(remarks.FOLLOWS + (leader := mimic.get("joint", "")))
-            if leader not in names:
-                lost.append(f"{name} ({leader})")
-        if kind in ("floating", "planar", BALL):
-            said = [remarks.TYPE + kind]
-            _relieve(joint, root)
-        for each in [name + ending for ending in remarks.PLANAR_ENDINGS] if kind == "planar" else [name]:
-            found.remarks[each] = said
-    if lost:
-        warnings.warn(f"{path}: joints that mimic an unknown joint: {short(', '.join(lost))}", stacklevel=4)
+        for numeric, attributes in _SPEEDS.items():
+            given = [number for each in attributes if (number := _number(joint, "limit", each)) > 0]
+            found.numbers[numeric][name] = min(given, default=math.inf)
+        if joint.find("limit[@velocity]") is not None and not _number(joint, "limit", "velocity") > 0:
+            said.append(remarks.NO_SPEED)
+        if (mimic := joint.find("mimic")) is not None:
+            said.append(remarks.FOLLOWS + mimic.get("joint", ""))
     return found
 
 
-def _check_axis(joint: Element, kind: str, path: Path) -> None:
+def _warn_of_lost_leaders(root: Element, path: Path) -> None:
+    names = {each.get("name") for each in root.findall("joint")}
+    pairs = [(each.get("name", ""), each.find("mimic").get("joint", "")) for each in root.findall("joint[mimic]")]
+    if lost := [f"{name} ({leader})" for name, leader in pairs if leader not in names]:
+        warnings.warn(f"{path}: joints that mimic an unknown joint: {short(', '.join(lost))}", stacklevel=5)
+
+
+def _axis_remarks(joint: Element, path: Path) -> list[str]:
     axis = joint.find("axis")
-    if kind in ("revolute", "continuous", "prismatic", "planar") and axis is not None:
-        if not any(map(float, axis.get("xyz", "").split())):
-            raise InputError(f"{path}: joint {joint.get('name')!r}: <axis xyz={axis.get('xyz')!r}> has no direction")
+    length = 1.0 if axis is None else math.hypot(*map(float, axis.get("xyz", "").split()))
+    if not length:
+        raise InputError(f"{path}: joint {joint.get('name')!r}: <axis xyz={axis.get('xyz')!r}> has no direction")
+    return [remarks.LONG_AXIS] if abs(length - 1) > ROUNDED else []
 
 
 def _range_remarks(joint: Element, path: Path) -> list[str]:
@@ -129,9 +133,7 @@ def _range_remarks(joint: Element, path: Path) -> list[str]:
     lower, upper = _number(joint, "limit", "lower"), _number(joint, "limit", "upper")
     if not lower < upper and (lower, upper) != (0, 0):
         raise InputError(f"{path}: joint {name!r} has range {lower:g} to {upper:g}; the lower limit must come first")
-    far = [
-        abs(bound) > (math.inf if slides else remarks.LARGEST_RANGE) or math.isinf(bound) for bound in (lower, upper)
-    ]
+    far = [math.isinf(bound) or (abs(bound) > remarks.LARGEST_RANGE and not slides) for bound in (lower, upper)]
     if (lower, upper) == (0, 0) or all(far):
         said.append(remarks.ENDLESS if all(far) and not slides else remarks.NO_RANGE)
         lower, upper = -math.inf, math.inf
@@ -139,9 +141,7 @@ def _range_remarks(joint: Element, path: Path) -> list[str]:
         said.append(remarks.ONE_BOUND)
     soft = [_number(joint, "safety_controller", f"soft_{side}_limit") for side in ("lower", "upper")]
     if soft[0] > soft[1]:
-        raise InputError(
-            f"{path}: joint {name!r} has soft limits {soft[0]:g} to {soft[1]:g}; the lower must come first"
-        )
+        raise InputError(f"{path}: joint {name!r} has soft limits {soft[0]:g} to {soft[1]:g}; they must ascend")
     if soft[0] < soft[1] and (soft[0] > lower or soft[1] < upper):
         if not max(soft[0], lower) < min(soft[1], upper):
             both = f"{soft[0]:g} to {soft[1]:g} are outside of its range {lower:g} to {upper:g}"
@@ -170,16 +170,14 @@ def _states_range(joint: Element) -> bool:
     return any(lower < upper and min(-lower, upper) < remarks.LARGEST_RANGE for lower, upper in (hard, soft))
 
 
-def _relieve(joint: Element, root: Element) -> None:
+def _relieve(joint: Element, has_world: bool) -> None:
     """Remove the limit of a floating, planar or ball joint; write a floating one that MuJoCo refuses as a ball joint.
 
-    MuJoCo reads a floating joint only at the root `world`. Off the chain it is frozen; on the chain it is refused.
+    MuJoCo reads a floating joint only on the root link `world`. Off the chain it is frozen; on the chain it is refused.
     """
     for limit in joint.findall("limit"):
         joint.remove(limit)
-    children = {each.get("link") for each in root.findall("joint/child")}
-    parent = joint.find("parent").get("link")
-    if joint.get("type") == "floating" and (parent != WORLD or WORLD in children):
+    if joint.get("type") == "floating" and not (has_world and joint.find("parent").get("link") == WORLD):
         joint.set("type", BALL)
 
 

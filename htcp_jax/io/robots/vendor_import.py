@@ -25,7 +25,7 @@ from htcp_jax.io.robots.capsule_fit import (
     hull_volume,
 )
 from htcp_jax.io.robots.composed import PER_JOINT
-from htcp_jax.io.robots.fixed_joints import fix_joints, followers
+from htcp_jax.io.robots.fixed_joints import fix_followers, fix_joints, followers
 from htcp_jax.io.robots.frames import joint_name
 from htcp_jax.io.robots.joint_limits import read_joint_limits
 from htcp_jax.io.robots.model_file import (
@@ -102,7 +102,7 @@ class ImportedArm(NamedTuple):
     chain: Chain  # chain from the world, or from the part's link, to the TCP
     joint_names: tuple[str, ...]  # names of the chain's joints
     frozen: tuple[str, ...]  # names of other joints that are frozen at their initial values
-    fixed: dict[str, float]  # values at which joints are frozen on request [rad or m], by name
+    fixed: dict[str, float]  # other values at which joints are frozen [rad or m], by name
     bodies: tuple[int, ...]  # indices of the robot's bodies in the model, see `_robot_bodies`
     covers: dict[int, BodyCover]  # by the body's index
     massive: tuple[int, ...]  # indices of bodies with an inertia in the file
@@ -191,17 +191,18 @@ def import_robot(
     remarks.check_ranges(model, path, joints, ranges, OF_IMPORT)
     if root == 0:
         warn_of_jaw(model, path, tip, joints)
+    frozen = [j for j in moving if j not in joints and model.jnt_bodyid[j] in bodies]
+    offset = fix_followers(model, frozen, values)
     # whatever is unreadable
     found = {b: [shapes.shape(g, model) for g in own if _body_of(model, g) == b] for b in bodies}
     names = _Names({model.geom(geom.at).name for geom in own})
     covers, shaped = {}, [b for b in bodies if found[b]]
+    _warn_of_followers(model, path, joints, frozen, shaped, offset)
     links = link_frames(model, np.eye(4), chain)[1]
     for done, b in enumerate(shaped):
         progress(done, len(shaped))
         links_after = len(joints) - 1 - links[b][0]
         covers[b] = _cover(found[b], body_name(model, b), names, fit, close=links_after < CLOSE_LINKS)
-    frozen = [j for j in moving if j not in joints and model.jnt_bodyid[j] in bodies]
-    _warn_of_followers(model, path, joints, frozen, shaped)
     excluded = [geom for geom in chosen if geom not in own]
     speeds = numbers.get("speed", np.full(model.njnt, np.inf))
     remarks.note_limits(model, path, joints, ranges, speeds[list(joints)])
@@ -212,8 +213,8 @@ def import_robot(
         tip,
         chain,
         joint_names,
-        tuple(joint_name(model, j) for j in frozen),
-        {joint_name(model, j): value for j, value in sorted(values.items())},
+        tuple(joint_name(model, j) for j in frozen if j not in offset),
+        {joint_name(model, j): value for j, value in sorted((values | offset).items())},
         bodies,
         covers,
         tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
@@ -267,7 +268,12 @@ def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed:
 
 
 def _warn_of_followers(
-    model: mujoco.MjModel, path: Path, joints: Sequence[int], frozen: Sequence[int], shaped: Sequence[int]
+    model: mujoco.MjModel,
+    path: Path,
+    joints: Sequence[int],
+    frozen: Sequence[int],
+    shaped: Sequence[int],
+    offset: Mapping[int, float],
 ) -> None:
     """Warn of frozen joints that follow a moving one and carry shapes, such as the rods of a parallel linkage.
 
@@ -277,6 +283,7 @@ def _warn_of_followers(
         joints: The moving joints.
         frozen: The frozen joints.
         shaped: The bodies with shapes.
+        offset: Values at which some are frozen [rad or m].
     """
     pairs, moving = followers(model), set(joints)
     for _ in pairs:  # one that follows a follower moves, too
@@ -284,10 +291,11 @@ def _warn_of_followers(
     for j in filter(moving.__contains__, frozen):
         links = [body_name(model, b) for b in shaped if model.jnt_bodyid[j] in upwards(model, b)]
         rest = "its link does not follow; exclude it" if len(links) == 1 else "its links do not follow; exclude them"
+        value = offset.get(j, model.qpos0[model.jnt_qposadr[j]])
         if links:
             warnings.warn(
-                f"{path}: {joint_name(model, j)} mimics {joint_name(model, pairs[j])} and is frozen at "
-                f"{model.qpos0[model.jnt_qposadr[j]]:g}: {rest} with {' '.join(f'--omit {name}' for name in links)}",
+                f"{path}: {joint_name(model, j)} mimics {joint_name(model, pairs[j])} and is frozen at {value:g}: "
+                f"{rest} with {' '.join(f'--omit {name}' for name in links)}",
                 stacklevel=3,
             )
 
