@@ -184,6 +184,8 @@ def _rename(tree: mujoco.MjSpec, part: _Part) -> None:
             pair.bodyname2 = pair.bodyname2.removeprefix(prefix)
     for each in named:
         each.name = each.name.removeprefix(prefix)
+    for each in tree.equalities:  # joints that follow others
+        each.name1, each.name2 = each.name1.removeprefix(prefix), each.name2.removeprefix(prefix)
 
 
 def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:

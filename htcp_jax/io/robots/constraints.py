@@ -24,8 +24,8 @@ def body_remarks(root: Element) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for each in _active(root, CLOSING):
         ends = [each.get(f"body{k}") or body_of.get(each.get(f"site{k}")) or "world" for k in (1, 2)]
-        for one, other in (ends, ends[::-1]):
-            found.setdefault(one, []).append(f"<{each.tag}> with {other}")
+        for name in ends:
+            found.setdefault(name, []).append(f"<{each.tag}> of {' and '.join(ends)}")
     return found
 
 

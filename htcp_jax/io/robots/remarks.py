@@ -87,9 +87,8 @@ def check_kinds(
                     f"{path}: joint {name!r} {said}; joints between base and TCP must move on their own; freeze it "
                     f"with {remedies.freeze.format(name)}"
                 )
-    for name in bodies:
-        for said in _remarks(model, name, ON_BODY):
-            warnings.warn(f"{path}: body {name!r} has an <equality>, {said}, which is ignored", stacklevel=4)
+    if loops := dict.fromkeys(said for name in bodies for said in _remarks(model, name, ON_BODY)):
+        warnings.warn(f"{path}: ignored in <equality>: {_listed(list(loops))}", stacklevel=4)
 
 
 def _wrong_type(path: Path, joint: str, kind: str) -> InputError:
@@ -165,8 +164,11 @@ def note_limits(
     }.items():
         named = [name for name, is_so in zip(said, applies, strict=True) if is_so and remark in said[name]]
         if named:
-            shown = ", ".join([*named[:MOST_NAMED], *(["..."] if len(named) > MOST_NAMED else [])])
-            warnings.warn(f"{path}: {text.format(shown)}", Note, stacklevel=3)
+            warnings.warn(f"{path}: {text.format(_listed(named))}", Note, stacklevel=3)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join([*names[:MOST_NAMED], *(["..."] if len(names) > MOST_NAMED else [])])
 
 
 def own_ranges(model: mujoco.MjModel, joints: Sequence[int]) -> Float[np.ndarray, "N 2"]:

@@ -101,7 +101,7 @@ def check_elements(root: Element, path: Path, visual: bool) -> None:
 
 
 def _owners(names: list[str]) -> str:
-    named = [short(name) for name in names if name]
+    named = [*filter(None, names)]
     return f" of {', '.join([*named[:MOST_OWNERS], *(['...'] if len(named) > MOST_OWNERS else [])])}" if named else ""
 
 
@@ -111,10 +111,12 @@ def short(text: str) -> str:
 
 
 def _check(element: Element, owner: str, path: Path, unread: dict[str, list[str]], skipped: str) -> None:
-    """Check an element of `_CONTENT` and its children; `owner` is the name of the link or joint that contains it."""
+    """Check an element of `_CONTENT` and its children; `owner` is the link or joint that contains it."""
     rule, tag = _CONTENT[element.tag], element.tag
-    owner = element.get("name", "") if tag in ("link", "joint") else owner
-    where = f"{path}: {owner and short(owner) + ': '}<{tag}>"
+    inside = f" in <{tag}>"
+    if tag in ("link", "joint"):
+        owner, inside = f"{tag} {short(element.get('name', ''))!r}", ""
+    where = f"{path}: {owner and owner + ': '}<{tag}>"
     counts = Counter(child.tag for child in element)
     for name, how_many in rule.children.items():
         if counts[name] > 1 and how_many != "*":
@@ -130,16 +132,16 @@ def _check(element: Element, owner: str, path: Path, unread: dict[str, list[str]
         if name in rule.numbers:
             _check_numbers(value, rule.numbers[name], f"{where[:-1]} {name}={short(value)!r}>", tag in _INFINITE)
         elif ":" not in name and name != "xmlns":
-            unread.setdefault(f"{short(name)!r} in <{tag}>", []).append(owner)
+            unread.setdefault(f"{short(name)!r}{inside}", []).append(owner)
     texts = " ".join(filter(None, map(str.strip, [element.text or "", *(child.tail or "" for child in element)])))
     if texts:
-        unread.setdefault(f"text {short(texts)!r} in <{tag}>", []).append(owner)
+        unread.setdefault(f"text {short(texts)!r}{inside}", []).append(owner)
     for child in element:
         if child.tag not in rule.children:
             if not _is_harmless(child):
-                unread.setdefault(f"<{short(child.tag)}> in <{tag}>", []).append(owner)
+                unread.setdefault(f"<{short(child.tag)}>{inside}", []).append(owner)
             elif _limits_commands(child):
-                unread.setdefault("limits in <ros2_control>", []).append(child.get("name", ""))
+                unread.setdefault("limits in <ros2_control>", []).append("")
         elif child.tag in _CONTENT and child.tag != skipped:
             _check(child, owner, path, unread, skipped)
 
@@ -157,7 +159,7 @@ def _check_numbers(text: str, count: int, where: str, may_be_infinite: bool) -> 
     except ValueError:
         values = []
     if len(values) != count or any(map(math.isnan, values)) or not (may_be_infinite or all(map(math.isfinite, values))):
-        raise InputError(f"{where} must be {'a number' if count == 1 else f'{count} numbers'}")
+        raise InputError(f"{where} is not {'a number' if count == 1 else f'{count} numbers'}")
 
 
 def _is_harmless(element: Element) -> bool:
