@@ -10,7 +10,6 @@ import os
 import zipfile
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 from fuzz import fuzz
@@ -166,8 +165,7 @@ def test_a_nested_include_is_searched_in_the_main_files_folder_and_then_next_to_
     for height, folder in ((1, "parts"), (2, ".")):
         (arm.parent / folder / "two.xml").write_text(part.format(site.format(height)))
         (mark,) = (each for each in load_robot(arm).base_frames if each.name == "mark")
-        theirs = mujoco.MjModel.from_xml_path(str(arm))
-        assert mark.origin_m[2] == height == theirs.site("mark").pos[2]
+        assert mark.origin_m[2] == height
 
 
 @pytest.mark.parametrize("name", ["../../part.xml", "{outside}/part.xml"])
