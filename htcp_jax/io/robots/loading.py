@@ -48,9 +48,10 @@ def load_robot(
 
     Raises:
         InputError: For a file that cannot be read, an unknown joint or a value beyond its limits in `locked`, too few
-            joints, ball or free joints, joints that follow others, a URDF's joint without a range, joints off the chain,
-            a missing TCP, a model without capsules, a radius that is not positive, a number that is not finite, a profile of limits that the model lacks, and a body of the tool
-            with the name of a body in the model; if the part moves, also for more than nine joints and a moved base.
+            joints, ball or free joints, joints that follow others, a URDF's joint without a range, joints off the
+            chain, a missing TCP, a model without capsules, a radius that is not positive, a number that is not finite,
+            a profile of limits that the model lacks, and a body of the tool with the name of a body in the model; if
+            the part moves, also for more than nine joints and a moved base.
     """
     source = path if isinstance(path, ComposedModel) else Path(path)
     base = tools.pose(base_m, base_rpy_rad)

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.errors import InputError, Note
-from htcp_jax.io.robots import close_fit, remarks
+from htcp_jax.errors import InputError
+from htcp_jax.io.robots import close_fit
 from htcp_jax.io.robots.capsule_fit import (
     MORE_PIECES,
     MOST,
@@ -24,10 +24,9 @@ from htcp_jax.io.robots.capsule_fit import (
     cover_with_capsules,
     hull_volume,
 )
-from htcp_jax.io.robots.composed import PER_JOINT
 from htcp_jax.io.robots.fixed_joints import fix_followers, fix_joints, followers
 from htcp_jax.io.robots.frames import joint_name
-from htcp_jax.io.robots.joint_limits import read_joint_limits
+from htcp_jax.io.robots.imported_limits import limits_of, write_ranges
 from htcp_jax.io.robots.model_file import (
     FEWEST_JOINTS,
     Chain,
@@ -35,7 +34,6 @@ from htcp_jax.io.robots.model_file import (
     check_joints,
     compile_spec,
     find_link,
-    joint_numbers,
     link_frames,
     no_log,
     upwards,
@@ -184,11 +182,7 @@ def import_robot(
         )
     hint = other_frames(model, bodies, tip) if root == 0 else ""
     joint_names = check_joints(model, path, joints, chain, hint, fewest, OF_IMPORT)
-    numbers = {name: joint_numbers(model, path, name, np.inf) for name in PER_JOINT if _has(model, name)}
-    ranges = remarks.own_ranges(model, joints)
-    if limits is not None:
-        ranges = _limits_in_file(model, joints, limits, numbers)
-    remarks.check_ranges(model, path, joints, ranges, OF_IMPORT)
+    ranges, numbers = limits_of(model, path, joints, limits)
     if root == 0:
         warn_of_jaw(model, path, tip, joints)
     frozen = [j for j in moving if j not in joints and model.jnt_bodyid[j] in bodies]
@@ -204,10 +198,7 @@ def import_robot(
         links_after = len(joints) - 1 - links[b][0]
         covers[b] = _cover(found[b], body_name(model, b), names, fit, close=links_after < CLOSE_LINKS)
     excluded = [geom for geom in chosen if geom not in own]
-    speeds = numbers.get("speed", np.full(model.njnt, np.inf))
-    remarks.note_limits(model, path, joints, ranges, speeds[list(joints)])
-    if limits is not None:
-        model.jnt_limited[list(joints)], model.jnt_range[list(joints)] = np.isfinite(ranges).all(axis=1), ranges
+    write_ranges(model, path, joints, ranges, numbers)
     return ImportedArm(
         model,
         tip,
@@ -224,33 +215,6 @@ def import_robot(
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
         tuple(disabled),
     )
-
-
-def _limits_in_file(
-    model: mujoco.MjModel, joints: Sequence[int], file: Path, numbers: dict[str, Float[np.ndarray, "J"]]
-) -> Float[np.ndarray, "N 2"]:
-    """Return the ranges of N joints in a file, or else in the model [rad or m]; write speeds and accelerations.
-
-    Args:
-        model: The compiled model.
-        joints: Indices of the joints.
-        file: The file with joint limits.
-        numbers: Speeds and accelerations of the model's J joints, by name; they are modified.
-
-    Raises:
-        InputError: For a file that cannot be read.
-    """
-    at, own = list(joints), remarks.own_ranges(model, joints)
-    stated = read_joint_limits(file, [joint_name(model, j) for j in joints], model_name(model))
-    if note := stated.note((own[:, 0], own[:, 1])):
-        warnings.warn(note, Note, stacklevel=3)
-    for name, kind in (("speed", "velocity"), ("acceleration", "acceleration")):
-        rates = stated.rates(kind)
-        if np.isfinite(rates).any():
-            values = numbers.setdefault(name, np.full(model.njnt, np.inf))
-            values[at] = np.where(np.isnan(rates), values[at], rates)
-    slides = [bool(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE) for j in joints]
-    return np.stack(stated.ranges(slides, own[:, 0], own[:, 1]), axis=1)
 
 
 def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed: Collection[int]) -> Chain:
@@ -384,10 +348,6 @@ def _is_excluded(geom: Geom, model: mujoco.MjModel) -> bool:
 
 def _geom_kinds(geoms: list[Geom]) -> str:
     return ", ".join(sorted({geom.kind for geom in geoms}))
-
-
-def _has(model: mujoco.MjModel, name: str) -> bool:
-    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name) >= 0
 
 
 class _Names:
