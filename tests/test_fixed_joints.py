@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.cli import main
+from htcp_jax.io.robots import load_robot
 
 # Two joints on one body, with anchors and a joint that is drawn turned; a slide; two fingers, of which one follows.
 MJCF = """
@@ -151,3 +152,26 @@ def test_too_few_joints_are_left(toy, capsys):
     words = [word for name in ("pan", "tilt", "reach") for word in ("--fix", f"{name}=0.1")]
     assert main(["robot", str(toy / "toy.xml"), "--out", str(toy / "arm.xml"), *words]) == 2
     assert "2 joints from the world to the TCP; at least 3 are needed" in capsys.readouterr().err
+
+
+COUPLED = {
+    "a follower": ('<joint joint1="bend" joint2="reach" polycoef="0.1 2"/>', "joint 'bend' is coupled to reach"),
+    "a held joint": ('<joint joint1="bend" polycoef="0.1"/>', "joint 'bend' is held at 0.1"),
+}
+
+
+@pytest.mark.parametrize("case", COUPLED)
+def test_a_joint_of_the_chain_that_an_equality_drives_is_refused_until_it_is_frozen(toy, capsys, case):
+    equality, line = COUPLED[case]
+    (toy / "toy.xml").write_text(MJCF.replace("</mujoco>", f"<equality>{equality}</equality></mujoco>"))
+    assert main(["robot", str(toy / "toy.xml"), "--out", str(toy / "arm.xml")]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and line in printed and "--fix bend=VALUE" in printed
+    assert imported(toy, "toy.xml", "--fix", "bend=0.3", capsys=capsys)[0]["joints"] == ["pan", "tilt", "reach", "roll"]
+
+
+def test_a_closed_loop_of_the_chain_is_a_warning(toy):
+    loop = '<equality><connect body1="c" anchor="0 0 0"/><weld body1="b" body2="a" active="false"/></equality>'
+    (toy / "toy.xml").write_text(MJCF.replace("</mujoco>", f"{loop}</mujoco>"))
+    with pytest.warns(UserWarning, match="toy.xml: ignored in <equality>: <connect> of c and world$"):
+        load_robot(toy / "toy.xml")

@@ -156,6 +156,29 @@ def test_includes_within_the_folder_are_read_once_each(tmp_path):
     refused("itself.xml is included twice", load_robot, twice)
 
 
+def test_a_nested_include_is_searched_in_the_main_files_folder_and_then_next_to_the_including_file(tmp_path):
+    links, rest = SMALL.decode().split("</worldbody>")
+    arm = model(tmp_path, f'{links}<include file="parts/one.xml"/></worldbody>{rest}')
+    part, site = "<mujocoinclude>{}</mujocoinclude>", '<site name="mark" pos="0 0 {}"/>'
+    (arm.parent / "parts").mkdir()
+    (arm.parent / "parts" / "one.xml").write_text(part.format('<include file="two.xml"/>'))
+    for height, folder in ((1, "parts"), (2, ".")):
+        (arm.parent / folder / "two.xml").write_text(part.format(site.format(height)))
+        (mark,) = (each for each in load_robot(arm).base_frames if each.name == "mark")
+        assert mark.origin_m[2] == height
+
+
+@pytest.mark.parametrize("name", ["../../part.xml", "{outside}/part.xml"])
+def test_a_nested_include_cannot_leave_the_main_files_folder(tmp_path, outside, name):
+    folder, watch = outside
+    arm = model(tmp_path, SMALL.decode().replace("<worldbody>", '<include file="parts/one.xml"/><worldbody>', 1))
+    (arm.parent / "parts").mkdir()
+    inner = f'<mujocoinclude><include file="{name.format(outside=folder)}"/></mujocoinclude>'
+    (arm.parent / "parts" / "one.xml").write_text(inner)
+    refused("it is outside the model's folder", load_robot, arm)
+    assert not watch.opened()
+
+
 LAUGHS = "".join(f'<!ENTITY l{k} "{f"&l{k - 1};" * 10}">' for k in range(1, 10))
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from htcp_jax.cli.output import Json
-from htcp_jax.cli.robot import FitTolerance, Fix, Model, Most, Omit, Replace, Srdf, Visual, convert
+from htcp_jax.cli.robot import FitTolerance, Fix, Limits, Model, Most, Omit, Replace, Srdf, Visual, convert
 
 Tool = Annotated[
     str | None,
@@ -31,6 +31,7 @@ def cell(
     visual: Visual = False,
     srdf: Srdf = None,
     fix: Fix = None,
+    limits: Limits = None,
     replace: Replace = False,
     as_json: Json = False,
 ) -> int:
@@ -54,6 +55,6 @@ def cell(
       htcp cell cell.urdf --tool torch_tip --part table --fix tilt=0.3 --out flat.xml
       htcp cell positioner.urdf --part table --out positioner.xml
     """
-    options = {"most": most, "visual": visual, "srdf": srdf, "omit": omit or ()}
+    options = {"most": most, "visual": visual, "srdf": srdf, "omit": omit or (), "limits": limits}
     options |= {"tcp": part, "fewest": 1} if tool is None else {"tcp": tool, "part": part}
     return convert(model, out, fix or (), fit_tolerance, replace, as_json, **options)

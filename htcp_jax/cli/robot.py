@@ -68,6 +68,14 @@ Omit = Annotated[
     list[str] | None,
     typer.Option(metavar="LINK", help="Link without capsules: a linkage's rod, a cable, the part. May be repeated."),
 ]
+Limits = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="File with joint limits, such as MoveIt's joint_limits.yaml; its ranges, speeds and accelerations replace "
+        "the model's.",
+    ),
+]
 Replace = Annotated[bool, typer.Option("--replace", help="Overwrite existing files.")]
 
 
@@ -81,12 +89,14 @@ def robot(
     visual: Visual = False,
     srdf: Srdf = None,
     fix: Fix = None,
+    limits: Limits = None,
     replace: Replace = False,
     as_json: Json = False,
 ) -> int:
     """Convert a vendor's URDF or MJCF model to an arm of capsules.
 
     The joints from base to TCP stay movable. All others, such as a gripper's, are frozen; --fix freezes further ones.
+    Each revolute or prismatic joint of a URDF needs a range, in the model or in --limits FILE.
     A warning names frozen joints that mimic a moving joint: exclude their links with --omit.
     Capsules and spheres of the model are kept; fitted capsules enclose meshes, boxes and cylinders. Writes ARM.xml and
     ARM.png. Inspect the picture: it shows the capsules over the model, coloured by their distance from the mesh.
@@ -103,8 +113,9 @@ def robot(
       htcp robot pipe/arm.xml --tcp link7 --most 5 --out flange.xml
       htcp robot panda.urdf --tcp panda_hand --fit-tolerance 5mm --out panda.xml
       htcp robot pipe/arm.xml --fix a3=0.2 --out six.xml
+      htcp robot arm.urdf --limits joint_limits.yaml --out arm.xml
     """
-    options = {"most": most, "visual": visual, "srdf": srdf, "omit": omit or ()}
+    options = {"most": most, "visual": visual, "srdf": srdf, "omit": omit or (), "limits": limits}
     return convert(model, out, fix or (), fit_tolerance, replace, as_json, tcp=tcp, **options)
 
 

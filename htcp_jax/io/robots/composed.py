@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots import remarks
 from htcp_jax.io.robots.frames import joint_name
 from htcp_jax.io.robots.model_source import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, split_name
 from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, PART, read_spec, unreadable_model
@@ -183,6 +184,8 @@ def _rename(tree: mujoco.MjSpec, part: _Part) -> None:
             pair.bodyname2 = pair.bodyname2.removeprefix(prefix)
     for each in named:
         each.name = each.name.removeprefix(prefix)
+    for each in tree.equalities:  # joints that follow others
+        each.name1, each.name2 = each.name1.removeprefix(prefix), each.name2.removeprefix(prefix)
 
 
 def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:
@@ -196,6 +199,10 @@ def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:
             size = {} if isinstance(each, mujoco.MjsText) else {"size": len(each.data)}
             if head := next((head for head in _OF_CAPSULES if each.name.startswith(head)), None):
                 add(name=head + prefix + each.name.removeprefix(head), data=each.data, **size)
+            elif each.name.startswith(remarks.ON_JOINT):
+                add(name=each.name, data=each.data)
+            elif each.name.startswith(remarks.ON_BODY):
+                add(name=remarks.ON_BODY + prefix + each.name.removeprefix(remarks.ON_BODY), data=each.data)
             elif each.name in PER_JOINT:
                 values.setdefault(each.name, {}).update(zip(own, each.data, strict=True))
             elif each.name == MADE_FROM:

@@ -1,6 +1,6 @@
 """Freezing of a model's joints at given values: the joint's motion is added to the body's pose in its parent."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import mujoco
@@ -53,6 +53,28 @@ def followers(model: mujoco.MjModel) -> dict[int, int]:
     """Return the joint that each following joint follows; keys and values are indices in the model."""
     rows = np.flatnonzero((model.eq_type == _FOLLOWS) & (model.eq_active0 > 0))
     return {int(model.eq_obj1id[k]): int(model.eq_obj2id[k]) for k in rows if model.eq_obj2id[k] >= 0}
+
+
+def fix_followers(model: mujoco.MjModel, joints: Collection[int], known: Mapping[int, float]) -> dict[int, float]:
+    """Freeze the joints among `joints` that follow another one and are not at zero while it is, in place.
+
+    Args:
+        model: The compiled model, which is modified.
+        joints: Indices of joints that do not move, without those in `known`.
+        known: Values of joints that are frozen already [rad or m], by index.
+
+    Returns:
+        Values of the frozen joints that differ from the initial configuration's, by index [rad or m].
+    """
+    drawn_at, pairs = model.qpos0[model.jnt_qposadr], followers(model)
+    values = dict(enumerate(drawn_at.tolist())) | dict(known)
+    for _ in pairs:  # one that follows a follower is moved, too
+        for leader in dict.fromkeys(pairs.values()):
+            values |= dict(_followers(model, leader, values[leader])) | dict(known)
+    fixed = {j: values[j] for j in sorted(joints) if j in pairs and values[j] != drawn_at[j]}
+    for j, value in fixed.items():
+        _fix(model, j, value)
+    return fixed
 
 
 def _followers(model: mujoco.MjModel, joint: int, value: float) -> Iterator[tuple[int, float]]:

@@ -36,8 +36,8 @@ def load_robot(
             geoms are listed in `ignored_geoms`. Mesh files are never opened.
         tcp_site: Name of the site, or else of the body, whose frame is the TCP. If the default "tcp" does not exist,
             the TCP is the model's only site, or a URDF's outermost link.
-        limits: Joint limits. "model": the file's joint ranges, infinite where it has none. "simulation": +-pi for
-            hinges, and the file's ranges for slides. "datasheet": the file's `<numeric>` "datasheet_lower" and
+        limits: Joint limits. "model": the file's joint ranges, infinite where an MJCF file has none. "simulation": +-pi
+            for hinges, and the file's ranges for slides. "datasheet": the file's `<numeric>` "datasheet_lower" and
             "datasheet_upper", one value per joint. The name of a file such as MoveIt's joint_limits.yaml: its ranges,
             and those of "model" for joints without one, see `joint_limits.read_joint_limits`. Speeds and accelerations
             are always the model's `<numeric>` "speed" and "acceleration", or a URDF's `<limit>`; efforts are
@@ -50,10 +50,11 @@ def load_robot(
 
     Raises:
         InputError: For a file that cannot be read, an unknown joint or a value beyond its limits in `locked`, too few
-            joints, ball or free joints, joints off the chain, a missing TCP, a model without capsules, a radius that is
-            not positive, a number that is not finite, a profile of limits that the model lacks, a file of limits that
-            `read_joint_limits` refuses or whose ranges are not plausible for the arm, and a body of the tool
-            with the name of a body in the model; if the part moves, also for more than nine joints and a moved base.
+            joints, ball or free joints, joints that follow others, a URDF's joint without a range, joints off the
+            chain, a missing TCP, a model without capsules, a radius that is not positive, a number that is not finite,
+            a profile of limits that the model lacks, a file of limits that `read_joint_limits` refuses or whose ranges
+            are not plausible for the arm, and a body of the tool with the name of a body in the model; if the part
+            moves, also for more than nine joints and a moved base.
     """
     source = path if isinstance(path, ComposedModel) else Path(path)
     base = tools.pose(base_m, base_rpy_rad)

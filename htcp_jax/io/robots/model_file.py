@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.robots import joint_limits
+from htcp_jax.io.robots import joint_limits, remarks
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.composed import read_model
 from htcp_jax.io.robots.fixed_joints import fix_joints
@@ -144,6 +144,8 @@ def read_robot_file(
         lower, upper = _limits_of_file(limits, joint_names, arm_name, slides, widest, speed)
     else:
         lower, upper = (limit[joints] for limit in _joint_limits(model, path, limits))
+    ranges = np.stack([lower, upper], axis=1)
+    remarks.check_ranges(model, path, joints, ranges, remarks.OF_JOB)
     T_parent_joint, frames = link_frames(model, T_world_base, chain)
     capsules = [_capsule_geom(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
     link, T_link_body = frames[tcp_body]
@@ -195,6 +197,7 @@ def read_robot_file(
         "base_frames": _named_frames(model, frames, moving=False),
         "world": _arm_frame(robot.WORLD.name, *frames[0]) if chain.root else robot.WORLD,
     }
+    remarks.note_limits(model, path, joints, ranges, arrays["speed"])
     held = {each.name: (Capsule(each.p, each.q, each.radius), frames[each.body][1]) for each in capsules}
     return RobotFields(arrays, facts, stored, held)
 
@@ -443,13 +446,18 @@ def check_joints(
     chain: Chain,
     hint: str = "",
     fewest: int = FEWEST_JOINTS,
+    remedies: remarks.Remedies = remarks.OF_JOB,
 ) -> tuple[str, ...]:
     """Check the joints on a chain, given by their indices in the model, and return their names.
 
     Raises:
-        InputError: For ball and free joints, for too few joints (with the hint), and, if the part moves, for more than
-            MOST_JOINTS joints.
+        InputError: For ball, free and planar joints and those that do not move on their own, see `remarks`, for too few
+            joints (with the hint), and, if the part moves, for more than MOST_JOINTS joints.
     """
+    names = [joint_name(model, j) for j in joints]
+    carriers = {int(model.jnt_bodyid[j]) for j in joints}
+    moved = [model.body(b).name for b in range(1, model.nbody) if _carrier(model, b) in carriers]
+    remarks.check_kinds(model, path, names, moved, remedies)
     odd = [joint_name(model, j) for j in joints if model.jnt_type[j] not in (_HINGE, _SLIDE)]
     if odd:
         raise InputError(f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints are supported")
@@ -458,7 +466,12 @@ def check_joints(
         raise InputError(f"{found}; at least {fewest} {'are' if fewest > 1 else 'is'} needed{hint}")
     if chain.root and len(joints) > MOST_JOINTS:
         raise InputError(f"{found}; at most {MOST_JOINTS} are supported: freeze some with --fix or robot.locked")
-    return tuple(joint_name(model, j) for j in joints)
+    return tuple(names)
+
+
+def _carrier(model: mujoco.MjModel, body: int) -> int:
+    """Return the nearest body with a joint, from a body up; 0, the world, if there is none."""
+    return next((b for b in upwards(model, body) if model.body_jntnum[b]), 0)
 
 
 def link_frames(

@@ -10,7 +10,6 @@ these before MuJoCo opens them.
 import math
 import re
 import shlex
-from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -19,6 +18,9 @@ import mujoco
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.files import opened
+from htcp_jax.io.robots import constraints, remarks
+from htcp_jax.io.robots.urdf_elements import check_elements, read_elements
+from htcp_jax.io.robots.urdf_joints import WORLD, UrdfJoints, check_tree, read_joints, refuse_repeated_names
 
 LARGEST_FILE = 10 * 2**20  # [bytes]
 MOST_ELEMENTS, DEEPEST = 50_000, 200
@@ -37,7 +39,6 @@ LIST, PART, MADE_FROM, CUTS = "self_collision", "link of the part", "made from",
 # Names of the texts and tuples in the list, of the convex pieces, and of the part's link.
 OWN = re.compile(r"self_collision|link of the part|made from|cuts of .*|piece of .*|excluded .*")
 ONLY = {"asset": ("mesh",), "contact": ("exclude",), "equality": ("joint",)}  # children to keep in some kept elements
-WORLD = "world"  # MuJoCo's own body 0; a URDF's root link may have this name
 # Elements that generate bodies and joints.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
 
@@ -80,26 +81,32 @@ def read_spec(
 
     Raises:
         InputError: For a file that cannot be read or is too large, for an included file outside its folder, for a xacro
-            file, and for repeated names of links and joints.
+            file, for repeated names of links and joints, and for a URDF whose elements or joints are damaged.
     """
     root = parse(path)
     refuse_xacro(root, path)
     _put_includes_in_place(root, path, {path.resolve()})
     _rename_world(root)
-    _refuse_repeated_names(root, path)
-    if root.tag == "mujoco":
+    refuse_repeated_names(root, path)
+    joints, bodies = UrdfJoints({}, {}), {}
+    if root.tag == "robot":
+        check_elements(root, path, visual)
+        check_tree(root, path)
+        joints = read_joints(root, path)
+    elif root.tag == "mujoco":
+        joints, bodies = UrdfJoints({}, constraints.joint_remarks(root)), constraints.body_remarks(root)
         kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ()), *(("equality",) if equalities else ())}
         _leave_out(root, path, LEFT_OUT - kept)
-    limits = _urdf_limits(root, path) if root.tag == "robot" else {}
     if visual and root.tag == "robot":
         ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", discardvisual="false")
     text = ElementTree.tostring(root, encoding="unicode")
     try:
         spec = mujoco.MjSpec.from_string(text)
-        for name, given in limits.items():
+        for name, given in joints.numbers.items():
             numbers = [given.get(joint.name, math.inf) for joint in spec.joints]
             if numbers and (name == "speed" or min(numbers) < math.inf):
                 spec.add_numeric(name=name, data=numbers, size=len(numbers))
+        remarks.add_remarks(spec, joints.remarks, bodies)
         return spec
     except (ValueError, mujoco.FatalError) as error:
         raise unreadable_model(path, error) from None
@@ -127,10 +134,18 @@ def refuse_xacro(root: ElementTree.Element, path: Path, ending: str = ".urdf") -
     Raises:
         InputError: For such a file, with the command that expands it.
     """
-    if path.suffix.lower() == ".xacro" or any(each.tag.startswith("xacro:") for each in root.iter()):
+    is_unexpanded = any(each.tag.startswith("xacro:") for each in root.iter()) or any(
+        map(_has_macro, read_elements(root))
+    )
+    if path.suffix.lower() == ".xacro" or is_unexpanded:
         made = next(f"{stem}{ending}" for stem in ("arm", "expanded") if path.name != f"{stem}{ending}")
         without = f"without ROS: pip install xacrodoc; xacrodoc {shlex.quote(str(path))} --pkg-dir FOLDER -o {made}"
         raise InputError(f"{path}: a xacro file; expand it first: xacro {shlex.quote(str(path))} > {made} ({without})")
+
+
+def _has_macro(element: ElementTree.Element) -> bool:
+    """Return True for an element with an expression that xacro expands: ${...} or $(...)."""
+    return any("${" in text or "$(" in text for text in (element.text or "", *element.attrib.values()))
 
 
 def _rename_world(root: ElementTree.Element) -> None:
@@ -153,61 +168,6 @@ def _rename_world(root: ElementTree.Element) -> None:
     for end in [*root.findall("joint/parent"), *root.findall("joint/child")] if moved else ():
         if end.get("link") == WORLD:
             end.set("link", name)
-
-
-def _refuse_repeated_names(root: ElementTree.Element, path: Path) -> None:
-    """Refuse a URDF with repeated names of links or of moving joints; MuJoCo itself refuses such an MJCF file.
-
-    Raises:
-        InputError: For repeated names, which the message lists.
-    """
-    moving = [each for each in root.findall("joint") if each.get("type") != "fixed"]
-    counts = Counter((each.tag, each.get("name", "")) for each in [*root.findall("link"), *moving])
-    if repeated := [f"{kind} {name!r}" for (kind, name), count in counts.items() if count > 1]:
-        raise InputError(f"{path}: repeated names: {', '.join(repeated)}; the names of links and joints must be unique")
-
-
-def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, float]]:
-    """Return the joint limits of a URDF that MuJoCo does not read, by the name of the <numeric> and the joint's name.
-
-    A limit that is missing or 0 is inf.
-
-    Raises:
-        InputError: For a descending range.
-    """
-    limits = {"speed": {}, "acceleration": {}}
-    for joint in root.findall("joint"):
-        if joint.get("type") not in ("revolute", "continuous", "prismatic"):
-            continue
-        if joint.get("type") != "continuous":
-            _check_range(joint, path)
-        for name, attributes in (("speed", ["velocity"]), ("acceleration", ["acceleration", "drake:acceleration"])):
-            given = [number for each in attributes if (number := _limit_number(joint, each, path)) > 0]
-            limits[name][joint.get("name", "")] = min(given, default=math.inf)
-    return limits
-
-
-def _check_range(joint: ElementTree.Element, path: Path) -> None:
-    """Check that a joint's range ascends, as MuJoCo treats a descending range as no limit.
-
-    Raises:
-        InputError: For a descending range.
-    """
-    lower, upper = _limit_number(joint, "lower", path), _limit_number(joint, "upper", path)
-    if not lower < upper and (lower, upper) != (0, 0):
-        raise InputError(
-            f"{path}: joint {joint.get('name')!r} has range {lower:g} to {upper:g}; the lower limit must come first"
-        )
-
-
-def _limit_number(joint: ElementTree.Element, name: str, path: Path) -> float:
-    """Return a number in a joint's <limit>; 0 if it is missing, as in the definition of URDF."""
-    limit = joint.find("limit")
-    text = "0" if limit is None else limit.get(name, "0")
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"{path}: joint {joint.get('name')!r}: <limit {name}={text!r}> is not a number") from None
 
 
 def unreadable_model(path: Path, error: Exception) -> InputError:
@@ -248,28 +208,42 @@ def _parsed(text: bytes, builder: _Builder) -> ElementTree.Element:
     return builder.close()
 
 
-def _put_includes_in_place(root: ElementTree.Element, path: Path, seen: set[Path]) -> None:
-    """Replace every <include file="..."/> by the children of the file's root; names are relative to `path`'s folder."""
+def _put_includes_in_place(root: ElementTree.Element, path: Path, seen: set[Path], own: Path | None = None) -> None:
+    """Replace every <include file="..."/> by the children of the file's root.
+
+    Args:
+        root: Root of the file that includes others; it is modified.
+        path: The main file.
+        seen: Absolute paths of the main file and the included files, which are added.
+        own: The file of `root`; None: the main file.
+    """
     for parent in list(root.iter()):
         for include in [child for child in parent if child.tag == "include"]:
-            file = _included(include, path)
+            file = _included(include, path, own or path)
             if file in seen:
                 raise InputError(f"{path}: {include.get('file')} is included twice")
             seen.add(file)
             part = parse(file)
-            _put_includes_in_place(part, path, seen)
+            _put_includes_in_place(part, path, seen, file)
             at = list(parent).index(include)
             parent.remove(include)
             for k, child in enumerate(part):
                 parent.insert(at + k, child)
 
 
-def _included(include: ElementTree.Element, path: Path) -> Path:
+def _included(include: ElementTree.Element, path: Path, own: Path) -> Path:
+    """Return the included file: as in MuJoCo relative to the main file's folder, else to the including file's folder.
+
+    Raises:
+        InputError: For a file outside the main file's folder.
+    """
     name, folder = include.get("file", ""), path.parent.resolve()
     try:
-        file = (folder / name).resolve()
+        places = [(folder / name).resolve(), (own.parent.resolve() / name).resolve()]
+        found = next((file for file in places if file.exists()), None)
     except (OSError, ValueError, RuntimeError):  # an invalid name, links in a circle
         raise InputError(f"{path}: cannot include {name!r}") from None
+    file = found or next((place for place in places if place.is_relative_to(folder)), places[0])
     if not name or not file.is_relative_to(folder):
         raise InputError(f"{path}: cannot include {name!r}: it is outside the model's folder")
     return file

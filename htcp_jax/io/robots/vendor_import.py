@@ -24,9 +24,9 @@ from htcp_jax.io.robots.capsule_fit import (
     cover_with_capsules,
     hull_volume,
 )
-from htcp_jax.io.robots.composed import PER_JOINT
-from htcp_jax.io.robots.fixed_joints import fix_joints, followers
+from htcp_jax.io.robots.fixed_joints import fix_followers, fix_joints, followers
 from htcp_jax.io.robots.frames import joint_name
+from htcp_jax.io.robots.imported_limits import limits_of, write_ranges
 from htcp_jax.io.robots.model_file import (
     FEWEST_JOINTS,
     Chain,
@@ -34,11 +34,11 @@ from htcp_jax.io.robots.model_file import (
     check_joints,
     compile_spec,
     find_link,
-    joint_numbers,
     link_frames,
     no_log,
     upwards,
 )
+from htcp_jax.io.robots.remarks import OF_IMPORT
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
 from htcp_jax.io.robots.srdf import disabled_pairs
@@ -100,7 +100,7 @@ class ImportedArm(NamedTuple):
     chain: Chain  # chain from the world, or from the part's link, to the TCP
     joint_names: tuple[str, ...]  # names of the chain's joints
     frozen: tuple[str, ...]  # names of other joints that are frozen at their initial values
-    fixed: dict[str, float]  # values at which joints are frozen on request [rad or m], by name
+    fixed: dict[str, float]  # other values at which joints are frozen [rad or m], by name
     bodies: tuple[int, ...]  # indices of the robot's bodies in the model, see `_robot_bodies`
     covers: dict[int, BodyCover]  # by the body's index
     massive: tuple[int, ...]  # indices of bodies with an inertia in the file
@@ -133,6 +133,7 @@ def import_robot(
     srdf: Path | None = None,
     fixed: Mapping[str, float] | None = None,
     fewest: int = FEWEST_JOINTS,
+    limits: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, count: None,
 ) -> ImportedArm:
     """Read a URDF or MJCF file with its meshes.
@@ -151,13 +152,14 @@ def import_robot(
         srdf: SRDF file with excluded pairs of links, see `disabled_pairs`.
         fixed: Values [rad or m], by joint name, of joints to freeze, on the chain to the TCP or off it.
         fewest: Minimum number of joints; 1 for a positioner or a rail.
+        limits: File with limits of moving joints that replace the model's, see `read_joint_limits`.
         progress: Function that is called with the number of finished bodies and their total.
 
     Raises:
         InputError: For a file or a mesh that cannot be read, a missing or ambiguous TCP, an unknown link of the part or
             one without a joint between it and the TCP, ball and free joints on the chain, too few joints, more than
-            nine joints if the part moves, a model without shapes, the SRDF file of another robot, an unknown joint or a
-            value beyond its limits in `fixed`, and a tolerance out of range.
+            nine joints if the part moves, a joint without a range, a model without shapes, the SRDF file of another
+            robot, an unknown joint or a value beyond its limits in `fixed`, and a tolerance out of range.
     """
     fit = _Fit(most, tolerance_m)
     spec, shapes, model = _read_model(path, visual)
@@ -179,32 +181,35 @@ def import_robot(
             f"{path}: no shapes to enclose by capsules; geoms of the model: {_geom_kinds(geoms) or 'none'}"
         )
     hint = other_frames(model, bodies, tip) if root == 0 else ""
-    joint_names = check_joints(model, path, joints, chain, hint, fewest)
+    joint_names = check_joints(model, path, joints, chain, hint, fewest, OF_IMPORT)
+    ranges, numbers = limits_of(model, path, joints, limits)
     if root == 0:
         warn_of_jaw(model, path, tip, joints)
+    frozen = [j for j in moving if j not in joints and model.jnt_bodyid[j] in bodies]
+    offset = fix_followers(model, frozen, values)
     # whatever is unreadable
     found = {b: [shapes.shape(g, model) for g in own if _body_of(model, g) == b] for b in bodies}
     names = _Names({model.geom(geom.at).name for geom in own})
     covers, shaped = {}, [b for b in bodies if found[b]]
+    _warn_of_followers(model, path, joints, frozen, shaped, offset)
     links = link_frames(model, np.eye(4), chain)[1]
     for done, b in enumerate(shaped):
         progress(done, len(shaped))
         links_after = len(joints) - 1 - links[b][0]
         covers[b] = _cover(found[b], body_name(model, b), names, fit, close=links_after < CLOSE_LINKS)
-    frozen = [j for j in moving if j not in joints and model.jnt_bodyid[j] in bodies]
-    _warn_of_followers(model, path, joints, frozen, shaped)
     excluded = [geom for geom in chosen if geom not in own]
+    write_ranges(model, path, joints, ranges, numbers)
     return ImportedArm(
         model,
         tip,
         chain,
         joint_names,
-        tuple(joint_name(model, j) for j in frozen),
-        {joint_name(model, j): value for j, value in sorted(values.items())},
+        tuple(joint_name(model, j) for j in frozen if j not in offset),
+        {joint_name(model, j): value for j, value in sorted((values | offset).items())},
         bodies,
         covers,
         tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
-        {name: joint_numbers(model, path, name, np.inf)[sorted(joints)] for name in PER_JOINT if _has(model, name)},
+        {name: values[sorted(joints)] for name, values in numbers.items()},
         tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body_of(model, g))}" for g in excluded),
         visual,
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
@@ -227,7 +232,12 @@ def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed:
 
 
 def _warn_of_followers(
-    model: mujoco.MjModel, path: Path, joints: Sequence[int], frozen: Sequence[int], shaped: Sequence[int]
+    model: mujoco.MjModel,
+    path: Path,
+    joints: Sequence[int],
+    frozen: Sequence[int],
+    shaped: Sequence[int],
+    offset: Mapping[int, float],
 ) -> None:
     """Warn of frozen joints that follow a moving one and carry shapes, such as the rods of a parallel linkage.
 
@@ -237,6 +247,7 @@ def _warn_of_followers(
         joints: The moving joints.
         frozen: The frozen joints.
         shaped: The bodies with shapes.
+        offset: Values at which some are frozen [rad or m].
     """
     pairs, moving = followers(model), set(joints)
     for _ in pairs:  # one that follows a follower moves, too
@@ -244,10 +255,11 @@ def _warn_of_followers(
     for j in filter(moving.__contains__, frozen):
         links = [body_name(model, b) for b in shaped if model.jnt_bodyid[j] in upwards(model, b)]
         rest = "its link does not follow; exclude it" if len(links) == 1 else "its links do not follow; exclude them"
+        value = offset.get(j, model.qpos0[model.jnt_qposadr[j]])
         if links:
             warnings.warn(
-                f"{path}: {joint_name(model, j)} mimics {joint_name(model, pairs[j])} and is frozen at "
-                f"{model.qpos0[model.jnt_qposadr[j]]:g}: {rest} with {' '.join(f'--omit {name}' for name in links)}",
+                f"{path}: {joint_name(model, j)} mimics {joint_name(model, pairs[j])} and is frozen at {value:g}: "
+                f"{rest} with {' '.join(f'--omit {name}' for name in links)}",
                 stacklevel=3,
             )
 
@@ -336,10 +348,6 @@ def _is_excluded(geom: Geom, model: mujoco.MjModel) -> bool:
 
 def _geom_kinds(geoms: list[Geom]) -> str:
     return ", ".join(sorted({geom.kind for geom in geoms}))
-
-
-def _has(model: mujoco.MjModel, name: str) -> bool:
-    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name) >= 0
 
 
 class _Names:

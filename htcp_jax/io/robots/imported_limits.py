@@ -1,0 +1,68 @@
+"""Limits of an imported arm: its model's, replaced by those that a file with joint limits states."""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import Note
+from htcp_jax.io.robots import remarks
+from htcp_jax.io.robots.composed import PER_JOINT
+from htcp_jax.io.robots.frames import joint_name
+from htcp_jax.io.robots.joint_limits import read_joint_limits
+from htcp_jax.io.robots.model_file import joint_numbers
+
+Numbers = dict[str, Float[np.ndarray, "J"]]  # values of PER_JOINT for all joints of a model, by name
+
+
+def limits_of(
+    model: mujoco.MjModel, path: Path, joints: Sequence[int], file: Path | None
+) -> tuple[Float[np.ndarray, "N 2"], Numbers]:
+    """Return the ranges of joints on the chain [rad or m], and the values of PER_JOINT of all joints.
+
+    Args:
+        model: The compiled model.
+        path: Its file, for messages.
+        joints: Indices of the N joints.
+        file: File with joint limits, see `read_joint_limits`; None: the model's limits apply.
+
+    Raises:
+        InputError: For a file that cannot be read, and for joints without a range.
+    """
+    known = [name for name in PER_JOINT if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name) >= 0]
+    numbers = {name: joint_numbers(model, path, name, np.inf) for name in known}
+    at, ranges = list(joints), remarks.own_ranges(model, joints)
+    if file is not None:
+        arm = model.names.partition(b"\0")[0].decode(errors="replace")
+        stated = read_joint_limits(file, [joint_name(model, j) for j in joints], arm)
+        if note := stated.note((ranges[:, 0], ranges[:, 1])):
+            warnings.warn(note, Note, stacklevel=3)
+        slides = [bool(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE) for j in joints]
+        ranges = np.stack(stated.ranges(slides, ranges[:, 0], ranges[:, 1]), axis=1)
+        for name, kind in (("speed", "velocity"), ("acceleration", "acceleration")):
+            rates = stated.rates(kind)
+            if not np.isnan(rates).all():
+                values = numbers.setdefault(name, np.full(model.njnt, np.inf))
+                values[at] = np.where(np.isnan(rates), values[at], rates)
+    remarks.check_ranges(model, path, joints, ranges, remarks.OF_IMPORT)
+    return ranges, numbers
+
+
+def write_ranges(
+    model: mujoco.MjModel, path: Path, joints: Sequence[int], ranges: Float[np.ndarray, "N 2"], numbers: Numbers
+) -> None:
+    """Note what was assumed about the limits of joints, and write their ranges into the model.
+
+    Args:
+        model: The compiled model, which is modified.
+        path: Its file, for messages.
+        joints: Indices of the N joints.
+        ranges: Their ranges [rad or m].
+        numbers: Values of PER_JOINT.
+    """
+    at = list(joints)
+    remarks.note_limits(model, path, joints, ranges, numbers.get("speed", np.full(model.njnt, np.inf))[at])
+    model.jnt_limited[at], model.jnt_range[at] = np.isfinite(ranges).all(axis=1), ranges

@@ -1,0 +1,171 @@
+"""Elements and attributes of a URDF that are read.
+
+One pass over the tree refuses elements that are missing, repeated or malformed, and names all others in one warning, so
+that a misspelt or misplaced element is noticed. Elements for simulators, controllers and pictures are not named.
+"""
+
+import math
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
+
+from htcp_jax.errors import InputError
+
+# Elements that change neither geometry nor kinematics nor limits, as elements of other programs with a prefix (a:b).
+HARMLESS = {
+    "calibration", "collision_checking", "compliant_contact", "contact", "contact_coefficients", "dynamics", "frame",
+    "gazebo", "gravity", "hardwareInterface", "joint_properties", "klampt", "material", "ros2_control",
+    "self_collision_checking", "self_filter", "sensor", "transmission", "verbose",
+}  # fmt: skip
+# Elements with a prefix that do change them; each is named.
+NOT_HARMLESS = {"drake:capsule", "drake:ellipsoid", "drake:joint", "drake:mimic", "drake:screw_thread_pitch"}
+SHAPES = "box", "capsule", "cylinder", "mesh", "sphere"
+MOST_NAMED, MOST_OWNERS, LONGEST = 8, 4, 60  # bounds of the warning: kinds of elements, names for each, characters
+
+
+class _Rule(NamedTuple):
+    """Children and attributes of an element."""
+
+    children: dict[str, str]  # by name: "" for at most one, "!" for exactly one, "*" for any number
+    numbers: dict[str, int]  # number of numbers in each attribute; 0: text
+    required: frozenset[str]  # names of required attributes
+
+
+def _rule(children: str = "", attributes: str = "") -> _Rule:
+    parts = [each.rstrip("!").partition(":") for each in attributes.split()]
+    return _Rule(
+        {each.rstrip("!*"): each[len(each.rstrip("!*")) :] for each in children.split()},
+        {name: int(count or 0) for name, _, count in parts},
+        frozenset(each.rstrip("!").partition(":")[0] for each in attributes.split() if each.endswith("!")),
+    )
+
+
+_INERTIA = "ixx:1 ixy:1 ixz:1 iyy:1 iyz:1 izz:1"
+_CONTENT = {
+    "robot": _rule("link* joint* mujoco*", "name version"),
+    "link": _rule("inertial visual* collision*", "name! type"),
+    "joint": _rule("parent! child! origin axis limit mimic safety_controller", "name! type! dont_collapse"),
+    "inertial": _rule("origin mass inertia"),
+    "visual": _rule("origin geometry!", "name"),
+    "collision": _rule("origin geometry!", "name"),
+    "geometry": _rule(" ".join(SHAPES), "name"),
+    "origin": _rule("", "xyz:3 rpy:3"),
+    "axis": _rule("", "xyz:3!"),
+    "parent": _rule("", "link!"),
+    "child": _rule("", "link!"),
+    "limit": _rule("", "lower:1 upper:1 effort:1 velocity:1 acceleration:1"),
+    "mimic": _rule("", "joint! multiplier:1 offset:1"),
+    "safety_controller": _rule("", "soft_lower_limit:1 soft_upper_limit:1 k_position k_velocity"),
+    "mass": _rule("", "value:1!"),
+    "inertia": _rule("", _INERTIA),
+    "box": _rule("", "size:3!"),
+    "capsule": _rule("", "radius:1! length:1!"),
+    "cylinder": _rule("", "radius:1! length:1!"),
+    "mesh": _rule("", "filename! scale:3"),
+    "sphere": _rule("", "radius:1!"),
+}
+_INFINITE = "limit", "safety_controller"  # elements in which a number may be infinite
+
+
+def read_elements(root: Element) -> Iterator[Element]:
+    """Yield the elements of a tree, without those in a harmless element."""
+    yield root
+    for child in root:
+        if not _is_harmless(child):
+            yield from read_elements(child)
+
+
+def check_elements(root: Element, path: Path, visual: bool) -> None:
+    """Check the elements and attributes of a URDF.
+
+    A warning names elements, attributes and text that are not read, unless they are harmless.
+
+    Args:
+        root: The root, <robot>.
+        path: The file, for messages.
+        visual: True if the visual geometry is used although the file has collision geometry.
+
+    Raises:
+        InputError: For a missing, repeated or malformed element or attribute.
+    """
+    unread: dict[str, list[str]] = {}
+    skipped = "" if visual or root.find("link/collision") is None else "visual"
+    _check(root, "", path, unread, skipped)
+    if unread:
+        shown = [f"{what}{_owners(names)}" for what, names in list(unread.items())[:MOST_NAMED]]
+        rest = f", and {len(unread) - MOST_NAMED} more" if len(unread) > MOST_NAMED else ""
+        warnings.warn(f"{path}: ignored, as it is not part of a URDF: {', '.join(shown)}{rest}", stacklevel=4)
+
+
+def _owners(names: list[str]) -> str:
+    named = [*filter(None, names)]
+    return f" of {', '.join([*named[:MOST_OWNERS], *(['...'] if len(named) > MOST_OWNERS else [])])}" if named else ""
+
+
+def short(text: str) -> str:
+    """Return a text from a file, cut to a length that fits into a message."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+
+
+def _check(element: Element, owner: str, path: Path, unread: dict[str, list[str]], skipped: str) -> None:
+    """Check an element of `_CONTENT` and its children; `owner` is the link or joint that contains it."""
+    rule, tag = _CONTENT[element.tag], element.tag
+    inside = f" in <{tag}>"
+    if tag in ("link", "joint"):
+        owner, inside = f"{tag} {short(element.get('name', ''))!r}", ""
+    where = f"{path}: {owner and owner + ': '}<{tag}>"
+    counts = Counter(child.tag for child in element)
+    for name, how_many in rule.children.items():
+        if counts[name] > 1 and how_many != "*":
+            raise InputError(f"{where} has {counts[name]} <{name}>; it must have one")
+        if how_many == "!" and not counts[name]:
+            raise InputError(f"{where} has no <{name}>")
+    if tag == "geometry" and sum(counts[shape] for shape in SHAPES) != 1:
+        found = ", ".join(f"<{name}>" for name in counts) or "nothing"
+        raise InputError(f"{where} contains {short(found)}; it must contain one of {', '.join(SHAPES)}")
+    if missing := [name for name in sorted(rule.required) if name not in element.attrib]:
+        raise InputError(f"{where} has no attribute {missing[0]!r}")
+    for name, value in element.attrib.items():
+        if name in rule.numbers:
+            _check_numbers(value, rule.numbers[name], f"{where[:-1]} {name}={short(value)!r}>", tag in _INFINITE)
+        elif ":" not in name and name != "xmlns":
+            unread.setdefault(f"{short(name)!r}{inside}", []).append(owner)
+    texts = " ".join(filter(None, map(str.strip, [element.text or "", *(child.tail or "" for child in element)])))
+    if texts:
+        unread.setdefault(f"text {short(texts)!r}{inside}", []).append(owner)
+    for child in element:
+        if child.tag not in rule.children:
+            if not _is_harmless(child):
+                unread.setdefault(f"<{short(child.tag)}>{inside}", []).append(owner)
+            elif _limits_commands(child):
+                unread.setdefault("limits in <ros2_control>", []).append("")
+        elif child.tag in _CONTENT and child.tag != skipped:
+            _check(child, owner, path, unread, skipped)
+
+
+def _check_numbers(text: str, count: int, where: str, may_be_infinite: bool) -> None:
+    """Check an attribute with `count` numbers; 0: text.
+
+    Raises:
+        InputError: For another number of values, and for one that is no number, nan, or infinite without need.
+    """
+    if not count:
+        return
+    try:
+        values = [float(part) for part in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or any(map(math.isnan, values)) or not (may_be_infinite or all(map(math.isfinite, values))):
+        raise InputError(f"{where} is not {'a number' if count == 1 else f'{count} numbers'}")
+
+
+def _is_harmless(element: Element) -> bool:
+    return element.tag in HARMLESS or (":" in element.tag and element.tag not in NOT_HARMLESS)
+
+
+def _limits_commands(element: Element) -> bool:
+    """Return True for a <ros2_control> that limits the commands to a joint."""
+    return element.tag == "ros2_control" and any(each.get("name") in ("min", "max") for each in element.iter("param"))
