@@ -56,8 +56,13 @@ def read_obj(path: Path, data: bytes) -> tuple[Float[np.ndarray, "V 3"], Float[n
             material = materials.setdefault(" ".join(words[1:]), len(materials))
         elif key in FREE_FORM:
             raise InputError(f"{path}: line {number}: {key!r} is not a polygon; export the part as triangles")
-        elif key not in HARMLESS:
+        elif key in IGNORED:
             others[key] = others.get(key, 0) + 1
+        elif key not in HARMLESS:
+            text = f"line {number}: unknown key {key[:20]!r}; write # before the line if it may be ignored"
+            raise InputError(f"{path}: not a readable .obj file ({text})")
+    if not vertices:
+        raise InputError(f"{path}: not a readable .obj file (it contains no vertices)")
     _name(path, others, len(faces), len(vertices))
     xyz = np.array(vertices, np.float64).reshape(-1, 3)
     triangles = _triangles(path, xyz, faces)
@@ -90,13 +95,8 @@ def _face(path: Path, number: int, words: list[str], before: int, material: int)
 def _name(path: Path, others: dict[str, int], faces: int, vertices: int) -> None:
     """Report elements that are not used, and a file without faces."""
     for key, count in others.items():
-        what = (
-            f"{count} {IGNORED[key]} ({key!r})"
-            if key in IGNORED
-            else f"{count} lines with the unknown key {key[:20]!r}"
-        )
-        if not (key == "p" and not faces):
-            warnings.warn(f"{path}: {what} are ignored", Note, stacklevel=3)
+        if faces or key != "p":
+            warnings.warn(f"{path}: its {count} {IGNORED[key]} ({key}) are ignored", Note, stacklevel=3)
     if vertices and not faces:
         warnings.warn(f"{path}: it has no faces; its {vertices} vertices are read as a cloud", Note, stacklevel=3)
 
