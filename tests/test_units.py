@@ -116,7 +116,7 @@ def test_the_command_refuses_a_part_in_millimetres(tmp_path, capsys, monkeypatch
     assert main(["plan", *files, "--out", "out"]) == 2
     assert capsys.readouterr().err == (
         "htcp: box extends over 400 m, gp50 reaches 3.07 m; "
-        "it seems to be in millimetres; convert to metres (factor 0.001)\n"
+        "it seems to be in millimetres; set workpiece.unit: mm\n"
     )
     assert not (tmp_path / "out").exists()
 
@@ -140,7 +140,8 @@ def test_a_sweep_refuses_a_part_in_inches(tmp_path):
     np.savetxt(tmp_path / "seam.csv", UNITS["inches"] * SEAM, delimiter=",")
     (tmp_path / "job.yaml").write_text("workpiece: {cloud: box.xyz, path: seam.csv}\n")
     (tmp_path / "grid.yaml").write_text("config: job.yaml\ngrid:\n  - workpiece.rotation_y_rad: [0.0, 0.1]\n")
-    with pytest.raises(InputError, match=r"it and its path seem to be in inches; convert to metres \(factor 0.0254\)"):
+    keys = "set workpiece.unit: in and workpiece.path_unit: in"
+    with pytest.raises(InputError, match=f"it and its path seem to be in inches; {keys}"):
         load_sweep(tmp_path / "grid.yaml").batch()
 
 

@@ -123,9 +123,11 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
 
 def source_of(part: WorkpieceConfig) -> parts.WorkpieceSource:
     """Return the source of the workpiece's walls: the generated duct, the content of a file, or no walls."""
+    if part.unit is not None and (part.is_duct or not part.has_cloud):
+        raise InputError(f"workpiece.unit is {part.unit!r}, but workpiece.cloud is {part.cloud}, not a file; omit the key")
     if part.is_duct:
         return parts.GeneratedDuct(seam=part.path) if path_file(part) is None else parts.GeneratedDuct()
-    return parts.read_source(part.cloud, part.mesh_spacing_m) if part.has_cloud else parts.NoCloud()
+    return parts.read_source(part.cloud, part.mesh_spacing_m, part.unit) if part.has_cloud else parts.NoCloud()
 
 
 def path_file(part: WorkpieceConfig) -> str | None:
@@ -200,7 +202,7 @@ def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:
     triangles = [surface.NOTHING.triangles, *(each.surface for each in shapes)]
     surfaces = [surface.NOTHING.clouds]
     for each, T in standing.clouds:
-        points, mesh = parts.load_geometry(each.cloud)
+        points, mesh = parts.load_geometry(each.cloud, each.unit)
         if len(mesh):
             triangles.append(mesh @ T[:3, :3].T + T[:3, 3])
         else:
@@ -228,7 +230,7 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
     clouds = tuple(
         of_cell.placed_cloud(
             robot,
-            *parts.load_geometry(each.cloud),
+            *parts.load_geometry(each.cloud, each.unit),
             T,
             source=each.cloud,
             name=(name := cell_shapes.name_of(each)),

@@ -1,19 +1,21 @@
 """Point clouds and tables of points from files.
 
 A reader returns points, or raises InputError with one line. It accepts regular files of at most 2 GiB, runs no code
-from a file (no pickles), and follows no reference to another file (textures, materials). Parsers that are not written
-in Python run in their own process, see `scan`.
+from a file (no pickles), and follows no reference to another file (textures, materials). What a file states about its
+geometry is used or refused, or a Note names it. Parsers that are not written in Python run in their own process, see
+`scan`.
 """
 
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io.files import known_ending, read_bytes
-from htcp_jax.io.parts.columns import TablePoints
+from htcp_jax.io.parts.columns import PER_METRE, TablePoints
 from htcp_jax.io.parts.obj import read_obj
 from htcp_jax.io.parts.ply import read_ply
 from htcp_jax.io.parts.scan import PARTS, SCANS, read_part, read_scan
@@ -34,21 +36,31 @@ class Geometry(NamedTuple):
     triangles: Float[np.ndarray, "F 3 3"]
 
 
-def load_geometry(path: str | Path) -> Geometry:
+def load_geometry(path: str | Path, unit: str | None = None) -> Geometry:
     """Read the points of a cloud file, or the triangles of a mesh [m].
 
     Formats of clouds: .xyz .csv .txt .npy .pcd .e57 .las .laz, and .ply or .obj without faces. Formats of meshes: .stl
-    .obj .ply .step .stp.
+    .obj .ply .step .stp. Points of a cloud with a NaN coordinate, and those that the file marks as invalid or withheld,
+    are ignored; a Note contains their number.
+
+    Args:
+        path: The file.
+        unit: Unit of its coordinates, a key of `columns.PER_METRE`; None: m, or the unit that the file states.
 
     Raises:
-        InputError: For a file that cannot be read, for NaN and infinite points, and for fewer than 4 points in a cloud.
+        InputError: For a file that cannot be read, for infinite points, for fewer than 4 points in a cloud, and for a
+            unit of a file that states its own.
     """
     path = Path(path)
     ending = known_ending(path, CLOUDS)
+    if ending in PARTS and unit is not None:
+        raise InputError(f"{path}: the unit is {unit}, but a {ending} file states its own unit; omit the key")
     if ending in MESHES:
         found = _read_mesh(path, ending)
+        if unit is not None:
+            found = Geometry(found.points / PER_METRE[unit], found.triangles / PER_METRE[unit])
     else:
-        found = Geometry(read_points(path).xyz, np.empty((0, 3, 3)))
+        found = Geometry(read_points(path, unit).xyz, np.empty((0, 3, 3)))
     arrays.check_points(found.points, str(path), at_least=1 if len(found.triangles) else 4)
     return found
 
@@ -67,27 +79,47 @@ def load_cloud(path: str | Path, *, spacing: float | None = None) -> Float[np.nd
     return mesh_points.cover_mesh(found.triangles, str(path), spacing).points if len(found.triangles) else found.points
 
 
-def read_points(path: str | Path) -> TablePoints:
-    """Read the points [m] of a table, such as a tool path, or of a scan, and their normals if the file has any.
+def read_points(path: str | Path, unit: str | None = None) -> TablePoints:
+    """Read the points [m] of a cloud, and their normals if the file has any.
 
-    Formats: .xyz .csv .txt .npy .pcd .e57 .las .laz.
+    Formats: .xyz .csv .txt .npy .pcd .e57 .las .laz. Points with a NaN coordinate are ignored, with a Note.
+
+    Args:
+        path: The file.
+        unit: Unit of its coordinates, see `load_geometry`.
 
     Raises:
-        InputError: For a file that cannot be read. Values and number of points are checked by `load_cloud` only.
+        InputError: For a file that cannot be read. Values and number of points are checked by `load_geometry` only.
     """
     path = Path(path)
     ending = known_ending(path, (*TABLES, *SCANS))
     if ending in SCANS:
-        return read_scan(path, ending)
-    return read_npy(path) if ending == ".npy" else read_table(path)
+        found = read_scan(path, ending)
+    else:
+        found = read_npy(path) if ending == ".npy" else read_table(path, unit)
+    if unit is not None and ending not in TEXT:
+        found = found._replace(xyz=found.xyz / PER_METRE[unit])
+    if not (measured := _measured(path, found.xyz)).all():
+        found = TablePoints(found.xyz[measured], None if found.normals is None else found.normals[measured])
+    return found
+
+
+def _measured(path: Path, points: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, "P"]:
+    """Return False for points with a NaN coordinate, where a scanner measured nothing; a Note counts them."""
+    is_nan = np.isnan(points).any(axis=1)
+    if is_nan.any():
+        warnings.warn(f"{path}: {is_nan.sum()} of {len(points)} points are NaN and are ignored", Note, stacklevel=3)
+    return ~is_nan
 
 
 def _read_mesh(path: Path, ending: str) -> Geometry:
     vertices, triangles = _geometry(path, ending)
+    if not len(triangles):
+        return Geometry(vertices[_measured(path, vertices)], triangles)
     corners = triangles.reshape(-1, 3)
     if not np.isfinite(corners).all() or np.abs(corners).max(initial=0.0) > arrays.LARGEST_COORDINATE:
         raise InputError(f"{path}: a vertex of the mesh is NaN, infinite or too far from the origin")
-    return Geometry(corners if len(corners) else vertices, triangles)
+    return Geometry(corners, triangles)
 
 
 def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "F 3 3"]]:
