@@ -124,7 +124,9 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
 def source_of(part: WorkpieceConfig) -> parts.WorkpieceSource:
     """Return the source of the workpiece's walls: the generated duct, the content of a file, or no walls."""
     if part.unit is not None and (part.is_duct or not part.has_cloud):
-        raise InputError(f"workpiece.unit is {part.unit!r}, but workpiece.cloud is {part.cloud}, not a file; omit the key")
+        raise InputError(
+            f"workpiece.unit is {part.unit!r}, but workpiece.cloud is {part.cloud}, not a file; omit the key"
+        )
     if part.is_duct:
         return parts.GeneratedDuct(seam=part.path) if path_file(part) is None else parts.GeneratedDuct()
     return parts.read_source(part.cloud, part.mesh_spacing_m, part.unit) if part.has_cloud else parts.NoCloud()

@@ -3,20 +3,25 @@
 For a damaged file, a parser that is written in C++ may crash, hang, fill the memory or print. It therefore runs in its
 own process. `scan.parsed` starts the process, sets its limits and reads the result: FOLDER/arrays.npz, or the exception
 in FOLDER/error.txt. In addition to points or triangles a parser returns `remarks`, a line for everything that the file
-states and that is not used. The script does not import the package, so it starts fast. A pool of processes cannot be used: the
-memory limit depends on the file, and a process cannot raise its own limit again.
+states and that is not used. The script does not import the package, so it starts fast. A pool of processes cannot be
+used: the memory limit depends on the file, and a process cannot raise its own limit again.
 """
 
 import contextlib
 import io
+import json
 import math
+import re
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 CHORD_DEVIATION_MM = 0.05  # largest distance of the triangles from a curved STEP face
 TURN_RAD = 0.2
+SHELLS = r"(CLOSED_SHELL|OPEN_SHELL|CONNECTED_FACE_SET|TESSELLATED_SHELL|TESSELLATED_SOLID)\b"
+STEP_FACES = r"(ADVANCED_FACE|FACE_SURFACE|(COMPLEX_)?TRIANGULATED_FACE)\b"
 MOST_COLUMNS = 1000  # maximum number of columns of a PCD cloud
 # Limit of the points' size: [bytes], and times the file's size; LZF reaches 88.
 LEAST_LIMIT, GROWTH = 2**26, 100
@@ -104,16 +109,55 @@ def step(file: Path) -> dict[str, np.ndarray]:
     import cascadio
     import trimesh
 
-    glb = cascadio.load(file.read_bytes(), tol_linear=CHORD_DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False)
+    about, how = _step_faces(file.read_bytes()), {"tol_linear": CHORD_DEVIATION_MM, "tol_angular": TURN_RAD}
+    glb = cascadio.load(file.read_bytes(), use_parallel=False, **how)
     if not glb:
         raise ValueError("the file contains no shapes")
+    # Open CASCADE omits faces that it cannot mesh. If they are not merged, each is a primitive.
+    read = _primitives(cascadio.load(file.read_bytes(), use_parallel=False, merge_primitives=False, **how))
+    if read < about.faces:
+        missing = about.faces - read
+        raise ValueError(f"{missing} of {about.faces} faces cannot be read; repair the part and export it again")
     scene = trimesh.load_scene(io.BytesIO(glb), file_type="glb", process=False)
     placed = [np.empty((0, 3, 3))]
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
         triangles = np.asarray(scene.geometry[name].triangles, np.float64)
         placed.append(triangles @ T[:3, :3].T + T[:3, 3])
-    return {"triangles": np.concatenate(placed)}
+    return {"triangles": np.concatenate(placed), "remarks": np.array(about.remarks, str)}
+
+
+class StepFaces(NamedTuple):
+    """What a STEP file declares."""
+
+    faces: int  # number of faces in all shells
+    remarks: list[str]
+
+
+def _step_faces(data: bytes) -> StepFaces:
+    """Check that a STEP file is complete, which Open CASCADE does not, and count its faces."""
+    text = re.sub(r"/\*.*?\*/", "", data.decode("latin-1"), flags=re.DOTALL)
+    text = re.sub(r"'(?:[^']|'')*'", "''", text)  # texts may contain anything
+    if not re.search(r"END-ISO-10303-21\s*;", text):
+        raise ValueError("damaged: it does not end with END-ISO-10303-21;")
+    entities = dict(re.findall(r"#(\d+)\s*=\s*([^;]*);", text))
+    shells = [body for body in entities.values() if re.match(SHELLS, body)]
+    if missing := sorted({*re.findall(r"#(\d+)", text)} - entities.keys(), key=int):
+        raise ValueError(f"damaged: it refers to #{missing[0]}, which it does not contain")
+    if shells and not re.search(r"\bLENGTH_UNIT\b", text):
+        raise ValueError("it states no unit of length")
+    listed = {each for body in shells for each in re.findall(r"#(\d+)", body)}
+    curves = sum(1 for body in entities.values() if re.match(r"GEOMETRIC_CURVE_SET\b", body))
+    remarks = [f"its {curves} sets of curves are ignored, as they have no faces"] if curves else []
+    if re.search(r"\bDOCUMENT_FILE\b", text):
+        remarks.append("it refers to other files (DOCUMENT_FILE), which are not read")
+    return StepFaces(sum(1 for each in listed if re.match(STEP_FACES, entities[each])), remarks)
+
+
+def _primitives(glb: bytes) -> int:
+    """Return the number of primitives of all meshes in a GLB file."""
+    length = int.from_bytes(glb[12:16], "little")
+    return sum(len(mesh["primitives"]) for mesh in json.loads(glb[20 : 20 + length]).get("meshes", ()))
 
 
 def run_parser(kind: str, file: str, folder: str, memory: str) -> None:

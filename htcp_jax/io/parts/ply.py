@@ -182,7 +182,9 @@ def _row_starts(path: Path, element: _Element, body: bytes, at: int) -> _At:
         return at + least * np.arange(element.count)
     starts = np.empty(element.count, int)
     order = "big" if ">" in {(each.length or each.type).byteorder for each in element.properties} else "little"
-    steps = [(size, each.type.itemsize if each.length else 0) for size, each in zip(sizes, element.properties, strict=True)]
+    steps = [
+        (size, each.type.itemsize if each.length else 0) for size, each in zip(sizes, element.properties, strict=True)
+    ]
     for k in range(element.count):
         starts[k] = at
         for size, each in steps:

@@ -131,9 +131,7 @@ WorkpieceSource = GeneratedDuct | PointCloud | TriangleMesh | NoCloud
 DUCT = GeneratedDuct()
 
 
-def read_source(
-    file: str | Path, spacing_m: float | None = None, unit: str | None = None
-) -> PointCloud | TriangleMesh:
+def read_source(file: str | Path, spacing_m: float | None = None, unit: str | None = None) -> PointCloud | TriangleMesh:
     """Read the walls of a part from a file of points or triangles, see `load_geometry`.
 
     Args:
