@@ -101,7 +101,7 @@ def scan(file: Path, kind: str) -> bytes:
     """Write a scan and return its bytes."""
     if file.suffix == ".pcd":
         points = np.concatenate([POINTS, np.zeros((30, 3))])  # something to compress
-        cloud = pytest.importorskip("pypcd4").PointCloud.from_points(points, "xyz", (np.float64,) * 3)
+        cloud = pytest.importorskip("pypcd4").PointCloud.from_points(points, tuple("xyz"), (np.float64,) * 3)
         cloud.save(file, encoding=pytest.importorskip("pypcd4").Encoding(kind))
     elif file.suffix in (".las", ".laz"):
         header = pytest.importorskip("laspy").LasHeader(point_format=3, version="1.2")

@@ -111,7 +111,7 @@ def read_bytes(path: Path) -> bytes:
 
 def note_missing_line_end(path: Path, data: bytes) -> None:
     """Warn by a Note of a text whose last line has no line end, as in a file that was cut."""
-    if data and not data.endswith((b"\n", b"\r", b"\0", b"\x1a")):
+    if (rest := data.rstrip(b" \t\0\x1a")) and not rest.endswith((b"\n", b"\r")):
         warnings.warn(f"{path}: its last line has no line end; check that the file is complete", Note, stacklevel=3)
 
 
