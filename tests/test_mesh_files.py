@@ -157,7 +157,7 @@ def test_the_faces_of_a_ply_are_found_by_any_usual_name(tmp_path, name, element)
 
 
 @pytest.mark.parametrize("elements, rows, words", [
-    ("element trifans 1\nproperty list int int vertex_indices\n", "4 0 1 2 3\n", "its 1 elements 'trifans' hold vertices"),
+    ("element trifans 1\nproperty list int int vertex_index\n", "4 0 1 2 3\n", "elements 'trifans' hold vertices"),
     ("element patch 1\nproperty list int int corner_index\n", "3 0 1 2\n", "'patch' hold vertices"),
     ("element face 1\nproperty int a\n", "3\n", "elements 'face' have the lists none"),
     (FACES.format("a") + "property list uchar int b\n", "3 0 1 2 3 0 1 2\n", "have the lists a, b; one with the"),

@@ -105,10 +105,16 @@ def read_points(path: str | Path, unit: str | None = None) -> TablePoints:
 
 
 def _measured(path: Path, points: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, "P"]:
-    """Return False for points with a NaN coordinate, where a scanner measured nothing; a Note counts them."""
+    """Return False for points with a NaN coordinate, where a scanner measured nothing.
+
+    Notes count them, and points at the origin, which some scanners write instead.
+    """
     is_nan = np.isnan(points).any(axis=1)
     if is_nan.any():
         warnings.warn(f"{path}: {is_nan.sum()} of {len(points)} points are NaN and are ignored", Note, stacklevel=3)
+    if (at_origin := int((points == 0.0).all(axis=1).sum())) > 1:
+        text = f"{at_origin} of {len(points)} points are 0 0 0; delete them if the scanner measured nothing there"
+        warnings.warn(f"{path}: {text}", Note, stacklevel=3)
     return ~is_nan
 
 

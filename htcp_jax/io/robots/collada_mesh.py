@@ -107,12 +107,12 @@ def _check_lists(root) -> None:
     Raises:
         ValueError: Otherwise.
     """
-    if next(root.iter("{*}ph"), None) is not None:
+    if root.find(".//{*}ph") is not None:
         raise ValueError("a polygon with a hole (<ph>); divide it into triangles")
-    for node in root.iter("{*}float_array"):
+    for node in root.iterfind(".//{*}float_array"):
         _check_count(node, len((node.text or "").split()))
     for name, corners in (("triangles", 3), ("polylist", 0), ("polygons", 0)):
-        for node in root.iter(f"{{*}}{name}"):
+        for node in root.iterfind(f".//{{*}}{name}"):
             offsets = [int(each.get("offset", 0)) for each in node.iterfind("{*}input")]
             lists = [len((each.text or "").split()) // (max(offsets, default=0) + 1) for each in node.iterfind("{*}p")]
             counts = [int(each) for vcount in node.iterfind("{*}vcount") for each in (vcount.text or "").split()]
