@@ -27,6 +27,7 @@ TEXT = (".xyz", ".csv", ".txt")
 TABLES = (*TEXT, ".npy")
 MESHES = (".ply", ".stl", ".obj", *PARTS)
 CLOUDS = (*TABLES, *SCANS, *MESHES)
+AT_ORIGIN = 10  # number of points at 0 0 0 from which on they may be places where a scanner measured nothing
 
 
 class Geometry(NamedTuple):
@@ -112,7 +113,7 @@ def _measured(path: Path, points: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, 
     is_nan = np.isnan(points).any(axis=1)
     if is_nan.any():
         warnings.warn(f"{path}: {is_nan.sum()} of {len(points)} points are NaN and are ignored", Note, stacklevel=3)
-    if (at_origin := int((points == 0.0).all(axis=1).sum())) > 1:
+    if (at_origin := int((points == 0.0).all(axis=1).sum())) >= AT_ORIGIN:
         text = f"{at_origin} of {len(points)} points are 0 0 0; delete them if the scanner measured nothing there"
         warnings.warn(f"{path}: {text}", Note, stacklevel=3)
     return ~is_nan

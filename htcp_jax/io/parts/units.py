@@ -20,6 +20,7 @@ METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometre
 KEYS = {"millimetres": "mm", "inches": "in", "centimetres": "cm", "metres": "m"}  # values of `workpiece.unit`
 LARGE = 2.0  # ratio of a part's size to the arm's reach from which on a warning is given
 ABSURD = 5.0  # ratio of sizes from which on a part is refused, see the module's docstring
+HALL = 50.0  # ratio of the size of a cell's mesh or cloud to the arm's reach from which on a warning is given
 STAND_OFF = 0.5  # factor of the largest plausible distance of a path from its part, see `_stand_off`
 
 
@@ -69,6 +70,20 @@ def check_extent(
     elif extent < thinnest:
         text = f"{name} extends over {extent:.3g} m, the thinnest body of {robot.name} over {thinnest:.3g} m"
         _report(f"{text}; {_part_hint(factor * part, path, fitting, key)}", extent < thinnest / ABSURD)
+
+
+def check_cell_extent(robot: Robot, points: Float[np.ndarray, "P 3"], name: str, key: str) -> None:
+    """Warn of a mesh or cloud of the cell that is larger than any workshop.
+
+    Args:
+        robot: The arm.
+        points: Points that have its extent [m].
+        name: Its name.
+        key: What states its unit.
+    """
+    if (extent := _extent(points)) > HALL * (longest := kinematics.max_reach(robot)):
+        text = f"{name} extends over {extent:.3g} m, {robot.name} reaches {longest:.3g} m; check its unit: {key}"
+        warnings.warn(text, UserWarning, stacklevel=3)
 
 
 def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
