@@ -117,14 +117,14 @@ def test_an_unknown_ending_names_the_valid_ones(tmp_path):
     fails(write(tmp_path, "cloud", b""), "''", *CLOUDS)
 
 
-@pytest.mark.parametrize("line", ["nan,1,2", "1,inf,2", "1,2,-Infinity", "1e999,2,3"])
+@pytest.mark.parametrize("line", ["1,inf,2", "1,2,-Infinity", "1e999,2,3"])
 def test_a_number_that_is_none_names_its_line(tmp_path, line):
     fails(write(tmp_path, "a.csv", "# c\n1,2,3\n" + line + "\n4,5,6\n"), "line 3", "NaN or an infinite")
 
 
-def test_nan_in_an_array_names_its_row(tmp_path):
+def test_an_infinite_number_in_an_array_names_its_row(tmp_path):
     bad = POINTS.copy()
-    bad[6, 1] = np.nan
+    bad[6, 1] = np.inf
     fails(write(tmp_path, "a.npy", npy(bad)), "row 7", "1 such rows")
 
 
@@ -206,9 +206,7 @@ def test_an_ascii_ply_that_was_cut_off_is_not_taken_for_a_smaller_one(tmp_path, 
 def test_meshes_that_cannot_be_sampled(tmp_path):
     line = "v 0 0 0\nv 1 0 0\nv 2 0 0\n"
     fails(write(tmp_path, "a.obj", line + "f 1 2 3\n"), "no area")
-    fails(write(tmp_path, "b.obj", line + "f 1 2 9\n"), "not a readable .obj")
-    for face in ("f -1 -2 -3", "f 1/1 2/2 -1/3", "f 0 1 2", "f 1 2 0", "f 1 \\\n -2 3"):
-        fails(write(tmp_path, "c.obj", f"{line}v 0 1 0\n{face}\n"), "number the vertices from 1")
+    fails(write(tmp_path, "b.obj", line + "f 1 2 9\n"), "damaged: face 1 has vertex 9; the file has 3 vertices")
     fails(write(tmp_path, "d.obj", "v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n"), "NaN")
     box = write(tmp_path, "box.stl", BOX.export(file_type="stl"))
     fails(box, "more than 3,000,000 points at a spacing of 1e-06 m; increase workpiece.mesh_spacing_m", spacing=1e-6)

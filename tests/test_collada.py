@@ -7,7 +7,7 @@ import pytest
 from collada_box import DAE
 
 from htcp_jax.cli import main
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots.collada_mesh import read_triangles
 from htcp_jax.io.robots.vendor_import import import_robot
 
@@ -35,6 +35,25 @@ def test_every_side_of_the_box_is_there_at_its_node(tmp_path):
     file = written(tmp_path)
     assert len(read_triangles(file)) == 12
     np.testing.assert_allclose(bounds(file), [0, 0, 1, 0.4, 0.1, 1.06], atol=1e-7)
+
+
+def test_a_concave_polygon_covers_itself_only(tmp_path):
+    """The side x, y at z = 0 becomes a frame that is open at the middle of its side y = 0.1."""
+    old = "0 0 0  .4 0 0  .4 .1 0  0 .1 0  0 0 .06  .4 0 .06  .4 .1 .06  0 .1 .06"
+    u = "0 0 0  3 0 0  3 3 0  2 3 0  2 1 0  1 1 0  1 3 0  0 3 0"
+    sides = (
+        "4 4 4 4 4 4</vcount><p>0 3 2 1  4 5 6 7  0 1 5 4  1 2 6 5  2 3 7 6  3 0 4 7",
+        "8</vcount><p>0 1 2 3 4 5 6 7",
+    )
+    found = read_triangles(written(tmp_path, (old, u), sides, ('<polylist count="6">', '<polylist count="1">')))
+    edges = found[:, 1:] - found[:, :1]
+    assert np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2 == pytest.approx(7.0)
+
+
+def test_lines_are_named(tmp_path):
+    lines = '</polylist><lines count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1</p></lines>'
+    with pytest.warns(Note, match="box.dae: its 1 sets of lines are ignored"):
+        assert len(read_triangles(written(tmp_path, ("</polylist>", lines)))) == 12
 
 
 def test_the_unit_scales_the_mesh(tmp_path):
@@ -69,6 +88,18 @@ BAD = {
     "NaN": [("0 0 .06  .4", "0 nan .06  .4")],
     "a corner beyond the last": [("3 0 4 7", "3 0 4 8")],
     "a negative corner": [("3 0 4 7", "3 0 4 -7")],
+    "fewer corners than stated": [("3 0 4 7</p>", "3 0 4</p>")],
+    "more corners than stated": [("3 0 4 7</p>", "3 0 4 7 1</p>")],
+    "fewer polygons than stated": [('<polylist count="6">', '<polylist count="7">')],
+    "fewer numbers than stated": [('count="24"', 'count="27"')],
+    "a polygon that crosses itself": [("0 3 2 1  4", "0 2 3 1  4")],
+    "a polygon with a hole": [
+        (
+            "</polylist>",
+            '</polylist><polygons count="1"><input semantic="VERTEX" source="#v" '
+            'offset="0"/><ph><p>0 1 2</p><h>0 1 2</h></ph></polygons>',
+        )
+    ],
     "a geometry that is not there": [('url="#box"', 'url="#cone"')],
     "a unit of nothing": [('meter="1"', 'meter="0"')],
     "no scene": [('<scene><instance_visual_scene url="#s"/></scene>', "")],

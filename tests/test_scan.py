@@ -32,20 +32,22 @@ def pcd(file, encoding="binary", points=POINTS, names=("x", "y", "z")):
     return file
 
 
-def las(file, points=POINTS):
+def las(file, points=POINTS, **columns):
     header = laspy.LasHeader(point_format=3, version="1.2")
     header.scales = [1e-6] * 3
     cloud = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = points.T
+    for name, values in columns.items():
+        setattr(cloud, name, values)
     cloud.write(str(file))
     return file
 
 
-def e57(file, *scans):
-    """Write an E57 file of scans, given as pairs of a quaternion and a translation."""
+def e57(file, *scans, **columns):
+    """Write an E57 file of scans, given as pairs of a quaternion and a translation, with further columns."""
     with pye57.E57(str(file), mode="w") as written:
         for rotation, translation in scans or [(np.array([1.0, 0, 0, 0]), np.zeros(3))]:
-            data = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), POINTS.T.copy(), strict=True))
+            data = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), POINTS.T.copy(), strict=True)) | columns
             written.write_scan_raw(data, rotation=rotation, translation=translation)
     return file
 
@@ -73,7 +75,7 @@ def test_every_ending_is_tested():
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
 def test_a_pcd_cloud_comes_back(tmp_path, encoding):
     """Points of a PCD file, in every encoding."""
-    flat = np.concatenate([POINTS, np.zeros((400, 3))])  # something to compress
+    flat = np.concatenate([POINTS, np.ones((400, 3))])  # something to compress
     file = pcd(tmp_path / "scan.PCD", encoding, flat)
     assert f"DATA {encoding}\n".encode() in file.read_bytes()
     np.testing.assert_allclose(load_cloud(file), flat, atol=1e-9)
@@ -95,6 +97,102 @@ def test_a_pcd_cloud_keeps_its_normals_and_leaves_out_what_was_not_seen(tmp_path
 def test_a_las_cloud_comes_back_to_its_resolution(tmp_path, ending):
     """Points of a LAS or LAZ file, to its resolution."""
     np.testing.assert_allclose(load_cloud(las(tmp_path / f"scan{ending}")), POINTS, atol=1e-6)
+
+
+@pytest.mark.parametrize("ending", [".las", ".laz"])
+def test_withheld_points_of_a_las_cloud_are_ignored_with_their_number(tmp_path, ending):
+    file = las(tmp_path / f"scan{ending}", withheld=np.arange(40) < 3)
+    with pytest.warns(Note, match=f"scan{ending}: 3 of 40 points are marked as withheld and are ignored"):
+        np.testing.assert_allclose(load_cloud(file), POINTS[3:], atol=1e-6)
+
+
+def test_noise_in_a_las_cloud_is_named(tmp_path):
+    file = las(tmp_path / "scan.las", classification=np.where(np.arange(40) < 5, 7, 2).astype(np.uint8))
+    with pytest.warns(Note, match=r"5 points are classified as noise \(7, 18\) and are used"):
+        assert len(load_cloud(file)) == 40
+
+
+def test_a_las_cloud_with_more_points_than_declared_is_refused(tmp_path):
+    file = las(tmp_path / "scan.las")
+    data = bytearray(file.read_bytes())
+    data[107:111] = (30).to_bytes(4, "little")
+    file.write_bytes(data)
+    assert "the header declares 30 points, the file contains 40" in refusal(file)
+
+
+def test_invalid_points_of_an_e57_file_are_ignored_with_their_number(tmp_path):
+    file = e57(tmp_path / "scan.e57", cartesianInvalidState=np.isin(np.arange(40), [0, 7]).astype(np.int8))
+    with pytest.warns(Note, match=r"scan.e57: 2 of 40 points are marked as invalid and are ignored"):
+        np.testing.assert_allclose(load_cloud(file), np.delete(POINTS, [0, 7], axis=0), atol=1e-6)
+
+
+def test_a_pcd_cloud_with_a_viewpoint_is_not_moved_but_named(tmp_path):
+    file = pcd(tmp_path / "scan.pcd")
+    file.write_bytes(file.read_bytes().replace(b"VIEWPOINT 0.0 0.0 0.0 1.0", b"VIEWPOINT 0.0 0.0 1.5 1.0", 1))
+    with pytest.warns(Note, match="its VIEWPOINT is not applied: 0 0 1.5 1 0 0 0"):
+        assert np.array_equal(load_cloud(file), POINTS)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+@pytest.mark.parametrize("count", [39, 41])
+def test_a_pcd_cloud_with_another_number_of_points_is_refused(tmp_path, encoding, count):
+    file = pcd(tmp_path / "scan.pcd", encoding)
+    text = file.read_bytes()
+    for key in (b"WIDTH", b"POINTS"):
+        text = text.replace(key + b" 40", key + b" %d" % count, 1)
+    file.write_bytes(text)
+    assert f"the header declares {count} points, the file contains 40" in refusal(file)
+
+
+SPOILED = np.where(np.arange(40)[:, None] == 4, [0.5, np.nan, 0.5], POINTS)
+
+
+@pytest.mark.parametrize("ending", [".xyz", ".csv", ".txt", ".npy", ".pcd", ".ply", ".obj"])
+def test_nan_points_are_ignored_with_their_number_in_every_format(tmp_path, ending):
+    file = tmp_path / f"scan{ending}"
+    rows = "\n".join(" ".join(map(str, row)) for row in SPOILED.tolist()) + "\n"
+    header = "ply\nformat ascii 1.0\nelement vertex 40\n" + "".join(f"property double {axis}\n" for axis in "xyz")
+    if ending == ".npy":
+        np.save(file, SPOILED)
+    elif ending == ".pcd":
+        pcd(file, points=SPOILED)
+    elif ending == ".obj":
+        file.write_text("".join(f"v {row}\n" for row in rows.splitlines()))
+    else:
+        file.write_text(f"{header}end_header\n{rows}" if ending == ".ply" else rows)
+    with pytest.warns(Note) as said:
+        found = load_cloud(file)
+    np.testing.assert_allclose(found, np.delete(POINTS, 4, axis=0), atol=1e-6)
+    assert f"{file}: 1 of 40 points are NaN and are ignored" in [str(each.message) for each in said]
+
+
+def test_points_at_the_origin_are_named(tmp_path):
+    with pytest.warns(Note, match="10 of 50 points are 0 0 0; delete them if the scanner measured nothing there"):
+        load_cloud(pcd(tmp_path / "scan.pcd", points=np.concatenate([POINTS, np.zeros((10, 3))])))
+
+
+STEP_FAULTS = {
+    "cut": (CYLINDER[-60:], "", "damaged: it does not end with END-ISO-10303-21;"),
+    "a face that is not there": ("#38=ADVANCED_FACE('',(#37),#35,.T.);", "", "damaged: it refers to #38"),
+    "a face without extent": ("CYLINDRICAL_SURFACE('',#34,200.0)", "CYLINDRICAL_SURFACE('',#34,0.0)",
+                              "1 of 3 faces cannot be read; repair the part and export it again"),
+    "a face without edges": ("EDGE_LOOP('',(#39))", "EDGE_LOOP('',())", "1 of 3 faces cannot be read"),
+    "no unit": ("LENGTH_UNIT() ", "", "it states no unit of length"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", STEP_FAULTS)
+def test_a_step_part_that_is_not_complete_is_refused(tmp_path, case):
+    old, new, words = STEP_FAULTS[case]
+    assert old in CYLINDER
+    assert words in refusal(step(tmp_path / "part.step", CYLINDER.replace(old, new)))
+
+
+def test_curves_of_a_step_part_are_named(tmp_path):
+    curve = "#80=GEOMETRIC_CURVE_SET('',(#23));\n#63=ADVANCED"
+    text = CYLINDER.replace("#63=ADVANCED", curve).replace("(#62,#58),#5", "(#62,#58,#80),#5")
+    with pytest.warns(Note, match="part.step: its 1 sets of curves are ignored, as they have no faces"):
+        load_cloud(step(tmp_path / "part.step", text))
 
 
 def test_the_scans_of_an_e57_file_come_back_in_one_frame(tmp_path):

@@ -12,15 +12,16 @@ import trimesh
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.parts import units
-from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
+from htcp_jax.io.parts import load_geometry, units
+from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece, read_source
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.jobs import load_config
-from htcp_jax.jobs.build import scene
+from htcp_jax.jobs.build import drawn_of, obstacles_of, robot_of, scene, workpiece_of
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import max_reach, tcp_position
 from htcp_jax.model.scenario import make_scenario
+from htcp_jax.runs.identity import config_hash, identity
 
 UNITS = {"millimetres": 1e3, "inches": 1 / 0.0254, "centimetres": 1e2, "kilometres": 1e-3}
 SEAM = np.linspace((0.02, 0.01, 0.015), (0.38, 0.015, 0.01), 41)
@@ -115,8 +116,7 @@ def test_the_command_refuses_a_part_in_millimetres(tmp_path, capsys, monkeypatch
     files = ["--set", "workpiece.cloud=box.xyz", "--set", "workpiece.path=seam.csv"]
     assert main(["plan", *files, "--out", "out"]) == 2
     assert capsys.readouterr().err == (
-        "htcp: box extends over 400 m, gp50 reaches 3.07 m; "
-        "it seems to be in millimetres; convert to metres (factor 0.001)\n"
+        "htcp: box extends over 400 m, gp50 reaches 3.07 m; it seems to be in millimetres; set workpiece.unit: mm\n"
     )
     assert not (tmp_path / "out").exists()
 
@@ -134,13 +134,100 @@ def test_a_mesh_in_millimetres_is_named_before_points_are_laid_on_it(tmp_path, e
         load_workpiece(tmp_path / f"box{ending}", tmp_path / "seam.csv", robot=gp50())
 
 
+BOX = trimesh.creation.box(extents=(400.0, 360.0, 360.0))  # [mm]
+
+
+def write_box(folder, ending):
+    """Write the box in millimetres, as a mesh or a cloud, and the seam in metres."""
+    if ending in (".stl", ".ply", ".obj"):
+        data = BOX.export(file_type=ending[1:])
+        (folder / f"box{ending}").write_bytes(data if isinstance(data, bytes) else f"{data}\n".encode())
+    elif ending == ".npy":
+        np.save(folder / "box.npy", 1e3 * box().cloud)
+    else:
+        np.savetxt(folder / f"box{ending}", 1e3 * box().cloud)
+    np.savetxt(folder / "seam.csv", SEAM, delimiter=",")
+    return folder / f"box{ending}"
+
+
+@pytest.mark.parametrize("ending", [".stl", ".ply", ".obj", ".npy", ".xyz"])
+def test_a_part_in_millimetres_with_its_unit_is_the_part_in_metres(tmp_path, ending):
+    file = write_box(tmp_path, ending)
+    plain, scaled = load_geometry(file), load_geometry(file, "mm")
+    for numbers, metres in zip(plain, scaled, strict=True):
+        np.testing.assert_array_equal(numbers / 1000.0, metres)
+    part = load_workpiece(file, tmp_path / "seam.csv", unit="mm", robot=gp50())
+    assert np.ptp(part.cloud, axis=0).max() == pytest.approx(0.4, abs=1e-3)
+    assert read_source(file, unit="in").points == pytest.approx(0.0254 * read_source(file).points)
+
+
+def test_the_refusal_of_a_size_names_the_key_of_the_unit(tmp_path):
+    file = write_box(tmp_path, ".stl")
+    with pytest.raises(InputError, match=r"it seems to be in millimetres; set workpiece\.unit: mm$"):
+        load_workpiece(file, tmp_path / "seam.csv", robot=gp50())
+    BOX.copy().apply_scale(1e-3).export(file)
+    with pytest.raises(
+        InputError, match=r"box extends over 0\.0004 m.* seems to be in metres; set workpiece\.unit: m$"
+    ):
+        load_workpiece(file, tmp_path / "seam.csv", unit="mm", robot=gp50())
+
+
+def test_a_job_has_a_unit_for_its_part_and_for_each_cloud_of_its_cell(tmp_path):
+    file = write_box(tmp_path, ".stl")
+    part = {"cloud": str(file), "unit": "mm", "path": str(tmp_path / "seam.csv"), "interior": "none"}
+    clouds = [{"cloud": str(file), "base_m": [0.0, 5.0, 0.0], "unit": "cm"}]
+    job = load_config(None, {"workpiece": part, "cell": {"clouds": clouds}, "start_rad": "auto"})
+    robot = robot_of(job.robot, job.cell)
+    workpiece = workpiece_of(job.workpiece, robot)
+    drawn = drawn_of(job.cell, robot).triangles
+    assert np.ptp(workpiece.cloud, axis=0) == pytest.approx([0.4, 0.36, 0.36], abs=1e-3)
+    assert np.ptp(drawn, axis=(0, 1)) == pytest.approx([4.0, 3.6, 3.6])
+
+
+@pytest.mark.parametrize("changes, words", [
+    ({"workpiece.unit": "mm"}, "workpiece.unit is 'mm', but workpiece.cloud is duct, not a file; omit the key"),
+    ({"workpiece.unit": "furlong"}, "workpiece.unit is 'furlong': input should be 'm', 'mm', 'cm' or 'in'"),
+])  # fmt: skip
+def test_a_unit_that_does_not_apply_is_refused(changes, words):
+    with pytest.raises(InputError, match=re.escape(words)):
+        scene(load_config(None, changes))
+
+
+def test_a_unit_next_to_one_in_the_file_is_refused(tmp_path):
+    (tmp_path / "part.step").write_text("ISO-10303-21;")
+    with pytest.raises(InputError, match=r"the unit is mm, but a .step file states its own unit; omit the key"):
+        load_geometry(tmp_path / "part.step", "mm")
+    file = tmp_path / "part.csv"
+    np.savetxt(file, 100 * box().cloud, delimiter=",", header="x_cm,y_cm,z_cm", comments="")
+    with pytest.raises(InputError, match="the unit is mm, but cm in the header; omit the key"):
+        load_geometry(file, "mm")
+    np.testing.assert_array_equal(load_geometry(file, "cm").points, load_geometry(file).points)
+
+
+def test_a_cloud_of_the_cell_that_is_larger_than_a_workshop_is_named(tmp_path):
+    file = write_box(tmp_path, ".xyz")
+    cell = load_config(None, {"cell": {"clouds": [{"cloud": str(file)}]}}).cell
+    with pytest.warns(
+        UserWarning, match="box extends over 400 m, gp50 reaches 3.07 m; check its unit: cell.clouds has"
+    ):
+        obstacles_of(cell, gp50())
+
+
+def test_a_job_without_units_keeps_its_identity():
+    config = load_config(None, {"cell": {"clouds": [{"cloud": "a.xyz"}]}}).model_dump(mode="json")
+    assert "unit" not in config["cell"]["clouds"][0]
+    before = {**config, "workpiece": {key: value for key, value in config["workpiece"].items() if key != "unit"}}
+    assert config_hash(identity(config, [], "float64", {})) == config_hash(identity(before, [], "float64", {}))
+
+
 def test_a_sweep_refuses_a_part_in_inches(tmp_path):
     """Sweep of a part in inches: refused, whereas poses out of reach are results of a sweep."""
     np.savetxt(tmp_path / "box.xyz", box(UNITS["inches"]).cloud)
     np.savetxt(tmp_path / "seam.csv", UNITS["inches"] * SEAM, delimiter=",")
     (tmp_path / "job.yaml").write_text("workpiece: {cloud: box.xyz, path: seam.csv}\n")
     (tmp_path / "grid.yaml").write_text("config: job.yaml\ngrid:\n  - workpiece.rotation_y_rad: [0.0, 0.1]\n")
-    with pytest.raises(InputError, match=r"it and its path seem to be in inches; convert to metres \(factor 0.0254\)"):
+    keys = "set workpiece.unit: in and workpiece.path_unit: in"
+    with pytest.raises(InputError, match=f"it and its path seem to be in inches; {keys}"):
         load_sweep(tmp_path / "grid.yaml").batch()
 
 

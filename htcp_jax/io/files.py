@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.process_exit import PART
 from htcp_jax.unfinished import NO_LINK, READ, lock_file
 
@@ -107,6 +107,12 @@ def read_bytes(path: Path) -> bytes:
     """
     with open_named(path) as stream:
         return stream.read()
+
+
+def note_missing_line_end(path: Path, data: bytes) -> None:
+    """Warn by a Note of a text whose last line has no line end, as in a file that was cut."""
+    if (rest := data.rstrip(b" \t\0\x1a")) and not rest.endswith((b"\n", b"\r")):
+        warnings.warn(f"{path}: its last line has no line end; check that the file is complete", Note, stacklevel=3)
 
 
 def read_inside(file: Path, folder: Path) -> bytes:

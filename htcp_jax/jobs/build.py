@@ -17,7 +17,7 @@ from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, model_source, part_moves
 from htcp_jax.jobs import cell_shapes
-from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
+from htcp_jax.jobs.config import CellConfig, CloudConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.given_kinds import shapes_in_world
 from htcp_jax.kinds import numbers_of, template_of
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, mesh_points, surface
@@ -123,9 +123,13 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
 
 def source_of(part: WorkpieceConfig) -> parts.WorkpieceSource:
     """Return the source of the workpiece's walls: the generated duct, the content of a file, or no walls."""
+    if part.unit is not None and (part.is_duct or not part.has_cloud):
+        raise InputError(
+            f"workpiece.unit is {part.unit!r}, but workpiece.cloud is {part.cloud}, not a file; omit the key"
+        )
     if part.is_duct:
         return parts.GeneratedDuct(seam=part.path) if path_file(part) is None else parts.GeneratedDuct()
-    return parts.read_source(part.cloud, part.mesh_spacing_m) if part.has_cloud else parts.NoCloud()
+    return parts.read_source(part.cloud, part.mesh_spacing_m, part.unit) if part.has_cloud else parts.NoCloud()
 
 
 def path_file(part: WorkpieceConfig) -> str | None:
@@ -200,7 +204,7 @@ def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:
     triangles = [surface.NOTHING.triangles, *(each.surface for each in shapes)]
     surfaces = [surface.NOTHING.clouds]
     for each, T in standing.clouds:
-        points, mesh = parts.load_geometry(each.cloud)
+        points, mesh = parts.load_geometry(each.cloud, each.unit)
         if len(mesh):
             triangles.append(mesh @ T[:3, :3].T + T[:3, 3])
         else:
@@ -225,17 +229,11 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
         name = robot.capsule_names[robot.attached[0]]
         raise InputError(f"cell.self_collision must be true, because {name!r} moves relative to the part")
     standing = cell_shapes.standing_cell(cell, robot)
-    clouds = tuple(
-        of_cell.placed_cloud(
-            robot,
-            *parts.load_geometry(each.cloud),
-            T,
-            source=each.cloud,
-            name=(name := cell_shapes.name_of(each)),
-            excluded=standing.excluded.get(name, ()),
-        )
-        for each, T in standing.clouds
-    )
+    for shape in standing.shapes:
+        if shape.kind == "mesh":
+            corners = shape.triangles.reshape(-1, 3)
+            parts.check_cell_extent(robot, corners, shape.name, f"the scale of its mesh in {cell.model}")
+    clouds = tuple(_cell_cloud(each, T, standing, robot) for each, T in standing.clouds)
     own = self_collision.self_collision(robot) if cell.self_collision else None
     given = given_obstacle.given_obstacles(cell.obstacles)
     return (
@@ -244,6 +242,16 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
         *given,
         *(() if own is None else (own,)),
     )
+
+
+def _cell_cloud(
+    cloud: CloudConfig, T: Float[np.ndarray, "4 4"], standing: cell_shapes.StandingCell, robot: Robot
+) -> of_cell.PlacedCloud:
+    """Return a cloud or mesh of the cell, at its pose T in the world [m]."""
+    found, name = parts.load_geometry(cloud.cloud, cloud.unit), cell_shapes.name_of(cloud)
+    parts.check_cell_extent(robot, found.points, name, "cell.clouds has the key unit")
+    excluded = standing.excluded.get(name, ())
+    return of_cell.placed_cloud(robot, *found, T, source=cloud.cloud, name=name, excluded=excluded)
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}

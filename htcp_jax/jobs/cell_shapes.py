@@ -85,7 +85,7 @@ def with_carried(robot: Robot, cell: CellConfig) -> Robot:
     ]
     for cloud in cell.clouds:
         if (own := _carrier(robot, carried, name := name_of(cloud))).moves:
-            if not len(triangles := parts.load_geometry(cloud.cloud).triangles):
+            if not len(triangles := parts.load_geometry(cloud.cloud, cloud.unit).triangles):
                 raise InputError(f"fixture {name!r} is a cloud of points; only a box or a mesh can move with a link")
             T = own.T @ tool.pose(cloud.base_m, cloud.base_rpy_rad)
             points = _moved(triangles.reshape(-1, 3), T)

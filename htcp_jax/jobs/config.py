@@ -44,6 +44,7 @@ FASTEST = 1e9  # maximum joint rate, and maximum encoder count per unit
 JointRates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # one limit per joint, for both directions
 Moment = Annotated[float, Field(gt=0, le=100)]  # [s]
 AUTO = "auto"  # value of start_rad: the planner chooses the start
+LengthUnit = Literal["m", "mm", "cm", "in"]  # keys of `io.parts.columns.PER_METRE`
 WORLD = "world"  # parent of models and fixtures that are fixed in the world
 
 
@@ -235,10 +236,11 @@ class WorkpieceConfig(strict_model.FileSection):
     """The workpiece: its cloud or mesh, the tool path in its frame, its pose, and the approach to the path."""
 
     cloud: str = DUCT  # the generated duct, a file of points or a mesh, or "none"
+    unit: LengthUnit | None = None  # unit of the cloud's file; None: the unit that the file states, or m
     parent: Link | None = None  # link or site that carries the part; None: the link that robot.model names, or world
     path: str = "weld"  # a seam of the generated duct, see `io.parts`, or a CSV file of x,y,z
     path_columns: PathColumnsConfig | None = None  # columns of the CSV file; None: from its header, or the first ones
-    path_unit: Literal["m", "mm", "cm", "in"] | None = None  # unit of the CSV file; None: the header's unit, or m
+    path_unit: LengthUnit | None = None  # unit of the CSV file; None: the header's unit, or m
     origin_m: FilePointM | None = None  # point subtracted from cloud, path and inlet; None: see `load_workpiece`
     inlet_m: FilePointM | None = None  # centre of the inlet; None: the duct's inlet, or no inlet for another cloud
     interior: Literal["hull", "none"] = "hull"  # convex hull, or no boundary, deeper than interior_depth_m
@@ -276,6 +278,8 @@ class CloudConfig(strict_model.FileSection):
     """A cloud or mesh of the work cell, in addition to the workpiece."""
 
     cloud: str  # a file of points or a mesh
+    # unit of the file, omitted in manifests if None: the unit that the file states, or m
+    unit: LengthUnit | None = Field(None, exclude_if=lambda unit: unit is None)
     base_m: PointM = (0.0, 0.0, 0.0)  # position of the cloud's own frame in the world
     base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # rotations about world x, then y, then z
 

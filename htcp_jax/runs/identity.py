@@ -21,6 +21,7 @@ NEW_KEYS = (
     ("robot", "locked", None),
     ("robot", "parent", "world"),
     ("workpiece", "parent", None),
+    ("workpiece", "unit", None),
 )
 
 

@@ -72,7 +72,7 @@ class MujocoCell:
         for (name, stem), cloud in zip(stems.items(), cell.clouds, strict=True):
             if carriers.get(stem, standing):
                 R, t = _pose_of(cloud.base_m, cloud.base_rpy_rad)
-                corners = load_geometry(cloud.cloud).triangles.reshape(-1, 3) @ R.T + t
+                corners = load_geometry(cloud.cloud, cloud.unit).triangles.reshape(-1, 3) @ R.T + t
                 spec.add_mesh(name=name, uservert=corners.ravel())
                 spec.worldbody.add_geom(name=name, type=_MESH, meshname=name)
         try:
@@ -121,7 +121,7 @@ class MujocoCell:
                 (origin,), (rotation,) = arm.frames(np.zeros((1, len(arm.joints))), rules[name].parent, tip=False)
                 R, t = rotation @ R, rotation @ t + origin
             if not carriers.get(name, standing):
-                found = load_geometry(cloud.cloud)
+                found = load_geometry(cloud.cloud, cloud.unit)
                 apart = frozenset(map(arm.link_of, rules[name].exclude if name in rules else ()))
                 self._add_wall(found.points, found.triangles, R, t, apart)
         self._own = own_pairs(plain, self._apart) if cell.self_collision else OwnPairs([], [], [])

@@ -1,6 +1,6 @@
 from .duct_seams import SEAMS
 from .point_cloud import load_geometry
-from .units import check_tool
+from .units import check_cell_extent, check_tool
 from .workpiece_source import (
     GeneratedDuct,
     NoCloud,
@@ -18,6 +18,7 @@ __all__ = [
     "PointCloud",
     "TriangleMesh",
     "WorkpieceSource",
+    "check_cell_extent",
     "check_tool",
     "load_geometry",
     "load_workpiece",

@@ -2,49 +2,67 @@
 
 For a damaged file, a parser that is written in C++ may crash, hang, fill the memory or print. It therefore runs in its
 own process. `scan.parsed` starts the process, sets its limits and reads the result: FOLDER/arrays.npz, or the exception
-in FOLDER/error.txt. The script does not import the package, so it starts fast. A pool of processes cannot be used: the
-memory limit depends on the file, and a process cannot raise its own limit again.
+in FOLDER/error.txt. In addition to points or triangles a parser returns `remarks`, a line for everything that the file
+states and that is not used. The script does not import the package, so it starts fast. A pool of processes cannot be
+used: the memory limit depends on the file, and a process cannot raise its own limit again.
 """
 
 import contextlib
 import io
+import json
 import math
+import re
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 CHORD_DEVIATION_MM = 0.05  # largest distance of the triangles from a curved STEP face
 TURN_RAD = 0.2
+SHELLS = r"(CLOSED_SHELL|OPEN_SHELL|CONNECTED_FACE_SET|TESSELLATED_SHELL|TESSELLATED_SOLID)\b"
+STEP_FACES = r"(ADVANCED_FACE|FACE_SURFACE|(COMPLEX_)?TRIANGULATED_FACE)\b"
 MOST_COLUMNS = 1000  # maximum number of columns of a PCD cloud
 # Limit of the points' size: [bytes], and times the file's size; LZF reaches 88.
 LEAST_LIMIT, GROWTH = 2**26, 100
+LAS_NOISE = 7, 18  # classes of points that are noise
+NO_LINE_END = "its last line has no line end; check that the file is complete"  # as in `files.note_missing_line_end`
 
 
 def pcd(file: Path) -> dict[str, np.ndarray]:
     """Read the points of a PCD cloud, in the file's order and frame, and its normals if it has any."""
-    from pypcd4 import MetaData, PointCloud
+    from pypcd4 import Encoding, MetaData, PointCloud
 
-    lines = []
+    lines, found, remarks = [], {}, []
     with file.open("rb") as stream:  # the header, as pypcd4 reads it, which would allocate any declared size
         for line in stream:
             if (words := line.decode().strip()) and not words.startswith("#"):
                 lines.append(words)
             if words.startswith("DATA") or len(lines) == 10:
                 break
+        start = stream.tell()
+        stream.seek(max(start, file.stat().st_size - 1))
+        last = stream.read()
     about, size = MetaData.parse_header(lines), file.stat().st_size
     columns, row = sum(about.count), sum(map(math.prod, zip(about.size, about.count, strict=True)))
     if columns > MOST_COLUMNS or about.points * row > max(LEAST_LIMIT, GROWTH * size):
         raise ValueError(f"{columns:,} columns and {about.points:,} points do not fit into {size:,} bytes")
+    if about.width * about.height != about.points:
+        raise ValueError(f"the header declares {about.points} points, and {about.width} x {about.height}")
     cloud = PointCloud.from_path(file)
     data = cloud.pc_data
-    if len(data) != cloud.metadata.points:
-        raise ValueError(f"the header declares {cloud.metadata.points} points, the file contains {len(data)}")
+    there = (size - start) // row if about.data == Encoding.BINARY else data.size
+    if there != about.points:
+        raise ValueError(f"the header declares {about.points} points, the file contains {there}")
+    if about.data == Encoding.ASCII and last not in (b"\n", b"\r"):
+        remarks.append(NO_LINE_END)
+    if about.viewpoint[:3] != (0, 0, 0) or abs(about.viewpoint[3]) != 1:
+        remarks.append(f"its VIEWPOINT is not applied: {' '.join(f'{value:g}' for value in about.viewpoint)}")
     normals = ["normal_x", "normal_y", "normal_z"]
-    arrays = {"points": np.stack([data[name].astype(np.float64) for name in "xyz"], axis=-1)}
+    found["points"] = np.stack([data[name].astype(np.float64) for name in "xyz"], axis=-1)
     if all(name in data.dtype.names for name in normals):
-        arrays["normals"] = np.stack([data[name].astype(np.float64) for name in normals], axis=-1)
-    return arrays
+        found["normals"] = np.stack([data[name].astype(np.float64) for name in normals], axis=-1)
+    return found | {"remarks": np.array(remarks, str)}
 
 
 def las(file: Path) -> dict[str, np.ndarray]:
@@ -55,12 +73,20 @@ def las(file: Path) -> dict[str, np.ndarray]:
         head = stream.read(104)
     if int.from_bytes(head[100:104], "little") * 54 > file.stat().st_size:  # laspy would try to read them all
         raise ValueError("it declares more variable length records than fit into the file")
-    cloud = laspy.read(file)
-    if len(cloud.points) != cloud.header.point_count:
-        raise ValueError(
-            f"the header declares {cloud.header.point_count} points, the file contains {len(cloud.points)}"
-        )
-    return {"points": np.array(cloud.xyz, dtype=np.float64)}
+    cloud, remarks = laspy.read(file), []
+    declared, there = cloud.header.point_count, len(cloud.points)
+    if not cloud.header.are_points_compressed:
+        end = cloud.header.start_of_first_evlr if cloud.header.number_of_evlrs else file.stat().st_size
+        there = max(there, (end - cloud.header.offset_to_point_data) // cloud.header.point_format.size)
+    if there != declared:
+        raise ValueError(f"the header declares {declared} points, the file contains {there}")
+    withheld = np.array(cloud.withheld, bool)
+    if withheld.any():
+        remarks.append(f"{withheld.sum()} of {declared} points are marked as withheld and are ignored")
+    if noise := int(np.isin(np.array(cloud.classification)[~withheld], LAS_NOISE).sum()):
+        remarks.append(f"{noise} points are classified as noise (7, 18) and are used; delete them if they are no walls")
+    points = np.array(cloud.xyz, dtype=np.float64)
+    return {"points": points[~withheld] if withheld.any() else points, "remarks": np.array(remarks, str)}
 
 
 def e57(file: Path) -> dict[str, np.ndarray]:
@@ -68,10 +94,14 @@ def e57(file: Path) -> dict[str, np.ndarray]:
     import pye57
 
     axes = ("cartesianX", "cartesianY", "cartesianZ")
-    with pye57.E57(str(file)) as scans:
+    with pye57.E57(str(file)) as scans:  # spherical coordinates are converted
         read = [scans.read_scan(k, ignore_missing_fields=True) for k in range(scans.scan_count)]
+        declared = sum(scans.get_header(k).point_count for k in range(scans.scan_count))
     clouds = [np.stack([scan[axis] for axis in axes], axis=-1) for scan in read]
-    return {"points": np.concatenate([np.empty((0, 3)), *clouds])}
+    points = np.concatenate([np.empty((0, 3)), *clouds])
+    invalid = declared - len(points)
+    remarks = [f"{invalid} of {declared} points are marked as invalid and are ignored"] if invalid else []
+    return {"points": points, "remarks": np.array(remarks, str)}
 
 
 def step(file: Path) -> dict[str, np.ndarray]:
@@ -79,16 +109,55 @@ def step(file: Path) -> dict[str, np.ndarray]:
     import cascadio
     import trimesh
 
-    glb = cascadio.load(file.read_bytes(), tol_linear=CHORD_DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False)
+    about, how = _step_faces(file.read_bytes()), {"tol_linear": CHORD_DEVIATION_MM, "tol_angular": TURN_RAD}
+    glb = cascadio.load(file.read_bytes(), use_parallel=False, **how)
     if not glb:
         raise ValueError("the file contains no shapes")
+    # Open CASCADE omits faces that it cannot mesh. If they are not merged, each is a primitive.
+    read = _primitives(cascadio.load(file.read_bytes(), use_parallel=False, merge_primitives=False, **how))
+    if read < about.faces:
+        missing = about.faces - read
+        raise ValueError(f"{missing} of {about.faces} faces cannot be read; repair the part and export it again")
     scene = trimesh.load_scene(io.BytesIO(glb), file_type="glb", process=False)
     placed = [np.empty((0, 3, 3))]
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
         triangles = np.asarray(scene.geometry[name].triangles, np.float64)
         placed.append(triangles @ T[:3, :3].T + T[:3, 3])
-    return {"triangles": np.concatenate(placed)}
+    return {"triangles": np.concatenate(placed), "remarks": np.array(about.remarks, str)}
+
+
+class StepFaces(NamedTuple):
+    """What a STEP file declares."""
+
+    faces: int  # number of faces in all shells
+    remarks: list[str]
+
+
+def _step_faces(data: bytes) -> StepFaces:
+    """Check that a STEP file is complete, which Open CASCADE does not, and count its faces."""
+    text = re.sub(r"/\*.*?\*/", "", data.decode("latin-1"), flags=re.DOTALL)
+    text = re.sub(r"'(?:[^']|'')*'", "''", text)  # texts may contain anything
+    if not re.search(r"END-ISO-10303-21\s*;", text):
+        raise ValueError("damaged: it does not end with END-ISO-10303-21;")
+    entities = dict(re.findall(r"#(\d+)\s*=\s*([^;]*);", text))
+    shells = [body for body in entities.values() if re.match(SHELLS, body)]
+    if missing := sorted({*re.findall(r"#(\d+)", text)} - entities.keys(), key=int):
+        raise ValueError(f"damaged: it refers to #{missing[0]}, which it does not contain")
+    if shells and not re.search(r"\bLENGTH_UNIT\b", text):
+        raise ValueError("it states no unit of length")
+    listed = {each for body in shells for each in re.findall(r"#(\d+)", body)}
+    curves = sum(1 for body in entities.values() if re.match(r"GEOMETRIC_CURVE_SET\b", body))
+    remarks = [f"its {curves} sets of curves are ignored, as they have no faces"] if curves else []
+    if re.search(r"\bDOCUMENT_FILE\b", text):
+        remarks.append("it refers to other files (DOCUMENT_FILE), which are not read")
+    return StepFaces(sum(1 for each in listed if re.match(STEP_FACES, entities[each])), remarks)
+
+
+def _primitives(glb: bytes) -> int:
+    """Return the number of primitives of all meshes in a GLB file."""
+    length = int.from_bytes(glb[12:16], "little")
+    return sum(len(mesh["primitives"]) for mesh in json.loads(glb[20 : 20 + length]).get("meshes", ()))
 
 
 def run_parser(kind: str, file: str, folder: str, memory: str) -> None:

@@ -43,17 +43,13 @@ MEMORY = 4 * 2**30  # memory limit [bytes], to which 40 times the file's size is
 def read_scan(path: Path, ending: str) -> TablePoints:
     """Read the points [m] of a scan, and its normals if it has any.
 
-    NaN points are excluded with a Note; a PCD file contains them where the scanner measured nothing.
+    A Note reports points that the file marks as invalid or withheld, and are therefore ignored.
 
     Raises:
         InputError: For an invalid file.
     """
     arrays = parsed(path, SCANS[ending])
-    points, normals = arrays["points"], arrays.get("normals")
-    if ending == ".pcd" and (empty := np.isnan(points).any(axis=1)).any():
-        warnings.warn(f"{path}: {empty.sum()} of {len(points)} points are NaN and are ignored", Note, stacklevel=3)
-        points, normals = points[~empty], None if normals is None else normals[~empty]
-    return ColumnIndices(3, (0, 1, 2), None, named=True).points(points, normals, str(path))
+    return ColumnIndices(3, (0, 1, 2), None, named=True).points(arrays["points"], arrays.get("normals"), str(path))
 
 
 def read_part(path: Path, ending: str) -> Float[np.ndarray, "F 3 3"]:
@@ -66,7 +62,7 @@ def read_part(path: Path, ending: str) -> Float[np.ndarray, "F 3 3"]:
 
 
 def parsed(path: Path, kind: ScanFormat, longest_s: int = LONGEST_S) -> dict[str, np.ndarray]:
-    """Parse a file in a separate process and return its arrays, see `parsers`.
+    """Parse a file in a separate process and return its arrays, see `parsers`. Notes contain the parser's remarks.
 
     Args:
         path: The file.
@@ -94,7 +90,10 @@ def parsed(path: Path, kind: ScanFormat, longest_s: int = LONGEST_S) -> dict[str
         if done.returncode:
             raise InputError(f"{path}: not a readable {ending} file ({_reason(done.returncode, folder)})")
         with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
-            return dict(arrays)
+            found = dict(arrays)
+    for remark in found.pop("remarks", ()):
+        warnings.warn(f"{path}: {remark}", Note, stacklevel=4)
+    return found
 
 
 def _reason(code: int, folder: Path) -> str:

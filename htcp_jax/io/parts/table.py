@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import read_array, read_bytes
+from htcp_jax.io.files import note_missing_line_end, read_array, read_bytes
 from htcp_jax.io.parts.columns import (
     NEARLY_UNIT,
     XYZ,
@@ -30,20 +30,30 @@ from htcp_jax.io.parts.columns import (
 DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 
 
-def read_table(path: Path) -> TablePoints:
-    """Read rows of x, y, z and further columns from a text file, separated by commas, semicolons or blanks.
+def read_table(path: Path, unit: str | None = None) -> TablePoints:
+    """Read the points of a cloud from a text file, with rows of x, y, z and further columns.
+
+    Columns are separated by commas, semicolons or blanks. Rows with NaN are read, as points without a measurement; a
+    Note reports a last row without a line end.
 
     Text after a # is a comment, and so is a line that begins with //. The first line that is not a comment may be a
     header without numbers. This header, or the last comment before the first row, may name the columns, see
     `columns_of`.
 
+    Args:
+        path: The file.
+        unit: Unit of the coordinates, a key of `columns.PER_METRE`; None: the header's unit, or m if it has none.
+
     Raises:
-        InputError: For too few columns, rows of different lengths, NaN, text that is not a number, and decimal commas;
-            the message names the line.
+        InputError: For too few columns, rows of different lengths, infinite numbers, text that is not a number, and
+            decimal commas; the message names the line.
     """
-    reader = _TableReader(path)
+    reader = _TableReader(path, is_cloud=True)
     reader.take_all()
-    return reader.points()
+    stated = None if reader.columns is None else reader.columns.unit
+    if unit not in (None, stated or unit):
+        raise InputError(f"{path}: the unit is {unit}, but {stated} in the header; omit the key")
+    return reader.points(unit)
 
 
 class NamedColumns(NamedTuple):
@@ -101,8 +111,14 @@ class _TableReader:
     As long as the first column counts the rows, from 0 or 1, rows are stored: it is ignored only if it counts all rows.
     """
 
-    def __init__(self, path: Path, keep: bool = False, chosen: Mapping[str, int | str] = MappingProxyType({})):
-        self.path, self.keep, self._chosen = path, keep, chosen
+    def __init__(
+        self,
+        path: Path,
+        keep: bool = False,
+        chosen: Mapping[str, int | str] = MappingProxyType({}),
+        is_cloud: bool = False,
+    ):
+        self.path, self.keep, self._chosen, self._is_cloud = path, keep, chosen, is_cloud
         self.chosen: dict[str, int] = {}  # indices of the chosen columns
         self.rows: list[list[str]] = []  # cells of all columns, if `keep`
         self.header: list[Heading] | None = None
@@ -118,6 +134,8 @@ class _TableReader:
         lines = _table_text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
         for number, line in enumerate(lines, start=1):
             self.take(number, line)
+        if self._is_cloud:
+            note_missing_line_end(self.path, lines[-1].encode())
         if self._counted:
             self._begin(*self._counted[0], numbered=len(self._counted) > 1)
 
@@ -213,7 +231,7 @@ class _TableReader:
                 wrong = f": {cells[k].strip()[:30]!r} is not a number"
                 raise self._error(number, _decimal_commas(content) or wrong)
             row.append(float(cells[k]))
-        if not all(map(math.isfinite, row)):
+        if not all(math.isfinite(value) or (self._is_cloud and math.isnan(value)) for value in row):
             raise self._error(number, " contains NaN or an infinite number")
         self.xyz.append(row)
         if self.keep:

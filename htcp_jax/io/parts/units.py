@@ -6,21 +6,41 @@ deviations cause a warning. The message names the unit that would make the sizes
 """
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.parts.columns import PER_METRE
+from htcp_jax.io.parts.scan import PARTS
 from htcp_jax.model import Robot, kinematics, workpiece
 
 METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometres": 1e3}  # the most likely units first
-PATH_UNITS = {"millimetres": "mm", "inches": "in", "centimetres": "cm"}  # values of `workpiece.path_unit`
+KEYS = {"millimetres": "mm", "inches": "in", "centimetres": "cm", "metres": "m"}  # values of `workpiece.unit`
 LARGE = 2.0  # ratio of a part's size to the arm's reach from which on a warning is given
 ABSURD = 5.0  # ratio of sizes from which on a part is refused, see the module's docstring
+HALL = 50.0  # ratio of the size of a cell's mesh or cloud to the arm's reach from which on a warning is given
 STAND_OFF = 0.5  # factor of the largest plausible distance of a path from its part, see `_stand_off`
 
 
-def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
+def unit_key(file: str) -> str | None:
+    """Return the job's key for the unit of a part's file; None if the file states its unit.
+
+    Args:
+        file: The file's name, or a label without an ending for a part that is not from a file.
+    """
+    return None if Path(file).suffix.lower() in ("", *PARTS) else "workpiece.unit"
+
+
+def check_extent(
+    robot: Robot,
+    part: Float[np.ndarray, "P 3"],
+    path: Float[np.ndarray, "T 3"],
+    name: str,
+    key: str | None = None,
+    unit: str | None = None,
+) -> None:
     """Check that the size of a part is plausible for the arm.
 
     A UserWarning reports a part more than twice as large as the arm's reach, or smaller than the arm's thinnest body.
@@ -30,19 +50,40 @@ def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.nd
         part: Points that have the extent of the part [m].
         path: The tool path [m], for a guess at the unit.
         name: The part's name, for messages.
+        key: The job's key for the unit of the part's file; None: there is none.
+        unit: The value of this key; None: not set.
 
     Raises:
         InputError: For an implausible size.
     """
+    factor = PER_METRE[unit or "m"]  # to the numbers in the file
     extent, longest = _extent(part), kinematics.max_reach(robot)
     thinnest = 2.0 * float(np.asarray(robot.capsule_radius).min())
-    fitting = [unit for unit, metres in METRES.items() if 2.0 * thinnest <= metres * extent <= LARGE * longest]
+    fitting = [
+        other
+        for other, metres in {**METRES, **({} if unit in (None, "m") else {"metres": 1.0})}.items()
+        if 2.0 * thinnest <= metres * factor * extent <= LARGE * longest
+    ]
     if extent > LARGE * longest:
         text = f"{name} extends over {extent:.3g} m, {robot.name} reaches {longest:.3g} m"
-        _report(f"{text}; {_part_hint(part, path, fitting)}", extent > ABSURD * longest)
+        _report(f"{text}; {_part_hint(factor * part, path, fitting, key)}", extent > ABSURD * longest)
     elif extent < thinnest:
         text = f"{name} extends over {extent:.3g} m, the thinnest body of {robot.name} over {thinnest:.3g} m"
-        _report(f"{text}; {_part_hint(part, path, fitting)}", extent < thinnest / ABSURD)
+        _report(f"{text}; {_part_hint(factor * part, path, fitting, key)}", extent < thinnest / ABSURD)
+
+
+def check_cell_extent(robot: Robot, points: Float[np.ndarray, "P 3"], name: str, key: str) -> None:
+    """Warn of a mesh or cloud of the cell that is larger than any workshop.
+
+    Args:
+        robot: The arm.
+        points: Points that have its extent [m].
+        name: Its name.
+        key: What states its unit.
+    """
+    if (extent := _extent(points)) > HALL * (longest := kinematics.max_reach(robot)):
+        text = f"{name} extends over {extent:.3g} m, {robot.name} reaches {longest:.3g} m; check its unit: {key}"
+        warnings.warn(text, UserWarning, stacklevel=3)
 
 
 def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
@@ -85,17 +126,26 @@ def _report(text: str, absurd: bool) -> None:
     warnings.warn(text, UserWarning, stacklevel=3)
 
 
-def _part_hint(part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], units: list[str]) -> str:
-    """Return a hint at the length unit of a part that is too large or too small, and of its path."""
+def _part_hint(
+    part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], units: list[str], key: str | None
+) -> str:
+    """Return a hint at the length unit of a part that is too large or too small, and of its path.
+
+    Args:
+        part: The part, in the numbers of its file.
+        path: The path [m].
+        units: The units in which the part has a plausible size, the most likely first.
+        key: See `check_extent`.
+    """
     if not units:
         return "check that it is in metres, and keep only the part that the arm can reach"
-    metres = METRES[units[0]]
-    whose = (
-        "it seems"
-        if workpiece.median_distance(metres * part, path) <= _stand_off(metres * part)
-        else "it and its path seem"
-    )
-    return f"{whose} to be in {units[0]}; convert to metres (factor {metres:g})"
+    metres = METRES.get(units[0], 1.0)
+    alone = workpiece.median_distance(metres * part, path) <= _stand_off(metres * part)
+    keys = [each for each in (key, None if alone else "workpiece.path_unit") if each]
+    whose = "it seems" if alone else "it and its path seem"
+    if key is None or units[0] not in KEYS:
+        return f"{whose} to be in {units[0]}; convert to metres (factor {metres:g})"
+    return f"{whose} to be in {units[0]}; set {' and '.join(f'{each}: {KEYS[units[0]]}' for each in keys)}"
 
 
 def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> str:
@@ -105,7 +155,7 @@ def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) 
         # With too small a unit any path is at the origin, but too short.
         right_length = 0.05 * extent <= metres * _extent(path) <= 2.0 * extent
         if right_length and workpiece.median_distance(cloud, metres * path) <= 0.5 * extent:
-            key = f", or set workpiece.path_unit: {PATH_UNITS[unit]}" if unit in PATH_UNITS else ""
+            key = f", or set workpiece.path_unit: {KEYS[unit]}" if unit in KEYS else ""
             return f"the path seems to be in {unit}; convert it to metres (factor {metres:g}){key}"
     return "both must be in metres and in the same frame"
 

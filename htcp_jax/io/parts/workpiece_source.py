@@ -19,7 +19,7 @@ from htcp_jax.io.parts.duct_seams import SEAMS, seam
 from htcp_jax.io.parts.path_file import PathPoints, read_path_points
 from htcp_jax.io.parts.point_cloud import TEXT, load_geometry
 from htcp_jax.io.parts.table import read_named
-from htcp_jax.io.parts.units import check_extent, check_path_unit
+from htcp_jax.io.parts.units import check_extent, check_path_unit, unit_key
 from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
 from htcp_jax.types import Anywhere, Triple
 
@@ -74,6 +74,7 @@ class PointCloud(NamedTuple):
 
     points: Float[np.ndarray, "P 3"]  # [m]
     label: str = "cloud"  # its file, for messages; the stem is the part's name
+    unit: str | None = None  # unit in which its file was read, for messages; None: m, or the file's own
 
     @property
     def defaults(self) -> dict[str, Any]:
@@ -91,6 +92,7 @@ class TriangleMesh(NamedTuple):
     triangles: Float[np.ndarray, "F 3 3"]  # [m]
     label: str = "mesh"  # its file, for messages; the stem is the part's name
     spacing_m: float | None = None  # None: see `mesh_points.cover_mesh`
+    unit: str | None = None  # unit in which its file was read, for messages; None: m, or the file's own
 
     @property
     def points(self) -> Float[np.ndarray, "P 3"]:
@@ -129,18 +131,21 @@ WorkpieceSource = GeneratedDuct | PointCloud | TriangleMesh | NoCloud
 DUCT = GeneratedDuct()
 
 
-def read_source(file: str | Path, spacing_m: float | None = None) -> PointCloud | TriangleMesh:
+def read_source(file: str | Path, spacing_m: float | None = None, unit: str | None = None) -> PointCloud | TriangleMesh:
     """Read the walls of a part from a file of points or triangles, see `load_geometry`.
 
     Args:
         file: The file.
         spacing_m: Widest gap between the points on a mesh, see `mesh_points.cover_mesh`.
+        unit: Unit of the file's coordinates: m, mm, cm or in; None: m, or the unit that the file states.
 
     Raises:
-        InputError: For an unreadable file.
+        InputError: For an unreadable file, and for a unit of a file that states its own.
     """
-    points, triangles = load_geometry(file)
-    return TriangleMesh(triangles, str(file), spacing_m) if len(triangles) else PointCloud(points, str(file))
+    points, triangles = load_geometry(file, unit)
+    if len(triangles):
+        return TriangleMesh(triangles, str(file), spacing_m, unit)
+    return PointCloud(points, str(file), unit)
 
 
 FAR_M = 10_000.0  # coordinates beyond it are those of a map, such as UTM's, not of a part
@@ -154,6 +159,7 @@ def load_workpiece(
     robot: Robot | None = None,
     path_columns: Mapping[str, int | str] = MappingProxyType({}),
     path_unit: str | None = None,
+    unit: str | None = None,
     origin: Anywhere | Triple | None = None,
     **fields: Any,
 ) -> Workpiece:
@@ -167,6 +173,7 @@ def load_workpiece(
             used.
         path_columns: Columns of the path's file, see `read_path_points`.
         path_unit: Unit of the path's file, see `read_path_points`.
+        unit: Unit of the file `source`, see `read_source`.
         origin: Point (3,) [m] to subtract from the coordinates of cloud, path and inlet. None: 0; for a part further
             than FAR_M from 0 its centre in whole metres (without a cloud, the path's centre), with a Note.
         **fields: Fields of `Workpiece`, in place of the source's defaults; the inlet is in the files' coordinates.
@@ -181,14 +188,16 @@ def load_workpiece(
         if value and not _is_file(path):
             what = "a seam of the generated duct" if path is None else "an array"
             raise InputError(f"workpiece.{key} is {value!r}, but the path is {what}, not a file; omit the key")
+    if unit is not None and not _is_file(source):
+        raise InputError(f"workpiece.unit is {unit!r}, but the walls are not read from a file here; omit the key")
     if _is_file(source):
-        source = read_source(source)
+        source = read_source(source, unit=unit)
     elif not isinstance(source, WorkpieceSource):
         source = PointCloud(arrays.points(source, "cloud", 4))
     track = PathPoints(source.path(), PathFrames()) if path is None else _read_track(path, path_columns, path_unit)
     own = {"name": Path(path).stem if _is_file(path) else "path", "frames": track.frames, **source.defaults, **fields}
     if robot is not None and isinstance(source, PointCloud | TriangleMesh):
-        check_extent(robot, source.points, track.xyz, own["name"])
+        check_extent(robot, source.points, track.xyz, own["name"], unit_key(source.label), source.unit)
     own["origin"] = _origin(source, track.xyz, own["name"]) if origin is None else arrays.triple(origin, "origin")
     source, track = _moved(source, track, own)
     surface = source.walls(None if robot is None else mesh_points.thinnest_nearby(robot))

@@ -1,0 +1,120 @@
+"""Reading of Wavefront OBJ meshes and clouds. Other readers drop elements that hold geometry without a message."""
+
+import re
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError, Note
+from htcp_jax.io.files import note_missing_line_end
+from htcp_jax.io.parts import polygons
+
+FACES, VERTEX, MATERIAL = ("f", "fo"), "v", "usemtl"
+FREE_FORM = {"curv", "curv2", "surf", "bzp", "bsp", "cdc", "cdp", "res", "call"}
+IGNORED = {"l": "lines", "p": "points"}  # elements without a surface
+HARMLESS = {  # names, colours, normals, rendering; and the parts of free-form elements
+    *("vt", "vn", "vp", "o", "g", "s", "mg", "usemap", "mtllib", "maplib", "shadow_obj", "trace_obj", "csh", "lod"),
+    *("bevel", "c_interp", "d_interp", "cstype", "deg", "bmat", "step", "parm", "trim", "hole", "scrv", "sp", "end"),
+    *("con", "ctech", "stech"),
+}
+CORNER = re.compile(r"([+-]?\d{1,12})(?:/[+-]?\d*){0,2}")
+
+
+class _Face(NamedTuple):
+    corners: list[int]  # indices of vertices, from 0
+    width: int  # number of integers on its line
+    material: int
+
+
+def read_obj(path: Path, data: bytes) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "F 3 3"]]:
+    """Return all vertices and the triangles of an OBJ file, in its unit.
+
+    Faces of all objects and groups are read; polygons are divided, see `polygons`. Negative numbers count back from the
+    last vertex before the face. The material's file is not opened.
+
+    Raises:
+        InputError: For a damaged line, for a face without vertex, and for free-form curves and surfaces.
+    """
+    text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
+    vertices: list[list[float]] = []
+    faces: list[_Face] = []
+    materials: dict[str, int] = {"": 0}
+    material, others = 0, dict[str, int]()
+    for number, line in enumerate(text.split("\n"), start=1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        key = words[0]
+        if key == VERTEX:
+            vertices.append(_vertex(path, number, words))
+        elif key in FACES:
+            faces.append(_face(path, number, words, len(vertices), material))
+        elif key == MATERIAL:
+            material = materials.setdefault(" ".join(words[1:]), len(materials))
+        elif key in FREE_FORM:
+            raise InputError(f"{path}: line {number}: {key!r} is not a polygon; export the part as triangles")
+        elif key in IGNORED:
+            others[key] = others.get(key, 0) + 1
+        elif key not in HARMLESS:
+            text = f"line {number}: unknown key {key[:20]!r}; write # before the line if it may be ignored"
+            raise InputError(f"{path}: not a readable .obj file ({text})")
+    if not vertices:
+        raise InputError(f"{path}: not a readable .obj file (it contains no vertices)")
+    _name(path, others, len(faces), len(vertices))
+    xyz = np.array(vertices, np.float64).reshape(-1, 3)
+    triangles = _triangles(path, xyz, faces)
+    note_missing_line_end(path, data)
+    return xyz, triangles
+
+
+def _vertex(path: Path, number: int, words: list[str]) -> list[float]:
+    try:
+        x, y, z = (float(word.replace("_", "?")) for word in words[1:4])  # Python reads 1_0 as ten
+    except ValueError:
+        raise InputError(f"{path}: not a readable .obj file (line {number}: a vertex needs three numbers)") from None
+    return [x, y, z]
+
+
+def _face(path: Path, number: int, words: list[str], before: int, material: int) -> _Face:
+    """Return a face; `before` is the number of vertices before its line."""
+    corners, width = [], 0
+    for word in words[1:]:
+        if not (found := CORNER.fullmatch(word)):
+            raise InputError(f"{path}: not a readable .obj file (line {number}: {word[:20]!r} is not a corner)")
+        vertex = int(found[1])
+        if vertex == 0 or vertex < -before:
+            raise InputError(f"{path}: line {number}: there is no vertex {vertex}; the first vertex is 1")
+        corners.append(vertex - 1 if vertex > 0 else before + vertex)
+        width += len(word.replace("/", " ").split())
+    return _Face(corners, width, material)
+
+
+def _name(path: Path, others: dict[str, int], faces: int, vertices: int) -> None:
+    """Report elements that are not used, and a file without faces."""
+    for key, count in others.items():
+        if faces or key != "p":
+            warnings.warn(f"{path}: its {count} {IGNORED[key]} ({key}) are ignored", Note, stacklevel=3)
+    if vertices and not faces:
+        warnings.warn(f"{path}: it has no faces; its {vertices} vertices are read as a cloud", Note, stacklevel=3)
+
+
+def _triangles(path: Path, vertices: Float[np.ndarray, "V 3"], faces: list[_Face]) -> Float[np.ndarray, "F 3 3"]:
+    """Return the triangles of faces. Materials follow each other from the last to the first, as in earlier versions."""
+    if not faces:
+        return np.empty((0, 3, 3))
+    corners = np.array([corner for face in faces for corner in face.corners], int)
+    counts = np.array([len(face.corners) for face in faces])
+    found = polygons.triangulate(vertices, corners, counts, str(path))
+    order, columns = polygons.rolled_quads(found, counts), np.array([face.width for face in faces])
+    materials = np.array([face.material for face in faces])
+    groups = [np.flatnonzero(materials == each) for each in dict.fromkeys(materials.tolist())]
+    parts = []
+    for group in reversed(groups):
+        rows = np.flatnonzero(np.isin(found.polygon, group)) if len(groups) > 1 else np.arange(len(order))
+        if len({*columns[group].tolist()}) == 1 and counts[group[0]] == 4:
+            rows = rows[np.argsort(found.rank[rows], kind="stable")]
+        parts.append(order[rows])
+    return vertices[np.concatenate(parts)]
