@@ -1,14 +1,16 @@
 """Shapes of a work cell, read from an MJCF file, at their poses in the world.
 
 Planes, boxes, spheres, capsules and cylinders are read as primitives, meshes as triangles. The model's joints are in
-their initial configuration. Visual geoms are ignored.
+their initial configuration. Visual geoms are ignored. The planner and `htcp validate` read meshes by the same function,
+so that both check the same triangles and agree on which mesh is a solid.
 """
 
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.model_file import compile_spec, no_log, upwards
@@ -16,6 +18,14 @@ from htcp_jax.io.robots.safe_xml import model_files, read_spec
 from htcp_jax.io.robots.shapes import Geom, Shapes
 from htcp_jax.model import Fixture, fixture, tool
 from htcp_jax.types import Triple
+
+
+class CellMesh(NamedTuple):
+    """A mesh in a cell's file."""
+
+    geom: mujoco.MjsGeom  # its geom in the parsed file, a box in its place
+    triangles: Float[np.ndarray, "F 3 3"]  # in the geom's frame [m]
+    is_solid: bool  # False for a surface, see `fixture.is_solid`
 
 
 def load_cell(
@@ -52,6 +62,27 @@ def load_cell(
         _fixture(geom, shapes, model, data, path, move if own[model.geom_bodyid[geom.at]] else np.eye(4))
         for geom in sorted(geoms, key=lambda geom: geom.at)
     )
+
+
+def read_meshes(path: str | Path) -> tuple[mujoco.MjSpec, list[CellMesh]]:
+    """Read a cell's file for MuJoCo, which opens no mesh: a box takes the place of each.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The parsed file, and the meshes for contact.
+
+    Raises:
+        InputError: If a file or a mesh cannot be read.
+    """
+    path = Path(path)
+    with no_log():
+        spec = read_spec(path, meshes=True)
+    shapes = Shapes(spec, path)
+    taken = zip(list(spec.geoms), shapes.geoms, strict=True)
+    meshes = [(geom, shapes.mesh(found)) for geom, found in taken if found.touches and found.kind == "mesh"]
+    return spec, [CellMesh(geom, triangles, fixture.is_solid(triangles)) for geom, triangles in meshes]
 
 
 def files_of_cell(path: str | Path) -> set[Path]:

@@ -55,8 +55,8 @@ def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
 
 def data_of(loaded: Workpiece) -> WorkpieceData:
     """Return a loaded workpiece's data for validation, without computed data such as hull, normals and tangents."""
-    is_mesh, cover_m = len(loaded.triangles) > 0, loaded.covering_radius_m
-    return WorkpieceData(loaded.cloud, loaded.path, loaded.inlet, is_mesh, cover_m, *loaded.frames)
+    mesh, cover_m = loaded.triangles, loaded.covering_radius_m
+    return WorkpieceData(loaded.cloud, loaded.path, loaded.inlet, mesh, cover_m, *loaded.frames)
 
 
 def _workpieces() -> Callable[[PlanConfig], WorkpieceData]:
