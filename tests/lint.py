@@ -74,7 +74,8 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
     "io": {
         "write_json write_text": "how results are written",
         "read_json read_yaml load_geometry FileSection validate_model": "readers of files",
-        "read_meshes": "reader of a cell's file: the triangles that the planner reads, and which of them are a solid",
+        "read_meshes thickness_m THIN_M": "reader of a cell's file: the triangles that the planner reads, and which of "
+        "them are a solid or flat",
         "read_model ModelSource label_of default_tcp": "reader of an arm's file, or of a cell's, which MuJoCo composes",
         "LinkMeshes": "meshes to which an arm's file refers, placed by MuJoCo and measured by FCL",
     },

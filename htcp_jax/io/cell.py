@@ -5,6 +5,7 @@ their initial configuration. Visual geoms are ignored. The planner and `htcp val
 so that both check the same triangles and agree on which mesh is a solid.
 """
 
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,12 +13,14 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots.model_file import compile_spec, no_log, upwards
 from htcp_jax.io.robots.safe_xml import model_files, read_spec
 from htcp_jax.io.robots.shapes import Geom, Shapes
 from htcp_jax.model import Fixture, fixture, tool
 from htcp_jax.types import Triple
+
+THIN_M = 1e-6  # a thinner mesh is flat
 
 
 class CellMesh(NamedTuple):
@@ -81,8 +84,25 @@ def read_meshes(path: str | Path) -> tuple[mujoco.MjSpec, list[CellMesh]]:
         spec = read_spec(path, meshes=True)
     shapes = Shapes(spec, path)
     taken = zip(list(spec.geoms), shapes.geoms, strict=True)
-    meshes = [(geom, shapes.mesh(found)) for geom, found in taken if found.touches and found.kind == "mesh"]
-    return spec, [CellMesh(geom, triangles, fixture.is_solid(triangles)) for geom, triangles in meshes]
+    found = []
+    for geom, own in taken:
+        if own.touches and own.kind == "mesh":
+            triangles = shapes.mesh(own)
+            _note_if_flat(own.mesh, triangles, path)
+            found.append(CellMesh(geom, triangles, fixture.is_solid(triangles)))
+    return spec, found
+
+
+def thickness_m(points: Float[np.ndarray, "P 3"]) -> float:
+    """Return the extent of points along the direction in which they vary least [m]."""
+    away = points - points.mean(axis=0)
+    return float(np.ptp(away @ np.linalg.eigh(away.T @ away)[1][:, 0]))
+
+
+def _note_if_flat(name: str, triangles: Float[np.ndarray, "F 3 3"], path: Path) -> None:
+    if thickness_m(triangles.reshape(-1, 3)) < THIN_M:
+        what = f"{path}: mesh {name!r} is flat; it is a wall of thickness 0, which is checked on both sides"
+        warnings.warn(what, Note, stacklevel=3)
 
 
 def files_of_cell(path: str | Path) -> set[Path]:
@@ -123,5 +143,6 @@ def _fixture(
     carrier = model.geom_bodyid[geom.at]
     T[:3, :3], T[:3, 3] = data.xmat[carrier].reshape(3, 3), data.xpos[carrier]
     T = move @ T
+    _note_if_flat(geom.mesh, shapes.mesh(geom), path)
     triangles = shapes.shape(geom, model).triangles @ T[:3, :3].T + T[:3, 3]
     return Fixture(name, geom.kind, np.eye(4), np.zeros(3), triangles)

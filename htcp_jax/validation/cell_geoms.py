@@ -23,7 +23,6 @@ from htcp_jax.model import fixture
 from htcp_jax.validation.carried import CarriedBody
 from htcp_jax.validation.mujoco_arm import MujocoArm
 
-THIN_M = 1e-6  # thickness in MuJoCo of a thinner mesh on a moving link, which has no hull
 BODY, HULL, SHAPE = "body {} of the arm", "hull {} of the arm", "shape {} of the job"
 MESH, CLOUD = "mesh {} of the cell", "cloud {} of the job"
 _TYPES = {kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}") for kind in fixture.PRIMITIVES}
@@ -120,7 +119,7 @@ class CellGeoms:
         for k, (geom, triangles, is_solid) in enumerate(meshes):
             moves = self._rules.moves(_name(geom.name, geom.parent))
             corners = np.unique(triangles.reshape(-1, 3), axis=0)
-            if moves or (is_solid and _thickness_m(corners) >= THIN_M):
+            if moves or (is_solid and cells.thickness_m(corners) >= cells.THIN_M):
                 geom.type, geom.meshname = _MESH, MESH.format(k)
                 self._add_mesh(spec, MESH.format(k), corners)
             else:
@@ -153,8 +152,8 @@ class CellGeoms:
     def _add_mesh(self, spec: mujoco.MjSpec, name: str, corners: Float[np.ndarray, "V 3"]) -> None:
         """Add the convex hull of corners, about their centre, as MuJoCo stores vertices as 32-bit numbers."""
         self._corners[name] = corners
-        if _thickness_m(corners) < THIN_M:
-            corners = (corners[:, None] + THIN_M / 2 * _CORNERS).reshape(-1, 3)
+        if cells.thickness_m(corners) < cells.THIN_M:
+            corners = (corners[:, None] + cells.THIN_M / 2 * _CORNERS).reshape(-1, 3)
         spec.add_mesh(name=name, uservert=(corners - _centre(self._corners[name])).ravel(), inertia=_SHELL)
 
     # After
@@ -261,12 +260,6 @@ def _stem(cloud: config.CloudConfig) -> str:
 
 def _centre(corners: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3"]:
     return (corners.min(axis=0) + corners.max(axis=0)) / 2
-
-
-def _thickness_m(corners: Float[np.ndarray, "V 3"]) -> float:
-    """Return the extent of corners along the direction in which they vary least [m]."""
-    away = corners - corners.mean(axis=0)
-    return float(np.ptp(away @ np.linalg.eigh(away.T @ away)[1][:, 0]))
 
 
 def _move(model: mujoco.MjModel, data: mujoco.MjData, cell: config.CellConfig) -> None:
