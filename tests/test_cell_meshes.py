@@ -115,6 +115,12 @@ def test_a_plan_is_confirmed_next_to_a_mesh_and_refuted_with_the_last_triangle_i
     assert any("the arm is in collision" in each.reason for each in found.refuted)
 
 
+def test_a_wall_that_is_too_far_to_be_measured_at_any_configuration_has_no_distance(tmp_path, arm):
+    own = MujocoCell(CellConfig(model=str(write_cell(CELLS["binary PLY"], tmp_path))), arm, arm)
+    found = own.distances(x := np.zeros((2, 4)), arm.arm_poses(x), np.zeros((2, 2), bool))
+    np.testing.assert_array_equal(found, np.inf)
+
+
 def test_a_flat_mesh_is_named(tmp_path):
     file = write_cell(CELLS["a tilted sheet"], tmp_path)
     for read in (load_cell, read_meshes):

@@ -199,7 +199,7 @@ class CheckedScene:
             to_wall[doubt] = np.where(to_wall[doubt] < least, np.minimum(near, least), to_wall[doubt])
         ends = np.concatenate([arm_poses.p, arm_poses.q], axis=1)
         outside = self._outside(ends, ends @ self.along > self.interior_from)
-        each = len(x), len(pieces.row) // len(x)
+        each = len(x), len(pieces.row) // max(1, len(x))
         clearance = _worse(np.minimum(to_wall, to_others), outside)
         samples, distance = samples.reshape(*each, 3), distance.reshape(each)
         return TargetClearances(
