@@ -277,6 +277,21 @@ def test_a_joint_beyond_its_limits_and_a_configuration_that_is_not_there_are_ref
     assert "j4 is outside its limits" in reasons[0, 3] and reasons[2, 4] == "no saved configuration"
 
 
+@pytest.mark.parametrize("values", [([np.nan] * 4, [0.5]), ([0.0] * 4, [np.inf])])
+def test_a_run_with_a_via_point_that_is_no_number_is_refused(run, values):
+    spoil(run, 1, 7, **dict(zip(("via_points", "via_shares"), values, strict=True)))
+    with pytest.raises(InputError, match="a via point to target 7 of scenario 1 is NaN or infinite"):
+        validate_results(run, between=0)
+
+
+@pytest.mark.parametrize("name", ["tcp_error", "clearance", "clearance_off", "tcp_off", "target_off"])
+def test_a_figure_that_is_no_number_refutes_a_configuration(name):
+    good = dict.fromkeys(("tcp_error", "clearance_off", "tcp_off", "target_off", "through"), 0.0) | {"clearance": 0.1}
+    arm, x = MujocoArm(GP50), np.zeros(6)
+    assert not track._failure_reasons(arm, 1e-3, 1e-6, x, 0.1, good)
+    assert len(track._failure_reasons(arm, 1e-3, 1e-6, x, 0.1, good | {name: np.nan})) == 1
+
+
 def test_a_longer_tool_is_the_planner_s():
     x = np.random.default_rng(1).uniform(-3, 3, (20, 6))
     for extension in (0.0, 0.05, -0.02):
