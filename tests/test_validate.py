@@ -19,7 +19,7 @@ from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.duct_seams import SEAMS
-from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
+from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece, read_source
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of, workpiece_key, workpiece_of
@@ -36,7 +36,7 @@ from htcp_jax.runs.sweep import keep_plans, sweep
 from htcp_jax.status import Status
 from htcp_jax.validation import STEP_RAD, track, validate_results
 from htcp_jax.validation.mujoco_arm import MujocoArm
-from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
+from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall, wall_of
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.track import samples_between
 
@@ -162,6 +162,13 @@ def test_the_cover_of_a_mesh_is_not_subtracted_from_distances_to_the_cell(tmp_pa
     run = keep_plans(spec, {"baseline": upright}, tmp_path / "run").folder
     found = validate_results(run, between=0).methods["baseline"]
     np.testing.assert_allclose([found.clearance_min_mm, found.clearance_less_cover_min_mm], 1.0, atol=1e-3)
+
+
+def test_the_wall_of_a_mesh_is_moved_by_the_origin_of_its_coordinates(tmp_path):
+    job = load_config(str(mesh_job(tmp_path)))
+    part = load_workpiece(read_source(job.workpiece.cloud), job.workpiece.path, origin=(0.1, 0.2, 0.3))
+    wall = wall_of(job.workpiece, data_of(part))
+    np.testing.assert_allclose(wall.corners.min(axis=0), np.array([0.42, -0.2, toy.SHELF_M]) - [0.1, 0.2, 0.3])
 
 
 def test_a_report_does_not_call_other_results_validated_than_those_that_were(run):
