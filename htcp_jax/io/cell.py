@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots.model_file import compile_spec, no_log, upwards
-from htcp_jax.io.robots.safe_xml import model_files, read_spec
+from htcp_jax.io.robots.safe_xml import WORLD, model_files, read_spec
 from htcp_jax.io.robots.shapes import Geom, Shapes
 from htcp_jax.model import Fixture, fixture, tool
 from htcp_jax.types import Triple
@@ -70,11 +70,13 @@ def load_cell(
 def read_meshes(path: str | Path) -> tuple[mujoco.MjSpec, list[CellMesh]]:
     """Read a cell's file for MuJoCo, which opens no mesh: a box takes the place of each.
 
+    A geom without a name, on a body without a name, gets the name that `load_cell` gives to its shape.
+
     Args:
         path: The file.
 
     Returns:
-        The parsed file, and the meshes for contact.
+        The parsed file, which MuJoCo compiles without masses, and the meshes for contact.
 
     Raises:
         InputError: If a file or a mesh cannot be read.
@@ -83,14 +85,20 @@ def read_meshes(path: str | Path) -> tuple[mujoco.MjSpec, list[CellMesh]]:
     with no_log():
         spec = read_spec(path, meshes=True)
     shapes = Shapes(spec, path)
-    taken = zip(list(spec.geoms), shapes.geoms, strict=True)
+    compile_spec(spec, path)  # sets the geoms' indices
     found = []
-    for geom, own in taken:
+    for geom, own in zip(list(spec.geoms), shapes.geoms, strict=True):
+        if not geom.name and (geom.parent.name in ("", WORLD)):
+            geom.name = _fallback_name(own)
         if own.touches and own.kind == "mesh":
             triangles = shapes.mesh(own)
             _note_if_flat(own.mesh, triangles, path)
             found.append(CellMesh(geom, triangles, fixture.is_solid(triangles)))
     return spec, found
+
+
+def _fallback_name(geom: Geom) -> str:
+    return f"{geom.kind} {geom.at}"
 
 
 def thickness_m(points: Float[np.ndarray, "P 3"]) -> float:
@@ -132,7 +140,7 @@ def _fixture(
     geom: Geom, shapes: Shapes, model: mujoco.MjModel, data: mujoco.MjData, path: Path, move: np.ndarray
 ) -> Fixture:
     body = model.body(model.geom_bodyid[geom.at]).name if model.geom_bodyid[geom.at] else ""
-    name = model.geom(geom.at).name or body or f"{geom.kind} {geom.at}"
+    name = model.geom(geom.at).name or body or _fallback_name(geom)
     if geom.kind not in fixture.KINDS or (geom.mesh and geom.kind != "mesh"):
         kind = f"a {geom.kind} fitted to a mesh" if geom.mesh else f"a geom of type {geom.kind}"
         raise InputError(f"{path}: {name} is {kind}; valid in a cell: {', '.join(fixture.KINDS)}")

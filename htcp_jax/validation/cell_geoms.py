@@ -127,9 +127,6 @@ class CellGeoms:
         for geom in list(spec.geoms):
             if not (geom.contype or geom.conaffinity):
                 spec.delete(geom)
-        spec.compiler.fusestatic = False
-        spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
-        spec.compiler.balanceinertia = True
         return spec
 
     def _add_arm(self, spec: mujoco.MjSpec) -> None:
@@ -151,10 +148,10 @@ class CellGeoms:
 
     def _add_mesh(self, spec: mujoco.MjSpec, name: str, corners: Float[np.ndarray, "V 3"]) -> None:
         """Add the convex hull of corners, about their centre, as MuJoCo stores vertices as 32-bit numbers."""
-        self._corners[name] = corners
-        if cells.thickness_m(corners) < cells.THIN_M:
+        if cells.thickness_m(corners) < cells.THIN_M:  # it would have no hull
             corners = (corners[:, None] + cells.THIN_M / 2 * _CORNERS).reshape(-1, 3)
-        spec.add_mesh(name=name, uservert=(corners - _centre(self._corners[name])).ravel(), inertia=_SHELL)
+        self._corners[name] = corners
+        spec.add_mesh(name=name, uservert=(corners - _centre(corners)).ravel(), inertia=_SHELL)
 
     # After
 
