@@ -153,7 +153,7 @@ class CellGeoms:
         self._corners[name] = corners
         spec.add_mesh(name=name, uservert=(corners - _centre(corners)).ravel(), inertia=_SHELL)
 
-    # After
+    # After MuJoCo has compiled the model
 
     def _names_of_fixtures(self, names_of_clouds: Mapping[str, str]) -> dict[int, str]:
         """Return the names of all geoms that are not the arm's, by geom."""
