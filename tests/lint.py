@@ -67,19 +67,21 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
         "Tool ZERO TaskRow TaskRowKind": "what a job's file states",
         "PRIMITIVES": "names of MuJoCo's shapes",
         "TOUCHING_M": "overlap of meshes that a job's arm is allowed",
-        "Workpiece": "type of what `workpiece_of` loads; its points, path and inlet are copied at once",
+        "Workpiece": "type of what `workpiece_of` loads; its points, triangles, path and inlet are copied at once",
     },
     "motion": {"Plans Outcome": "saved results"},
     "trajectory": {"TimedMotion": "saved results"},
     "io": {
         "write_json write_text": "how results are written",
-        "read_bytes read_json read_yaml read_spec load_geometry FileSection validate_model": "readers of files",
+        "read_json read_yaml load_geometry FileSection validate_model": "readers of files",
+        "read_meshes thickness_m THIN_M": "reader of a cell's file: the triangles that the planner reads, and which of "
+        "them are a solid or flat",
         "read_model ModelSource label_of default_tcp": "reader of an arm's file, or of a cell's, which MuJoCo composes",
         "is_limits_file read_joint_limits": "reader of a file with joint limits",
         "LinkMeshes": "meshes to which an arm's file refers, placed by MuJoCo and measured by FCL",
     },
     "jobs": {
-        "CellConfig FixtureConfig PlanConfig RobotConfig WorkpieceConfig WORLD": "what a job's file states",
+        "CellConfig CloudConfig FixtureConfig PlanConfig RobotConfig WorkpieceConfig WORLD": "what a job's file states",
         "robot_key workpiece_key walls_key": "keys of a job, to load each part once",
         "shapes_in_world": "MuJoCo shapes that a job's obstacle of another package states",
         "robot_of workpiece_of": "loading of a workpiece; points on a mesh, which only normals are fitted to, are as "
@@ -110,7 +112,6 @@ OWN_FILES = {  # modules that open files themselves, and why that is safe
     "device.processes": "a folder that was made just now",
     "cli.main": "os.devnull",
     "report.document": "a picture in memory",
-    "validation.mesh_clearance": "a mesh in memory",
     "cli.robot": "a picture into a folder that was made just now",
     "api": "the same",
 }

@@ -18,7 +18,7 @@ from htcp_jax.clearance.obstacles.fixtures import Fixtures
 from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.motion_proof import prove
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.jobs import build, load_config
 from htcp_jax.jobs.config import CellConfig, RobotConfig
 from htcp_jax.model.kinematics import capsule_segments, tip_segment
@@ -100,6 +100,24 @@ def test_a_mesh_that_is_not_convex_is_not_tested_against_links_that_it_excludes(
     of = jax.jit(partial(htcp_jax.clearances, robot))
     by_body = [np.asarray(of((each,), where, x)) for each in (ring, checked)]
     assert (by_body[0][:2] == by_body[1][:2]).all() and by_body[0][2] > 1e3 > by_body[1][2]
+
+
+def test_a_fixture_without_a_name_has_the_same_one_for_planner_and_validation(arm, tmp_path):
+    """A visual geom, a box and a mesh nearly in one plane, which MuJoCo numbers in another order with the arm."""
+    corners = trimesh.transformations.random_rotation_matrix(np.full(3, 0.3))[:3, 0:2] @ [[0, 0.1, 0], [0, 0, 0.1]]
+    np.savetxt(tmp_path / "part.obj", [*corners.T, corners.mean(axis=1) + 1e-9], fmt="v %.12f %.12f %.12f")
+    (tmp_path / "part.obj").write_text((tmp_path / "part.obj").read_text() + "f 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    box, mesh = '<geom type="box" size="0.1 0.1 0.1" pos="0 0 2"/>', '<geom type="mesh" mesh="part"/>'
+    visual = box.replace("/>", ' contype="0" conaffinity="0"/>')
+    text = f'<asset><mesh name="part" file="part.obj"/></asset><worldbody>{visual}<body>{mesh}{box}</body></worldbody>'
+    (tmp_path / "cell.xml").write_text(f"<mujoco>{text}</mujoco>")
+    own = MujocoArm(tmp_path / "arm.xml")
+    for name, count in (("box 2", 8), ("mesh 1", 32)):
+        cell = CellConfig(model=str(tmp_path / "cell.xml"), fixtures=[{"name": name, "parent": "elbow"}])
+        with pytest.warns(Note, match="mesh 'part' is flat"):
+            assert build.robot_of(arm, cell).attached
+            (body,) = MujocoCell(cell, own, own).carried
+        assert body.parent == "elbow" and len(body.corners) == count
 
 
 def test_a_box_on_a_link_is_tested_against_other_links_except_those_that_it_excludes(arm, cell):

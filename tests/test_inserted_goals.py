@@ -196,7 +196,7 @@ def test_validation_turns_directions_between_targets_as_inserted_goals_do():
     rng = np.random.default_rng(5)
     path, turns = rng.normal(size=(3, 3)), Rotation.random(3, rng=rng)
     normals = turns.apply([0.0, 0.0, 1.0])
-    part = WorkpieceData(path, path, None, False, 0.0, normals, None, turns.as_matrix())
+    part = WorkpieceData(path, path, None, np.empty((0, 3, 3)), 0.0, normals, None, turns.as_matrix())
     rows = TaskRow(axis="tcp.z", towards="path.normal"), TaskRow(orientation="path")
     point, share = np.array([1, 2, 2, 1]), np.array([0.0, 0.4, 1.0, 0.7])
     found = part_between(rows, np.eye(3), np.zeros(3), part, point, share)

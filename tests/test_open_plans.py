@@ -115,6 +115,23 @@ def test_an_array_of_another_shape_is_damage(made, tmp_path, name):
             opener(spoiled)
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["via_point_x", "via_point_share"])
+def test_a_via_point_that_is_no_number_is_damage(made, tmp_path, name, wrong):
+    arrays = {"via_point_x": made[0].plans.x[0, :1].copy(), "via_point_share": np.full(1, 0.5)}
+    arrays[name].flat[0] = wrong
+    spoiled = rewritten(made[1], tmp_path / "spoiled", via_point_target=np.ones(1, np.int32), **arrays)
+    for opener in (open_plans, open_replays, read_results):
+        with pytest.raises(InputError, match="is damaged: a via point to target 1 is NaN or infinite"):
+            opener(spoiled)
+
+
+def test_a_start_that_is_no_number_cannot_be_validated(made, tmp_path):
+    spoiled = rewritten(made[1], tmp_path / "spoiled", start=np.full_like(made[0].plans.start[0], np.nan))
+    with pytest.raises(InputError, match="the start of scenario 0 of baseline is NaN or infinite"):
+        list(read_results(spoiled).tracks)
+
+
 def test_a_changed_file_of_the_scene_is_refused_by_all(made, tmp_path):
     copy = shutil.copytree(made[1], tmp_path / "copy")
     summary = json.loads((copy / SUMMARY).read_text())

@@ -19,7 +19,7 @@ from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.duct_seams import SEAMS
-from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
+from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece, read_source
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of, workpiece_key, workpiece_of
@@ -36,7 +36,7 @@ from htcp_jax.runs.sweep import keep_plans, sweep
 from htcp_jax.status import Status
 from htcp_jax.validation import STEP_RAD, track, validate_results
 from htcp_jax.validation.mujoco_arm import MujocoArm
-from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
+from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall, wall_of
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.track import samples_between
 
@@ -164,6 +164,13 @@ def test_the_cover_of_a_mesh_is_not_subtracted_from_distances_to_the_cell(tmp_pa
     np.testing.assert_allclose([found.clearance_min_mm, found.clearance_less_cover_min_mm], 1.0, atol=1e-3)
 
 
+def test_the_wall_of_a_mesh_is_moved_by_the_origin_of_its_coordinates(tmp_path):
+    job = load_config(str(mesh_job(tmp_path)))
+    part = load_workpiece(read_source(job.workpiece.cloud), job.workpiece.path, origin=(0.1, 0.2, 0.3))
+    wall = wall_of(job.workpiece, data_of(part))
+    np.testing.assert_allclose(wall.corners.min(axis=0), np.array([0.42, -0.2, toy.SHELF_M]) - [0.1, 0.2, 0.3])
+
+
 def test_a_report_does_not_call_other_results_validated_than_those_that_were(run):
     main(["validate", str(run), "--between", "0"])
     spoil(run, 0, 5, iterations=1)
@@ -275,6 +282,21 @@ def test_a_joint_beyond_its_limits_and_a_configuration_that_is_not_there_are_ref
     reasons = {(one.scenario, one.target): one.reason for one in validate_results(run, between=0).refuted}
     assert set(reasons) == {(0, 3), (2, 4)}
     assert "j4 is outside its limits" in reasons[0, 3] and reasons[2, 4] == "no saved configuration"
+
+
+@pytest.mark.parametrize("values", [([np.nan] * 4, [0.5]), ([0.0] * 4, [np.inf])])
+def test_a_run_with_a_via_point_that_is_no_number_is_refused(run, values):
+    spoil(run, 1, 7, **dict(zip(("via_points", "via_shares"), values, strict=True)))
+    with pytest.raises(InputError, match="a via point to target 7 of scenario 1 is NaN or infinite"):
+        validate_results(run, between=0)
+
+
+@pytest.mark.parametrize("name", ["tcp_error", "clearance", "clearance_off", "tcp_off", "target_off"])
+def test_a_figure_that_is_no_number_refutes_a_configuration(name):
+    good = dict.fromkeys(("tcp_error", "clearance_off", "tcp_off", "target_off", "through"), 0.0) | {"clearance": 0.1}
+    arm, x = MujocoArm(GP50), np.zeros(6)
+    assert not track._failure_reasons(arm, 1e-3, 1e-6, x, 0.1, good)
+    assert len(track._failure_reasons(arm, 1e-3, 1e-6, x, 0.1, good | {name: np.nan})) == 1
 
 
 def test_a_longer_tool_is_the_planner_s():

@@ -44,17 +44,26 @@ class Fixture(NamedTuple):
 
     @property
     def convex(self) -> bool:
-        """True if the mesh is closed and convex, and has at most MOST_FACES faces.
+        """True if the mesh is a solid, see `is_solid`."""
+        return is_solid(self.triangles)
 
-        A mesh is closed and convex if its triangles lie on its convex hull and have the hull's area.
-        """
-        if len(self.triangles) > MOST_FACES:
-            return False
-        try:
-            hull = scipy.spatial.ConvexHull(self.triangles.reshape(-1, 3))
-        except scipy.spatial.QhullError:
-            return False
-        normal, offset = hull.equations[:, :3], -hull.equations[:, 3]
-        depth = (offset - self.triangles.mean(axis=1) @ normal.T).min(axis=1)
-        alike = abs(area(self.triangles).sum() - hull.area) <= CONVEX * hull.area
-        return bool(alike and depth.max() <= CONVEX * np.sqrt(hull.area))
+
+def is_solid(triangles: Float[np.ndarray, "F 3 3"]) -> bool:
+    """Return True if a mesh is closed and convex, and has at most MOST_FACES faces.
+
+    A mesh is closed and convex if its triangles lie on its convex hull and have the hull's area. Any other mesh is a
+    surface: its interior is not known.
+
+    Args:
+        triangles: Corners of the mesh's triangles [m].
+    """
+    if len(triangles) > MOST_FACES:
+        return False
+    try:
+        hull = scipy.spatial.ConvexHull(triangles.reshape(-1, 3))
+    except scipy.spatial.QhullError:
+        return False
+    normal, offset = hull.equations[:, :3], -hull.equations[:, 3]
+    depth = (offset - triangles.mean(axis=1) @ normal.T).min(axis=1)
+    alike = abs(area(triangles).sum() - hull.area) <= CONVEX * hull.area
+    return bool(alike and depth.max() <= CONVEX * np.sqrt(hull.area))

@@ -196,12 +196,14 @@ def _read_via_points(file: Path, record: PlanRecord, joints: int) -> ViaPoints:
     """Return the via points of a saved plan.
 
     Raises:
-        InputError: If an array has the wrong shape or type.
+        InputError: If an array has the wrong shape or type, or contains NaN or infinity.
     """
     target, x, share = record.via_points
     kinds = target.dtype.kind in "iu" and x.dtype.kind == share.dtype.kind == "f"
     if x.shape != (len(target), joints) or share.shape != target.shape or not kinds:
         raise InputError(f"{file} is damaged: the via points have the shape {x.shape}")
+    if len(wrong := np.flatnonzero(~(np.isfinite(x).all(axis=1) & np.isfinite(share)))):
+        raise InputError(f"{file} is damaged: a via point to target {target[wrong[0]]} is NaN or infinite")
     return ViaPoints(np.zeros(len(target), np.int32), target, x, share)
 
 

@@ -248,12 +248,14 @@ def _segment(scenario: int, target: int, x: list[float], share: list[float] | No
         joints: Number of joints.
 
     Raises:
-        ValueError: If the number of shares differs from the number of via points.
+        ValueError: If the number of shares differs from the number of via points, and for NaN and infinity.
     """
-    found = np.reshape(x, (-1, joints))
+    found = np.array(x, float).reshape(-1, joints)
     shares = np.zeros(len(found)) if share is None else np.array(share, float)
     if len(shares) != len(found):
         raise ValueError(f"{len(found)} via points with {len(shares)} shares")
+    if not (np.isfinite(found).all() and np.isfinite(shares).all()):
+        raise ValueError(f"a via point to target {target} of scenario {scenario} is NaN or infinite")
     return scenario, target, found, shares
 
 

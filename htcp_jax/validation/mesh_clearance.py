@@ -1,40 +1,17 @@
-"""Distances to the triangles of a mesh, for validation; trimesh reads the mesh again.
+"""Distances to the triangles of a mesh, for validation.
 
 The code is independent of the planner's (mesh_points.py and tip_guard.py). The distance from a capsule's axis to a
 triangle is 0 if they intersect. Otherwise it is attained at an end of the axis or on an edge of the triangle.
 """
 
-import io
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 from jaxtyping import Bool, Float
-
-from htcp_jax.errors import InputError
-from htcp_jax.io import files
 
 GRAINS = 100_000  # approximate number of pieces into which triangles are cut, so that a tree of the centres is precise
 AT_ONCE = 500_000  # maximum number of axis-triangle pairs in memory
 
 Triangles = Float[np.ndarray, "m 3 3"]
 Points = Float[np.ndarray, "m 3"]
-
-
-def read_triangles(path: str | Path) -> Triangles:
-    """Read all triangles of a mesh file [m].
-
-    Raises:
-        InputError: If the file cannot be read.
-    """
-    import trimesh  # here, as the import is slow and only meshes need it
-
-    try:
-        data, ending = io.BytesIO(files.read_bytes(Path(path))), Path(path).suffix.lower()[1:]
-        mesh: Any = trimesh.load(data, file_type=ending, force="mesh", process=False, skip_materials=True)
-        return np.asarray(mesh.triangles, float).reshape(-1, 3, 3)
-    except Exception as error:  # the parser may raise anything on damaged files
-        raise InputError(f"{path}: not a readable mesh ({type(error).__name__})") from None
 
 
 def cut_into_grains(triangles: Triangles) -> Float[np.ndarray, "g 3 3"]:

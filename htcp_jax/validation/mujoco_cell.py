@@ -1,36 +1,26 @@
 """Obstacles other than the workpiece, in MuJoCo: the arm itself, a cell's shapes, and further clouds.
 
-The cell's file is read again; the poses of its shapes and the pairs to check are determined independently of the
-planner. The cell's MuJoCo model contains the arm's capsules, placed by MuJoCo's kinematics; mj_geomDistance computes
-the distances. If a capsule is nearer than required, the convex hull in it is also measured, as a mesh geom, and the
-larger distance is used. MuJoCo replaces a non-convex mesh by its hull, so such a mesh is measured by its triangles,
-like a workpiece. A fixture that moves with a link has its exact shape here, not the planner's capsules.
+The poses of the cell's shapes (`cell_geoms`) and the pairs to check are determined independently of the planner. The
+cell's MuJoCo model contains the arm's capsules, placed by MuJoCo's kinematics; mj_geomDistance computes the distances.
+If a capsule is nearer than required, the convex hull in it is also measured, as a mesh geom, and the larger distance is
+used. A mesh that is not a solid is measured by its triangles, like a workpiece. A fixture that moves with a link has
+its exact shape here, not the planner's capsules.
 """
 
-import itertools
 import math
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.errors import InputError
-from htcp_jax.io.parts import load_geometry
-from htcp_jax.io.robots import safe_xml
-from htcp_jax.jobs import config, given_kinds
-from htcp_jax.model import fixture
-from htcp_jax.validation.carried import CarriedBody
+from htcp_jax.jobs import config
+from htcp_jax.validation.cell_geoms import CellGeoms, Surface
 from htcp_jax.validation.mujoco_arm import FAR_M, ArmPoses, MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.own_pairs import ALWAYS, NEAR_M, SEED, OwnPairs, own_pairs, touch_m
 
 SAMPLES = 2_000  # number of random configurations, to find pairs that nearly always overlap
-MOST_FACES = 400  # maximum number of faces of a mesh that is treated as convex
-_TYPES = {kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}") for kind in fixture.PRIMITIVES}
-_SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # also valid for meshes without volume
-_CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
 
 
 class MujocoCell:
@@ -49,84 +39,24 @@ class MujocoCell:
     """
 
     def __init__(self, cell: config.CellConfig, arm: MujocoArm, plain: MujocoArm):
-        self._arm, self.walls = arm, []
-        spec = mujoco.MjSpec() if cell.model is None else _spec(Path(cell.model))
-        for k, radius in enumerate(arm.radius.tolist()):
-            spec.worldbody.add_geom(name=f"body {k} of the arm", type=_CAPSULE, size=[radius, 1, 0])
-        hulls = {k: hull for k, hull in enumerate(arm.hulls) if hull is not None}
-        for k, hull in hulls.items():
-            name = f"hull {k} of the arm"
-            spec.add_mesh(name=name, uservert=hull.points.ravel(), inertia=_SHELL)
-            spec.worldbody.add_geom(name=name, type=_MESH, meshname=name)
-        given = [given_kinds.shapes_in_world(kind) for kind in cell.obstacles]
-        self.unmeasured = [kind.name for kind, shapes in zip(cell.obstacles, given, strict=True) if not shapes]
-        self.bound = bool(self.unmeasured)
-        shapes = [shape for own in given for shape in own]
-        for k, shape in enumerate(shapes):
-            size = [0, 0, 1] if shape.kind == "plane" else shape.size  # MuJoCo requires a grid spacing
-            spec.worldbody.add_geom(name=f"shape {k} of the job", type=_TYPES[shape.kind], size=size)
-        rules = {each.name: each for each in cell.fixtures}
-        standing = arm.link_of(config.WORLD)  # not 0 if the part moves, as the world then moves relative to it
-        carriers = {name: arm.link_of(each.parent) for name, each in rules.items()}
-        stems = {f"cloud {k} of the job": Path(cloud.cloud).stem for k, cloud in enumerate(cell.clouds)}
-        for (name, stem), cloud in zip(stems.items(), cell.clouds, strict=True):
-            if carriers.get(stem, standing):
-                R, t = _pose_of(cloud.base_m, cloud.base_rpy_rad)
-                corners = load_geometry(cloud.cloud, cloud.unit).triangles.reshape(-1, 3) @ R.T + t
-                spec.add_mesh(name=name, uservert=corners.ravel())
-                spec.worldbody.add_geom(name=name, type=_MESH, meshname=name)
-        try:
-            self._model = spec.compile()
-        except (ValueError, mujoco.FatalError) as error:
-            raise InputError(f"{cell.model}: not a cell that MuJoCo can read: {' '.join(str(error).split())}") from None
-        self._bodies = [self._model.geom(f"body {k} of the arm").id for k in range(len(arm.radius))]
-        self._hulls = {self._bodies[k]: self._model.geom(f"hull {k} of the arm").id for k in hulls}
-        self._data = mujoco.MjData(self._model)
-        mujoco.mj_kinematics(self._model, self._data)
-        names = [_name(self._model, g) for g in range(self._model.ngeom)]
-        own = {g: rules[stem] for g, name in enumerate(names) if (stem := stems.get(name, name)) in rules}
-        if standing:
-            arm_geoms = {*self._bodies, *self._hulls.values()}
-            others = {g: stems.get(name, name) for g, name in enumerate(names) if g not in {*own, *arm_geoms}}
-            own |= {g: config.FixtureConfig(name=name) for g, name in others.items()}
-        known = {each.name for each in own.values()} | set(stems.values())
-        if unnamed := [name for name in rules if name not in known]:
-            raise InputError(f"{cell.model}: no geom or body {unnamed[0]!r}; give the fixture's geom this name")
-        excluded = {g: frozenset(map(arm.link_of, each.exclude)) for g, each in own.items()}
-        drawn = self._data.geom_xpos.copy(), self._data.geom_xmat.copy()
-        if cell.model is not None:
-            _move(self._model, self._data, cell)
-        moved = self._data.geom_xpos.copy(), self._data.geom_xmat.copy()
-        self.carried = [
-            self._carried(g, each, excluded[g], *(moved if each.parent == config.WORLD else drawn))
-            for g, each in own.items()
-            if carriers.get(each.name, standing)
-        ]
-        for g, each in own.items():
-            if each.parent != config.WORLD:
-                self._place(g, each.parent, drawn[0][g], drawn[1][g].reshape(3, 3))
-        for k, shape in enumerate(shapes):
-            geom = self._model.geom(f"shape {k} of the job").id
-            self._data.geom_xpos[geom], self._data.geom_xmat[geom] = shape.T_world[:3, 3], shape.T_world[:3, :3].ravel()
-        others = {*self._bodies, *self._hulls.values(), *(body.geom for body in self.carried)}
-        solids = [
-            g
-            for g in range(self._model.ngeom)
-            if g not in others and not self._is_hollow(g, excluded.get(g, frozenset()))
-        ]
-        for cloud in cell.clouds:
-            R, t = _pose_of(cloud.base_m, cloud.base_rpy_rad)
-            name = Path(cloud.cloud).stem
-            if name in rules and rules[name].parent != config.WORLD:
-                (origin,), (rotation,) = arm.frames(np.zeros((1, len(arm.joints))), rules[name].parent, tip=False)
-                R, t = rotation @ R, rotation @ t + origin
-            if not carriers.get(name, standing):
-                found = load_geometry(cloud.cloud, cloud.unit)
-                apart = frozenset(map(arm.link_of, rules[name].exclude if name in rules else ()))
-                self._add_wall(found.points, found.triangles, R, t, apart)
-        self._own = own_pairs(plain, self._apart) if cell.self_collision else OwnPairs([], [], [])
+        geoms = CellGeoms(cell, arm)
+        self._arm, self._model, self._data = arm, geoms.model, geoms.data
+        self._bodies, self._hulls, self.carried = geoms.bodies, geoms.hulls, geoms.carried
+        self.unmeasured = geoms.unmeasured
+        meshes = [each for each in geoms.surfaces if len(each.triangles)]
+        self.bound = bool(self.unmeasured or meshes or self.carried)
+        self.walls = [self._wall(surface) for surface in geoms.surfaces]
         self.deepest = 0.0, ""  # largest overlap of unchecked capsules [m], and their names
+        self._own = own_pairs(plain, self._apart) if cell.self_collision else OwnPairs([], [], [])
         self._pairs = [(self._bodies[a], self._bodies[b]) for a, b in self._own.checked]
+        self._pairs += self._pairs_of_arm(geoms.solids, geoms.excluded, plain)
+        self._carried_pairs = self._pairs_of_carried(geoms.solids, geoms.excluded, cell.self_collision)
+
+    def _pairs_of_arm(
+        self, solids: Sequence[int], excluded: Mapping[int, frozenset[int]], plain: MujocoArm
+    ) -> list[tuple[int, int]]:
+        """Return the pairs of a body of the arm and a solid, except those that touch where the arm stands."""
+        arm = self._arm
         checked = [
             (body, g)
             for body, link in zip(self._bodies, arm.links, strict=True)
@@ -135,9 +65,7 @@ class MujocoCell:
         ]
         first = {self._bodies[k] for k in range(len(arm.links)) if arm.links[k] == 1 and not arm.root}
         at_zero = self._distances(plain.arm_poses(np.zeros((1, len(plain.joints)))), checked).min(axis=0)
-        self._pairs += [pair for pair, D in zip(checked, at_zero, strict=True) if D > 0 or pair[0] not in first]
-        self._carried_pairs = self._pairs_of_carried(solids, excluded, cell.self_collision)
-        self.bound |= bool(self.carried)
+        return [pair for pair, D in zip(checked, at_zero, strict=True) if D > 0 or pair[0] not in first]
 
     def distances(
         self, x: Float[np.ndarray, "n N"], arm_poses: ArmPoses, may: Bool[np.ndarray, "n R"] | None = None
@@ -226,7 +154,7 @@ class MujocoCell:
         return found
 
     def _pairs_of_carried(
-        self, solids: Sequence[int], excluded: dict[int, frozenset[int]], self_collision: bool
+        self, solids: Sequence[int], excluded: Mapping[int, frozenset[int]], self_collision: bool
     ) -> list[tuple[int, int]]:
         """Return the pairs of a fixture that moves with a link and another fixture or a body of the arm.
 
@@ -248,32 +176,6 @@ class MujocoCell:
         x = arm.random(SAMPLES, SEED)
         near = (self._carried_distances(x, arm.arm_poses(x), apart) <= NEAR_M).mean(axis=0)
         return found + [pair for pair, share in zip(apart, near.tolist(), strict=True) if share < ALWAYS]
-
-    def _carried(
-        self, geom: int, rule: config.FixtureConfig, excluded: frozenset[int], positions: np.ndarray, axes: np.ndarray
-    ) -> CarriedBody:
-        """Return the body of a geom, in its parent's frame.
-
-        Args:
-            geom: The geom.
-            rule: The fixture's entry in the job.
-            excluded: Links from which no distance is checked.
-            positions: Positions of all geoms, world [m].
-            axes: Orientations of all geoms, as rows of 9 numbers.
-        """
-        model = self._model
-        if model.geom_type[geom] == _MESH:
-            mesh = model.mesh(model.geom_dataid[geom])
-            corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]].astype(float)
-        else:
-            corners = np.array(list(itertools.product((-1, 1), repeat=3))) * model.geom_size[geom]
-        R, t = axes[geom].reshape(3, 3), positions[geom]
-        return CarriedBody(geom, rule.parent, self._arm.link_of(rule.parent), excluded, R, t, corners, self._arm)
-
-    def _place(self, geom: int, parent: str, t: np.ndarray, R: np.ndarray) -> None:
-        """Set a geom's pose, given relative to a parent frame, for zero joint values."""
-        (origin,), (rotation,) = self._arm.frames(np.zeros((1, len(self._arm.joints))), parent, tip=False)
-        self._data.geom_xpos[geom], self._data.geom_xmat[geom] = rotation @ t + origin, (rotation @ R).ravel()
 
     def _apart(self, arm_poses: ArmPoses, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
         return self._distances(arm_poses, [(self._bodies[a], self._bodies[b]) for a, b in pairs])
@@ -320,67 +222,8 @@ class MujocoCell:
             mujoco.mju_quatZ2Vec(turn, axis / length)
             mujoco.mju_quat2Mat(self._data.geom_xmat[geom], turn)
 
-    def _is_hollow(self, geom: int, excluded: frozenset[int]) -> bool:
-        """Return True if a geom is a non-convex mesh; such a mesh is added as a wall of triangles."""
-        import trimesh  # here, as the import is slow and few cells need it
-
-        model = self._model
-        if model.geom_type[geom] != _MESH:
-            return False
-        mesh = model.mesh(model.geom_dataid[geom])
-        corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
-        triangles = corners[model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]].astype(float)
-        solid = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
-        if solid.is_convex and len(triangles) <= MOST_FACES:
-            return False
-        R, t = self._data.geom_xmat[geom].reshape(3, 3), self._data.geom_xpos[geom]
-        self._add_wall(triangles.reshape(-1, 3), triangles, R.copy(), t.copy(), excluded)
-        return True
-
-    def _add_wall(
-        self, points: np.ndarray, triangles: np.ndarray, R: np.ndarray, t: np.ndarray, excluded: frozenset[int]
-    ) -> None:
-        arm = self._arm.only(~np.isin(self._arm.links, [0, *excluded]))
-        carried = [body for body in self.carried if body.link not in excluded]
-        self.bound |= len(triangles) > 0
-        wall = Wall(points, "none", None, triangles if len(triangles) else None)
-        self.walls.append(CheckedScene(arm, wall, R, t, 0.0, carried=carried))
-
-
-def _name(model: mujoco.MjModel, geom: int) -> str:
-    """Return the name of a geom, or of its body if it has none."""
-    body = int(model.geom_bodyid[geom])
-    return model.geom(geom).name or (model.body(body).name if body else "")
-
-
-def _spec(path: Path) -> mujoco.MjSpec:
-    """Return the parsed cell file, without geoms that have no contacts."""
-    spec = safe_xml.read_spec(path, meshes=True)
-    spec.modelfiledir = str(path.parent.resolve())
-    for geom in list(spec.geoms):
-        if not (geom.contype or geom.conaffinity):
-            spec.delete(geom)
-    spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
-    spec.compiler.balanceinertia = True
-    return spec
-
-
-def _move(model: mujoco.MjModel, data: mujoco.MjData, cell: config.CellConfig) -> None:
-    """Apply the job's rotation and shift to the cell's geoms."""
-    body = 0 if cell.moved is None else model.body(cell.moved).id
-    origin = np.zeros(3) if body == 0 else data.xpos[body].copy()
-    R, shift = _pose_of(cell.shift_m, cell.rpy_rad)
-    for geom in range(model.ngeom):
-        carrier = int(model.geom_bodyid[geom])
-        while carrier not in (0, body):
-            carrier = int(model.body_parentid[carrier])
-        if carrier == body:
-            data.geom_xpos[geom] = R @ (data.geom_xpos[geom] - origin) + origin + shift
-            data.geom_xmat[geom] = (R @ data.geom_xmat[geom].reshape(3, 3)).ravel()
-
-
-def _pose_of(position: tuple, rpy: tuple) -> tuple[np.ndarray, np.ndarray]:
-    quaternion, R = np.empty(4), np.empty(9)
-    mujoco.mju_euler2Quat(quaternion, np.array(rpy), "XYZ")
-    mujoco.mju_quat2Mat(R, quaternion)
-    return R.reshape(3, 3), np.array(position)
+    def _wall(self, surface: Surface) -> CheckedScene:
+        arm = self._arm.only(~np.isin(self._arm.links, [0, *surface.excluded]))
+        carried = [body for body in self.carried if body.link not in surface.excluded]
+        wall = Wall(surface.points, "none", None, surface.triangles if len(surface.triangles) else None)
+        return CheckedScene(arm, wall, surface.R, surface.t, 0.0, carried=carried)

@@ -32,13 +32,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from htcp_jax.jobs import config
 from htcp_jax.validation.carried import CarriedBody
 from htcp_jax.validation.cloud_discs import CloudDiscs
-from htcp_jax.validation.mesh_clearance import (
-    axis_distances,
-    crosses,
-    cut_into_grains,
-    point_distances,
-    read_triangles,
-)
+from htcp_jax.validation.mesh_clearance import axis_distances, crosses, cut_into_grains, point_distances
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.scene_rules import WorkpieceData
 
@@ -103,10 +97,10 @@ class Wall:
 def wall_of(part: config.WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
     """Return the wall of a job's workpiece.
 
-    A mesh is read again from its file. If a user-supplied part has no inlet direction, the direction of the hull's
+    If a user-supplied part has no inlet direction, the direction of the hull's
     facet nearest to the inlet is used. Without an inlet there is no interior rule.
     """
-    triangles = read_triangles(part.cloud) if workpiece.is_mesh else None
+    triangles = workpiece.triangles if len(workpiece.triangles) else None
     given = None if part.is_along_world_x else part.inlet_direction
     if part.is_along_world_x or part.interior != "hull" or given is not None:
         direction = None if given is None else np.array(given) / np.linalg.norm(given)
@@ -205,7 +199,7 @@ class CheckedScene:
             to_wall[doubt] = np.where(to_wall[doubt] < least, np.minimum(near, least), to_wall[doubt])
         ends = np.concatenate([arm_poses.p, arm_poses.q], axis=1)
         outside = self._outside(ends, ends @ self.along > self.interior_from)
-        each = len(x), len(pieces.row) // len(x)
+        each = len(x), len(pieces.row) // max(1, len(x))
         clearance = _worse(np.minimum(to_wall, to_others), outside)
         samples, distance = samples.reshape(*each, 3), distance.reshape(each)
         return TargetClearances(

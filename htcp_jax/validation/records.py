@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from htcp_jax.errors import InputError
 from htcp_jax.jobs import PlanConfig, build
 from htcp_jax.jobs import config as configs
 from htcp_jax.model import Workpiece
@@ -28,10 +29,16 @@ def read_results(folder: Path) -> Results:
 
 
 def _tracks(found: PlanSet) -> Iterator[Track]:
-    """Yield the tracks of all scenarios, method by method, so that only one method's results are in memory."""
+    """Yield the tracks of all scenarios, method by method, so that only one method's results are in memory.
+
+    Raises:
+        InputError: If the start of a scenario is NaN or infinite.
+    """
     for method in found.methods:
         plans = found.plans(method)
         for number in np.flatnonzero(plans.outcomes.planned).tolist():
+            if not np.isfinite(plans.start[number]).all():
+                raise InputError(f"{found.folder}: the start of scenario {number} of {method} is NaN or infinite")
             yield _track(method, number, found.jobs[number], plans)
 
 
@@ -55,8 +62,8 @@ def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
 
 def data_of(loaded: Workpiece) -> WorkpieceData:
     """Return a loaded workpiece's data for validation, without computed data such as hull, normals and tangents."""
-    is_mesh, cover_m = len(loaded.triangles) > 0, loaded.covering_radius_m
-    return WorkpieceData(loaded.cloud, loaded.path, loaded.inlet, is_mesh, cover_m, *loaded.frames)
+    mesh, cover_m = loaded.triangles, loaded.covering_radius_m
+    return WorkpieceData(loaded.cloud, loaded.path, loaded.inlet, mesh, cover_m, *loaded.frames)
 
 
 def _workpieces() -> Callable[[PlanConfig], WorkpieceData]:

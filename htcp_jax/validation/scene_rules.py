@@ -47,7 +47,7 @@ class WorkpieceData:
     cloud: Float[np.ndarray, "P 3"]  # for a mesh, the planner's points, which are used for normals only
     path: Float[np.ndarray, "T 3"]
     inlet: Float[np.ndarray, "3"] | None
-    is_mesh: bool
+    triangles: Float[np.ndarray, "M 3 3"]  # none for a cloud
     cover_m: float  # covering radius of the planner's points on a mesh; 0 for a cloud
     given_normals: Float[np.ndarray, "T 3"] | None
     given_tangents: Float[np.ndarray, "T 3"] | None

@@ -102,9 +102,9 @@ def check_timed(
         ]
         inside = hold_between(task, arm, held.x, *ends, settings)
         breaks[held.rows] = ~inside.all(axis=0)
-    beyond = ((timed.x < arm.lower - ROUNDING_M) | (timed.x > arm.upper + ROUNDING_M)).any(axis=1)
-    leaves = off > settings.tube_m + ROUNDING_M
-    touches = (clearance <= 0) | through
+    beyond = ~((timed.x >= arm.lower - ROUNDING_M) & (timed.x <= arm.upper + ROUNDING_M)).all(axis=1)
+    leaves = ~(off <= settings.tube_m + ROUNDING_M)
+    touches = ~(clearance > 0) | through
     return TimedCheck(touches, leaves, turns_back, breaks, beyond, float(clearance.min()), float(off.max()))
 
 

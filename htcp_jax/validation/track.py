@@ -259,18 +259,18 @@ def _failure_reasons(
 ) -> list[str]:
     """Return the reasons why a configuration fails, as sentences."""
     reasons = []
-    if found["tcp_error"] > tolerance_m + ROUNDING_M:
+    if not found["tcp_error"] <= tolerance_m + ROUNDING_M:  # also for NaN, as in all comparisons below
         reasons.append(f"the TCP is {1e3 * found['tcp_error']:.3f} mm from its target")
-    if found["clearance"] <= -ROUNDING_M:
+    if not found["clearance"] > -ROUNDING_M:
         reasons.append(f"the arm is in collision: clearance {1e3 * found['clearance']:.3f} mm")
-    beyond = (x < arm.lower - ROUNDING_M) | (x > arm.upper + ROUNDING_M)
+    beyond = ~((x >= arm.lower - ROUNDING_M) & (x <= arm.upper + ROUNDING_M))
     reasons += [f"{arm.joints[j]} is outside its limits at {x[j]:.6g}" for j in np.flatnonzero(beyond)]
     if found["through"]:
         reasons.append("the tool's tip passes through the wall")
-    if found["clearance_off"] > record_m:
+    if not found["clearance_off"] <= record_m:
         reasons.append(f"its clearance is {1e3 * found['clearance']:.3f} mm, {1e3 * recorded:.3f} mm was saved")
     for name in ("tcp", "target"):
-        if found[f"{name}_off"] > RECORD_M:
+        if not found[f"{name}_off"] <= RECORD_M:
             reasons.append(f"the saved {name} is wrong by {1e3 * found[f'{name}_off']:.3f} mm")
     return reasons
 
@@ -300,7 +300,7 @@ def _refuted_segments(track: Track, paths: JointPaths, found: dict[str, Any]) ->
         return []
     proven, reasons = track.proven[paths.target], {}
     settings = track.config.settings
-    away = holds_tcp(track.config.task) & proven & (found["deviation"] > settings.tube_m + ROUNDING_M)
+    away = holds_tcp(track.config.task) & proven & ~(found["deviation"] <= settings.tube_m + ROUNDING_M)
     for k in np.flatnonzero(proven & found["touches"]).tolist():
         reasons.setdefault(int(paths.target[k]), "the segment is recorded as valid, but collides")
     for k in np.flatnonzero(away).tolist():
@@ -317,7 +317,7 @@ def _refuted_joint_steps(arm: MujocoArm, track: Track, paths: JointPaths, on_pat
     np.add.at(travel, paths.target, np.abs(paths.b - paths.a))
     excess = travel - np.asarray(most)
     found = []
-    for target in np.flatnonzero((excess > ROUNDING_M).any(axis=1)).tolist():
+    for target in np.flatnonzero(~(excess <= ROUNDING_M).all(axis=1)).tolist():
         if target > on_path:
             joint = int(excess[target].argmax())
             reason = f"{arm.joints[joint]} travels {travel[target, joint]:.6g} on the segment, more than the job allows"
@@ -352,7 +352,7 @@ def _check_paths(
             paths.target[path] > on_path, from_line(arm_poses.tcp, paths.line_a[path], paths.line_b[path]), 0.0
         )
         np.maximum.at(deviation, path, off)
-    return {"touches": least <= 0, "clearance_between": least, "deviation": deviation}
+    return {"touches": ~(least > 0), "clearance_between": least, "deviation": deviation}
 
 
 def samples_between(

@@ -97,6 +97,14 @@ class Shapes:
             return Shape(name, geom.kind, mesh, Capsule(T[:3, 3] + reach, T[:3, 3] - reach, float(size[0])))
         return Shape(name, geom.kind, _moved_triangles(T, _SOLIDS[geom.kind](size)), None)
 
+    def mesh(self, geom: Geom) -> Triangles:
+        """Return the triangles of a geom's mesh in the geom's frame [m].
+
+        Raises:
+            InputError: For a mesh that cannot be read.
+        """
+        return self._triangles(geom.mesh)
+
     def file(self, geom: Geom) -> Path | None:
         """Return the file of a geom's mesh; None if the geom has no mesh, or the model contains the mesh.
 
