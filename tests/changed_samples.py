@@ -245,7 +245,11 @@ HARMLESS = {
         r"^property \S+ (?![xyz]$)\S+$": "a point's normal and colour, and numbers of the user",
     },
     "path": {},
-    "path with quaternions": {},
+    "path with quaternions": {
+        r"^[\d.]+(?=(?: \S+){7}$)|(?<=# )\S*timestam\S* ": "a time: speeds are planned anew",
+        r" 0 0 0 [12]$": "a rotation has no length",
+        r"^#.*\n(?=#)": "the same remark again",
+    },
     "joint limits": {"default_velocity_scaling_factor": "speeds are the user's"},
     "job": {},
 }  # fmt: skip
