@@ -91,12 +91,14 @@ def _rename_element(element, parents, places, harmless, draw) -> str | None:
     return f"renamed to {tag}"
 
 
-def _attributes(element, harmless) -> list[str]:
-    return [key for key in element.attrib if f"{element.tag}.{key}" not in harmless]
+def _attributes(element, parents, harmless, but: str = "") -> list[str]:
+    """Names of the attributes that may be changed; `but` is the key of the list's entries for one kind of change."""
+    places = {f"{but}{place}" for place in (element.tag, where(element, parents))}
+    return [key for key in element.attrib if not any(f"{place}.{key}" in harmless for place in places)]
 
 
 def _rename_attribute(element, parents, places, harmless, draw) -> str | None:
-    if not (keys := _attributes(element, harmless)):
+    if not (keys := _attributes(element, parents, harmless)):
         return None
     old = draw.choice(keys)
     if (new := renamed(old, draw)) in element.attrib:
@@ -106,11 +108,12 @@ def _rename_attribute(element, parents, places, harmless, draw) -> str | None:
 
 
 def _double_attribute(element, parents, places, harmless, draw) -> str | None:
-    if not (keys := _attributes(element, harmless)):
+    keys = set(_attributes(element, parents, harmless)) & set(_attributes(element, parents, harmless, "2 "))
+    if not keys:
         return None
-    key = draw.choice(keys)
+    key = draw.choice(sorted(keys))
     old = element.get(key)
-    if (new := doubled_value(old)) == old or f"2 {element.tag}.{key}" in harmless:
+    if (new := doubled_value(old)) == old:
         return None
     element.set(key, new)
     return f"{key}={old!r} doubled to {new!r}"

@@ -198,8 +198,8 @@ SAMPLES = {
 }  # fmt: skip
 SIDE_FILES = {"box.stl": STL}
 
-# Of XML: an element by its tag or its place, "tag.attribute", and "2 ..." if only doubling is harmless. Of lines:
-# patterns that are removed before texts are compared. Of YAML: keys.
+# Of XML: an element by its tag or place, "tag.attribute" or "place.attribute", and "2 ..." if only doubling is harmless.
+# Of lines: patterns that are removed before texts are compared. Of YAML: keys.
 URDF_HARMLESS = {
     "material": "a colour",
     "visual": "the collision geometry is used",
@@ -209,6 +209,9 @@ URDF_HARMLESS = {
     "safety_controller.k_position": "a controller's gain",
     "safety_controller.k_velocity": "a controller's gain",
     "2 axis.xyz": "a direction has no length",
+    "<joint name='mount'>.name": "the joint is fixed",
+    "2 <joint name='j1'> > <limit>.lower": "the soft limit is tighter",
+    "2 <joint name='j1'> > <limit>.upper": "the soft limit is tighter",
 }
 MJCF_HARMLESS = {
     "light": "a picture's",
@@ -223,6 +226,7 @@ MJCF_HARMLESS = {
 HARMLESS = {
     "URDF, loaded": URDF_HARMLESS | {"<link name='upper'> > <collision name='case'>": "listed in `ignored_geoms`"},
     "URDF, imported": {key: why for key, why in URDF_HARMLESS.items() if key != "inertial"}
+    | {"collision.name": "a name"}
     | {f"<joint name='{name}'> > <limit>": "the joint is fixed" for name in ("g1", "g2")},
     "MJCF arm": MJCF_HARMLESS,
     "MJCF arm, imported": {key: why for key, why in MJCF_HARMLESS.items() if key != "inertial"},
