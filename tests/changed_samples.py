@@ -198,7 +198,7 @@ SAMPLES = {
 }  # fmt: skip
 SIDE_FILES = {"box.stl": STL}
 
-# Of XML: an element by its tag or place, "tag.attribute" or "place.attribute", and "2 ..." if only doubling is harmless.
+# Of XML: an element by its tag or place, "tag.attribute" or "place.attribute", "2 ..." if only doubling is harmless.
 # Of lines: patterns that are removed before texts are compared. Of YAML: keys.
 URDF_HARMLESS = {
     "material": "a colour",
