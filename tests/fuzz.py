@@ -1,8 +1,8 @@
 """Nightly fuzzing: `make fuzz`, or python tests/fuzz.py [INPUTS] [SEED].
 
-Generates inputs of every kind in `fuzz_targets`, each kind in its own process, one process per core. Prints a table of
-the counts. The exit code is 1 if any input led to something other than a result or a one-line error: a traceback, a
-wrong result, a crash, or no answer within a minute.
+Generates inputs of every kind in `fuzz_targets` and `changed_files`, each kind in its own process, one process per
+core. Prints a table of the counts. The exit code is 1 if any input led to something other than a result or a one-line
+error: a traceback, a wrong result, a crash, or no answer within a minute.
 """
 
 import contextlib
@@ -15,9 +15,11 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from fuzz_targets import TARGETS, Target
+import changed_files
+import fuzz_targets
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
+TARGETS = fuzz_targets.TARGETS | changed_files.TARGETS
 INPUTS = 100_000
 A_MINUTE = 60
 
@@ -28,7 +30,7 @@ def fuzz(name: str, inputs: int, first: int, folder: Path) -> tuple[int, int]:
     Raises the error of the smallest failing input. Ends the process, with the tracebacks of all threads, if an answer
     takes more than a minute.
     """
-    target: Target = TARGETS[name]
+    target: fuzz_targets.Target = TARGETS[name]
     target.prepare(folder)
     counts = [0, 0]
 

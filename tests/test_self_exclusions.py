@@ -19,9 +19,10 @@ import htcp_jax
 from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import NEAR_M, candidates, distances, overlaps, samples
 from htcp_jax.cli import main
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import LinkMeshes
 from htcp_jax.io.robots.loading import load_robot
+from htcp_jax.io.robots.srdf import disabled_pairs
 from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import obstacles_of, scene
@@ -320,6 +321,13 @@ def test_an_srdf_excludes_bodies(imported, tmp_path):
     assert rules(load_robot(imported(0.0, "--srdf", tmp_path / "shelf.srdf")))["a", "d"] == "a"
 
 
+def test_elements_of_an_srdf_that_are_not_used_are_named(tmp_path):
+    text = SRDF.format("shelf", "a", "d").replace("</", '<disable_default_collisions link="b"/></')
+    (tmp_path / "shelf.srdf").write_text(text)
+    with pytest.warns(Note, match="<disable_default_collisions> ignored: only <disable_collisions> excludes pairs"):
+        assert disabled_pairs(tmp_path / "shelf.srdf", "shelf", "abcd") == [("a", "d")]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -330,6 +338,10 @@ def test_an_srdf_excludes_bodies(imported, tmp_path):
         ("<robot", "other.srdf: not an SRDF file: "),
         (SRDF.format("shelf", "a", "hand"), "a and hand: the model has no link hand; valid: a, b, c, d"),
         ('<robot name="shelf"/>', "<disable_collisions> is missing"),
+        (
+            SRDF.format("shelf", "a", "d").replace("<d", "<group><d").replace("</r", "</group></r"),
+            "a <disable_collisions> is inside another element; it must be a child of <robot>",
+        ),
         ("<mujoco/>", "the root is <mujoco>; in an SRDF file it must be <robot>"),
     ],
 )

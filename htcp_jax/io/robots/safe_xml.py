@@ -38,6 +38,11 @@ CONTACTS = "contact", "text", "tuple"  # excluded pairs, an arm's own list, and 
 LIST, PART, MADE_FROM, CUTS = "self_collision", "link of the part", "made from", "cuts of "
 # Names of the texts and tuples in the list, of the convex pieces, and of the part's link.
 OWN = re.compile(r"self_collision|link of the part|made from|cuts of .*|piece of .*|excluded .*")
+VALID = {  # children of some sections, as anything else there, such as a misplaced body, would be removed with them
+    "asset": {"hfield", "material", "mesh", "model", "skin", "texture"},
+    "contact": {"exclude", "pair"},
+    "equality": {"connect", "flex", "flexstrain", "flexvert", "joint", "tendon", "weld"},
+}
 ONLY = {"asset": ("mesh",), "contact": ("exclude",), "equality": ("joint",)}  # children to keep in some kept elements
 # Elements that generate bodies and joints.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
@@ -81,7 +86,8 @@ def read_spec(
 
     Raises:
         InputError: For a file that cannot be read or is too large, for an included file outside its folder, for a xacro
-            file, for repeated names of links and joints, and for a URDF whose elements or joints are damaged.
+            file, for repeated names of links and joints, for a URDF whose elements or joints are damaged, and for a
+            misplaced element that would be removed.
     """
     root = parse(path)
     refuse_xacro(root, path)
@@ -254,6 +260,9 @@ def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> Non
         for child in list(parent):
             if child.tag in REFUSED:
                 raise InputError(f"{path}: <{child.tag}> is not supported; write its bodies out")
+            if child.tag not in VALID.get(parent.tag, (child.tag,)):
+                valid = ", ".join(sorted(VALID[parent.tag]))
+                raise InputError(f"{path}: <{child.tag}> is not valid in <{parent.tag}>; valid: {valid}")
             if child.tag in unwanted or child.tag not in ONLY.get(parent.tag, (child.tag,)):
                 parent.remove(child)
             elif child.tag in ("text", "tuple") and not OWN.fullmatch(child.get("name", "")):

@@ -115,8 +115,15 @@ class Shapes:
         return _find(name, self._path, self._folders) if name else None
 
     def _triangles(self, name: str) -> Triangles:
-        """Return a mesh with the model's translation, rotation and scale applied, in this order."""
-        mesh = self._meshes[name]
+        """Return a mesh with the model's translation, rotation and scale applied, in this order.
+
+        Raises:
+            InputError: For a name that the model lacks, and for a mesh that cannot be read.
+        """
+        mesh = self._meshes.get(name)
+        if mesh is None:
+            known = ", ".join(sorted(self._meshes)) or "none"
+            raise InputError(f"{self._path}: a geom has the mesh {name!r}, which <asset> lacks; meshes: {known}")
         if mesh.file:
             file = _find(mesh.file, self._path, self._folders)
             is_collada = file.suffix.lower() == collada_mesh.ENDING

@@ -1,14 +1,22 @@
 """Pairs of links that an SRDF file, as written by MoveIt's setup assistant, excludes from self-collision checks."""
 
+import warnings
 from collections.abc import Collection
 from pathlib import Path
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots.safe_xml import parse, refuse_xacro
+
+PAIR = "disable_collisions"
+# Elements for planners and controllers, without influence on the links that may touch each other.
+UNUSED = {
+    "end_effector", "group", "group_state", "joint_property", "link_sphere_approximation", "passive_joint",
+    "virtual_joint",
+}  # fmt: skip
 
 
 def disabled_pairs(path: Path, robot: str, bodies: Collection[str]) -> list[tuple[str, str]]:
-    """Return the pairs of links in an SRDF file's <disable_collisions> elements.
+    """Return the pairs of links in an SRDF file's <disable_collisions> elements; a Note names elements of other kinds.
 
     Args:
         path: The SRDF file.
@@ -17,7 +25,7 @@ def disabled_pairs(path: Path, robot: str, bodies: Collection[str]) -> list[tupl
 
     Raises:
         InputError: For a file that cannot be read, for the SRDF file of another robot, for a pair with a link that the
-            model lacks, and for a file without pairs.
+            model lacks or inside another element, and for a file without pairs.
     """
     root = parse(path, "an SRDF file")
     refuse_xacro(root, path, ".srdf")
@@ -28,11 +36,15 @@ def disabled_pairs(path: Path, robot: str, bodies: Collection[str]) -> list[tupl
             f"{path}: the SRDF is for {name!r}, the model is {robot!r}; if both are the same robot, write <robot "
             f"name={robot!r}> in the SRDF"
         )
-    pairs = [(each.get("link1", ""), each.get("link2", "")) for each in root.iter("disable_collisions")]
+    found = root.findall(PAIR)
+    if len(found) < len(list(root.iter(PAIR))):
+        raise InputError(f"{path}: a <{PAIR}> is inside another element; it must be a child of <robot>")
+    if others := sorted({each.tag for each in root} - UNUSED - {PAIR}):
+        named = ", ".join(f"<{tag}>" for tag in others)
+        warnings.warn(f"{path}: {named} ignored: only <{PAIR}> excludes pairs of links", Note, stacklevel=3)
+    pairs = [(each.get("link1", ""), each.get("link2", "")) for each in found]
     if not pairs:
-        raise InputError(
-            f"{path}: <disable_collisions> is missing; the links of the model: {', '.join(sorted(bodies))}"
-        )
+        raise InputError(f"{path}: <{PAIR}> is missing; the links of the model: {', '.join(sorted(bodies))}")
     for pair in pairs:
         if lost := [link for link in pair if link not in bodies]:
             named = " and ".join(pair)

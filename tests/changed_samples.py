@@ -1,0 +1,259 @@
+"""Valid files for `changed_files`, and the elements in them that may change without effect, each with its reason."""
+
+ARM_URDF = """<robot name="arm">
+<link name="base"><collision><origin xyz="0 0 .1"/><geometry><sphere radius=".1"/></geometry></collision></link>
+<link name="upper"><inertial><origin xyz="0 0 .1"/><mass value="2"/>
+<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision name="ball"><origin xyz="0 0 .15"/><geometry><sphere radius=".06"/></geometry></collision>
+<collision name="case"><geometry><box size=".1 .1 .3"/></geometry></collision></link>
+<link name="fore"><visual><geometry><sphere radius=".07"/></geometry><material name="grey"><color rgba="1 1 1 1"/>
+</material></visual><collision><origin xyz="0 .02 .1"/><geometry><sphere radius=".05"/></geometry>
+</collision></link>
+<link name="hand"><collision><geometry><sphere radius=".04"/></geometry></collision></link>
+<link name="tool"/>
+<joint name="j1" type="revolute"><origin xyz="0 0 .2" rpy="0 0 .1"/><parent link="base"/><child link="upper"/>
+<axis xyz="0 0 1"/><limit lower="-2" upper="2.5" effort="90" velocity="1.5"/><dynamics damping=".1" friction=".2"/>
+<safety_controller soft_lower_limit="-1.8" soft_upper_limit="2.2" k_position="15" k_velocity="10"/></joint>
+<joint name="j2" type="continuous"><origin xyz="0 0 .3"/><parent link="upper"/><child link="fore"/>
+<axis xyz="0 1 0"/><limit effort="60" velocity="2"/></joint>
+<joint name="j3" type="prismatic"><origin xyz=".02 0 .2"/><parent link="fore"/><child link="hand"/>
+<axis xyz="1 0 0"/><limit lower="-.1" upper=".4" effort="40" velocity=".3" acceleration="2"/></joint>
+<joint name="mount" type="fixed"><origin xyz="0 0 .1" rpy="0 .3 0"/><parent link="hand"/><child link="tool"/></joint>
+<transmission name="t1"><joint name="j1"/></transmission></robot>
+"""
+FINGERS = """<link name="left"><collision><geometry><cylinder radius=".02" length=".1"/></geometry></collision></link>
+<link name="right"><collision><geometry><box size=".03 .02 .06"/></geometry></collision></link>
+<joint name="g1" type="prismatic"><origin xyz="0 .1 0"/><parent link="upper"/><child link="left"/>
+<axis xyz="0 1 0"/><limit lower="0" upper=".04" effort="5" velocity=".1"/></joint>
+<joint name="g2" type="prismatic"><origin xyz="0 -.1 0"/><parent link="upper"/><child link="right"/>
+<axis xyz="0 1 0"/><limit lower="0" upper=".05" effort="5" velocity=".1"/>
+<mimic joint="g1" multiplier="1.2" offset=".01"/></joint>
+</robot>
+"""
+VENDOR_URDF = ARM_URDF.replace('<box size=".1 .1 .3"/>', '<mesh filename="box.stl" scale=".1 .1 .3"/>').replace(
+    "</robot>\n", FINGERS
+)
+ARM_MJCF = """<mujoco model="arm"><compiler angle="radian" autolimits="true"/>
+<custom><numeric name="speed" data="1 2 3"/><numeric name="acceleration" data="4 5 6"/></custom>
+<default><default class="c"><joint axis="0 1 0" range="-2 2"/></default></default>
+<contact><exclude body1="a" body2="c"/></contact>
+<worldbody><body name="a" pos="0 0 .3"><joint name="j1" axis="0 0 1" range="-1 2" actuatorfrcrange="-9 9"/>
+<geom name="trunk" type="capsule" size=".05" fromto="0 0 0 0 0 .3"/>
+<body name="b" pos="0 0 .3" euler=".1 0 0"><joint name="j2" class="c"/><geom type="capsule" size=".04 .1"/>
+<body name="c" pos=".1 0 .3" quat="1 .1 0 0"><joint name="j3" type="slide" range="0 .5"/>
+<geom type="sphere" size=".04"/><inertial pos="0 0 .1" mass="2" diaginertia=".1 .1 .1"/><site name="tcp" pos="0 0 .1"/>
+</body></body></body></worldbody></mujoco>
+"""
+VENDOR_MJCF = ARM_MJCF.replace(
+    "<worldbody>", '<asset><mesh name="shell" file="box.stl" scale=".1 .2 .1"/></asset><worldbody>'
+).replace('<body name="c"', '<geom type="mesh" mesh="shell" pos="0 0 .1"/><body name="c"')
+CELL = """<mujoco model="cell"><compiler angle="radian"/><default><default class="wall">
+<geom type="box" size=".5 .02 .4"/></default></default>
+<asset><mesh name="block" file="box.stl" scale=".2 .2 .1"/></asset>
+<worldbody><geom name="floor" type="plane" size="2 2 .1" pos="0 0 -.1"/><light pos="0 0 3"/>
+<body name="table" pos=".5 0 .2" euler="0 0 .3"><geom name="top" type="box" size=".4 .3 .02"/>
+<body name="jig" pos="0 .1 .05"><geom type="cylinder" size=".02 .1"/><geom name="knob" type="sphere" size=".03"
+pos="0 0 .1"/><geom name="part" type="mesh" mesh="block" pos=".1 0 .1"/></body></body>
+<body name="fence" pos="0 -1 .4"><geom class="wall"/><geom name="rail" type="capsule" size=".02"
+fromto="0 0 0 .5 0 .5"/><geom name="sign" type="box" size=".1 .1 .1" contype="0" conaffinity="0"/></body>
+</worldbody></mujoco>
+"""
+SRDF = """<robot name="arm"><group name="manipulator"><chain base_link="base" tip_link="tool"/></group>
+<group_state name="home" group="manipulator"><joint name="j1" value="0.5"/></group_state>
+<virtual_joint name="fixed" type="fixed" parent_frame="world" child_link="base"/>
+<disable_collisions link1="base" link2="upper" reason="Adjacent"/>
+<disable_collisions link1="upper" link2="fore" reason="Adjacent"/>
+<disable_collisions link1="base" link2="fore" reason="Never"/></robot>
+"""
+OBJ = """# a prism and a plate
+mtllib paint.mtl
+o prism
+v 0 0 0
+v 0.3 0 0
+v 0 0.4 0
+v 0 0 0.5
+vt 0.5 0.5
+vn 0 0 1
+usemtl red
+s off
+f 1 3 2
+f 1 2 4
+f 2/1/1 3/1/1 4/1/1
+f 3//1 1//1 4//1
+o plate
+g top
+v 1 0 0.1
+v 1.5 0 0.1
+v 1.5 0.6 0.1
+v 1 0.7 0.1
+f 5 6 7 8
+"""
+STL = "solid prism\n" + "".join(
+    "  facet normal 0 0 1\n    outer loop\n"
+    + "".join(f"      vertex {corner}\n" for corner in corners)
+    + "    endloop\n  endfacet\n"
+    for corners in (
+        ("0 0 0", "0.3 0 0", "0 0.4 0"), ("0 0 0", "0.3 0 0", "0 0 0.5"), ("0.3 0 0", "0 0.4 0", "0 0 0.5"),
+        ("0 0 0", "0 0.4 0", "0 0 0.5"),
+    )
+) + "endsolid prism\n"  # fmt: skip
+PLY = """ply
+format ascii 1.0
+comment a plate with a step
+element vertex 6
+property float x
+property float y
+property float z
+element face 3
+property list uchar int vertex_indices
+end_header
+0.1 0.2 0.3
+1.1 0.25 0.3
+1.2 0.9 0.35
+0.15 0.95 0.4
+1.3 0.1 0.6
+1.4 0.8 0.7
+4 0 1 2 3
+3 1 4 5
+3 1 5 2
+"""
+PLY_CLOUD = """ply
+format ascii 1.0
+element vertex 5
+property float x
+property float y
+property float z
+property float nx
+property float ny
+property float nz
+property uchar red
+end_header
+0.1 0.2 0.3 0 0 1 10
+1.1 0.25 0.3 0 0 1 20
+1.2 0.9 0.35 0 1 0 30
+0.15 0.95 0.4 1 0 0 40
+1.3 0.1 0.6 0 0 1 50
+"""
+PATH = """x [mm],y [mm],z [mm],nx,ny,nz
+500,100,200,0,0,1
+510,101,200,0,0,1
+520,103,201,0,0.6,0.8
+530,106,203,0,0.6,0.8
+540,110,204,0.6,0,0.8
+"""
+POSES = """# timestamp tx ty tz qx qy qz qw
+0.1 0.5 0.1 0.2 0 0 0 1
+0.2 0.51 0.11 0.2 0 0 0.6 0.8
+0.3 0.52 0.13 0.21 0 0.6 0 0.8
+0.4 0.53 0.16 0.22 0.6 0 0 0.8
+"""
+JOINT_LIMITS = """default_velocity_scaling_factor: 0.1
+joint_limits:
+""" + "".join(
+    f"""  {name}:
+    has_position_limits: true
+    min_position: {-1 - k}
+    max_position: {1.5 + k}
+    has_velocity_limits: true
+    max_velocity: {2 + k}
+    has_acceleration_limits: true
+    max_acceleration: {5 + k}
+    has_jerk_limits: true
+    max_jerk: {50 + k}
+"""
+    for k, name in enumerate(("joint1", "joint2", "joint3", "joint4", "joint5", "joint6"))
+)
+JOB = """robot:
+  model: arm.xml
+  base_m: [0.1, 0.2, 0.3]
+  tcp: tcp
+workpiece:
+  cloud: part.stl
+  path: path.csv
+  path_unit: mm
+  interior: none
+  neutral_translation_m: [0.5, 0.1, 0.2]
+  rotation_y_rad: 0.2
+cell:
+  model: cell.xml
+start_rad: [0.1, 0.2, 0.3]
+margin_m: 0.002
+method: beam
+task:
+  - axis: tcp.z
+    towards: [0, 0, 1]
+    within_deg: 5
+settings:
+  alpha_rad: 0.05
+  beam_width: 20
+  seed: 3
+program:
+  velocity: [1, 2, 3]
+"""
+
+SAMPLES = {
+    "arm.urdf": ARM_URDF, "vendor.urdf": VENDOR_URDF, "arm.xml": ARM_MJCF, "vendor.xml": VENDOR_MJCF, "cell.xml": CELL,
+    "arm.srdf": SRDF, "part.obj": OBJ, "part.stl": STL, "part.ply": PLY, "scan.ply": PLY_CLOUD, "path.csv": PATH,
+    "poses.txt": POSES, "joint_limits.yaml": JOINT_LIMITS, "job.yaml": JOB,
+}  # fmt: skip
+SIDE_FILES = {"box.stl": STL}
+
+# Of XML: an element by its tag or place, "tag.attribute" or "place.attribute", "2 ..." if only doubling is harmless.
+# Of lines: patterns that are removed before texts are compared. Of YAML: keys.
+URDF_HARMLESS = {
+    "material": "a colour",
+    "visual": "the collision geometry is used",
+    "transmission": "of a controller",
+    "dynamics": "damping and friction, which no result depends on",
+    "inertial": "masses do not affect a motion",
+    "safety_controller.k_position": "a controller's gain",
+    "safety_controller.k_velocity": "a controller's gain",
+    "2 axis.xyz": "a direction has no length",
+    "<joint name='mount'>.name": "the joint is fixed",
+    "2 <joint name='j1'> > <limit>.lower": "the soft limit is tighter",
+    "2 <joint name='j1'> > <limit>.upper": "the soft limit is tighter",
+}
+MJCF_HARMLESS = {
+    "light": "a picture's",
+    "option": "a simulation's",
+    "inertial": "masses do not affect a motion",
+    "2 compiler": "MuJoCo merges repeated sections",
+    "2 contact": "MuJoCo merges repeated sections",
+    "2 exclude": "the same pair again",
+    "2 joint.axis": "a direction has no length",
+    "2 body.quat": "a rotation has no length",
+}
+HARMLESS = {
+    "URDF, loaded": URDF_HARMLESS | {"<link name='upper'> > <collision name='case'>": "listed in `ignored_geoms`"},
+    "URDF, imported": {key: why for key, why in URDF_HARMLESS.items() if key != "inertial"}
+    | {"collision.name": "a name"}
+    | {f"<joint name='{name}'> > <limit>": "the joint is fixed" for name in ("g1", "g2")},
+    "MJCF arm": MJCF_HARMLESS,
+    "MJCF arm, imported": {key: why for key, why in MJCF_HARMLESS.items() if key != "inertial"},
+    "MJCF cell": MJCF_HARMLESS
+    | {"mujoco.model": "a name", "<worldbody> > <body name='fence'> > <geom name='sign'>": "a shape without contacts"},
+    "SRDF": {
+        "group": "of a planner", "group_state": "a named configuration of a planner", "virtual_joint": "of a planner",
+        "disable_collisions.reason": "a remark",
+    },
+    "OBJ": {
+        r"^(?:vt|vn|usemtl|mtllib|s|o|g)\b.*\n": "pictures, normals and names", r"#.*": "a remark",
+        r"(?<=[ \d])/[^ \n]*": "the picture's and the normal's number of a corner",
+        r"^(v( \S+){3}) .*": "a vertex's weight, of curves, or its colour",
+        r"^v 1 0\.7 0\.1\n(?=v 1 0\.7 0\.1\n)": "the last vertex again: no face uses it",
+    },
+    "STL": {r"(?<=solid) .*": "a name", r"^ *facet normal \S+ \S+ \S+$": "a normal follows from the corners"},
+    "PLY": {r"^comment.*": "a remark"},
+    "PLY cloud": {
+        r"^((\S+ ){3})\S+ \S+ \S+ \S+$": "a point's normal and colour",
+        r"^property \S+ (?![xyz]$)\S+$": "a point's normal and colour, and numbers of the user",
+    },
+    "path": {},
+    "path with quaternions": {
+        r"^[\d.]+(?=(?: \S+){7}$)|(?<=# )\S*timestam\S* ": "a time: speeds are planned anew",
+        r" 0 0 0 [12]$": "a rotation has no length",
+        r"^#.*\n(?=#)": "the same remark again",
+    },
+    "joint limits": {"default_velocity_scaling_factor": "speeds are the user's"},
+    "job": {},
+}  # fmt: skip
