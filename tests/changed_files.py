@@ -27,7 +27,8 @@ from hypothesis import strategies as st
 from htcp_jax.io.cell import load_cell
 from htcp_jax.io.parts import load_geometry
 from htcp_jax.io.parts.path_file import read_path_points
-from htcp_jax.io.robots.loading import gp50, load_robot
+from htcp_jax.io.robots.joint_limits import read_joint_limits
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.mjcf import arm_xml
 from htcp_jax.io.robots.srdf import disabled_pairs
 from htcp_jax.io.robots.vendor_import import import_robot
@@ -268,6 +269,12 @@ def _imported(file: Path):
     return arm_xml(arm, file.name), arm.excluded, arm.frozen
 
 
+def _limits(file: Path):
+    arm = load_robot(limits=str(file))
+    stated = read_joint_limits(file, arm.joint_names, arm.name)
+    return arm, stated, limits_overrides(stated, arm)
+
+
 def _moved_cell(file: Path):
     return load_cell(file, moved="table", shift_m=(0.1, 0.0, 0.0))
 
@@ -285,14 +292,12 @@ KINDS = {
     "PLY cloud": Kind("scan.ply", changed_lines, load_geometry),
     "path": Kind("path.csv", changed_lines, read_path_points),
     "path with quaternions": Kind("poses.txt", changed_lines, read_path_points),
-    "joint limits": Kind("joint_limits.yaml", changed_yaml, lambda file: limits_overrides(file, gp50())),
+    "joint limits": Kind("joint_limits.yaml", changed_yaml, _limits),
     "job": Kind("job.yaml", changed_yaml, lambda file: load_config(file).model_dump(mode="json")),
 }
 
 # Kinds whose readers still drop some changes without a word.
-OPEN = {
-    "URDF, loaded", "URDF, imported", "OBJ", "STL", "PLY", "PLY cloud", "path", "path with quaternions", "joint limits",
-}  # fmt: skip
+OPEN = {"STL", "PLY", "PLY cloud", "path", "path with quaternions"}
 CLOSED = [name for name in KINDS if name not in OPEN]
 
 
