@@ -24,7 +24,7 @@ from pydantic import (
 from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
-from htcp_jax.io.parts.angles import Maker
+from htcp_jax.io.parts import Maker
 from htcp_jax.io.robots import model_source
 from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of

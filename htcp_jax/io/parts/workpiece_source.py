@@ -19,6 +19,7 @@ from htcp_jax.io.parts.angles import Maker
 from htcp_jax.io.parts.duct_seams import SEAMS, seam
 from htcp_jax.io.parts.path_file import PathPoints, read_path_points
 from htcp_jax.io.parts.point_cloud import TEXT, load_geometry
+from htcp_jax.io.parts.table import PathTable
 from htcp_jax.io.parts.units import check_extent, check_path_unit
 from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
 from htcp_jax.types import Anywhere, Triple
@@ -253,17 +254,21 @@ def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
     Raises:
         InputError: For an unreadable or empty file, an invalid line, which the message names, and NaN.
     """
-    return _read_track(path, {}, None, None).xyz
+    return _read_track(path, {}, None, None, directions=False).xyz
 
 
 def _read_track(
-    path: str | Path | Anywhere, columns: Mapping[str, int | str], unit: str | None, maker: Maker | None
+    path: str | Path | Anywhere,
+    columns: Mapping[str, int | str],
+    unit: str | None,
+    maker: Maker | None,
+    directions: bool = True,
 ) -> PathPoints:
     if not _is_file(path):
         return PathPoints(arrays.points(path, "path", 1), PathFrames())
     path = Path(path)
     known_ending(path, TEXT)
-    found = read_path_points(path, columns, unit, maker)
+    found = read_path_points(path, columns, unit, maker) if directions else PathPoints(PathTable(path).xyz, PathFrames())
     if not len(found.xyz):
         raise InputError(f"{path}: the tool path is empty")
     arrays.check_points(found.xyz, str(path), at_least=1)
