@@ -268,7 +268,9 @@ def _read_track(
         return PathPoints(arrays.points(path, "path", 1), PathFrames())
     path = Path(path)
     known_ending(path, TEXT)
-    found = read_path_points(path, columns, unit, maker) if directions else PathPoints(PathTable(path).xyz, PathFrames())
+    found = (
+        read_path_points(path, columns, unit, maker) if directions else PathPoints(PathTable(path).xyz, PathFrames())
+    )
     if not len(found.xyz):
         raise InputError(f"{path}: the tool path is empty")
     arrays.check_points(found.xyz, str(path), at_least=1)
