@@ -137,6 +137,29 @@ def test_numbers_in_quotes_are_read(tmp_path):
     assert refusal(tmp_path / "path.csv") == "line 2: '1,5' has a decimal comma; write a decimal point, 1.5"
 
 
+@pytest.mark.parametrize(
+    "header", ["sep=,\nx,y,z\n", "Point #,X,Y,Z\n", "#,x,y,z\n", ",x,y,z\n", "Nr.,xpos,ypos,zpos\n"]
+)
+def test_headers_of_spreadsheets_and_point_lists_are_read(tmp_path, header):
+    columns = [POINTS] if header.startswith("sep") else [10 * NUMBERS, POINTS]
+    found, said = read(write(tmp_path, header, *columns))
+    assert np.array_equal(found.xyz, POINTS) and said == []
+
+
+def test_a_title_above_the_header_is_named(tmp_path):
+    found, said = read(write(tmp_path, "Export of Monday\nz [mm],y [mm],x [mm]\n", 1e3 * POINTS[:, ::-1]))
+    assert np.allclose(found.xyz, POINTS, rtol=1e-15, atol=0)
+    assert said == [(Note, "the first line is a title, not a header: 'Export of Monday'")]
+
+
+@pytest.mark.parametrize("names, there, lacking", [("nx,ny,n", "nx, ny", "nz"), ("qx,qy,qz", "qx, qy, qz", "qw"),
+                                                   ("tx,t,tz", "tx, tz", "ty"), ("A,B,speed", "a, b", "c")])  # fmt: skip
+def test_columns_that_lack_others_of_their_kind_are_named(tmp_path, names, there, lacking):
+    found, said = read(write(tmp_path, f"x,y,z,{names}\n", POINTS, NORMALS))
+    assert all(field is None for field in found.frames)
+    assert said == [(Note, f"columns {there} are not read, as there is no {lacking}")]
+
+
 def test_a_second_set_of_normals_is_named(tmp_path):
     found, said = read(write(tmp_path, "x,y,z,nx,ny,nz,i,j,k\n", POINTS, NORMALS, NORMALS[::-1]))
     assert np.allclose(found.frames.normals, NORMALS) and said[0][1] == "nx ny nz are read, and i j k ignored"

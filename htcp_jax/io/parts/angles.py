@@ -80,6 +80,9 @@ def rotations_of(table: PathTable, maker: Maker | None, source: str) -> Float[np
         makers = [name for name in get_args(Maker) if family in (CHOSEN, ORDERS[name].names)]
         text = f"columns {listed(table.headings(family))} are not read, as makers order angles differently"
         warnings.warn(f"{source}: {text}; for orientations, set {KEY}: {', '.join(makers)}", Note, stacklevel=4)
+        return None
+    for family in (ABC, WPR, RX_RY_RZ, RPY):
+        table.name_partial(family)
     return None
 
 

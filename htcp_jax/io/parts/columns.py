@@ -21,7 +21,8 @@ from htcp_jax.io.parts.headings import (
 
 PER_METRE = {"m": 1.0, "mm": 1e3, "cm": 1e2, "in": 1.0 / 0.0254}  # units of a table
 KEY = "workpiece.path_columns"
-REMEDY = f"name x, y and z in the header; for a path, {KEY} chooses columns"
+CHOOSE = f"; for a path, {KEY} chooses columns"
+REMEDY = f"name x, y and z in the header{CHOOSE}"
 NEARLY_ALL = 0.95
 NEARLY_UNIT = 0.01
 
@@ -102,7 +103,7 @@ def columns_of(
         return ColumnIndices(width, xyz, indices, True, unit_of(header, xyz, source))
     if header and (numbered or tuple(names[:3]) != XYZ):
         named = f"{len(names)} columns ({' '.join(names)[:40]}), the rows have {width}"
-        raise InputError(f"{source}: the header names {named}; name x, y and z, or put them first")
+        raise InputError(f"{source}: the header names {named}; name x, y and z, or put them first{CHOOSE}")
     xyz = tuple(range(first, first + 3))
     guess = tuple(range(first + 3, first + 6)) if width - first == 6 else None
     return ColumnIndices(width, xyz, guess, False, unit_of(header, xyz, source), numbered)

@@ -9,8 +9,8 @@ from htcp_jax.errors import InputError
 XYZ = ("x", "y", "z")
 # Names of coordinates in common exports; x, y, z take precedence.
 COORDINATES = (XYZ, *(tuple(form.format(axis) for axis in XYZ) for form in (
-    "p{}", "pos{}", "pos_{}", "position_{}", "point_{}", "{}_pos", "{}_coord", "{}_coordinate", "coord_{}", "tcp_{}",
-    "target_{}", "translation_{}",
+    "p{}", "pos{}", "pos_{}", "position_{}", "point_{}", "point{}", "{}_pos", "{}pos", "{}_position", "{}_coord",
+    "{}_coordinate", "coord_{}", "coord{}", "tcp_{}", "target_{}", "translation_{}",
 )), *(tuple(form.format(k) for k in range(3)) for form in (  # of ParaView; of Universal Robots' RTDE
     "points_{}", "coordinates_{}", "actual_tcp_pose_{}", "target_tcp_pose_{}",
 )), ("east", "north", "up"), ("easting", "northing", "elevation"))  # fmt: skip

@@ -60,6 +60,8 @@ def _family(table: PathTable, families: Sequence[tuple[str, ...]], path: Path) -
     if len(found) > 1:
         others = " and ".join(" ".join(names) for names in found[1:])
         warnings.warn(f"{path}: {' '.join(found[0])} are read, and {others} ignored", Note, stacklevel=4)
+    for names in families if not found else ():
+        table.name_partial(names)
     return found[0] if found else None
 
 

@@ -38,6 +38,7 @@ from htcp_jax.io.parts.headings import (
 from htcp_jax.io.parts.seams import check_one_seam
 
 COMMENTS = ("//", "%")  # beginnings of a line that is a comment; # may stand anywhere in a line
+SEPARATOR_LINE = re.compile(r'"?sep=.?"?')  # of spreadsheets
 ABOUT_SEAMS = re.compile(r"\b(seam|pass|segment|weld|path|bead|layer)\b", re.IGNORECASE)
 DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 
@@ -108,6 +109,15 @@ class PathTable:
                 raise InputError(f"{self._path}: {','.join(family)} of point {k + 1} is {','.join(row)[:40]!r}")
         return np.array(cells, float)
 
+    def name_partial(self, family: Sequence[str]) -> None:
+        """Report the columns of a family that are not read because the table lacks the others, if there are several."""
+        names = [head.name for head in self._header]
+        there = [name for name in family if name in names]
+        if 1 < len(there) < len(family):
+            lacking = ", ".join(name for name in family if name not in names)
+            text = f"columns {', '.join(there)} are not read, as there is no {lacking}"
+            warnings.warn(f"{self._path}: {text}", Note, stacklevel=5)
+
     def _places(self, family: Sequence[str]) -> list[int] | None:
         names = [head.name for head in self._header]
         chosen = self._reader.chosen
@@ -160,25 +170,40 @@ class _TableReader:
 
     def take(self, number: int, line: str) -> bool:
         """Read a line; return True if it is a row."""
-        content, _, comment = line.partition("#")
+        content, mark, comment = line.partition("#")
         content = content.strip()
+        if mark and content and not self.first and self._is_header(content + comment):
+            content = content + comment  # a name such as "Point #"
         if content.startswith(COMMENTS):
-            content, comment = "", content.lstrip("/%")
+            content, mark, comment = "", content[:1], content.lstrip("/%")
         if not content.strip(",;\t "):
-            self._remark(number, comment.strip())
+            self._remark(number, comment.strip(), is_blank=not mark)
             return False
         cells = cells_of(content)
         if not self.first and not any(_is_numeric_cell(cell) for cell in cells):
-            if not self._header_line:
-                if decimal := _decimal_commas(content):
-                    raise self._error(number, decimal)
-                self._header_line, self.header = content, headings(content)
-                return False
-            if self._units is None and len(cells) == len(self.header) and (units := units_in(cells)):
-                self._units = units
+            if self._read_heading(number, content, cells):
                 return False
         self._row(number, content, cells)
         return True
+
+    def _read_heading(self, number: int, content: str, cells: list[str]) -> bool:
+        """Read a line without numbers before the first row: a title, the header or units; False for any other."""
+        if not self._header_line or (not self._is_header(self._header_line) and self._is_header(content)):
+            if decimal := _decimal_commas(content):
+                raise self._error(number, decimal)
+            if self._header_line:
+                self._name_title()
+            is_directive = SEPARATOR_LINE.fullmatch(content) is not None
+            self._header_line, self.header = ("", None) if is_directive else (content, headings(content))
+            return True
+        if self._units is None and len(cells) == len(self.header) and (units := units_in(cells)):
+            self._units = units
+            return True
+        return False
+
+    @staticmethod
+    def _is_header(content: str) -> bool:
+        return bool(coordinates_in([head.name for head in headings(content)]))
 
     def points(self, unit: str | None = None) -> TablePoints:
         if self.columns is None:
@@ -191,9 +216,9 @@ class _TableReader:
         normals = None if self.normals is None else np.array(self.normals, dtype=np.float64)
         return self.columns.points(xyz, normals, str(self.path), unit)
 
-    def _remark(self, number: int, comment: str) -> None:
+    def _remark(self, number: int, comment: str, is_blank: bool) -> None:
         """Count blank lines; store a comment before the first row, which may name columns or units."""
-        self._blank = 0 if comment else self._blank + 1
+        self._blank = self._blank + 1 if is_blank else 0
         self._most_blank = max(self._most_blank, self._blank)
         if not comment:
             return
@@ -250,7 +275,12 @@ class _TableReader:
         known = any(head.name in COORDINATE_NAMES | DIRECTION_NAMES for head in self.header)
         if known or (len(self.header) >= 3 and not is_blank_separated(self._header_line)):
             return
-        self.header, self._stated_unit = None, stated_unit(self._header_line) or self._stated_unit
+        self.header = None
+        self._name_title()
+
+    def _name_title(self) -> None:
+        """Report a title; it may state a unit."""
+        self._stated_unit = stated_unit(self._header_line) or self._stated_unit
         text = f"the first line is a title, not a header: {self._header_line[:60]!r}"
         warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
 
