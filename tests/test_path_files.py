@@ -152,8 +152,10 @@ def test_a_title_above_the_header_is_named(tmp_path):
     assert said == [(Note, "the first line is a title, not a header: 'Export of Monday'")]
 
 
-@pytest.mark.parametrize("names, there, lacking", [("nx,ny,n", "nx, ny", "nz"), ("qx,qy,qz", "qx, qy, qz", "qw"),
-                                                   ("tx,t,tz", "tx, tz", "ty"), ("A,B,speed", "a, b", "c")])  # fmt: skip
+@pytest.mark.parametrize("names, there, lacking", [
+    ("nx,ny,n", "nx, ny", "nz"), ("qx,qy,qz", "qx, qy, qz", "qw"), ("tx,t,tz", "tx, tz", "ty"),
+    ("A,B,speed", "a, b", "c"),
+])  # fmt: skip
 def test_columns_that_lack_others_of_their_kind_are_named(tmp_path, names, there, lacking):
     found, said = read(write(tmp_path, f"x,y,z,{names}\n", POINTS, NORMALS))
     assert all(field is None for field in found.frames)

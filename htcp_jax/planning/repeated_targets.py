@@ -50,11 +50,12 @@ def _at_one_place(
     """Return True where the targets a and b of scenarios s are at one place."""
     targets, goals = np.asarray(scenarios.targets), np.asarray(scenarios.goals)
     near = np.linalg.norm(targets[s, a] - targets[s, b], axis=1) <= ONE_POINT_M
+    k = np.flatnonzero(near)
     for part, first in zip(task.parts, task.starts, strict=True):
-        pair = np.stack([goals[s, a], goals[s, b]], axis=1)[..., first : first + part.numbers]
+        pair = np.stack([goals[s[k], a[k]], goals[s[k], b[k]]], axis=1)[..., first : first + part.numbers]
         difference = np.abs(pair[:, 0] - pair[:, 1]).max(axis=1, initial=0.0)
-        near &= difference <= (ONE_TURN_RAD if part.turns else ONE_POINT_M)
-        near &= part.turn(pair) <= ONE_TURN_RAD
+        near[k] &= difference <= (ONE_TURN_RAD if part.turns else ONE_POINT_M)
+        near[k] &= part.turn(pair) <= ONE_TURN_RAD
     return near
 
 
