@@ -48,13 +48,123 @@ def refusal(file, **choices) -> str:
     ("X (cm),Y (cm),Z (cm)", 1e2), ("x [in],y [in],z [in]", 1 / 0.0254), ('"x [mm]","y [mm]","z [mm]"', 1e3),
     ("px,py,pz", 1), ("position.x,position.y,position.z", 1), ("Pos X,Pos Y,Pos Z", 1),
     ("tcp_x_mm,tcp_y_mm,tcp_z_mm", 1e3),
-    ("pose.position.x,pose.position.y,pose.position.z", 1), ("x,y,z [mm]", 1e3),
+    ("pose.position.x,pose.position.y,pose.position.z", 1), ("x,y,z [mm]", 1e3), ("[x],[y],[z]", 1),
+    ('"Points:0","Points:1","Points:2"', 1), ("Points_0,Points_1,Points_2", 1), ("X/mm,Y/mm,Z/mm", 1e3),
+    ("X in mm,Y in mm,Z in mm", 1e3),
+    ("field.pose.pose.position.x,field.pose.pose.position.y,field.pose.pose.position.z", 1),
+    ("/arm/tcp/position/x,/arm/tcp/position/y,/arm/tcp/position/z", 1), ("East,North,Up", 1),
+    ("transform.translation.x,transform.translation.y,transform.translation.z", 1),
 ])  # fmt: skip
 @pytest.mark.parametrize("separator", [",", ";"])
 def test_common_headers_name_coordinates_and_their_unit(tmp_path, header, per_metre, separator):
     header = separator.join(["No", *header.split(",")]) + "\n"
     found, said = read(write(tmp_path, header, NUMBERS, per_metre * POINTS, separator=separator))
     assert np.allclose(found.xyz, POINTS, rtol=1e-15, atol=0) and said == []
+
+
+@pytest.mark.parametrize("before", ["# timestamp tx ty tz qx qy qz qw\n", "timestamp tx ty tz qx qy qz qw\n",
+                                    "# a run\n#time tx ty tz q_x q_y q_z q_w\n"])  # fmt: skip
+def test_tx_ty_tz_next_to_a_quaternion_are_coordinates(tmp_path, before):
+    times = 0.25 * NUMBERS
+    found, said = read(write(tmp_path, before, times, POINTS, QUATERNIONS[:, [1, 2, 3, 0]], separator=" "))
+    plain, _ = read(write(tmp_path, "x,y,z,qw,qx,qy,qz\n", POINTS, QUATERNIONS))
+    assert np.array_equal(found.xyz, POINTS) and found.frames.tangents is None and said == []
+    assert np.array_equal(found.frames.rotations, plain.frames.rotations)
+
+
+def test_tx_ty_tz_next_to_x_y_z_are_tangents(tmp_path):
+    found, _ = read(write(tmp_path, "x,y,z,tx,ty,tz,qw,qx,qy,qz\n", POINTS, NORMALS, QUATERNIONS))
+    assert np.array_equal(found.xyz, POINTS) and np.allclose(found.frames.tangents, NORMALS)
+
+
+def test_tx_ty_tz_may_be_chosen_as_coordinates(tmp_path):
+    file = write(tmp_path, "t,tx,ty,tz,n\n", NUMBERS, POINTS, NUMBERS)
+    found, said = read(file, chosen={"x": "tx", "y": "ty", "z": "tz"})
+    assert np.array_equal(found.xyz, POINTS) and found.frames.tangents is None and said == []
+
+
+@pytest.mark.parametrize("header", ["time,lat,lon,alt\n", "#time,lat,lon,alt\n", "%time,lat,lon,alt\n", "t,tx,ty,tz\n"])
+def test_a_header_that_names_none_of_x_y_z_is_refused_with_its_columns_and_the_key(tmp_path, header):
+    file = write(tmp_path, header, NUMBERS, POINTS)
+    listed = header.strip("#%\n").replace(",", ", ")
+    assert refusal(file).startswith(f"the header names none of x, y, z: {listed}; name x, y and z in the header")
+    assert "workpiece.path_columns" in refusal(file)
+    assert np.array_equal(read(file, chosen={"x": 2, "y": 3, "z": 4})[0].xyz, POINTS)
+
+
+@pytest.mark.parametrize("header", ["# tx ty tz qx qy qz qw\n", "# x y\n# qw qx qy qz nx ny nz x y z\n"])
+def test_a_comment_of_known_names_for_another_number_of_columns_is_refused(tmp_path, header):
+    words = refusal(write(tmp_path, header, 0.25 * NUMBERS, POINTS, QUATERNIONS, separator=" "))
+    assert words.startswith("the header names ") and "the rows have 8" in words
+
+
+@pytest.mark.parametrize("header", ["# made by hand\n", "# lat lon alt\n", "Seam of housing 3b\n"])
+def test_a_comment_or_title_that_names_no_column_is_named(tmp_path, header):
+    found, said = read(write(tmp_path, header, POINTS, separator=" "))
+    assert np.array_equal(found.xyz, POINTS)
+    assert [kind for kind, _ in said] == [Note] and header.strip("#\n ") in said[0][1]
+
+
+def test_a_header_may_be_separated_by_tabs(tmp_path):
+    file = write(tmp_path, "Time [s]\tPos X [mm]\tPos Y [mm]\tPos Z [mm]\n", NUMBERS, 1e3 * POINTS, separator="\t")
+    assert np.allclose(read(file)[0].xyz, POINTS, rtol=1e-15, atol=0)
+
+
+@pytest.mark.parametrize("header", [
+    "x,y,z,v\nmm,mm,mm,mm/s\n", "v,x,y,z\n[mm/s],[mm],[mm],[mm]\n", "# x,y,z,v\n# mm,mm,mm,mm/s\n",
+    "# unit: mm\nx,y,z,v\n", "// made by hand, units = mm\n# x,y,z,v\n",
+])  # fmt: skip
+def test_a_row_of_units_and_a_comment_state_the_unit(tmp_path, header):
+    columns = [NUMBERS + 0.5, 1e3 * POINTS] if header.startswith("v") else [1e3 * POINTS, NUMBERS]
+    found, said = read(write(tmp_path, header, *columns))
+    assert np.allclose(found.xyz, POINTS, rtol=1e-15, atol=0) and said == []
+
+
+@pytest.mark.parametrize("header, words", [
+    ("x,y,z\nmm,mm,m\n", "coordinates in mm and m: x, y, z"),
+    ("x [m],y [m],z [m]\nmm,mm,mm\n", "the unit of x [m] is mm in the row below the header"),
+    ("x,y,z\nfurlong,mm,mm\n", "line 2: 'furlong' is not a number"),
+])  # fmt: skip
+def test_a_row_of_units_that_contradicts_is_refused(tmp_path, header, words):
+    assert refusal(write(tmp_path, header, POINTS)) == words
+
+
+def test_numbers_in_quotes_are_read(tmp_path):
+    rows = "".join(",".join(f'"{value!r}"' for value in row) + "\n" for row in POINTS.tolist())
+    (tmp_path / "path.csv").write_text('"x","y","z"\n' + rows)
+    assert np.array_equal(read(tmp_path / "path.csv")[0].xyz, POINTS)
+    (tmp_path / "path.csv").write_text('"x","y","z"\n"1,5","2,5","3,5"\n')
+    assert refusal(tmp_path / "path.csv") == "line 2: '1,5' has a decimal comma; write a decimal point, 1.5"
+
+
+@pytest.mark.parametrize(
+    "header", ["sep=,\nx,y,z\n", "Point #,X,Y,Z\n", "#,x,y,z\n", ",x,y,z\n", "Nr.,xpos,ypos,zpos\n"]
+)
+def test_headers_of_spreadsheets_and_point_lists_are_read(tmp_path, header):
+    columns = [POINTS] if header.startswith("sep") else [10 * NUMBERS, POINTS]
+    found, said = read(write(tmp_path, header, *columns))
+    assert np.array_equal(found.xyz, POINTS) and said == []
+
+
+def test_a_title_above_the_header_is_named(tmp_path):
+    found, said = read(write(tmp_path, "Export of Monday\nz [mm],y [mm],x [mm]\n", 1e3 * POINTS[:, ::-1]))
+    assert np.allclose(found.xyz, POINTS, rtol=1e-15, atol=0)
+    assert said == [(Note, "the first line is a title, not a header: 'Export of Monday'")]
+
+
+@pytest.mark.parametrize("names, there, lacking", [
+    ("nx,ny,n", "nx, ny", "nz"), ("qx,qy,qz", "qx, qy, qz", "qw"), ("tx,t,tz", "tx, tz", "ty"),
+    ("A,B,speed", "a, b", "c"),
+])  # fmt: skip
+def test_columns_that_lack_others_of_their_kind_are_named(tmp_path, names, there, lacking):
+    found, said = read(write(tmp_path, f"x,y,z,{names}\n", POINTS, NORMALS))
+    assert all(field is None for field in found.frames)
+    assert said == [(Note, f"columns {there} are not read, as there is no {lacking}")]
+
+
+def test_a_second_set_of_normals_is_named(tmp_path):
+    found, said = read(write(tmp_path, "x,y,z,nx,ny,nz,i,j,k\n", POINTS, NORMALS, NORMALS[::-1]))
+    assert np.allclose(found.frames.normals, NORMALS) and said[0][1] == "nx ny nz are read, and i j k ignored"
 
 
 def test_a_header_between_blanks_has_units_in_brackets(tmp_path):

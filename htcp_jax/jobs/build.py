@@ -96,6 +96,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         robot=robot,
         path_columns={} if part.path_columns is None else part.path_columns.given,
         path_unit=part.path_unit,
+        path_angles=part.path_angles,
         origin=part.origin_m,
         **{name: value for name, value in stated.items() if value is not None},
     )
@@ -283,5 +284,5 @@ def obstacles_key(cell: CellConfig) -> tuple:
 def walls_key(part: WorkpieceConfig) -> WorkpieceConfig:
     """Return the section `workpiece` without path and pose, as a cache key. Equal keys share the walls."""
     origin = (0.0, 0.0, 0.0)
-    path = {"path": "", "path_columns": None, "path_unit": None}
+    path = {"path": "", "path_columns": None, "path_unit": None, "path_angles": None}
     return part.model_copy(update={**path, "pivot_m": origin, "neutral_translation_m": origin})

@@ -24,6 +24,7 @@ from pydantic import (
 from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
+from htcp_jax.io.parts import Maker
 from htcp_jax.io.robots import joint_limits, model_source
 from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
@@ -202,7 +203,7 @@ class ModelConfig(strict_model.FileSection):
 
 
 class PathColumnsConfig(strict_model.FileSection):
-    """Columns of a path's file for the coordinates of points, normals, tangents and quaternions."""
+    """Columns of a path's file for the coordinates of points, normals, tangents, quaternions and angles."""
 
     x: PathColumn
     y: PathColumn
@@ -217,10 +218,14 @@ class PathColumnsConfig(strict_model.FileSection):
     qx: PathColumn | None = None
     qy: PathColumn | None = None
     qz: PathColumn | None = None
+    angle_1: PathColumn | None = None  # angles in the order of the maker that path_angles names
+    angle_2: PathColumn | None = None
+    angle_3: PathColumn | None = None
 
     @model_validator(mode="after")
     def _is_complete(self) -> "PathColumnsConfig":
-        for family in (("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz")):
+        angles = ("angle_1", "angle_2", "angle_3")
+        for family in (("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz"), angles):
             given = [name for name in family if getattr(self, name) is not None]
             if given and len(given) < len(family):
                 raise InputError(f"path_columns has only {', '.join(given)}; all of {', '.join(family)} are needed")
@@ -239,8 +244,9 @@ class WorkpieceConfig(strict_model.FileSection):
     unit: LengthUnit | None = None  # unit of the cloud's file; None: the unit that the file states, or m
     parent: Link | None = None  # link or site that carries the part; None: the link that robot.model names, or world
     path: str = "weld"  # a seam of the generated duct, see `io.parts`, or a CSV file of x,y,z
-    path_columns: PathColumnsConfig | None = None  # columns of the CSV file; None: from its header, or the first ones
+    path_columns: PathColumnsConfig | None = None  # columns of the CSV file; None: the header's, or the first ones
     path_unit: LengthUnit | None = None  # unit of the CSV file; None: the header's unit, or m
+    path_angles: Maker | None = None  # maker whose order the angles in the CSV file have; None: the header decides
     origin_m: FilePointM | None = None  # point subtracted from cloud, path and inlet; None: see `load_workpiece`
     inlet_m: FilePointM | None = None  # centre of the inlet; None: the duct's inlet, or no inlet for another cloud
     interior: Literal["hull", "none"] = "hull"  # convex hull, or no boundary, deeper than interior_depth_m

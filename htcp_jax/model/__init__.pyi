@@ -20,7 +20,7 @@ from . import (
 )
 from .convex_piece import BodyPieces, ConvexPiece
 from .fixture import Fixture
-from .path_frames import PathFrames
+from .path_frames import ONE_POINT_M, PathFrames
 from .robot import Robot
 from .scenario import Scenario
 from .task import Task
@@ -29,6 +29,7 @@ from .tool import Tool
 from .workpiece import Workpiece
 
 __all__ = [
+    "ONE_POINT_M",
     "BodyPieces",
     "ConvexPiece",
     "Fixture",

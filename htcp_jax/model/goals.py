@@ -158,7 +158,8 @@ _JACOBIAN = jax.jit(lambda robot, x, goal, task: task.linear_at(robot, x, goal).
 def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
     for k, row in enumerate(rows, 1):
         if "rotations" in row.uses and workpiece.frames.rotations is None:
-            raise InputError(f"task.{k} ({row}): the path has no orientations; add columns qw,qx,qy,qz to its file")
+            remedy = "add columns qw,qx,qy,qz to its file, or set workpiece.path_angles for columns of angles"
+            raise InputError(f"task.{k} ({row}): the path has no orientations; {remedy}")
         if row.frame == "path":
             square = np.linalg.norm(np.cross(workpiece.tangents, workpiece.normals), axis=1)
             if len(flat := np.flatnonzero(square < 1e-6)):

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.surface import cloud_normals
 
+ONE_POINT_M = 1e-5  # points closer to each other than this are one point of the path
 NEIGHBOURS = 60  # wall points used to fit a normal
 
 
@@ -30,17 +31,27 @@ def wall_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]
 
 
 def tangents(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Return the unit tangents of a path, by central differences; coincident neighbours get the same tangent.
+    """Return the unit tangents of a path, by central differences; points within ONE_POINT_M have the same one.
 
     Raises:
         InputError: For a path of zero length.
     """
-    ahead = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    apart = np.concatenate([[True], ahead > 1e-9])
-    if not (ahead > 1e-9).any():
+    apart = _apart(path)
+    places = path[apart]
+    if len(places) == 1:
         raise InputError("the path has no tangent, because all of its points coincide")
-    found = np.gradient(path[apart], axis=0)[np.cumsum(apart) - 1]
+    found = np.gradient(places, axis=0)
     length = np.linalg.norm(found, axis=1, keepdims=True)
     back = length[:, 0] <= 1e-9  # where the path reverses
-    found[back], length[back] = np.diff(path, axis=0, append=path[-1:])[back], 1.0
-    return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
+    found[back], length[back] = np.diff(places, axis=0, append=places[-1:])[back], 1.0
+    found /= np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
+    return found[np.cumsum(apart) - 1]
+
+
+def _apart(path: Float[np.ndarray, "T 3"]) -> Bool[np.ndarray, "T"]:
+    """Return False for points within ONE_POINT_M of the last point with True; the first point has True."""
+    found, last = np.ones(len(path), bool), 0
+    for k in np.flatnonzero(np.append(False, np.linalg.norm(np.diff(path, axis=0), axis=1) <= ONE_POINT_M)):
+        last = k - 1 if found[k - 1] else last
+        found[k] = np.linalg.norm(path[k] - path[last]) > ONE_POINT_M
+    return found

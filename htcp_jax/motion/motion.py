@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
+from htcp_jax.model import ONE_POINT_M
 from htcp_jax.motion.plans import Plans
 from htcp_jax.status import Kind, Status
 
-ONE_POINT_M = 1e-5  # targets closer to each other than this are one point of the path
 OnPath = int | Int[np.ndarray, "S"]  # index of the first target that is a point of the path, see `Scenario`
 
 

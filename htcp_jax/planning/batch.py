@@ -190,6 +190,24 @@ def _planned_here(
     Of the times, it has only that of `compiled_first`.
     """
     # Imported here, as methods are: no lane functions are loaded before a method is looked up.
+    from htcp_jax.planning import repeated_targets
+
+    def plan_places(problem: Problem) -> Plans:
+        return _planned_places(problem, chosen, method, obstacles, check_starts, compiled_first)
+
+    distinct = repeated_targets.are_distinct(problem.scenarios, problem.task)
+    return plan_places(problem) if distinct.all() else repeated_targets.planned(plan_places, problem, distinct)
+
+
+def _planned_places(
+    problem: Problem,
+    chosen: Method,
+    method: str,
+    obstacles: Obstacles,
+    check_starts: bool,
+    compiled_first: Sequence[str],
+) -> Plans:
+    """Return the result of `_planned_here` for a problem without repeated targets."""
     from htcp_jax.motion import home as home_motion
     from htcp_jax.planning import inserted_goals
 

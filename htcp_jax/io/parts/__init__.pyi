@@ -1,3 +1,4 @@
+from .angles import Maker
 from .duct_seams import SEAMS
 from .point_cloud import load_geometry
 from .units import check_cell_extent, check_tool
@@ -14,6 +15,7 @@ from .workpiece_source import (
 __all__ = [
     "SEAMS",
     "GeneratedDuct",
+    "Maker",
     "NoCloud",
     "PointCloud",
     "TriangleMesh",

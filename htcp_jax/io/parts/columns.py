@@ -1,6 +1,5 @@
 """Columns of a table: coordinates with their unit, and directions, found by the header's names or by position."""
 
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -9,24 +8,23 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
+from htcp_jax.io.parts.headings import (
+    COORDINATE_NAMES,
+    DIRECTION_NAMES,
+    NORMALS,
+    XYZ,
+    Heading,
+    coordinates_in,
+    heading,
+    listed,
+)
 
-XYZ = ("x", "y", "z")
-# Names of coordinates in common exports; x, y, z take precedence.
-COORDINATES = (XYZ, *(tuple(form.format(axis) for axis in XYZ) for form in (
-    "p{}", "pos_{}", "position_{}", "point_{}", "{}_pos", "tcp_{}", "target_{}",
-)))  # fmt: skip
-NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"), ("i", "j", "k"))  # i, j, k: of tool paths
-TANGENTS = (("tx", "ty", "tz"), ("tangent_x", "tangent_y", "tangent_z"))
-QUATERNIONS = tuple(tuple(f"{name}{part}" for part in "wxyz") for name in ("q", "q_", "quat_", "orientation_"))
-DIRECTIONS = (*NORMALS, *TANGENTS, *QUATERNIONS)
 PER_METRE = {"m": 1.0, "mm": 1e3, "cm": 1e2, "in": 1.0 / 0.0254}  # units of a table
-BRACKETS = re.compile(r"\s*(?:\[([^\]]*)\]|\(([^)]*)\))")  # x [m], y (mm)
-SEPARATORS = re.compile(r"[\s,;]+")
-SUFFIX = re.compile(rf"(.+)[_ ]({'|'.join(PER_METRE)})")  # x_mm
 KEY = "workpiece.path_columns"
+CHOOSE = f"; for a path, {KEY} chooses columns"
+REMEDY = f"name x, y and z in the header{CHOOSE}"
 NEARLY_ALL = 0.95
 NEARLY_UNIT = 0.01
-MOST_NAMES = 200  # maximum number of a header's characters in a message
 
 
 class TablePoints(NamedTuple):
@@ -34,14 +32,6 @@ class TablePoints(NamedTuple):
 
     xyz: Float[np.ndarray, "P 3"]  # [m]
     normals: Float[np.ndarray, "P 3"] | None = None  # unit, or 0 for a point without one; None: no such columns
-
-
-class Heading(NamedTuple):
-    """A column's name in the header."""
-
-    text: str  # as in the file
-    name: str  # in lower case, without the unit
-    unit: str | None  # in lower case; None if the text contains no unit
 
 
 class ColumnIndices(NamedTuple):
@@ -81,51 +71,14 @@ class ColumnIndices(NamedTuple):
         return TablePoints(xyz / PER_METRE[unit], normals)
 
 
-def headings(line: str) -> list[Heading]:
-    """Split a header line into the names of its columns."""
-    marked = _marked(line.strip())
-    found = [_heading(cell) for cell in cells_of(marked)]
-    is_blank_separated = "," not in marked and ";" not in marked
-    return [head for head in found if head.name or not is_blank_separated]
-
-
-def _marked(line: str) -> str:
-    """Remove the blanks and separators between names and texts in brackets, as in "x [m]"."""
-    return BRACKETS.sub(lambda found: f"[{SEPARATORS.sub('_', found[1] or found[2] or '')}]", line)
-
-
-def _heading(cell: str) -> Heading:
-    text = cell.strip(" \t\"'")
-    name, _, inside = text.partition("[")
-    name, unit = name.strip(" \t\"'").lower(), inside.rstrip("]\"' ").lower()
-    if not unit and (found := SUFFIX.fullmatch(name)):
-        name, unit = found.groups()
-    name = re.sub(r"[.\s]+", "_", name).removeprefix("pose_")
-    return Heading(text.replace("[", " [") if inside else text, name, unit or None)
-
-
-def cells_of(line: str) -> list[str]:
-    """Split a line into cells at semicolons, commas or blanks."""
-    for separator in (";", ","):
-        if separator in line:
-            return line.split(separator)
-    return line.split()
-
-
-def listed(header: Sequence[Heading]) -> str:
-    """Return the names of a header as text."""
-    text = ", ".join(head.text for head in header)
-    return text if len(text) <= MOST_NAMES else f"{text[:MOST_NAMES]}..."
-
-
 def columns_of(
     header: Sequence[Heading] | None, width: int, source: str, *, numbered: bool = False, needs_names: bool = False
 ) -> ColumnIndices:
     """Find the columns of a table.
 
-    If the header contains one family of COORDINATES, the columns are found by name. Otherwise the first three columns
-    are coordinates, and the last three of a table with six columns are normals. A first column that counts the rows is
-    skipped.
+    A header decides: it must name one family of `headings.COORDINATES`, or begin with x, y, z. Without a header the
+    first three columns are coordinates, and the last three of a table with six columns are normals. A first column that
+    counts the rows is skipped.
 
     Args:
         header: The header; None if the table has none.
@@ -135,41 +88,39 @@ def columns_of(
         needs_names: True to refuse repeated names of tangents and quaternions, too.
 
     Raises:
-        InputError: If the header repeats a name, names two sets of coordinates, or contradicts the table.
+        InputError: If the header repeats a name, names two sets of coordinates or none, or contradicts the table.
     """
-    header = list(header or ())
+    header, first = list(header or ()), int(numbered)
     names = [head.name for head in header]
-    known = {name for family in (*COORDINATES, *(DIRECTIONS if needs_names else NORMALS)) for name in family}
+    known = COORDINATE_NAMES | (DIRECTION_NAMES if needs_names else {name for family in NORMALS for name in family})
     for name in filter(known.__contains__, names) if len(names) == width else XYZ:
         if names.count(name) > 1:
             raise InputError(f"{source}: the header names {name} twice: {listed(header)}")
-    if len(names) == width and (found := coordinates_in(names)):
-        if len(found) > 1:
-            sets = " and ".join(" ".join(family) for family in found)
-            raise InputError(f"{source}: the header names {sets}: {listed(header)}; for a path, choose one with {KEY}")
+    if len(names) == width:
+        xyz = _coordinates(header, source)
         normals = next((family for family in NORMALS if all(name in names for name in family)), None)
-        xyz = tuple(names.index(name) for name in found[0])
         indices = None if normals is None else tuple(names.index(name) for name in normals)
         return ColumnIndices(width, xyz, indices, True, unit_of(header, xyz, source))
-    first = int(numbered)
-    misplaced = any(axis in names and names.index(axis) != first + k for k, axis in enumerate(XYZ))
-    if misplaced or (numbered and not set(names).isdisjoint(XYZ)):
-        if len(names) != width:
-            named = f"{len(names)} columns ({' '.join(names)[:40]}), the rows have {width}"
-            raise InputError(f"{source}: the header names {named}; name x, y and z, or put them first")
-        lacking = ", ".join(axis for axis in XYZ if axis not in names)
-        raise InputError(
-            f"{source}: the header names no {lacking}: {listed(header)}; name x, y and z, or put them first"
-        )
+    if header and (numbered or tuple(names[:3]) != XYZ):
+        named = f"{len(names)} columns ({' '.join(names)[:40]}), the rows have {width}"
+        raise InputError(f"{source}: the header names {named}; name x, y and z, or put them first{CHOOSE}")
     xyz = tuple(range(first, first + 3))
     guess = tuple(range(first + 3, first + 6)) if width - first == 6 else None
     return ColumnIndices(width, xyz, guess, False, unit_of(header, xyz, source), numbered)
 
 
-def coordinates_in(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the families of COORDINATES whose names are all in a header; only x, y, z if that family is found."""
-    found = [family for family in COORDINATES if all(name in names for name in family)]
-    return found[:1] if XYZ in found else found
+def _coordinates(header: Sequence[Heading], source: str) -> tuple[int, ...]:
+    """Return the indices of the columns that a header with a name for each column names as coordinates."""
+    names = [head.name for head in header]
+    found = coordinates_in(names)
+    if len(found) > 1:
+        sets = " and ".join(" ".join(family) for family in found)
+        raise InputError(f"{source}: the header names {sets}: {listed(header)}; for a path, choose one with {KEY}")
+    if not found:
+        lacking = [axis for axis in XYZ if axis not in names]
+        what = "none of x, y, z" if len(lacking) == len(XYZ) else f"no {', '.join(lacking)}"
+        raise InputError(f"{source}: the header names {what}: {listed(header)}; {REMEDY}")
+    return tuple(names.index(name) for name in found[0])
 
 
 def chosen_columns(
@@ -200,7 +151,7 @@ def chosen_columns(
                 raise InputError(
                     f"{where}, but the header has {len(header)} names: {listed(header)}; the rows have {width}"
                 )
-            wanted = _heading(_marked(name))
+            wanted = heading(name)
             same = [k for k, head in enumerate(header) if wanted.text == head.text]
             same = same or [k for k, head in enumerate(header) if wanted.name == head.name]
             if len(same) != 1:

@@ -1,7 +1,7 @@
 """Reader of a path's file: points, normals, tangents and orientations."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -11,8 +11,9 @@ import scipy
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.parts import columns
-from htcp_jax.io.parts.table import read_named
+from htcp_jax.io.parts import angles, columns, headings
+from htcp_jax.io.parts.seams import name_jumps
+from htcp_jax.io.parts.table import PathTable
 from htcp_jax.model import PathFrames
 
 GUESSED = ("i", "j", "k")  # read as normals only if they are unit vectors; they may also be indices of cells
@@ -26,36 +27,59 @@ class PathPoints(NamedTuple):
 
 
 def read_path_points(
-    path: Path, chosen: Mapping[str, int | str] = MappingProxyType({}), unit: str | None = None
+    path: Path,
+    chosen: Mapping[str, int | str] = MappingProxyType({}),
+    unit: str | None = None,
+    maker: angles.Maker | None = None,
 ) -> PathPoints:
-    """Read a path's file: points, and the normals, tangents and quaternions that its header or the caller names.
+    """Read a path's file: points, and the normals, tangents and orientations that its header or the caller names.
 
     Args:
         path: The file.
         chosen: The column of each quantity, see `columns.chosen_columns`; empty: the columns that the header names, or
-            the first three.
+            without a header the first three.
         unit: Unit of the points, a key of `columns.PER_METRE`; None: the header's unit, or m if the header has none.
+        maker: The maker whose order and unit the angles have, see `angles.rotations_of`.
 
     Raises:
-        InputError: As `read_named` does, for a normal or tangent whose length is not 1, and for a quaternion of length
-            0.
+        InputError: As `PathTable` and `angles.rotations_of` do, for a normal or tangent whose length is not 1, and for
+            a quaternion of length 0.
     """
-    xyz, found = read_named(path, columns.DIRECTIONS, chosen, unit)
-    vectors = {}
-    for families, what in ((columns.NORMALS, "normal"), (columns.TANGENTS, "tangent")):
-        for names in families:
-            if what not in vectors and names in found:
-                vectors[what] = _unit_vectors(found[names], names, what, path)
-    quaternions = next((found[names] for names in columns.QUATERNIONS if names in found), None)
-    if quaternions is not None and len(wrong := np.flatnonzero(~(np.linalg.norm(quaternions, axis=1) > 1e-9))):
+    table = PathTable(path, chosen, unit)
+    name_jumps(str(path), table.xyz)
+    normals, tangents = (
+        None if (names := _family(table, families, path)) is None else _unit_vectors(table, names, what, path)
+        for families, what in ((headings.NORMALS, "normal"), (headings.TANGENTS, "tangent"))
+    )
+    return PathPoints(table.xyz, PathFrames(normals, tangents, _rotations(table, maker, path)))
+
+
+def _family(table: PathTable, families: Sequence[tuple[str, ...]], path: Path) -> tuple[str, ...] | None:
+    """Return the first family of names that a table has; a Note names the others."""
+    found = [names for names in families if table.headings(names)]
+    if len(found) > 1:
+        others = " and ".join(" ".join(names) for names in found[1:])
+        warnings.warn(f"{path}: {' '.join(found[0])} are read, and {others} ignored", Note, stacklevel=4)
+    for names in families if not found else ():
+        table.name_partial(names)
+    return found[0] if found else None
+
+
+def _rotations(table: PathTable, maker: angles.Maker | None, path: Path) -> Float[np.ndarray, "T 3 3"] | None:
+    """Return the orientations of quaternions or angles; None if the table has neither."""
+    names = _family(table, headings.QUATERNIONS, path)
+    if names is None:
+        return angles.rotations_of(table, maker, str(path))
+    if maker is not None:
+        raise InputError(f"{path}: {angles.KEY} is {maker}, but the path has quaternions; omit the key")
+    quaternions = table.numbers(names)
+    if len(wrong := np.flatnonzero(~(np.linalg.norm(quaternions, axis=1) > 1e-9))):
         raise InputError(f"{path}: the quaternion at point {wrong[0] + 1} has the length 0")
-    rotations = None
-    if quaternions is not None:
-        rotations = scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
-    return PathPoints(xyz, PathFrames(vectors.get("normal"), vectors.get("tangent"), rotations))
+    return scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
 
 
-def _unit_vectors(values: np.ndarray, names: tuple[str, ...], what: str, path: Path) -> np.ndarray | None:
+def _unit_vectors(table: PathTable, names: tuple[str, ...], what: str, path: Path) -> np.ndarray | None:
+    values = table.numbers(names)
     length = np.linalg.norm(values, axis=1)
     if len(wrong := np.flatnonzero(~(np.abs(length - 1.0) < columns.NEARLY_UNIT))):
         off = f"at point {wrong[0] + 1} has the length {length[wrong[0]]:.4g}"

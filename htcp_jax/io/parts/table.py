@@ -6,27 +6,40 @@ import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io.files import note_missing_line_end, read_array, read_bytes
 from htcp_jax.io.parts.columns import (
     NEARLY_UNIT,
     XYZ,
     ColumnIndices,
-    Heading,
     TablePoints,
-    cells_of,
     chosen_columns,
     columns_of,
-    coordinates_in,
-    headings,
     unit_of,
 )
+from htcp_jax.io.parts.headings import (
+    COORDINATE_NAMES,
+    DIRECTION_NAMES,
+    Heading,
+    cells_of,
+    coordinates_in,
+    header_of_comments,
+    headings,
+    is_blank_separated,
+    listed,
+    stated_unit,
+    units_in,
+    with_units,
+)
+from htcp_jax.io.parts.seams import check_one_seam
 
+COMMENTS = ("//", "%")  # beginnings of a line that is a comment; # may stand anywhere in a line
+SEPARATOR_LINE = re.compile(r'"?sep=.?"?')  # of spreadsheets
+ABOUT_SEAMS = re.compile(r"\b(seam|pass|segment|weld|path|bead|layer)\b", re.IGNORECASE)
 DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 
 
@@ -36,9 +49,9 @@ def read_table(path: Path, unit: str | None = None) -> TablePoints:
     Columns are separated by commas, semicolons or blanks. Rows with NaN are read, as points without a measurement; a
     Note reports a last row without a line end.
 
-    Text after a # is a comment, and so is a line that begins with //. The first line that is not a comment may be a
-    header without numbers. This header, or the last comment before the first row, may name the columns, see
-    `columns_of`.
+    Text after a # is a comment, and so is a line that begins with // or %. The first line that is not a comment may be
+    a header without numbers, and the next one a row of units. This header, or a comment before the first row, may name
+    the columns, see `columns_of` and `header_of_comments`. A Note reports a last row without a line end.
 
     Args:
         path: The file.
@@ -48,7 +61,7 @@ def read_table(path: Path, unit: str | None = None) -> TablePoints:
         InputError: For too few columns, rows of different lengths, infinite numbers, text that is not a number, and
             decimal commas; the message names the line.
     """
-    reader = _TableReader(path, is_cloud=True)
+    reader = _TableReader(path)
     reader.take_all()
     stated = None if reader.columns is None else reader.columns.unit
     if unit not in (None, stated or unit):
@@ -56,53 +69,78 @@ def read_table(path: Path, unit: str | None = None) -> TablePoints:
     return reader.points(unit)
 
 
-class NamedColumns(NamedTuple):
-    """Points of a table, and further columns by their quantities."""
+class PathTable:
+    """Rows of a path's file: its points, and further columns by name."""
 
-    xyz: Float[np.ndarray, "P 3"]  # [m]
-    found: dict[tuple[str, ...], Float[np.ndarray, "P k"]]  # by family of names
+    def __init__(
+        self, path: Path, chosen: Mapping[str, int | str] = MappingProxyType({}), unit: str | None = None
+    ) -> None:
+        """Read the file; blank lines between rows, and a column that divides the rows, mean several seams.
 
+        Args:
+            path: The file.
+            chosen: The column of each quantity, see `columns.chosen_columns`, in place of the header's names; empty, or
+                with x, y and z.
+            unit: Unit of the coordinates, a key of `columns.PER_METRE`; None: the header's unit, or m if the header has
+                none. A UserWarning reports a header with a different unit.
 
-def read_named(
-    path: Path,
-    families: Sequence[tuple[str, ...]],
-    chosen: Mapping[str, int | str] = MappingProxyType({}),
-    unit: str | None = None,
-) -> NamedColumns:
-    """Read the points of a text file, and further columns by name.
+        Raises:
+            InputError: As `read_table` and `chosen_columns` do, and for several seams.
+        """
+        self._path, self._reader = path, _TableReader(path, keep=True, chosen=chosen)
+        self._reader.take_all()
+        columns, header = self._reader.columns, self._reader.header or ()
+        self.xyz: Float[np.ndarray, "P 3"] = self._reader.points(unit).xyz  # [m]
+        self._header = header if columns is not None and len(header) == columns.width and columns.named else ()
+        if columns is None:
+            return
+        check_one_seam(str(path), self._reader.rows, self._reader.blank, self._header)
+        if unit not in (None, columns.unit or unit):
+            text = f"the unit is {columns.unit} in the header and {unit} in the job; the job's is used"
+            warnings.warn(f"{path}: {text}", UserWarning, stacklevel=4)
 
-    Args:
-        path: The file.
-        families: Names of further columns; a family of k names is read, as (P, k), if all of them are in the header.
-        chosen: The column of each quantity, see `columns.chosen_columns`, in place of the header's names; empty, or
-            with x, y and z.
-        unit: Unit of the coordinates, a key of `columns.PER_METRE`; None: the header's unit, or m if the header has
-            none. A UserWarning reports a header with a different unit.
+    def headings(self, family: Sequence[str]) -> list[Heading] | None:
+        """Return the headings of the columns with these names; None if the table lacks one of them."""
+        places = self._places(family)
+        return None if places is None else [self._heading(k) for k in places]
 
-    Raises:
-        InputError: As `read_table` and `chosen_columns` do, and for values that are not finite numbers; the message
-            names the point.
-    """
-    reader = _TableReader(path, keep=True, chosen=chosen)
-    reader.take_all()
-    xyz, found = reader.points(unit).xyz, {}
-    if reader.columns is None:
-        return NamedColumns(xyz, found)
-    if unit not in (None, reader.columns.unit or unit):
-        text = f"the unit is {reader.columns.unit} in the header and {unit} in the job; the job's is used"
-        warnings.warn(f"{path}: {text}", UserWarning, stacklevel=3)
-    header = reader.header if reader.columns.named and len(reader.header or ()) == reader.columns.width else None
-    names = [head.name for head in header or ()]
-    for family in families:
-        places = [reader.chosen.get(name, names.index(name) if name in names else None) for name in family]
-        if None in places:
-            continue
-        cells = [[row[k] for k in places] for row in reader.rows]
+    def numbers(self, family: Sequence[str]) -> Float[np.ndarray, "P k"] | None:
+        """Return the columns with these k names; None if the table lacks one of them, or has points in one of them.
+
+        Raises:
+            InputError: For values that are not finite numbers; the message names the point.
+        """
+        places = self._places(family)
+        if places is None:
+            return None
+        cells = [[bare(row[k]) for k in places] for row in self._reader.rows]
         for k, row in enumerate(cells):
             if not all(_is_numeric_cell(cell) and math.isfinite(float(cell)) for cell in row):
-                raise InputError(f"{path}: {','.join(family)} of point {k + 1} is {','.join(row)[:40]!r}")
-        found[family] = np.array(cells, float)
-    return NamedColumns(xyz, found)
+                raise InputError(f"{self._path}: {','.join(family)} of point {k + 1} is {','.join(row)[:40]!r}")
+        return np.array(cells, float)
+
+    def name_partial(self, family: Sequence[str]) -> None:
+        """Report the columns of a family that are not read because the table lacks the others, if there are several."""
+        names = [head.name for head in self._header]
+        there = [name for name in family if name in names]
+        if 1 < len(there) < len(family):
+            lacking = ", ".join(name for name in family if name not in names)
+            text = f"columns {', '.join(there)} are not read, as there is no {lacking}"
+            warnings.warn(f"{self._path}: {text}", Note, stacklevel=5)
+
+    def _places(self, family: Sequence[str]) -> list[int] | None:
+        names = [head.name for head in self._header]
+        chosen = self._reader.chosen
+        places = [chosen.get(name, names.index(name) if name in names else None) for name in family]
+        if self._reader.columns is None or None in places or not set(places).isdisjoint(self._reader.columns.xyz):
+            return None
+        for name in family:
+            if name not in chosen and names.count(name) > 1:
+                raise InputError(f"{self._path}: the header names {name} twice: {listed(self._header)}")
+        return places
+
+    def _heading(self, place: int) -> Heading:
+        return self._header[place] if self._header else Heading("", "", None)
 
 
 class _TableReader:
@@ -111,18 +149,17 @@ class _TableReader:
     As long as the first column counts the rows, from 0 or 1, rows are stored: it is ignored only if it counts all rows.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        keep: bool = False,
-        chosen: Mapping[str, int | str] = MappingProxyType({}),
-        is_cloud: bool = False,
-    ):
-        self.path, self.keep, self._chosen, self._is_cloud = path, keep, chosen, is_cloud
+    def __init__(self, path: Path, keep: bool = False, chosen: Mapping[str, int | str] = MappingProxyType({})):
+        self.path, self.keep, self._chosen = path, keep, chosen  # keep: a path; else a cloud
         self.chosen: dict[str, int] = {}  # indices of the chosen columns
         self.rows: list[list[str]] = []  # cells of all columns, if `keep`
+        self.blank: list[int] = []  # number of blank lines in sequence before each row, if `keep`
         self.header: list[Heading] | None = None
-        self._has_header_line = False  # otherwise the header is a comment, which need not fit
+        self._header_line = ""  # the line without numbers before the first row; "": a comment may be the header
+        self._comments: list[str] = []  # before the first row
+        self._units: list[str] | None = None  # in the row below the header, or in a comment
+        self._stated_unit: str | None = None  # in a comment such as "unit: mm"
+        self._blank = self._most_blank = 0  # number of blank lines in sequence, and its maximum since the last row
         self.first = self.width = 0  # the line of the first row, and its number of cells
         self.columns: ColumnIndices | None = None
         self.xyz: list[list[float]] = []
@@ -132,29 +169,50 @@ class _TableReader:
 
     def take_all(self) -> None:
         lines = _table_text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        is_row = False
         for number, line in enumerate(lines, start=1):
-            self.take(number, line)
-        if self._is_cloud:
-            note_missing_line_end(self.path, lines[-1].encode())
+            is_row = self.take(number, line)
         if self._counted:
             self._begin(*self._counted[0], numbered=len(self._counted) > 1)
+        if is_row:
+            note_missing_line_end(self.path, lines[-1].encode())
 
-    def take(self, number: int, line: str) -> None:
-        content, _, comment = line.partition("#")
+    def take(self, number: int, line: str) -> bool:
+        """Read a line; return True if it is a row."""
+        content, mark, comment = line.partition("#")
         content = content.strip()
-        if content.startswith("//"):
-            content, comment = "", content[2:]
-        if not content:
-            if not self.first and not self._has_header_line:
-                self._remark(comment)
-            return
+        if mark and content and not self.first and self._is_header(content + comment):
+            content = content + comment  # a name such as "Point #"
+        if content.startswith(COMMENTS):
+            content, mark, comment = "", content[:1], content.lstrip("/%")
+        if not content.strip(",;\t "):
+            self._remark(number, comment.strip(), is_blank=not mark)
+            return False
         cells = cells_of(content)
-        if not self.first and not self._has_header_line and not any(_is_numeric_cell(cell) for cell in cells):
+        if not self.first and not any(_is_numeric_cell(cell) for cell in cells):
+            if self._read_heading(number, content, cells):
+                return False
+        self._row(number, content, cells)
+        return True
+
+    def _read_heading(self, number: int, content: str, cells: list[str]) -> bool:
+        """Read a line without numbers before the first row: a title, the header or units; False for any other."""
+        if not self._header_line or (not self._is_header(self._header_line) and self._is_header(content)):
             if decimal := _decimal_commas(content):
                 raise self._error(number, decimal)
-            self._has_header_line, self.header = True, headings(content)
-        else:
-            self._row(number, content, cells)
+            if self._header_line:
+                self._name_title()
+            is_directive = SEPARATOR_LINE.fullmatch(content) is not None
+            self._header_line, self.header = ("", None) if is_directive else (content, headings(content))
+            return True
+        if self._units is None and len(cells) == len(self.header) and (units := units_in(cells)):
+            self._units = units
+            return True
+        return False
+
+    @staticmethod
+    def _is_header(content: str) -> bool:
+        return bool(coordinates_in([head.name for head in headings(content)]))
 
     def points(self, unit: str | None = None) -> TablePoints:
         if self.columns is None:
@@ -167,18 +225,28 @@ class _TableReader:
         normals = None if self.normals is None else np.array(self.normals, dtype=np.float64)
         return self.columns.points(xyz, normals, str(self.path), unit)
 
-    def _remark(self, comment: str) -> None:
-        """Use a comment as the header if it names coordinates."""
-        found = headings(comment)
-        if coordinates_in([head.name for head in found]):
-            self.header = found
+    def _remark(self, number: int, comment: str, is_blank: bool) -> None:
+        """Count blank lines; store a comment before the first row, which may name columns or units."""
+        self._blank = self._blank + 1 if is_blank else 0
+        self._most_blank = max(self._most_blank, self._blank)
+        if not comment:
+            return
+        if not self.first:
+            self._comments.append(comment)
+            self._stated_unit = stated_unit(comment) or self._stated_unit
+        elif self.keep and not self._most_blank and ABOUT_SEAMS.search(comment):
+            text = f"the comment {comment[:60]!r} in line {number} does not begin another seam; a blank line would"
+            warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
 
     def _row(self, number: int, content: str, cells: list[str]) -> None:
         if len(cells) < 3 or (self.first and len(cells) != self.width):
             need = "3 are needed (x y z)" if len(cells) < 3 else f"line {self.first} has {self.width}"
             raise self._error(number, _decimal_commas(content) or f" has {len(cells)} columns, {need}")
         if not self.first:
-            self._know(number, cells)
+            self._know(number, content, cells)
+        if self.keep:
+            self.blank.append(self._most_blank)
+        self._blank = self._most_blank = 0
         if self.columns is None and self._counts(cells):
             self._counted.append((number, content, cells))
             return
@@ -186,11 +254,44 @@ class _TableReader:
             self._begin(number, content, cells, numbered=False)
         self._take_row(number, content, cells)
 
-    def _know(self, number: int, cells: list[str]) -> None:
-        """Set the number of columns from the first row."""
+    def _know(self, number: int, content: str, cells: list[str]) -> None:
+        """Set the number of columns from the first row, and the header."""
         self.first, self.width = number, len(cells)
-        if not self._has_header_line and self.header is not None and len(self.header) != self.width:
-            self.header = None
+        if self._header_line:
+            self.header = headings(self._header_line, self.width)
+        elif self._comments:
+            self.header = self._header_in_comments(is_blank_separated(content))
+        units = self._units or next(filter(None, (units_in(cells_of(text)) for text in self._comments)), None)
+        if units and self.header and len(units) == len(self.header):
+            self.header = with_units(self.header, units, str(self.path))
+
+    def _header_in_comments(self, blank_separated: bool) -> list[Heading] | None:
+        """Return the names of columns in the comments; a Note reports a last comment that could name columns."""
+        found = header_of_comments(self._comments, self.width, blank_separated)
+        last = headings(self._comments[-1], self.width)
+        if found is not None or len(last) != self.width or self._stated_unit:
+            return found
+        if self._chosen:
+            return last
+        text = f"the comment {self._comments[-1][:60]!r} names none of x, y, z and is not read as a header"
+        warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
+        return None
+
+    def _without_title(self) -> None:
+        """Forget a header line that is a title: a text without known names, for another number of columns."""
+        if not self._header_line or len(self.header) == self.width or self._chosen:
+            return
+        known = any(head.name in COORDINATE_NAMES | DIRECTION_NAMES for head in self.header)
+        if known or (len(self.header) >= 3 and not is_blank_separated(self._header_line)):
+            return
+        self.header = None
+        self._name_title()
+
+    def _name_title(self) -> None:
+        """Report a title; it may state a unit."""
+        self._stated_unit = stated_unit(self._header_line) or self._stated_unit
+        text = f"the first line is a title, not a header: {self._header_line[:60]!r}"
+        warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
 
     def _counts(self, cells: list[str]) -> bool:
         """True if the first column counts all rows so far, and the header does not use it for a quantity."""
@@ -203,46 +304,58 @@ class _TableReader:
             return False
         if not names and self.width == 6 and _is_unit(cells[3:]):  # coordinates and a normal
             return False
-        first = _bare(self._counted[0][2][0] if self._counted else cells[0])
-        counts = first in ("0", "1") and _bare(cells[0]) == str(int(first) + len(self._counted))
+        first = bare(self._counted[0][2][0] if self._counted else cells[0])
+        counts = first in ("0", "1") and bare(cells[0]) == str(int(first) + len(self._counted))
         return counts and all(map(_is_numeric_cell, cells[1:4]))
 
     def _begin(self, number: int, content: str, cells: list[str], numbered: bool) -> None:
         source = str(self.path)
         if numbered and self.header is not None and len(self.header) == self.width - 1:
             self.header = [Heading("", "", None), *self.header]
-        known = self.header
-        if self._chosen:
-            self.chosen = chosen_columns(self._chosen, known, self.width, source)
-            xyz = tuple(self.chosen[axis] for axis in XYZ)
-            self.columns = ColumnIndices(self.width, xyz, None, True, unit_of(known or (), xyz, source))
-        else:
-            self.columns = columns_of(known, self.width, source, numbered=numbered, needs_names=self.keep)
+        self._without_title()
+        try:
+            self.columns = self._columns(source, numbered)
+        except InputError:
+            if decimal := _decimal_commas(content):
+                raise self._error(number, decimal) from None
+            raise
         self.normals = None if self.columns.normals is None else []
         self.whole = not (self.columns.named or numbered) and self.width > 3 and ";" not in content and "," in content
+        if self._stated_unit and self.columns.unit is None:
+            self.columns = self.columns._replace(unit=self._stated_unit)
         for row in self._counted:
             self._take_row(*row)
         self._counted = []
+
+    def _columns(self, source: str, numbered: bool) -> ColumnIndices:
+        if not self._chosen:
+            return columns_of(self.header, self.width, source, numbered=numbered, needs_names=self.keep)
+        self.chosen = chosen_columns(self._chosen, self.header, self.width, source)
+        xyz = tuple(self.chosen[axis] for axis in XYZ)
+        return ColumnIndices(self.width, xyz, None, True, unit_of(self.header or (), xyz, source))
 
     def _take_row(self, number: int, content: str, cells: list[str]) -> None:
         row = []
         for k in self.columns.xyz:
             if not _is_numeric_cell(cells[k]):
-                wrong = f": {cells[k].strip()[:30]!r} is not a number"
-                raise self._error(number, _decimal_commas(content) or wrong)
-            row.append(float(cells[k]))
-        if not all(math.isfinite(value) or (self._is_cloud and math.isnan(value)) for value in row):
+                cell = cells[k].strip()
+                wrong = f": {cell[:30]!r} is not a number"
+                raise self._error(
+                    number, _decimal_commas(content) or _decimal_commas(f"{bare(cell)};{bare(cell)}") or wrong
+                )
+            row.append(value_of(cells[k]))
+        if not all(math.isfinite(value) or (not self.keep and math.isnan(value)) for value in row):
             raise self._error(number, " contains NaN or an infinite number")
         self.xyz.append(row)
         if self.keep:
             self.rows.append(cells)
-        self.whole = self.whole and all(cell.strip().lstrip("+-").isdigit() for cell in cells)
+        self.whole = self.whole and all(bare(cell).lstrip("+-").isdigit() for cell in cells)
         if self.normals is not None:
             self._normal(cells)
 
     def _normal(self, cells: list[str]) -> None:
         if all(_is_numeric_cell(cells[k]) for k in self.columns.normals):
-            self.normals.append([float(cells[k]) for k in self.columns.normals])
+            self.normals.append([value_of(cells[k]) for k in self.columns.normals])
         elif self.columns.named:
             self.normals.append([0.0, 0.0, 0.0])
         else:
@@ -280,24 +393,37 @@ def _table_text(path: Path) -> str:
 
 
 def _is_unit(cells: Sequence[str]) -> bool:
-    return all(map(_is_numeric_cell, cells)) and abs(math.hypot(*map(float, cells)) - 1.0) < NEARLY_UNIT
+    return all(map(_is_numeric_cell, cells)) and abs(math.hypot(*map(value_of, cells)) - 1.0) < NEARLY_UNIT
 
 
-def _bare(cell: str) -> str:
+def bare(cell: str) -> str:
+    """Return a cell without quotes and outer blanks."""
     return cell.strip().strip("\"'").strip()
 
 
 def _is_numeric_cell(cell: str) -> bool:
     try:
-        float(cell)
+        value_of(cell)
     except ValueError:
         return False
     return "_" not in cell  # Python reads 1_0 as ten; a table does not
 
 
+def value_of(cell: str) -> float:
+    """Return the number in a cell, which may have quotes.
+
+    Raises:
+        ValueError: For any other text.
+    """
+    try:
+        return float(cell)
+    except ValueError:
+        return float(bare(cell))
+
+
 def _decimal_commas(line: str) -> str:
     """Return a hint for an error message if a line's numbers have decimal commas, else ""."""
-    cells = re.split(r"[;\s]+", line.strip("; \t"))
+    cells = re.split(r"[;\s]+", line.replace('"', "").strip("; \t"))
     decimal = [cell for cell in cells if DECIMAL_COMMA.fullmatch(cell)]
     others = [cell for cell in cells if "," in cell and cell not in decimal]
     if not decimal or others or len(cells) < 2:

@@ -15,10 +15,11 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.files import known_ending
+from htcp_jax.io.parts.angles import Maker
 from htcp_jax.io.parts.duct_seams import SEAMS, seam
 from htcp_jax.io.parts.path_file import PathPoints, read_path_points
 from htcp_jax.io.parts.point_cloud import TEXT, load_geometry
-from htcp_jax.io.parts.table import read_named
+from htcp_jax.io.parts.table import PathTable
 from htcp_jax.io.parts.units import check_extent, check_path_unit, unit_key
 from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
 from htcp_jax.types import Anywhere, Triple
@@ -159,6 +160,7 @@ def load_workpiece(
     robot: Robot | None = None,
     path_columns: Mapping[str, int | str] = MappingProxyType({}),
     path_unit: str | None = None,
+    path_angles: Maker | None = None,
     unit: str | None = None,
     origin: Anywhere | Triple | None = None,
     **fields: Any,
@@ -173,6 +175,7 @@ def load_workpiece(
             used.
         path_columns: Columns of the path's file, see `read_path_points`.
         path_unit: Unit of the path's file, see `read_path_points`.
+        path_angles: Maker whose order the angles in the path's file have, see `read_path_points`.
         unit: Unit of the file `source`, see `read_source`.
         origin: Point (3,) [m] to subtract from the coordinates of cloud, path and inlet. None: 0; for a part further
             than FAR_M from 0 its centre in whole metres (without a cloud, the path's centre), with a Note.
@@ -184,7 +187,7 @@ def load_workpiece(
     if path is None and not isinstance(source, GeneratedDuct):
         label = source if _is_file(source) else getattr(source, "label", "cloud")
         raise InputError(f"{label}: workpiece.path is missing; with your own cloud, set it to a CSV file of x,y,z rows")
-    for key, value in (("path_columns", path_columns), ("path_unit", path_unit)):
+    for key, value in (("path_columns", path_columns), ("path_unit", path_unit), ("path_angles", path_angles)):
         if value and not _is_file(path):
             what = "a seam of the generated duct" if path is None else "an array"
             raise InputError(f"workpiece.{key} is {value!r}, but the path is {what}, not a file; omit the key")
@@ -194,7 +197,10 @@ def load_workpiece(
         source = read_source(source, unit=unit)
     elif not isinstance(source, WorkpieceSource):
         source = PointCloud(arrays.points(source, "cloud", 4))
-    track = PathPoints(source.path(), PathFrames()) if path is None else _read_track(path, path_columns, path_unit)
+    if path is None:
+        track = PathPoints(source.path(), PathFrames())
+    else:
+        track = _read_track(path, path_columns, path_unit, path_angles)
     own = {"name": Path(path).stem if _is_file(path) else "path", "frames": track.frames, **source.defaults, **fields}
     if robot is not None and isinstance(source, PointCloud | TriangleMesh):
         check_extent(robot, source.points, track.xyz, own["name"], unit_key(source.label), source.unit)
@@ -257,17 +263,23 @@ def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
     Raises:
         InputError: For an unreadable or empty file, an invalid line, which the message names, and NaN.
     """
-    return _read_track(path, {}, None, directions=False).xyz
+    return _read_track(path, {}, None, None, directions=False).xyz
 
 
 def _read_track(
-    path: str | Path | Anywhere, columns: Mapping[str, int | str], unit: str | None, directions: bool = True
+    path: str | Path | Anywhere,
+    columns: Mapping[str, int | str],
+    unit: str | None,
+    maker: Maker | None,
+    directions: bool = True,
 ) -> PathPoints:
     if not _is_file(path):
         return PathPoints(arrays.points(path, "path", 1), PathFrames())
     path = Path(path)
     known_ending(path, TEXT)
-    found = read_path_points(path, columns, unit) if directions else PathPoints(read_named(path, ()).xyz, PathFrames())
+    found = (
+        read_path_points(path, columns, unit, maker) if directions else PathPoints(PathTable(path).xyz, PathFrames())
+    )
     if not len(found.xyz):
         raise InputError(f"{path}: the tool path is empty")
     arrays.check_points(found.xyz, str(path), at_least=1)

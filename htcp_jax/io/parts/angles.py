@@ -1,0 +1,98 @@
+"""Orientations from the three angles of robot makers.
+
+Sources, compared in docs/bring-a-scan.md: the pose formats in the documentation of Basler's rc_visard (KUKA, FANUC,
+Kawasaki, Mitsubishi, Yaskawa), of Vathos (ABB, Doosan, Universal Robots) and of Mech-Mind (Comau, DENSO, Staubli); REP
+103 of ROS.
+"""
+
+import warnings
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError, Note
+from htcp_jax.io.parts.headings import listed
+from htcp_jax.io.parts.table import PathTable
+
+Maker = Literal[
+    "abb", "comau", "denso", "doosan", "fanuc", "kawasaki", "kuka", "mitsubishi", "ros", "staubli", "ur", "yaskawa"
+]
+ROTATION_VECTOR = "vector"
+ABC, AER, OAT, WPR = ("a", "b", "c"), ("a", "e", "r"), ("o", "a", "t"), ("w", "p", "r")
+RX_RY_RZ, RPY = ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
+RTDE = tuple(tuple(f"{name}_tcp_pose_{k}" for k in (3, 4, 5)) for name in ("actual", "target"))
+CHOSEN = ("angle_1", "angle_2", "angle_3")  # roles in `workpiece.path_columns`
+KEY = "workpiece.path_angles"
+
+
+class AngleOrder(NamedTuple):
+    """Meaning of a maker's three angles."""
+
+    names: tuple[str, ...]  # in the maker's order
+    axes: str  # as in scipy: capitals for axes of the rotated frame, else fixed axes; or ROTATION_VECTOR
+    unit: str = "deg"  # of a header without unit
+
+
+ORDERS: dict[str, AngleOrder] = {
+    "abb": AngleOrder(RX_RY_RZ, "xyz"),
+    "comau": AngleOrder(AER, "ZYZ"),
+    "denso": AngleOrder(RX_RY_RZ, "xyz"),
+    "doosan": AngleOrder(ABC, "ZYZ"),
+    "fanuc": AngleOrder(WPR, "xyz"),
+    "kawasaki": AngleOrder(OAT, "ZYZ"),
+    "kuka": AngleOrder(ABC, "ZYX"),
+    "mitsubishi": AngleOrder(ABC, "xyz"),
+    "ros": AngleOrder(RPY, "xyz", "rad"),
+    "staubli": AngleOrder(RX_RY_RZ, "XYZ"),
+    "ur": AngleOrder(RX_RY_RZ, ROTATION_VECTOR, "rad"),
+    "yaskawa": AngleOrder(RX_RY_RZ, "xyz"),
+}
+CERTAIN = {WPR: "fanuc", OAT: "kawasaki", **dict.fromkeys(RTDE, "ur")}  # names that only one maker uses
+FAMILIES = (CHOSEN, WPR, OAT, ABC, AER, RX_RY_RZ, RPY, *RTDE)
+
+
+def rotations_of(table: PathTable, maker: Maker | None, source: str) -> Float[np.ndarray, "P 3 3"] | None:
+    """Return the orientations that a table's angles state; None, with a Note, if their order is unknown.
+
+    Args:
+        table: The table.
+        maker: The maker whose order and unit the angles have; None: the one whose names they have.
+        source: The file, for messages.
+
+    Raises:
+        InputError: For a maker whose angles the table lacks, for angles that are not numbers, and for an unknown unit.
+    """
+    if maker is not None:
+        names = (CHOSEN, ORDERS[maker].names, *(RTDE if maker == "ur" else ()))
+        family = next((family for family in names if table.headings(family)), None)
+        if family is None:
+            text = (
+                f"{KEY} is {maker}, whose angles are {', '.join(ORDERS[maker].names)}, but the path has no such columns"
+            )
+            raise InputError(f"{source}: {text}; choose them with workpiece.path_columns: {', '.join(CHOSEN)}")
+        return _rotations(table, family, ORDERS[maker], source)
+    family = next((family for family in FAMILIES if table.headings(family)), None)
+    if family in CERTAIN:
+        return _rotations(table, family, ORDERS[CERTAIN[family]], source)
+    if family is not None:
+        makers = [name for name in get_args(Maker) if family in (CHOSEN, ORDERS[name].names)]
+        text = f"columns {listed(table.headings(family))} are not read, as makers order angles differently"
+        warnings.warn(f"{source}: {text}; for orientations, set {KEY}: {', '.join(makers)}", Note, stacklevel=4)
+        return None
+    for family in (ABC, WPR, RX_RY_RZ, RPY):
+        table.name_partial(family)
+    return None
+
+
+def _rotations(table: PathTable, family: tuple[str, ...], order: AngleOrder, source: str) -> np.ndarray:
+    units = {head.unit or order.unit for head in table.headings(family)}
+    if units not in ({"deg"}, {"rad"}):
+        raise InputError(f"{source}: the unit of {', '.join(family)} is {' and '.join(sorted(units))}; valid: deg, rad")
+    angles = table.numbers(family)
+    angles = np.radians(angles) if units == {"deg"} else angles
+    rotation = scipy.spatial.transform.Rotation
+    if order.axes == ROTATION_VECTOR:
+        return rotation.from_rotvec(angles).as_matrix()
+    return rotation.from_euler(order.axes, angles).as_matrix()
