@@ -1,7 +1,8 @@
 """Robots: reading of arms, and import of vendors' models as arms of capsules.
 
 `load_robot` reads an arm from a model file, MJCF or URDF; `gp50` loads the built-in arm. `model_file` compiles such a
-file with MuJoCo and extracts the chain to the TCP. `safe_xml` refuses harmful files before MuJoCo reads them.
+file with MuJoCo and extracts the chain to the TCP. `read_joint_limits` reads limits that replace the model's.
+`safe_xml` refuses harmful files before MuJoCo reads them.
 
 `model_source` has the types for the file or files of an arm or a cell, and `composed` reads several files as one tree.
 
