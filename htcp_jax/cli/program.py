@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import typer
@@ -14,7 +14,7 @@ from htcp_jax.cli.feed import Feed, OneWay, ProgramKeys
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io import output_files
 from htcp_jax.io.robots import JointLimits, read_joint_limits
 from htcp_jax.jobs import PlanConfig, build
@@ -131,12 +131,13 @@ def program(
     if feed is not None:
         feed_rates.feed_of(feed)  # check it before files are opened
     found, step_s = open_plans(run), _step_seconds(step_ms)
-    stated, changes = _limits_in_file(limits, found.config)
-    changes += overrides or ()
+    in_file = _limits_in_file(limits, found.config)
+    changes = [*in_file.overrides, *(overrides or ())]
     feed_m_s = plan_program.requested_feed(feed, plan_program.with_program(found.config, changes))
     made = plan_program.program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
-    if stated is not None:
-        check_ranges(stated, made.robot, made.program.motion, str(run))
+    if in_file.stated is not None:
+        check_ranges(in_file.stated, made.robot, made.program.motion, str(run))
+    _print_note(in_file)
     peak_torque = made.peak_torque
     text, found = made.text(format, out.stem, step_s), figures.program_figures(made.program, made.limits)
     with output_files.made_folder(out.parent):
@@ -172,13 +173,26 @@ def program(
     return code
 
 
-def _limits_in_file(file: Path | None, job: PlanConfig) -> tuple[JointLimits | None, list[str]]:
-    """Return the limits in the file of --limits, and those of them that are overrides of the section `program`."""
+class _LimitsInFile(NamedTuple):
+    """Limits in the file of --limits."""
+
+    stated: JointLimits | None = None  # None: no file
+    overrides: Sequence[str] = ()  # those that are overrides of the section `program`
+    note: str | None = None  # one line on elements without effect
+
+
+def _limits_in_file(file: Path | None, job: PlanConfig) -> _LimitsInFile:
     if file is None:
-        return None, []
+        return _LimitsInFile()
     robot = build.robot_of(job.robot, job.cell, job.tree)
     stated = read_joint_limits(file, robot.joint_names, robot.name)
-    return stated, limits_overrides(stated, robot, limits_of_job(job, robot))
+    overrides = limits_overrides(stated, robot, limits_of_job(job, robot))
+    return _LimitsInFile(stated, overrides, stated.note(speed=np.asarray(robot.speed, float)))
+
+
+def _print_note(in_file: _LimitsInFile) -> None:
+    if in_file.note:
+        warnings.warn(in_file.note, Note, stacklevel=1)
 
 
 def _time_all(
@@ -187,8 +201,9 @@ def _time_all(
     if (folder / plan_folder.SUMMARY).exists():
         raise InputError(f"{folder} contains one plan of htcp plan; --all needs a run of htcp sweep")
     run = open_run(folder)
-    stated, changes = _limits_in_file(limits, run.config)
-    run = timed(run, feed, None if method is None else (method,), [*changes, *overrides], stated)
+    in_file = _limits_in_file(limits, run.config)
+    run = timed(run, feed, None if method is None else (method,), [*in_file.overrides, *overrides], in_file.stated)
+    _print_note(in_file)
     methods = [name for name in run.methods if run.timing(name)] if method is None else [method]
     refuse_untimed(run, methods)
     if as_json:

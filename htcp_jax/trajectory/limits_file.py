@@ -1,11 +1,10 @@
 """Joint limits from files: those that a job names, and those that `htcp program --limits` gets."""
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 
-from htcp_jax.errors import InputError, Note
+from htcp_jax.errors import InputError
 from htcp_jax.io.robots import JointLimits, read_joint_limits
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.model import Robot
@@ -33,8 +32,7 @@ def limits_of_job(job: PlanConfig, robot: Robot) -> JointLimits | None:
 def limits_overrides(stated: JointLimits, robot: Robot, of_job: JointLimits | None = None) -> list[str]:
     """Return the velocity, acceleration and jerk limits in a file as overrides of a job's section `program`.
 
-    A joint without a velocity or acceleration limit in the file gets the limit in the job's file, else the model's. A
-    Note names what the file leaves to the model, and what is not used.
+    A joint without a velocity or acceleration limit in the file gets the limit in the job's file, else the model's.
 
     Args:
         stated: The limits in the file.
@@ -56,8 +54,6 @@ def limits_overrides(stated: JointLimits, robot: Robot, of_job: JointLimits | No
         for name in (name for name, value in zip(robot.joint_names, values, strict=True) if not np.isfinite(value)):
             raise InputError(f"{stated.file}: max_{kind} of joint {name} is missing here and in the model")
         found.append(f"program.{kind}=[{', '.join(map(repr, values.tolist()))}]")
-    if text := stated.note(speed=np.asarray(robot.speed, float)):
-        warnings.warn(text, Note, stacklevel=2)
     return found
 
 

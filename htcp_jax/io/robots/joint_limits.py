@@ -10,6 +10,7 @@ A limit in the file replaces the model's, also if it is wider. Where the file st
 
 import math
 import re
+import reprlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -243,7 +244,7 @@ def _stated(entry: dict[str, Any], file: str, joint: str) -> StatedLimits:
         switch = f"has_{kind}_limits"
         is_on = entry.get(switch)
         if is_on is not None and not isinstance(is_on, bool):
-            raise InputError(f"{file}: {switch} of joint {joint} is {is_on!r}; valid: true, false")
+            raise InputError(f"{file}: {switch} of joint {joint} is {reprlib.repr(is_on)}; valid: true, false")
         if is_on and (missing := [key for key in keys if key not in entry]):
             raise InputError(f"{file}: {switch} of joint {joint} is true, but {missing[0]} is missing")
         for key in keys:
@@ -263,9 +264,11 @@ def _number(value: Any, file: str, key: str, joint: str) -> float:
     number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
     if key in BOUNDS["position"]:
         if math.isnan(number):
-            raise InputError(f"{file}: {key} of joint {joint} is {value!r}; write a number, or such as !degrees 180")
+            raise InputError(
+                f"{file}: {key} of joint {joint} is {reprlib.repr(value)}; write a number, or such as !degrees 180"
+            )
     elif not 0 < number < math.inf:
-        raise InputError(f"{file}: {key} of joint {joint} is {value!r}; it must be a positive number")
+        raise InputError(f"{file}: {key} of joint {joint} is {reprlib.repr(value)}; it must be a positive number")
     return number
 
 
