@@ -31,7 +31,9 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.parts import load_geometry
 from htcp_jax.io.parts.point_cloud import load_cloud
 from htcp_jax.io.parts.workpiece_source import read_path
+from htcp_jax.io.robots import read_joint_limits
 from htcp_jax.io.robots.collada_mesh import read_triangles
+from htcp_jax.io.robots.joint_limits import RATES
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.io.robots.model_file import RobotFields, read_robot_file
 from htcp_jax.jobs import PlanConfig, load_config
@@ -164,6 +166,21 @@ def check_yaml(folder: Path, data: bytes) -> bool:
         text = yaml.safe_dump(config.model_dump(mode="json"))
         assert load_config(written(folder, "again.yaml", text.encode())) == config, "does not read back the same"
     return config is not None
+
+
+def check_limits(folder: Path, data: bytes) -> bool:
+    """Check a file with joint limits: ranges ascend and other limits are positive, or it is refused."""
+    file, names = written(folder, "joint_limits.yaml", data), ("a1", "a2", "a3")
+    stated = refusal(lambda: read_joint_limits(file, names, "arm"))
+    found = stated and refusal(lambda: stated.ranges((False, False, True), np.full(3, -3.0), np.full(3, 3.0)))
+    if found is None:
+        return False
+    assert (found[0] < found[1]).all()
+    for kind in RATES:
+        rates = stated.rates(kind)
+        assert (np.isnan(rates) | ((rates > 0) & np.isfinite(rates))).all()
+    assert "\n" not in (stated.note(found, rates) or "")
+    return True
 
 
 def check_config(folder: Path, raw: dict) -> bool:
@@ -519,6 +536,24 @@ ROW_FILES = st.tuples(st.integers(0, 3), st.lists(CHANGE, min_size=1, max_size=4
 PLANS = st.tuples(st.lists(ALTERATION, max_size=2), st.lists(CHANGE, max_size=2))
 QPS = st.tuples(st.integers(0, 2**32), st.lists(st.tuples(FIELDS, SPOT, QP_NUMBER), max_size=3))
 YAMLS = [file.read_bytes() for file in sorted(CONFIGS.glob("*.yaml"))] + [b"margin_m: 1e-3\nstart_rad: [0, -2.3]\n"]
+LIMITS = [
+    b"joint_limits:\n  a1: {has_position_limits: true, min_position: -1, max_position: !degrees 90, max_jerk: 9}\n",
+    b"/**:\n  ros__parameters:\n    joint_limits:\n      a2:\n        has_jerk_limits: true\n        max_jerk: 40.0\n"
+    b"      a3:\n        has_position_limits: false\n        min_position: deg(3)\n        max_acceleration: 5\n",
+]
+LIMIT_WORDS = [
+    "deg(",
+    "rad(1)",
+    "!degrees ",
+    "!radians x",
+    ".nan",
+    ".inf",
+    "true",
+    "null",
+    "a1",
+    "joint_limits",
+    "has_",
+]
 GRIDS = [re.sub(rb"config: .*", b"", file.read_bytes()) for file in sorted(SWEEPS.glob("*.yaml"))]
 TEXTS = [(ending, TABLES) for ending in (".xyz", ".csv", ".txt")]
 TEXT_WORDS = ["#", ";", ",", "\n", "\r", "x", "//", "nx", " 1,5 "]
@@ -534,6 +569,7 @@ def with_endings(choices, words: list[str]) -> st.SearchStrategy:
 TARGETS = {
     "configuration, text": Target(8, damaged(YAMLS, YAML_WORDS), check_yaml),
     "configuration, values": Target(12, altered([PlanConfig().model_dump(mode="json")]), check_config),
+    "joint limits": Target(6, damaged(LIMITS, [*YAML_WORDS, *LIMIT_WORDS]), check_limits),
     "sweep": Target(8, damaged(GRIDS, YAML_WORDS), check_sweep),
     "table of points": Target(17, with_endings(TEXTS, TEXT_WORDS), check_table),
     "array of points": Target(10, damaged(ARRAYS, ARRAY_WORDS), check_npy),

@@ -75,6 +75,7 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
         "write_json write_text": "how results are written",
         "read_bytes read_json read_yaml read_spec load_geometry FileSection validate_model": "readers of files",
         "read_model ModelSource label_of default_tcp": "reader of an arm's file, or of a cell's, which MuJoCo composes",
+        "is_limits_file read_joint_limits": "reader of a file with joint limits",
         "LinkMeshes": "meshes to which an arm's file refers, placed by MuJoCo and measured by FCL",
     },
     "jobs": {

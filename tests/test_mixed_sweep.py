@@ -192,6 +192,18 @@ def test_robots_of_a_sweep_need_a_start_that_is_theirs(place):
     assert {point.config.robot.limits for point in limits} == {"simulation"}, "what is stated stands"
 
 
+def test_files_with_limits_vary_with_the_robots_and_are_relative_to_the_sweep_file(place):
+    for name, most in (("short", 0.9), ("long", 0.8)):
+        entries = "".join(f"  j{k}: {{min_position: -{most}, max_position: {most}}}\n" for k in (1, 2, 3, 4))
+        (place / name / "joint_limits.yaml").write_text(f"joint_limits:\n{entries}")
+    models, files = ([f"{name}/{file}" for name in ("short", "long")] for file in ("arm.xml", "joint_limits.yaml"))
+    axis = f"{{robot.model: {models}, robot.limits: {files}, start_rad: [[0, 0.4, 0.8, 0.3], [0, 0.5, 0.8, 0.3]]}}"
+    (place / "limited.yaml").write_text(f"grid: [{axis}]")
+    points = list(load_sweep(place / "limited.yaml").points())
+    assert [float(robot_of(point.config.robot).upper[1]) for point in points] == [0.9, 0.8]
+    assert [json.loads(point.varied["robot.limits"]) for point in points] == files
+
+
 def test_a_cloud_of_an_axis_stands_at_its_own_origin_and_the_duct_where_it_does(place):
     (place / "clouds.yaml").write_text("grid: [workpiece.cloud: [duct, near.xyz]]")
     duct, near = [point.config.workpiece for point in load_sweep(place / "clouds.yaml").points()]

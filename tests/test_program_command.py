@@ -14,7 +14,9 @@ from made_plan import made_plan
 
 import htcp_jax
 from htcp_jax.cli import main
+from htcp_jax.errors import Note
 from htcp_jax.io.output_files import write_json
+from htcp_jax.io.robots import read_joint_limits
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.runs import open_plans
@@ -60,14 +62,14 @@ def run(plans, *words: str) -> int:
 
 def limits_file(folder, **limits) -> str:
     """File in which joint6 of the GP50 has other limits than its model states."""
-    text = json.dumps({"default_velocity_scaling_factor": 0.1, "joint_limits": {"joint6": limits, "gripper": {}}})
-    (folder / "joint_limits.yaml").write_text(text)
+    (folder / "joint_limits.yaml").write_text(json.dumps({"joint_limits": {"joint6": limits}}))
     return str(folder / "joint_limits.yaml")
 
 
 def test_limits_of_a_file_replace_the_model_s_joint_by_joint_and_set_precedes_them(plans, here, capsys):
     file = limits_file(here, max_velocity=0.25, has_acceleration_limits=False, max_acceleration=9)
-    (change,) = limits_overrides(file, gp50())
+    with pytest.warns(Note, match="not used: max_acceleration of joint6"):
+        (change,) = limits_overrides(read_joint_limits(file, gp50().joint_names, "gp50"), gp50())
     assert change == f"program.velocity={[*np.asarray(gp50().speed)[:5].tolist(), 0.25]}"
     for words, expected in (([], 0.25), (["--set", "program.velocity=[1, 1, 1, 1, 1, 2]"], 2.0)):
         assert run(plans, "--out", "weld.ros.yaml", "--limits", file, *words, "--json") == 0
@@ -95,6 +97,46 @@ def test_a_file_without_usable_limits_is_refused(plans, here, capsys, text, line
     (here / "limits.yaml").write_text(text)
     assert run(plans, "--out", "weld.csv", "--limits", "limits.yaml") == 2
     assert line in capsys.readouterr().err and not (here / "weld.csv").exists()
+
+
+def at_home(plans) -> np.ndarray:
+    """First configuration of the good plan's motion."""
+    return open_plans(plans / "good").plans("beam").start[0]
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_motion_outside_the_ranges_of_a_file_is_refused_in_every_format(plans, here, capsys, format):
+    low = float(at_home(plans)[5]) + 0.5
+    file = limits_file(here, min_position=low, max_position=low + 1)
+    assert run(plans, "--out", "weld.out", "--format", format, "--limits", file) == 2
+    found = re.search(
+        r"joint joint6 reaches (\S+) rad (at target \d+|in the \w+), (.*) allows (\S+);", capsys.readouterr().err
+    )
+    assert float(found[1]) < low and found[3] == file and float(found[4]) == pytest.approx(low, abs=1e-4)
+    assert not list(here.glob("weld*"))
+
+
+def test_a_range_that_is_switched_off_or_contains_the_motion_changes_nothing(plans, here):
+    written = []
+    for limits in (
+        {"max_velocity": 3},
+        {"max_velocity": 3, "min_position": -3.1, "max_position": 3.1},
+        {"max_velocity": 3, "has_position_limits": False, "min_position": 3, "max_position": 3.1},
+    ):
+        assert run(plans, "--out", "weld.csv", "--limits", limits_file(here, **limits)) == 0
+        written.append((here / "weld.csv").read_bytes())
+    assert written[0] == written[1] == written[2]
+
+
+def test_the_retraction_and_the_approach_count_too(plans, here, capsys):
+    """The file allows the path only: the motion there, which begins at home, is outside."""
+    made = program_of(open_plans(plans / "good"), 0.02).program.motion
+    path = made.x[made.kind == Kind.PROCESS]
+    far = int(np.abs(at_home(plans) - path[0]).argmax())
+    ends = {"min_position": float(path[:, far].min()) - 1e-3, "max_position": float(path[:, far].max()) + 1e-3}
+    (here / "joint_limits.yaml").write_text(json.dumps({"joint_limits": {f"joint{far + 1}": ends}}))
+    assert run(plans, "--out", "weld.csv", "--limits", "joint_limits.yaml") == 2
+    assert f"joint joint{far + 1} reaches" in capsys.readouterr().err
 
 
 def test_the_table_says_how_long_it_takes_where_the_feed_drops_and_what_is_used_of_each_limit(plans, here, capsys):

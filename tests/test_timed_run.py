@@ -121,6 +121,18 @@ def test_neither_the_number_of_processes_nor_what_is_timed_together_has_any_infl
     assert pq.read_table(timing_file(run, METHOD)).equals(pq.read_table(timing_file(timed, METHOD)))
 
 
+def test_a_run_with_a_motion_outside_the_ranges_of_a_file_is_not_timed(run, tmp_path, capsys):
+    largest = open_plans(run).plans(METHOD).x[:LOST].max(axis=1)
+    farther = largest[2] - largest[:2].max(axis=0)
+    joint = int(farther.argmax())
+    assert farther[joint] > 1e-3, "scenario 2 moves this joint farther than the others"
+    entry = {"max_position": float(largest[2, joint] - farther[joint] / 2)}
+    (tmp_path / "joint_limits.yaml").write_text(yaml.safe_dump({"joint_limits": {f"joint{joint + 1}": entry}}))
+    words = ["program", str(run), "--all", "--feed", "20mm/s", "--limits", str(tmp_path / "joint_limits.yaml")]
+    assert main(words) == 2
+    assert "of scenario 2, " in capsys.readouterr().err and not timing_file(run, METHOD).exists()
+
+
 def test_what_a_signal_leaves_is_whole_and_the_same_call_does_the_rest(timed, run):
     done = []
 

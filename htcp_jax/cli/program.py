@@ -16,11 +16,22 @@ from htcp_jax.cli.output import Json, print_facts, print_json, print_table, prog
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError
 from htcp_jax.io import output_files
+from htcp_jax.io.robots import JointLimits, read_joint_limits
 from htcp_jax.jobs import PlanConfig, build
 from htcp_jax.jobs import feed as feed_rates
 from htcp_jax.report import Column, Table
 from htcp_jax.runs import open_plans, open_run, plan_folder, timing_file
-from htcp_jax.trajectory import FORMATS, PeakTorque, PlanProgram, figures, format_of, limits_overrides, plan_program
+from htcp_jax.trajectory import (
+    FORMATS,
+    PeakTorque,
+    PlanProgram,
+    check_ranges,
+    figures,
+    format_of,
+    limits_of_job,
+    limits_overrides,
+    plan_program,
+)
 from htcp_jax.validation import check_timed
 
 REFUTED, OVERLOADED = 1, 3  # exit codes
@@ -55,7 +66,11 @@ AllowEffort = Annotated[
 ]
 Limits = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="File with joint limits, such as MoveIt's joint_limits.yaml; overrides the job."),
+    typer.Option(
+        metavar="FILE",
+        help="File with joint limits, such as MoveIt's joint_limits.yaml; overrides the job. "
+        "A motion outside its ranges is refused.",
+    ),
 ]
 Step = Annotated[
     float | None,
@@ -116,9 +131,12 @@ def program(
     if feed is not None:
         feed_rates.feed_of(feed)  # check it before files are opened
     found, step_s = open_plans(run), _step_seconds(step_ms)
-    changes = [*_limits_overrides(limits, found.config), *(overrides or ())]
+    stated, changes = _limits_in_file(limits, found.config)
+    changes += overrides or ()
     feed_m_s = plan_program.requested_feed(feed, plan_program.with_program(found.config, changes))
     made = plan_program.program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
+    if stated is not None:
+        check_ranges(stated, made.robot, made.program.motion, str(run))
     peak_torque = made.peak_torque
     text, found = made.text(format, out.stem, step_s), figures.program_figures(made.program, made.limits)
     with output_files.made_folder(out.parent):
@@ -154,8 +172,13 @@ def program(
     return code
 
 
-def _limits_overrides(file: Path | None, job: PlanConfig) -> list[str]:
-    return [] if file is None else limits_overrides(file, build.robot_of(job.robot, job.cell, job.tree))
+def _limits_in_file(file: Path | None, job: PlanConfig) -> tuple[JointLimits | None, list[str]]:
+    """Return the limits in the file of --limits, and those of them that are overrides of the section `program`."""
+    if file is None:
+        return None, []
+    robot = build.robot_of(job.robot, job.cell, job.tree)
+    stated = read_joint_limits(file, robot.joint_names, robot.name)
+    return stated, limits_overrides(stated, robot, limits_of_job(job, robot))
 
 
 def _time_all(
@@ -164,8 +187,8 @@ def _time_all(
     if (folder / plan_folder.SUMMARY).exists():
         raise InputError(f"{folder} contains one plan of htcp plan; --all needs a run of htcp sweep")
     run = open_run(folder)
-    changes = [*_limits_overrides(limits, run.config), *overrides]
-    run = timed(run, feed, None if method is None else (method,), changes)
+    stated, changes = _limits_in_file(limits, run.config)
+    run = timed(run, feed, None if method is None else (method,), [*changes, *overrides], stated)
     methods = [name for name in run.methods if run.timing(name)] if method is None else [method]
     refuse_untimed(run, methods)
     if as_json:

@@ -7,6 +7,7 @@ from rich.text import Text
 
 from htcp_jax.cli.output import print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots import JointLimits
 from htcp_jax.jobs import feed as feed_rates
 from htcp_jax.jobs import grid
 from htcp_jax.report import timing_table as timings
@@ -14,7 +15,13 @@ from htcp_jax.runs import Run, timing_file
 from htcp_jax.trajectory import check_limits, time_run
 
 
-def timed(run: Run, feed: str | None, methods: Sequence[str] | None, overrides: Sequence[str] = ()) -> Run:
+def timed(
+    run: Run,
+    feed: str | None,
+    methods: Sequence[str] | None,
+    overrides: Sequence[str] = (),
+    stated: JointLimits | None = None,
+) -> Run:
     """Time the motions of a run, and return the run with its times. Show one progress bar per method.
 
     Args:
@@ -22,12 +29,13 @@ def timed(run: Run, feed: str | None, methods: Sequence[str] | None, overrides: 
         feed: The feed rate, such as 20mm/s; None: the job's.
         methods: The methods to time; None: all methods with results.
         overrides: Changes to the job's section `program`, each "key=value".
+        stated: Limits in a file, whose ranges all motions must satisfy; None: no file.
 
     Raises:
         InputError: See `time_run`.
     """
     with _timing_bars() as progress:
-        return time_run(run, feed, methods, overrides=overrides, progress=progress, workers=None)
+        return time_run(run, feed, methods, overrides=overrides, stated=stated, progress=progress, workers=None)
 
 
 @contextmanager

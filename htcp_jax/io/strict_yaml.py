@@ -27,10 +27,10 @@ def read_yaml(path: str | Path) -> dict:
     Raises:
         InputError: If the file cannot be read, is not strict YAML, or does not contain a mapping.
     """
-    return parse_mapping(read_text(path), str(path))
+    return parse_mapping(yaml_text(path), str(path))
 
 
-def read_text(path: str | Path) -> str:
+def yaml_text(path: str | Path) -> str:
     """Return the text of a YAML file.
 
     Raises:

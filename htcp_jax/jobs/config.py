@@ -24,8 +24,8 @@ from pydantic import (
 from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
-from htcp_jax.io.robots import model_source
-from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, NO_CLOUD
+from htcp_jax.io.robots import joint_limits, model_source
+from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.given_kinds import given_kind_of, needs_kind, record_of
 from htcp_jax.model import TaskRow, Tool, duct, task_row_kind
@@ -121,6 +121,21 @@ Obstacle = Annotated[
     WrapSerializer(record_of),
 ]
 
+
+def _limits_source(value: str) -> str:
+    """Return a validated source of joint limits: a profile, or the name of a file.
+
+    Raises:
+        InputError: If it is neither of these.
+    """
+    if value in LIMIT_PROFILES or joint_limits.is_limits_file(value):
+        return value
+    valid = f"{', '.join(LIMIT_PROFILES)}, or a YAML file such as MoveIt's joint_limits.yaml"
+    raise InputError(f"{Path(value).name!r} is not a source of joint limits; valid: {valid}")
+
+
+JointLimitsSource = Annotated[str, AfterValidator(_limits_source)]
+
 SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of the keys in DEPENDENT
 DEPENDENT = (
     "robot.limits",
@@ -139,7 +154,8 @@ class RobotConfig(strict_model.FileSection):
     """The arm, its pose, and its tool."""
 
     model: str = BUILT_IN_ARM  # the built-in arm, or an MJCF or URDF file
-    limits: Literal["simulation", "datasheet", "model"] = "simulation"  # source of the joint limits, see `load_robot`
+    # source of the joint limits: a profile, see `load_robot`, or a file such as MoveIt's joint_limits.yaml
+    limits: JointLimitsSource = "simulation"
     parent: Link = WORLD  # the world, or the link of the rail, positioner or tool that carries the arm
     tcp: Link | None = None  # site or body at the TCP, or at the flange if `tool` is given; None: see `load_robot`
     base_m: PointM = (0.0, 0.0, 0.0)  # position of the model's base frame in the parent's frame
@@ -149,6 +165,11 @@ class RobotConfig(strict_model.FileSection):
     locked: LockedJoints = ()  # names of joints that do not move, and their values [rad or m]
     # collision bodies: "capsules", or "meshes", where convex pieces decide; None: "meshes" if the model has pieces
     bodies: Literal["capsules", "meshes"] | None = None
+
+    @property
+    def limits_file(self) -> str | None:
+        """Name of the file with joint limits; None if the limits are a profile of the model."""
+        return None if self.limits in LIMIT_PROFILES else self.limits
 
     @property
     def is_gp50(self) -> bool:

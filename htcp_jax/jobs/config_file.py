@@ -17,9 +17,11 @@ from htcp_jax.jobs.examples import example_or_path
 
 BASE = "config"  # key that names the base file
 BUILT_IN_ARM, DUCT, NO_CLOUD = "gp50", "duct", "none"  # values of a job's keys that are not file names
+LIMIT_PROFILES = "simulation", "datasheet", "model"  # values of robot.limits that are not file names
 # Keys that name files, by section and key, with their values that are not file names but built-in parts.
 FILES = {
     ("robot", "model"): (BUILT_IN_ARM,),
+    ("robot", "limits"): LIMIT_PROFILES,
     ("workpiece", "cloud"): (DUCT, NO_CLOUD),
     ("workpiece", "path"): parts.SEAMS,
     ("cell", "model"): (None,),

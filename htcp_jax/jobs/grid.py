@@ -238,9 +238,10 @@ def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder:
     if "robot.model" not in first:
         lacks_start = is_other_arm(raw) and "start_rad" not in raw
         return {key: value for key, value in first.items() if key == "start_rad" and lacks_start}
-    model = first.pop("robot.model")
-    if isinstance(model, str | os.PathLike):
-        first["robot.model"] = model if model in FILE_KEYS["robot.model"] else str(folder / model)
+    for key, words in FILE_KEYS.items():
+        name = first.pop(key, None)
+        if isinstance(name, str | os.PathLike):
+            first[key] = name if name in words else str(folder / name)
     return {
         key: value for key, value in first.items() if key == "start_rad" or (key.startswith("robot.") and key in KEYS)
     }

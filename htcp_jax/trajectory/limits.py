@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots import JointLimits
+from htcp_jax.io.robots import joint_limits as limits_format
 from htcp_jax.jobs import config
 from htcp_jax.model import Robot
 
-KINDS = "velocity", "acceleration", "jerk"
+KINDS = limits_format.RATES
 
 
 class MotionLimits(NamedTuple):
@@ -39,31 +41,51 @@ class MotionLimits(NamedTuple):
         return np.stack(found, axis=2).reshape(len(v), -1)
 
 
-def joint_limits(robot: Robot, job: config.ProgramConfig | None = None) -> MotionLimits:
+def joint_limits(
+    robot: Robot, job: config.ProgramConfig | None = None, stated: JointLimits | None = None
+) -> MotionLimits:
     """Return the limits of an arm.
 
-    Limits in the job take precedence over the model's. The default acceleration limit reaches full speed in
-    `job.full_speed_s`, the default jerk limit reaches full acceleration in `job.full_acceleration_s`.
+    Limits in the job's section `program` take precedence over a file's, and those over the model's. The default
+    acceleration limit reaches full speed in `job.full_speed_s`, the default jerk limit reaches full acceleration in
+    `job.full_acceleration_s`.
 
     Args:
         robot: The arm.
         job: Section `program` of the job; None: the default section.
+        stated: Limits in the file that the job's `robot.limits` names, see `limits_of_job`; None: no file.
 
     Raises:
         InputError: If a joint has no velocity limit, or if a list in the job has not one value per joint.
     """
     job = config.ProgramConfig() if job is None else job
     given = {kind: own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in KINDS}
-    velocity = _given_or(given["velocity"], np.asarray(robot.speed, float))
+    own = own_rates(robot, stated)
+    velocity = _given_or(given["velocity"], own["velocity"])
     for name, speed in zip(robot.joint_names, velocity, strict=True):
         if not 0 < speed < np.inf:
             raise InputError(
                 f"{robot.name} has no velocity limit for joint {name}; set program.velocity, with one value per joint"
             )
-    own = np.asarray(robot.acceleration, float)
-    own = np.where(np.isfinite(own), own, velocity / job.full_speed_s)
-    acceleration = _given_or(given["acceleration"], own)
-    return MotionLimits(velocity, acceleration, _given_or(given["jerk"], acceleration / job.full_acceleration_s))
+    default = np.where(np.isfinite(own["acceleration"]), own["acceleration"], velocity / job.full_speed_s)
+    acceleration = _given_or(given["acceleration"], default)
+    default = np.where(np.isfinite(own["jerk"]), own["jerk"], acceleration / job.full_acceleration_s)
+    return MotionLimits(velocity, acceleration, _given_or(given["jerk"], default))
+
+
+def own_rates(robot: Robot, stated: JointLimits | None) -> dict[str, Float[np.ndarray, "N"]]:
+    """Return the limits in a file, else the model's, by kind [rad or m, per s, s2 or s3]; infinite without one.
+
+    Args:
+        robot: The arm.
+        stated: Limits in a file; None: no file.
+    """
+    model = {"velocity": np.asarray(robot.speed, float), "acceleration": np.asarray(robot.acceleration, float)}
+    model["jerk"] = np.full(len(robot.joint_names), np.inf)
+    if stated is None:
+        return model
+    rates = {kind: stated.rates(kind) for kind in KINDS}
+    return {kind: np.where(np.isnan(own), model[kind], own) for kind, own in rates.items()}
 
 
 def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:

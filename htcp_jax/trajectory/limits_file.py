@@ -1,70 +1,101 @@
-"""Joint limits from a file in the format of MoveIt's and ROS's joint_limits.yaml."""
+"""Joint limits from files: those that a job names, and those that `htcp program --limits` gets."""
 
-import math
+import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from htcp_jax.errors import InputError
-from htcp_jax.io import strict_yaml
+from htcp_jax.errors import InputError, Note
+from htcp_jax.io.robots import JointLimits, read_joint_limits
+from htcp_jax.jobs import PlanConfig
 from htcp_jax.model import Robot
-from htcp_jax.trajectory.limits import KINDS
+from htcp_jax.motion import Motion, motion
+from htcp_jax.status import Kind
+from htcp_jax.trajectory.limits import KINDS, own_rates
 
-SECTION = "joint_limits"
+ROUNDING = 1e-6  # distance beyond a range that is not reported [rad or m]
 
 
-def limits_overrides(file: str | Path, robot: Robot) -> list[str]:
-    """Return the joint limits in a file as overrides of a job's section `program`.
-
-    In the file, `joint_limits` contains joints by name, each with `max_velocity`, `max_acceleration` and `max_jerk`
-    [rad or m per s, s^2, s^3]. Keys such as `has_velocity_limits: false` switch a limit off. Joints of other arms and
-    scaling factors are ignored. A joint without a velocity or acceleration limit in the file gets the model's limit.
+def limits_of_job(job: PlanConfig, robot: Robot) -> JointLimits | None:
+    """Return the limits in the file that a job's `robot.limits` names; None if it names no file.
 
     Args:
-        file: The file.
+        job: The job.
+        robot: The job's robot.
+
+    Raises:
+        InputError: See `read_joint_limits`.
+    """
+    file = job.robot.limits_file
+    return None if file is None else read_joint_limits(file, robot.joint_names, robot.name)
+
+
+def limits_overrides(stated: JointLimits, robot: Robot, of_job: JointLimits | None = None) -> list[str]:
+    """Return the velocity, acceleration and jerk limits in a file as overrides of a job's section `program`.
+
+    A joint without a velocity or acceleration limit in the file gets the limit in the job's file, else the model's. A
+    Note names what the file leaves to the model, and what is not used.
+
+    Args:
+        stated: The limits in the file.
         robot: The arm.
+        of_job: The limits in the file that the job names; None: no file.
 
     Returns:
         Overrides such as "program.velocity=[...]", one for each kind of limit in the file.
 
     Raises:
-        InputError: If the file has another format, or if it limits some joints, but neither the file nor the model
-            limits another joint.
+        InputError: If the file limits some joints, but another joint has no such limit.
     """
-    own = {"velocity": np.asarray(robot.speed, float), "acceleration": np.asarray(robot.acceleration, float)}
-    unknown, found = np.full(len(robot.joint_names), np.nan), []
-    known = _joints(file, robot)
+    own, found = own_rates(robot, of_job), []
     for kind in KINDS:
-        given = [_limit(file, name, kind, known.get(name, {})) for name in robot.joint_names]
-        if all(value is None for value in given):
+        given = stated.rates(kind)
+        if np.isnan(given).all():
             continue
-        values = [own.get(kind, unknown)[k] if value is None else value for k, value in enumerate(given)]
-        for name in (name for name, value in zip(robot.joint_names, values, strict=True) if not math.isfinite(value)):
-            raise InputError(f"{file}: max_{kind} of joint {name} is missing here and in the model")
-        found.append(f"program.{kind}=[{', '.join(repr(float(value)) for value in values)}]")
-    if not found:
-        raise InputError(f"{file} limits no joint of {robot.name}; add max_velocity, max_acceleration or max_jerk")
+        values = np.where(np.isnan(given), own[kind], given)
+        for name in (name for name, value in zip(robot.joint_names, values, strict=True) if not np.isfinite(value)):
+            raise InputError(f"{stated.file}: max_{kind} of joint {name} is missing here and in the model")
+        found.append(f"program.{kind}=[{', '.join(map(repr, values.tolist()))}]")
+    if text := stated.note(speed=np.asarray(robot.speed, float)):
+        warnings.warn(text, Note, stacklevel=2)
     return found
 
 
-def _joints(file: str | Path, robot: Robot) -> dict[str, dict[str, Any]]:
-    """Return the file's entries on the arm's joints, by name."""
-    joints = strict_yaml.read_yaml(file).get(SECTION)
-    if not isinstance(joints, dict):
-        raise InputError(f"{file}: the mapping {SECTION} is missing, as in MoveIt's joint_limits.yaml")
-    known = {name: joints[name] for name in robot.joint_names if name in joints}
-    if not known:
-        raise InputError(f"{file}: no joint of {robot.name} is listed; valid: {', '.join(robot.joint_names)}")
-    for name in (name for name, limits in known.items() if not isinstance(limits, dict)):
-        raise InputError(f"{file}: joint {name} must be a mapping, such as {{max_velocity: 2.0}}")
-    return known
+def check_ranges(stated: JointLimits, robot: Robot, moved: Motion | motion.Motions, name: str) -> None:
+    """Check that the configurations of motions are within the ranges in a file.
+
+    Args:
+        stated: The limits in the file.
+        robot: The arm.
+        moved: The motions.
+        name: Name of the motions, for messages.
+
+    Raises:
+        InputError: If a joint is outside its range; the message has the joint that is farthest outside.
+    """
+    lower, upper = stated.ranges(robot.slides, np.asarray(robot.lower, float), np.asarray(robot.upper, float))
+    excess = np.maximum(lower - moved.x, moved.x - upper)
+    if excess.max(initial=0.0) <= ROUNDING:
+        return
+    row, joint = map(int, np.unravel_index(excess.argmax(), excess.shape))
+    value, limit = moved.x[row, joint], (lower if moved.x[row, joint] < lower[joint] else upper)[joint]
+    digits = 3 if f"{value:.3g}" != f"{limit:.3g}" else 8
+    others = [each for k, each in enumerate(robot.joint_names) if k != joint and excess[:, k].max() > ROUNDING]
+    also = f" ({', '.join(others)} beyond, too)" if others else ""
+    scenario = f" of scenario {moved.scenario[row]}" if isinstance(moved, motion.Motions) else ""
+    raise InputError(
+        f"{name}: joint {robot.joint_names[joint]} reaches {value:.{digits}g} {'m' if robot.slides[joint] else 'rad'} "
+        f"{_place(moved, row)}{scenario}, {stated.file} allows {limit:g}{also}; set "
+        f"robot.limits to {Path(stated.file).name} in the job, and plan again"
+    )
 
 
-def _limit(file: str | Path, joint: str, kind: str, limits: dict[str, Any]) -> float | None:
-    value = limits.get(f"max_{kind}")
-    if value is None or limits.get(f"has_{kind}_limits", True) is False:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise InputError(f"{file}: max_{kind} of joint {joint} is {value!r}; it must be a positive number")
-    return float(value)
+def _place(moved: Motion | motion.Motions, row: int) -> str:
+    """Return the place of a motion's configuration as text."""
+    kind, target = Kind(moved.kind[row]), int(moved.target[row])
+    share = 1.0 if moved.span is None else moved.span[row, 1]
+    if kind in (Kind.APPROACH, Kind.PROCESS, Kind.TRANSFER) and share == 1:
+        return f"at target {target}"
+    if kind == Kind.PROCESS:
+        return f"on the segment to target {target}"
+    return f"in the dwell at target {target}" if kind == Kind.DWELL else f"in the {kind.words}"

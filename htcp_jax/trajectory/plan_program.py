@@ -28,6 +28,7 @@ from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, Pla
 from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_text
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torque, torques
 from htcp_jax.trajectory.limits import MotionLimits, joint_limits, own_of
+from htcp_jax.trajectory.limits_file import limits_of_job
 from htcp_jax.trajectory.program import Program, time_motion
 from htcp_jax.trajectory.task_slack import with_rows
 from htcp_jax.trajectory.timed_motion import TimedMotion
@@ -260,7 +261,7 @@ def timed_plan(
     Raises:
         InputError: If `time_motion` or `joint_limits` raises it.
     """
-    limits = joint_limits(robot, job.program)
+    limits = joint_limits(robot, job.program, limits_of_job(job, robot))
     whole = motion.motion(plans, scenario, job.on_path, retract=retract)
     left = motion_slack(plans, scenario, whole, job.settings.tube_m, robot)
     if job.cell.self_collision:

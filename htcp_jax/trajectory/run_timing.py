@@ -20,16 +20,18 @@ import pyarrow as pa
 from htcp_jax.device import processes
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.io import files
+from htcp_jax.io.robots import JointLimits
 from htcp_jax.jobs import PlanConfig, build
 from htcp_jax.model import Robot, Workpiece
 from htcp_jax.model import robot as robots
-from htcp_jax.motion import Plans
+from htcp_jax.motion import Plans, motion
 from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import Run, lock, open_run, timing_file
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.trajectory.figures import ProgramFigures, program_figures
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torques, torques
-from htcp_jax.trajectory.limits import joint_limits
+from htcp_jax.trajectory.limits import KINDS, joint_limits
+from htcp_jax.trajectory.limits_file import check_ranges, limits_of_job
 from htcp_jax.trajectory.plan_program import PlanProgram, requested_feed, timed_plan, with_program
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
@@ -60,6 +62,7 @@ def time_run(
     methods: Sequence[str] | None = None,
     *,
     overrides: Sequence[str] = (),
+    stated: JointLimits | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     workers: int | None = 1,
     block: int = BLOCK,
@@ -71,6 +74,8 @@ def time_run(
         feed: Feed rate of the TCP on the path, such as "20mm/s"; None: the job's.
         methods: Names of methods; None: all methods with results.
         overrides: Changes to the job's section `program`, as on the command line.
+        stated: Limits in a file, whose ranges all motions must satisfy; None: no file. Its other limits are overrides,
+            see `limits_overrides`.
         progress: Function that is called with a method, the number of its finished scenarios, and their total.
         workers: Number of processes; None: chosen by the number of scenarios.
         block: Number of scenarios that are computed together and then written.
@@ -80,13 +85,16 @@ def time_run(
 
     Raises:
         InputError: If the feed rate is invalid, if the run has no results or lacks a method, if an arm has no velocity
-            limits, if files have changed, or if the folder is in use or cannot be written.
+            limits, if a motion leaves a range in `stated`, if files have changed, or if the folder is in use or cannot
+            be written.
         Interrupted: On SIGINT and SIGTERM; finished times are kept.
     """
     requested = _TimingSettings(requested_feed(feed, with_program(run.config, overrides)), tuple(overrides))
     timer = _Timer(plan_sets.plans_of_run(run), requested)
     chosen = _chosen_methods(timer.found, methods)
     check_limits(timer.jobs)
+    if stated is not None:
+        _check_motions(timer, chosen, stated)
     stopped = f"stopped; finished times are in {run.folder}; run the same command to resume"
     with stop_message(lambda: stopped), lock.locked(run.folder), lock.signals() as came:
         find = _finder(timer, chosen, workers)
@@ -102,7 +110,23 @@ def check_limits(jobs: Iterable[PlanConfig]) -> None:
         InputError: If an arm has no velocity limits, or if a list of limits has not one value per joint.
     """
     for job in {repr((build.robot_key(job), job.program)): job for job in jobs}.values():
-        joint_limits(build.robot_of(job.robot, tree=job.tree), job.program)
+        robot = build.robot_of(job.robot, tree=job.tree)
+        joint_limits(robot, job.program, limits_of_job(job, robot))
+
+
+def _check_motions(timer: "_Timer", methods: Sequence[str], stated: JointLimits) -> None:
+    """Check that all motions that lead to their last target are within the ranges in a file.
+
+    Raises:
+        InputError: For the motion that is farthest outside.
+    """
+    on_path = np.array([job.on_path for job in timer.jobs])
+    robot = build.robot_of(timer.found.config.robot, tree=timer.found.config.tree)
+    for method in methods:
+        plans = timer.plans(method)
+        timed = [plans.outcome(scenario).can_be_driven for scenario in range(len(plans.x))]
+        moved = motion.motions(plans, on_path, plans.executable & np.array(timed)[:, None])
+        check_ranges(stated, robot, moved, f"{timer.found.folder}, {method}")
 
 
 def _chosen_methods(found: plan_sets.RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
@@ -135,10 +159,15 @@ class _Timer:
     @property
     def made_with(self) -> timing_file.Timing:
         """The timing settings as a `Timing` without rows."""
-        program = with_program(self.found.config, self.requested.overrides).program.model_dump(mode="json")
-        return timing_file.Timing(
-            self.requested.feed_m_s, {key: program[key] for key in LIMITS}, timing_file.SCHEMA.empty_table()
-        )
+        job = with_program(self.found.config, self.requested.overrides)
+        limits = {key: job.program.model_dump(mode="json")[key] for key in LIMITS}
+        if job.robot.limits_file is not None and (stated := limits_of_job(job, self._arm(job))) is not None:
+            limits |= {
+                kind: Path(stated.file).name
+                for kind in KINDS
+                if limits[kind] is None and not np.isnan(stated.rates(kind)).all()
+            }
+        return timing_file.Timing(self.requested.feed_m_s, limits, timing_file.SCHEMA.empty_table())
 
     def known(self, method: str) -> timing_file.Timing:
         """Return a method's existing times if they have the same settings, else a `Timing` without rows.

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import LinkMeshes, composed, model_source
+from htcp_jax.io.robots import LinkMeshes, composed, joint_limits, model_source
 from htcp_jax.model import Tool
 from htcp_jax.model import tool as tools
 from htcp_jax.types import Triple
@@ -53,7 +53,7 @@ class MujocoArm:
     Args:
         path: The model file, or the models that form a cell.
         tool_extension_m: Length added to the tool [m].
-        limits: The profile of joint limits, as in `robots.load_robot`.
+        limits: The profile or file of joint limits, as in `robots.load_robot`.
         tcp: The name of the TCP's site or body, `tcp_site` in `robots.load_robot`.
         base_m: Position of the model's frame in the world [m].
         base_rpy_rad: Rotation of the model's frame about world x, then y, then z [rad].
@@ -106,6 +106,10 @@ class MujocoArm:
         self.length = 2 * self._half
         self.joints = tuple(_joint_name(self._model, j) for j in self._order.tolist())
         self.lower, self.upper = (limit[self._order] for limit in _limits_of_profile(self._model, limits))
+        if joint_limits.is_limits_file(limits):
+            slides = (self._model.jnt_type[self._order] != _HINGE).tolist()
+            stated = joint_limits.read_joint_limits(limits, self.joints, model_source.label_of(path).name)
+            self.lower, self.upper = stated.ranges(slides, self.lower, self.upper)
         self.speed = _numeric(self._model, "speed", math.inf)[self._order]
         self._pose(np.zeros(len(self._order)))
         self._joints_to = _joints_to(self._model, self.root, self._order)

@@ -1,10 +1,12 @@
-from . import attached, capsule_fit, close_fit, composed, mjcf, model_file, model_source, safe_xml
+from . import attached, capsule_fit, close_fit, composed, joint_limits, mjcf, model_file, model_source, safe_xml
+from .joint_limits import JointLimits, read_joint_limits
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot, part_moves
 from .vendor_import import ImportedArm, body_name, chain_text, import_robot
 
 __all__ = [
     "ImportedArm",
+    "JointLimits",
     "LinkMeshes",
     "attached",
     "body_name",
@@ -14,10 +16,12 @@ __all__ = [
     "composed",
     "gp50",
     "import_robot",
+    "joint_limits",
     "load_robot",
     "mjcf",
     "model_file",
     "model_source",
     "part_moves",
+    "read_joint_limits",
     "safe_xml",
 ]

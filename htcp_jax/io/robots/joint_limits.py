@@ -10,6 +10,7 @@ A limit in the file replaces the model's, also if it is wider. Where the file st
 
 import math
 import re
+import reprlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,14 +22,16 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import strict_yaml
 
 SECTION = "joint_limits"
-ENDINGS = ".yaml", ".yml"
+ENDINGS = ".yaml", ".yml", ".json"
+MODELS = ".urdf", ".srdf", ".xacro", ".xml", ".mjcf"  # endings of files that have no such section
 RATES = "velocity", "acceleration", "jerk"
 BOUNDS = {"position": ("min_position", "max_position")} | {
     rate: (f"max_{rate}",) for rate in RATES
 }  # keys of each kind of limit
-SWITCHES = tuple(f"has_{kind}_limits" for kind in BOUNDS)
-OTHER_SWITCHES = "has_effort_limits", "has_deceleration_limits", "has_soft_limits"  # named only if they are true
+SWITCHES = tuple(f"has_{kind}_limits" for kind in (*BOUNDS, "effort", "deceleration"))  # not named as unused
 LARGEST_ANGLE, LARGEST_SHIFT = 20.0, 100.0  # larger positions [rad, m] are usually in degrees or millimetres
+FASTEST = 50.0  # larger velocities [rad/s, m/s] are named, as they may be in degrees per second
+MOST = 8  # largest number of names in a list of a message
 UNLIMITED = 1e6  # larger positions stand for no limit [rad]
 ROUNDING = 1e-6  # difference from the model's limit that is not reported [rad or m, per s]
 ANGLE = re.compile(
@@ -112,27 +115,33 @@ class JointLimits(NamedTuple):
         given = [getattr(stated, kind) for stated in self.stated]
         return np.array([math.nan if value is None else value for value in given])
 
-    def note(self, model: tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]] | None = None) -> str | None:
+    def note(
+        self,
+        ranges: tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]] | None = None,
+        speed: Float[np.ndarray, "N"] | None = None,
+    ) -> str | None:
         """Return one line that names elements without effect and limits that remain the model's; None if none.
 
         Args:
-            model: The model's lower and upper limits [rad or m] if the file's ranges replace them; None: the ranges are
-                not used as the arm's.
+            ranges: The model's lower and upper limits [rad or m] if the file's replace them; None: they do not.
+            speed: The model's velocity limits [rad/s or m/s] if the file's replace them; None: they do not.
         """
-        wider = [] if model is None else list(self._wider(*model))
         listed = [name for name in self.names if name not in self.missing]
         without = [name for name, own in zip(self.names, self.stated, strict=True) if name in listed and not own.ranged]
         parts = {
-            "wider than the model: ": wider,
-            "the model's ranges apply to ": without if model is not None else (),
+            "wider than the model: ": [] if ranges is None else list(self._wider(*ranges)),
+            "faster than the model: ": [] if speed is None else list(self._faster(speed)),
+            "the model's ranges apply to ": [] if ranges is None else without,
             "all limits of the model apply to ": self.missing,
             "not joints of the arm: ": self.others,
             "not used: ": self.unused,
         }
-        found = [f"{text}{', '.join(names)}" for text, names in parts.items() if names]
+        found = [f"{text}{_list(names)}" for text, names in parts.items() if names]
+        if (fastest := float(np.nan_to_num(self.rates("velocity")).max())) > FASTEST:
+            found.append(f"velocities are up to {fastest:g}; write !degrees {fastest:g} if they are in degrees")
         if self.is_cut:
             found.append("the last line has no line end; check that the file is complete")
-        return f"{self.file}: {'; '.join(found)}" if found else None
+        return " ".join(f"{self.file}: {'; '.join(found)}".split()) if found else None
 
     def _wider(self, lower: np.ndarray, upper: np.ndarray) -> Iterator[str]:
         """Yield the joints whose ranges are wider than the model's, with both ranges."""
@@ -140,6 +149,12 @@ class JointLimits(NamedTuple):
             below, above = low if own.lower is None else own.lower, high if own.upper is None else own.upper
             if below < low - ROUNDING or above > high + ROUNDING:
                 yield f"{name} {below:g} to {above:g} (the model's: {low:g} to {high:g})"
+
+    def _faster(self, speed: np.ndarray) -> Iterator[str]:
+        """Yield the joints whose velocity limits are larger than the model's, with both."""
+        for name, own, known in zip(self.names, self.rates("velocity").tolist(), speed.tolist(), strict=True):
+            if own > known + ROUNDING:
+                yield f"{name} {own:g} (the model's: {known:g})"
 
 
 def is_limits_file(name: str | Path) -> bool:
@@ -166,12 +181,13 @@ def read_joint_limits(path: str | Path, names: Sequence[str], arm: str) -> Joint
             number, or another limit is not positive.
     """
     file = str(path)
-    if not is_limits_file(path):
+    if Path(path).suffix.lower() in MODELS:
         raise InputError(
             f"{file} is not a file with joint limits; valid: a YAML file such as MoveIt's joint_limits.yaml"
         )
-    text = strict_yaml.read_text(path)
+    text = strict_yaml.yaml_text(path)
     section, unused = _section(strict_yaml.parse_mapping(text, file, units=True), file)
+    section = {str(name): entry for name, entry in section.items()}  # YAML also has numbers as keys
     own = {name: section[name] for name in names if name in section}
     if not own:
         raise InputError(f"{file}: no joint of {arm} is listed; valid: {', '.join(names)}")
@@ -202,7 +218,7 @@ def _section(raw: dict, file: str) -> tuple[dict[str, Any], list[str]]:
         raise InputError(f"{file}: the mapping {SECTION} is missing, as in MoveIt's joint_limits.yaml")
     unused: list[str] = []
     for key in (*found[0], SECTION):
-        unused += [other for other in raw if other != key]
+        unused += [str(other) for other in raw if other != key]
         raw = raw[key]
     return raw, unused
 
@@ -228,7 +244,7 @@ def _stated(entry: dict[str, Any], file: str, joint: str) -> StatedLimits:
         switch = f"has_{kind}_limits"
         is_on = entry.get(switch)
         if is_on is not None and not isinstance(is_on, bool):
-            raise InputError(f"{file}: {switch} of joint {joint} is {is_on!r}; valid: true, false")
+            raise InputError(f"{file}: {switch} of joint {joint} is {reprlib.repr(is_on)}; valid: true, false")
         if is_on and (missing := [key for key in keys if key not in entry]):
             raise InputError(f"{file}: {switch} of joint {joint} is true, but {missing[0]} is missing")
         for key in keys:
@@ -248,9 +264,11 @@ def _number(value: Any, file: str, key: str, joint: str) -> float:
     number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
     if key in BOUNDS["position"]:
         if math.isnan(number):
-            raise InputError(f"{file}: {key} of joint {joint} is {value!r}; write a number, or such as !degrees 180")
+            raise InputError(
+                f"{file}: {key} of joint {joint} is {reprlib.repr(value)}; write a number, or such as !degrees 180"
+            )
     elif not 0 < number < math.inf:
-        raise InputError(f"{file}: {key} of joint {joint} is {value!r}; it must be a positive number")
+        raise InputError(f"{file}: {key} of joint {joint} is {reprlib.repr(value)}; it must be a positive number")
     return number
 
 
@@ -260,8 +278,13 @@ def _unused_keys(section: dict[str, dict[str, Any]]) -> list[str]:
     for joint, entry in section.items():
         off = {key for kind, keys in BOUNDS.items() if entry.get(f"has_{kind}_limits") is False for key in keys}
         for key, value in entry.items():
-            known = key in SWITCHES or (key in OTHER_SWITCHES and value is False)
-            known |= key not in off and any(key in keys for keys in BOUNDS.values())
+            known = key in SWITCHES or (key not in off and any(key in keys for keys in BOUNDS.values()))
             if not known and not (key in off and not value):
                 found.setdefault(key, []).append(joint)
-    return [f"{key} of {', '.join(joints)}" for key, joints in found.items()]
+    return [f"{key} of {_list(joints)}" for key, joints in found.items()]
+
+
+def _list(names: Sequence[str]) -> str:
+    """Return names as text; after `MOST` of them only the number of the others."""
+    more = len(names) - MOST
+    return ", ".join(names[:MOST]) + (f" and {more} more" if more > 0 else "")

@@ -38,8 +38,10 @@ def load_robot(
             the TCP is the model's only site, or a URDF's outermost link.
         limits: Joint limits. "model": the file's joint ranges, infinite where an MJCF file has none. "simulation": +-pi
             for hinges, and the file's ranges for slides. "datasheet": the file's `<numeric>` "datasheet_lower" and
-            "datasheet_upper", one value per joint. Speeds and accelerations are always the file's `<numeric>` "speed"
-            and "acceleration", or a URDF's `<limit>`; efforts are `actuatorfrcrange`, or a URDF's `effort`.
+            "datasheet_upper", one value per joint. The name of a file such as MoveIt's joint_limits.yaml: its ranges,
+            and those of "model" for joints without one, see `joint_limits.read_joint_limits`. Speeds and accelerations
+            are always the model's `<numeric>` "speed" and "acceleration", or a URDF's `<limit>`; efforts are
+            `actuatorfrcrange`, or a URDF's `effort`.
         base_m: Position of the model's own frame in the world.
         base_rpy_rad: Orientation of the model's own frame: rotations about world x, then y, then z.
         tool: Tool to mount on the frame `tcp_site`, which is then the flange.
@@ -50,8 +52,9 @@ def load_robot(
         InputError: For a file that cannot be read, an unknown joint or a value beyond its limits in `locked`, too few
             joints, ball or free joints, joints that follow others, a URDF's joint without a range, joints off the
             chain, a missing TCP, a model without capsules, a radius that is not positive, a number that is not finite,
-            a profile of limits that the model lacks, and a body of the tool with the name of a body in the model; if
-            the part moves, also for more than nine joints and a moved base.
+            a profile of limits that the model lacks, a file of limits that `read_joint_limits` refuses or whose ranges
+            are not plausible for the arm, and a body of the tool with the name of a body in the model; if the part
+            moves, also for more than nine joints and a moved base.
     """
     source = path if isinstance(path, ComposedModel) else Path(path)
     base = tools.pose(base_m, base_rpy_rad)

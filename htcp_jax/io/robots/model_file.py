@@ -11,6 +11,7 @@ Every error in a file is an InputError with one line that starts with the file's
 import itertools
 import math
 import re
+import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,8 +20,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from htcp_jax.errors import InputError
-from htcp_jax.io.robots import remarks
+from htcp_jax.errors import InputError, Note
+from htcp_jax.io.robots import joint_limits, remarks
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.composed import read_model
 from htcp_jax.io.robots.fixed_joints import fix_joints
@@ -117,7 +118,7 @@ def read_robot_file(
     Args:
         source: The file, or the models that form the cell.
         tcp_site: Name of the TCP's site or body, see `loading.load_robot`.
-        limits: Profile of the joint limits, see `loading.load_robot`.
+        limits: Profile or file of the joint limits, see `loading.load_robot`.
         T_world_base: Pose of the model's own frame in the world (4, 4) [m]; the identity if the part moves.
         tool: Tool to mount on the TCP's frame; None for no tool.
         locked: Values [rad or m], by joint name, of joints that do not move.
@@ -135,7 +136,14 @@ def read_robot_file(
         raise InputError(f"{path}: the part moves, so robot.base_m and base_rpy_rad must be 0")
     joints = list(chain.joints)
     joint_names = check_joints(model, path, joints, chain, fewest=fewest)
-    lower, upper = (limit[joints] for limit in _joint_limits(model, path, limits))
+    slides = tuple(bool(kind == _SLIDE) for kind in model.jnt_type[joints])
+    arm_name = model.names.partition(b"\0")[0].decode(errors="replace") or path.stem
+    widest = [limit[joints] for limit in _joint_limits(model, path, "model")]  # the lists were sampled within these
+    if joint_limits.is_limits_file(limits):
+        speed = joint_numbers(model, path, "speed", default=math.inf)[joints]
+        lower, upper = _limits_of_file(limits, joint_names, arm_name, slides, widest, speed)
+    else:
+        lower, upper = (limit[joints] for limit in _joint_limits(model, path, limits))
     ranges = np.stack([lower, upper], axis=1)
     remarks.check_ranges(model, path, joints, ranges, remarks.OF_JOB)
     T_parent_joint, frames = link_frames(model, T_world_base, chain)
@@ -171,12 +179,11 @@ def read_robot_file(
         if not (arrays[name] > 0).all():
             raise InputError(f"{path}: numeric {name!r} must be positive")
     exclusions = [*_excluded(model, capsules), *_listed_pairs(path, lists.pairs, capsules)]
-    widest = [limit[joints] for limit in _joint_limits(model, path, "model")]  # the lists were sampled within these
     valid = bool((lower >= widest[0]).all() and (upper <= widest[1]).all())
     facts = {
-        "name": model.names.partition(b"\0")[0].decode(errors="replace") or path.stem,
+        "name": arm_name,
         "joint_names": joint_names,
-        "slides": tuple(bool(kind == _SLIDE) for kind in model.jnt_type[joints]),
+        "slides": slides,
         "capsule_names": tuple(capsule.name for capsule in capsules),
         "capsule_link": tuple(capsule.link for capsule in capsules),
         "ignored_geoms": tuple(_geom_name(model, g) for g in range(model.ngeom) if not _is_round(model, g)),
@@ -522,11 +529,32 @@ def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.n
         sides = [joint_numbers(model, path, f"datasheet_{side}", default=math.nan) for side in ("lower", "upper")]
         profiles["datasheet"] = np.stack(sides, axis=1)
     if profile not in profiles:
-        raise InputError(f"{path}: it has no joint limits {profile!r} for robot.limits; valid: {', '.join(profiles)}")
+        valid = f"{', '.join(profiles)}, or a file such as joint_limits.yaml"
+        raise InputError(f"{path}: it has no joint limits {profile!r} for robot.limits; valid: {valid}")
     lower, upper = profiles[profile].T
     if not (lower < upper).all():
         raise InputError(f"{path}: joint limits {profile!r} must be lower < upper for every joint")
     return lower, upper
+
+
+def _limits_of_file(
+    file: str,
+    names: tuple[str, ...],
+    arm: str,
+    slides: tuple[bool, ...],
+    ranges: Sequence[np.ndarray],
+    speed: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower and upper limits in a file, or the model's `ranges` where it states none.
+
+    A Note names what the file leaves to the model, what is wider or faster than in the model, and what is not used.
+    """
+    lower, upper = ranges
+    stated = joint_limits.read_joint_limits(file, names, arm)
+    limits = stated.ranges(slides, lower, upper)
+    if text := stated.note((lower, upper), speed):
+        warnings.warn(text, Note, stacklevel=2)
+    return limits
 
 
 def _named_frames(
