@@ -241,6 +241,7 @@ REFUSED = {
     "an axis of zero": (arm().replace('"0 1 0"', '"0 0 0"', 1), "joint 'shoulder': <axis xyz='0 0 0'> has no"),
     "a follower": (arm(f'{RANGE}<mimic joint="shoulder"/>'), "joint 'elbow' follows shoulder; joints between base and"),
     "two ranges": (arm(RANGE + RANGE), "joint 'elbow': <joint> has 2 <limit>; it must have one"),
+    "a joint without a name": (arm().replace('"wrist"', '""'), "joint '': <joint> has no attribute 'name'"),
     "no child": (arm().replace('<child link="hand"/>', ""), "joint 'wrist': <joint> has no <child>"),
     "a word as a bound": (arm('<limit lower="low" upper="1"/>'), "joint 'elbow': <limit lower='low'> is not a number"),
     "nan as a bound": (arm('<limit lower="nan" upper="1"/>'), "joint 'elbow': <limit lower='nan'> is not a number"),
