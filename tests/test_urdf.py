@@ -208,6 +208,17 @@ def test_limits_from_a_file_replace_those_of_the_imported_model(tmp_path, capsys
     assert "counts as missing" not in capsys.readouterr().err
 
 
+def test_limits_from_a_file_give_a_directly_read_arm_its_ranges(tmp_path):
+    (tmp_path / "arm.urdf").write_text(arm("").replace(RANGE, '<limit lower="0" upper="0" velocity="1"/>'))
+    rows = [f"  {name}: {{min_position: -1, max_position: 0.5}}\n" for name in ("shoulder", "elbow", "wrist")]
+    (tmp_path / "limits.yaml").write_text("joint_limits:\n" + "".join(rows))
+    robot = htcp_jax.load_robot(tmp_path / "arm.urdf", tcp_site="hand", limits=str(tmp_path / "limits.yaml"))
+    assert robot.lower.tolist() == [-1, -1, -1] and robot.upper.tolist() == [0.5, 0.5, 0.5]
+    (tmp_path / "limits.yaml").write_text("joint_limits:\n" + "".join(rows[:2]))
+    with pytest.warns(Note), pytest.raises(InputError, match="no range for wrist: "):
+        htcp_jax.load_robot(tmp_path / "arm.urdf", tcp_site="hand", limits=str(tmp_path / "limits.yaml"))
+
+
 # Kinds of joints, and the tree
 
 REFUSED = {
@@ -230,6 +241,7 @@ REFUSED = {
     "an axis of zero": (arm().replace('"0 1 0"', '"0 0 0"', 1), "joint 'shoulder': <axis xyz='0 0 0'> has no"),
     "a follower": (arm(f'{RANGE}<mimic joint="shoulder"/>'), "joint 'elbow' follows shoulder; joints between base and"),
     "two ranges": (arm(RANGE + RANGE), "joint 'elbow': <joint> has 2 <limit>; it must have one"),
+    "a joint without a name": (arm().replace('"wrist"', '""'), "joint '': <joint> has no attribute 'name'"),
     "no child": (arm().replace('<child link="hand"/>', ""), "joint 'wrist': <joint> has no <child>"),
     "a word as a bound": (arm('<limit lower="low" upper="1"/>'), "joint 'elbow': <limit lower='low'> is not a number"),
     "nan as a bound": (arm('<limit lower="nan" upper="1"/>'), "joint 'elbow': <limit lower='nan'> is not a number"),

@@ -38,7 +38,8 @@ def limits_of(
     if file is not None:
         arm = model.names.partition(b"\0")[0].decode(errors="replace")
         stated = read_joint_limits(file, [joint_name(model, j) for j in joints], arm)
-        if note := stated.note((ranges[:, 0], ranges[:, 1])):
+        speed = numbers.get("speed", np.full(model.njnt, np.inf))[at]
+        if note := stated.note((ranges[:, 0], ranges[:, 1]), speed):
             warnings.warn(note, Note, stacklevel=3)
         slides = [bool(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE) for j in joints]
         ranges = np.stack(stated.ranges(slides, ranges[:, 0], ranges[:, 1]), axis=1)

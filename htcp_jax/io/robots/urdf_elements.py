@@ -57,7 +57,7 @@ _CONTENT = {
     "parent": _rule("", "link!"),
     "child": _rule("", "link!"),
     "limit": _rule("", "lower:1 upper:1 effort:1 velocity:1 acceleration:1"),
-    "mimic": _rule("", "joint! multiplier:1 offset:1"),
+    "mimic": _rule("", "joint multiplier:1 offset:1"),
     "safety_controller": _rule("", "soft_lower_limit:1 soft_upper_limit:1 k_position k_velocity"),
     "mass": _rule("", "value:1!"),
     "inertia": _rule("", _INERTIA),
@@ -126,7 +126,7 @@ def _check(element: Element, owner: str, path: Path, unread: dict[str, list[str]
     if tag == "geometry" and sum(counts[shape] for shape in SHAPES) != 1:
         found = ", ".join(f"<{name}>" for name in counts) or "nothing"
         raise InputError(f"{where} contains {short(found)}; it must contain one of {', '.join(SHAPES)}")
-    if missing := [name for name in sorted(rule.required) if name not in element.attrib]:
+    if missing := [name for name in sorted(rule.required) if not element.get(name)]:
         raise InputError(f"{where} has no attribute {missing[0]!r}")
     for name, value in element.attrib.items():
         if name in rule.numbers:
