@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts.headings import listed
-from htcp_jax.io.parts.table import PathTable
+from htcp_jax.io.parts.path_table import PathTable
 
 Maker = Literal[
     "abb", "comau", "denso", "doosan", "fanuc", "kawasaki", "kuka", "mitsubishi", "ros", "staubli", "ur", "yaskawa"

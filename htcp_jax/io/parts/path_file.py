@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts import angles, columns, headings
+from htcp_jax.io.parts.path_table import PathTable
 from htcp_jax.io.parts.seams import name_jumps
-from htcp_jax.io.parts.table import PathTable
 from htcp_jax.model import PathFrames
 
 GUESSED = ("i", "j", "k")  # read as normals only if they are unit vectors; they may also be indices of cells
