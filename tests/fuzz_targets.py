@@ -29,6 +29,7 @@ from sweep_process import make_sweep
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts import load_geometry
+from htcp_jax.io.parts.columns import PER_METRE
 from htcp_jax.io.parts.point_cloud import load_cloud
 from htcp_jax.io.parts.workpiece_source import read_path
 from htcp_jax.io.robots import read_joint_limits
@@ -271,7 +272,8 @@ def check_table(folder: Path, case: tuple[str, bytes]) -> bool:
     named = set("xyz") <= set(re.split(r"[^a-z]+", text.lower()))  # then x, y and z may stand in any column
     for row, cells in zip(points[::-1].tolist(), lines[::-1], strict=False):
         said = [number for number in map(_number, cells) if number is not None]
-        assert row == said[:3] or (named and set(row) <= set(said)), "a line was read as another"
+        scaled = [set(row) <= {number / per for number in said} for per in PER_METRE.values()]  # by the header's unit
+        assert row == said[:3] or (named and any(scaled)), "a line was read as another"
     return True
 
 

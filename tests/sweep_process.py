@@ -17,7 +17,7 @@ grid:
   - start_rad.joint4: {offsets: [0, 0.1]}
 """
 # A plate behind the path, in place of the duct, too dense for any body to pass through.
-PLATE = "\n".join(f"{x} {y / 20} {z / 20}" for x in (0.35, 0.4) for y in range(-6, 1) for z in range(7))
+PLATE = "".join(f"{x} {y / 20} {z / 20}\n" for x in (0.35, 0.4) for y in range(-6, 1) for z in range(7))
 JOB = """
 workpiece:
   cloud: plate.xyz

@@ -100,6 +100,19 @@ def test_angles_whose_order_the_header_does_not_state_are_named_and_not_guessed(
     )
 
 
+@pytest.mark.parametrize("names, text", [
+    ("W [kg],P,R", "the unit of w, p, r is deg and kg; valid: deg, rad"), ("W,P,R", "w,p,r of point 1 is 'left,"),
+])  # fmt: skip
+def test_columns_with_the_names_of_angles_that_hold_something_else_are_named(tmp_path, names, text):
+    file = write(tmp_path, names)
+    if "left" in text:
+        head, first, *rest = file.read_text().splitlines()
+        first = ",".join([*first.split(",")[:3], "left", *first.split(",")[4:]])
+        file.write_text("\n".join([head, first, *rest, ""]))
+    found, said = read(file)
+    assert found is None and text in said[0] and said[0].endswith("; the columns are not read as angles")
+
+
 def test_angles_may_be_chosen_without_a_header(tmp_path):
     file = write(tmp_path, "A,B,C")
     file.write_text(file.read_text().partition("\n")[2])

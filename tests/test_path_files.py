@@ -152,6 +152,11 @@ def test_a_title_above_the_header_is_named(tmp_path):
     assert said == [(Note, "the first line is a title, not a header: 'Export of Monday'")]
 
 
+def test_a_comment_below_a_title_names_the_columns(tmp_path):
+    file = write(tmp_path, "Left seam of housing\n# z y x\n", POINTS[:, ::-1], separator=" ")
+    assert np.array_equal(read(file)[0].xyz, POINTS)
+
+
 @pytest.mark.parametrize("names, there, lacking", [
     ("nx,ny,n", "nx, ny", "nz"), ("qx,qy,qz", "qx, qy, qz", "qw"), ("tx,t,tz", "tx, tz", "ty"),
     ("A,B,speed", "a, b", "c"),

@@ -75,6 +75,8 @@ def test_a_column_with_one_value_or_one_for_each_row_is_one_seam(tmp_path, name,
 
 def test_a_jump_of_many_usual_steps_is_named_with_rows_and_length(tmp_path):
     across = [f"{0.1 + 0.01 * k:.2f},0.12,0.3" for k in range(5, -1, -1)]
+    twice = [row for row in (*LEFT, *across) for row in (row, row.replace("0.3", "0.3000001"))]
+    assert "from row 12 to 13 by 120 mm" in read(write(tmp_path, "\n".join([*twice, ""])))[1][0]
     _, said = read(write(tmp_path, "\n".join([*LEFT, *across, ""])))
     assert len(said) == 1 and said[0].startswith(
         "the path jumps from row 6 to 7 by 120 mm; its usual step is 10 mm; if"

@@ -8,6 +8,7 @@ import pytest
 import toy
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import ProgramConfig
 from htcp_jax.model import Task
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model.path_frames import tangents
@@ -17,6 +18,9 @@ from htcp_jax.motion import motion as motions
 from htcp_jax.planning.batch import Progress, plan
 from htcp_jax.planning.repeated_targets import are_distinct
 from htcp_jax.status import Kind, SegmentStatus, Status
+from htcp_jax.trajectory.blends import motion_slack
+from htcp_jax.trajectory.limits import joint_limits
+from htcp_jax.trajectory.program import time_motion
 
 PATH = toy.workpiece().path[:6]
 FIRST = 1  # target of the path's first point; target 0 is the start at the same place
@@ -66,6 +70,19 @@ def test_a_repeated_row_is_passed_without_motion_by_its_clearance():
     assert np.array_equal(found.segment_clearance[0, again], found.clearance[0, again])
     motion = motions.motion(found, 0, FIRST)
     assert not (motion.kind == Kind.DWELL).any() and not motions.dwells(found, FIRST).any()
+
+
+def test_a_program_is_that_of_the_path_with_each_row_once():
+    rate = (1.0,) * 4
+    limits = joint_limits(toy.robot(), ProgramConfig(velocity=rate, acceleration=rate, jerk=(10.0,) * 4))
+    timed = []
+    for plans in (planned()[0], planned((2, 1, 3, 2, 1, 2))[0]):
+        motion = motions.motion(plans, 0, FIRST, retract=True)
+        slack = motion_slack(plans, 0, motion, toy.SETTINGS.tube_m, toy.robot())
+        timed.append(time_motion(toy.robot(), motion, slack, limits, 0.02).timed(0.01))
+    once, found = timed
+    assert np.array_equal(once.time_s, found.time_s) and np.array_equal(once.x, found.x)
+    assert np.array_equal(once.kind, found.kind) and not (found.kind == Kind.DWELL).any()
 
 
 def test_figures_of_a_motion_are_those_of_the_path_with_each_row_once():

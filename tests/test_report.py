@@ -43,7 +43,7 @@ POSES = """
   - workpiece.rotation_z_rad: [-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3]
 """
 STARTS = "".join(f"\n  - start_rad.{k}: {{offsets: [-0.2, -0.1, 0.0, 0.1, 0.2]}}" for k in (3, 4, 5)) + "\n"
-SHELF = "\n".join(f"{0.18 + 0.02 * k:.2f} -0.17 0.1" for k in range(20))  # under the path
+SHELF = "".join(f"{0.18 + 0.02 * k:.2f} -0.17 0.1\n" for k in range(20))  # under the path
 BOX = "\n".join(f"{1.3 * x} {y} {z}" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
 
 

@@ -385,7 +385,7 @@ def test_a_tool_that_passes_through_a_link_is_refused_at_a_start_outside_of_the_
     model = path_of("panda")
     htcp("robot", model, "--tcp", "panda_hand", "--out", tmp_path / "arm.xml")
     points = [(0.10486, 0, 0.52578 + 0.03 * k / 9) for k in range(10)]
-    (tmp_path / "path.csv").write_text("\n".join(",".join(map(str, point)) for point in points))
+    (tmp_path / "path.csv").write_text("".join(",".join(map(str, point)) + "\n" for point in points))
     holder = {"name": "holder", "p_m": [0, 0, 0.015], "q_m": [0, 0, 0.05], "radius_m": 0.02}
     shaft = {"name": "shaft", "p_m": [0, 0, 0.05], "q_m": [0, 0, 0.287], "radius_m": 0.008}
     robot = {"model": str(tmp_path / "arm.xml"), "tool": {"tip_m": [0, 0, 0.3], "bodies": [holder, shaft]}}

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts.headings import listed
-from htcp_jax.io.parts.table import PathTable
+from htcp_jax.io.parts.path_table import PathTable
 
 Maker = Literal[
     "abb", "comau", "denso", "doosan", "fanuc", "kawasaki", "kuka", "mitsubishi", "ros", "staubli", "ur", "yaskawa"
@@ -54,7 +54,7 @@ FAMILIES = (CHOSEN, WPR, OAT, ABC, AER, RX_RY_RZ, RPY, *RTDE)
 
 
 def rotations_of(table: PathTable, maker: Maker | None, source: str) -> Float[np.ndarray, "P 3 3"] | None:
-    """Return the orientations that a table's angles state; None, with a Note, if their order is unknown.
+    """Return the orientations that a table's angles state; None, with a Note, if they cannot be read with certainty.
 
     Args:
         table: The table.
@@ -62,7 +62,8 @@ def rotations_of(table: PathTable, maker: Maker | None, source: str) -> Float[np
         source: The file, for messages.
 
     Raises:
-        InputError: For a maker whose angles the table lacks, for angles that are not numbers, and for an unknown unit.
+        InputError: With a maker: if the table lacks its angles, for angles that are not numbers, and for an unknown
+            unit.
     """
     if maker is not None:
         names = (CHOSEN, ORDERS[maker].names, *(RTDE if maker == "ur" else ()))
@@ -75,7 +76,11 @@ def rotations_of(table: PathTable, maker: Maker | None, source: str) -> Float[np
         return _rotations(table, family, ORDERS[maker], source)
     family = next((family for family in FAMILIES if table.headings(family)), None)
     if family in CERTAIN:
-        return _rotations(table, family, ORDERS[CERTAIN[family]], source)
+        try:
+            return _rotations(table, family, ORDERS[CERTAIN[family]], source)
+        except InputError as error:  # columns of these names may hold something else
+            warnings.warn(f"{error}; the columns are not read as angles", Note, stacklevel=4)
+            return None
     if family is not None:
         makers = [name for name in get_args(Maker) if family in (CHOSEN, ORDERS[name].names)]
         text = f"columns {listed(table.headings(family))} are not read, as makers order angles differently"

@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts import angles, columns, headings
+from htcp_jax.io.parts.path_table import PathTable
 from htcp_jax.io.parts.seams import name_jumps
-from htcp_jax.io.parts.table import PathTable
-from htcp_jax.model import PathFrames
+from htcp_jax.model import ONE_POINT_M, PathFrames
 
 GUESSED = ("i", "j", "k")  # read as normals only if they are unit vectors; they may also be indices of cells
 
@@ -46,7 +46,7 @@ def read_path_points(
             a quaternion of length 0.
     """
     table = PathTable(path, chosen, unit)
-    name_jumps(str(path), table.xyz)
+    name_jumps(str(path), table.xyz, ONE_POINT_M)
     normals, tangents = (
         None if (names := _family(table, families, path)) is None else _unit_vectors(table, names, what, path)
         for families, what in ((headings.NORMALS, "normal"), (headings.TANGENTS, "tangent"))

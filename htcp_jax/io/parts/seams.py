@@ -45,13 +45,20 @@ def check_one_seam(source: str, rows: Sequence[Sequence[str]], blank: Sequence[i
         runs = [len(list(run)) for _, run in groupby(_value(row[k]) for row in rows)]
         if 1 < len(runs) < len(rows):
             starts = np.cumsum(runs)[:-1]
-            raise InputError(f"{source}: {_seams(starts, len(rows))}, by column {head.text}; {REMEDY}")
+            remedy = f"{REMEDY}; or rename the column"
+            raise InputError(f"{source}: {_seams(starts, len(rows))}, by column {head.text}; {remedy}")
 
 
-def name_jumps(source: str, xyz: Float[np.ndarray, "P 3"]) -> None:
-    """Name steps of a path that are JUMP times as long as its usual step, in a Note."""
+def name_jumps(source: str, xyz: Float[np.ndarray, "P 3"], one_point_m: float) -> None:
+    """Name steps of a path that are JUMP times as long as its usual step, the median, in a Note.
+
+    Args:
+        source: The file, for messages.
+        xyz: Points of the path [m].
+        one_point_m: Shorter steps do not count.
+    """
     steps = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    moves = steps[steps > 0]
+    moves = steps[steps > one_point_m]
     if len(moves) < 3:
         return
     usual = float(np.median(moves))

@@ -8,7 +8,6 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.files import note_missing_line_end, read_array, read_bytes
@@ -30,12 +29,10 @@ from htcp_jax.io.parts.headings import (
     header_of_comments,
     headings,
     is_blank_separated,
-    listed,
     stated_unit,
     units_in,
     with_units,
 )
-from htcp_jax.io.parts.seams import check_one_seam
 
 COMMENTS = ("//", "%")  # beginnings of a line that is a comment; # may stand anywhere in a line
 SEPARATOR_LINE = re.compile(r'"?sep=.?"?')  # of spreadsheets
@@ -46,8 +43,7 @@ DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 def read_table(path: Path, unit: str | None = None) -> TablePoints:
     """Read the points of a cloud from a text file, with rows of x, y, z and further columns.
 
-    Columns are separated by commas, semicolons or blanks. Rows with NaN are read, as points without a measurement; a
-    Note reports a last row without a line end.
+    Columns are separated by commas, semicolons or blanks. Rows with NaN are read, as points without a measurement.
 
     Text after a # is a comment, and so is a line that begins with // or %. The first line that is not a comment may be
     a header without numbers, and the next one a row of units. This header, or a comment before the first row, may name
@@ -61,7 +57,7 @@ def read_table(path: Path, unit: str | None = None) -> TablePoints:
         InputError: For too few columns, rows of different lengths, infinite numbers, text that is not a number, and
             decimal commas; the message names the line.
     """
-    reader = _TableReader(path)
+    reader = TableReader(path)
     reader.take_all()
     stated = None if reader.columns is None else reader.columns.unit
     if unit not in (None, stated or unit):
@@ -69,81 +65,7 @@ def read_table(path: Path, unit: str | None = None) -> TablePoints:
     return reader.points(unit)
 
 
-class PathTable:
-    """Rows of a path's file: its points, and further columns by name."""
-
-    def __init__(
-        self, path: Path, chosen: Mapping[str, int | str] = MappingProxyType({}), unit: str | None = None
-    ) -> None:
-        """Read the file; blank lines between rows, and a column that divides the rows, mean several seams.
-
-        Args:
-            path: The file.
-            chosen: The column of each quantity, see `columns.chosen_columns`, in place of the header's names; empty, or
-                with x, y and z.
-            unit: Unit of the coordinates, a key of `columns.PER_METRE`; None: the header's unit, or m if the header has
-                none. A UserWarning reports a header with a different unit.
-
-        Raises:
-            InputError: As `read_table` and `chosen_columns` do, and for several seams.
-        """
-        self._path, self._reader = path, _TableReader(path, keep=True, chosen=chosen)
-        self._reader.take_all()
-        columns, header = self._reader.columns, self._reader.header or ()
-        self.xyz: Float[np.ndarray, "P 3"] = self._reader.points(unit).xyz  # [m]
-        self._header = header if columns is not None and len(header) == columns.width and columns.named else ()
-        if columns is None:
-            return
-        check_one_seam(str(path), self._reader.rows, self._reader.blank, self._header)
-        if unit not in (None, columns.unit or unit):
-            text = f"the unit is {columns.unit} in the header and {unit} in the job; the job's is used"
-            warnings.warn(f"{path}: {text}", UserWarning, stacklevel=4)
-
-    def headings(self, family: Sequence[str]) -> list[Heading] | None:
-        """Return the headings of the columns with these names; None if the table lacks one of them."""
-        places = self._places(family)
-        return None if places is None else [self._heading(k) for k in places]
-
-    def numbers(self, family: Sequence[str]) -> Float[np.ndarray, "P k"] | None:
-        """Return the columns with these k names; None if the table lacks one of them, or has points in one of them.
-
-        Raises:
-            InputError: For values that are not finite numbers; the message names the point.
-        """
-        places = self._places(family)
-        if places is None:
-            return None
-        cells = [[bare(row[k]) for k in places] for row in self._reader.rows]
-        for k, row in enumerate(cells):
-            if not all(_is_numeric_cell(cell) and math.isfinite(float(cell)) for cell in row):
-                raise InputError(f"{self._path}: {','.join(family)} of point {k + 1} is {','.join(row)[:40]!r}")
-        return np.array(cells, float)
-
-    def name_partial(self, family: Sequence[str]) -> None:
-        """Report the columns of a family that are not read because the table lacks the others, if there are several."""
-        names = [head.name for head in self._header]
-        there = [name for name in family if name in names]
-        if 1 < len(there) < len(family):
-            lacking = ", ".join(name for name in family if name not in names)
-            text = f"columns {', '.join(there)} are not read, as there is no {lacking}"
-            warnings.warn(f"{self._path}: {text}", Note, stacklevel=5)
-
-    def _places(self, family: Sequence[str]) -> list[int] | None:
-        names = [head.name for head in self._header]
-        chosen = self._reader.chosen
-        places = [chosen.get(name, names.index(name) if name in names else None) for name in family]
-        if self._reader.columns is None or None in places or not set(places).isdisjoint(self._reader.columns.xyz):
-            return None
-        for name in family:
-            if name not in chosen and names.count(name) > 1:
-                raise InputError(f"{self._path}: the header names {name} twice: {listed(self._header)}")
-        return places
-
-    def _heading(self, place: int) -> Heading:
-        return self._header[place] if self._header else Heading("", "", None)
-
-
-class _TableReader:
+class TableReader:
     """Reader of a table line by line; the first row determines the columns.
 
     As long as the first column counts the rows, from 0 or 1, rows are stored: it is ignored only if it counts all rows.
@@ -161,6 +83,7 @@ class _TableReader:
         self._stated_unit: str | None = None  # in a comment such as "unit: mm"
         self._blank = self._most_blank = 0  # number of blank lines in sequence, and its maximum since the last row
         self.first = self.width = 0  # the line of the first row, and its number of cells
+        self._blank_separated = False  # True if blanks separate the cells of the first row
         self.columns: ColumnIndices | None = None
         self.xyz: list[list[float]] = []
         self.normals: list[list[float]] | None = None
@@ -168,6 +91,11 @@ class _TableReader:
         self._counted: list[tuple[int, str, list[str]]] = []  # rows that are kept
 
     def take_all(self) -> None:
+        """Read all lines.
+
+        Raises:
+            InputError: See `read_table`.
+        """
         lines = _table_text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
         is_row = False
         for number, line in enumerate(lines, start=1):
@@ -189,7 +117,7 @@ class _TableReader:
             self._remark(number, comment.strip(), is_blank=not mark)
             return False
         cells = cells_of(content)
-        if not self.first and not any(_is_numeric_cell(cell) for cell in cells):
+        if not self.first and not any(is_numeric_cell(cell) for cell in cells):
             if self._read_heading(number, content, cells):
                 return False
         self._row(number, content, cells)
@@ -215,6 +143,14 @@ class _TableReader:
         return bool(coordinates_in([head.name for head in headings(content)]))
 
     def points(self, unit: str | None = None) -> TablePoints:
+        """Return the points [m], and normals if the table has any.
+
+        Args:
+            unit: Unit of the coordinates, a key of `columns.PER_METRE`; None: the header's unit, or m if it has none.
+
+        Raises:
+            InputError: If commas may be decimal, and for an unknown unit in the header.
+        """
         if self.columns is None:
             return TablePoints(np.empty((0, 3)))
         if self.whole:
@@ -256,36 +192,38 @@ class _TableReader:
 
     def _know(self, number: int, content: str, cells: list[str]) -> None:
         """Set the number of columns from the first row, and the header."""
-        self.first, self.width = number, len(cells)
+        self.first, self.width, self._blank_separated = number, len(cells), is_blank_separated(content)
         if self._header_line:
             self.header = headings(self._header_line, self.width)
-        elif self._comments:
-            self.header = self._header_in_comments(is_blank_separated(content))
+            self._drop_title(numbered=True)
+        else:
+            self._read_comments()
         units = self._units or next(filter(None, (units_in(cells_of(text)) for text in self._comments)), None)
         if units and self.header and len(units) == len(self.header):
             self.header = with_units(self.header, units, str(self.path))
 
-    def _header_in_comments(self, blank_separated: bool) -> list[Heading] | None:
-        """Return the names of columns in the comments; a Note reports a last comment that could name columns."""
-        found = header_of_comments(self._comments, self.width, blank_separated)
-        last = headings(self._comments[-1], self.width)
-        if found is not None or len(last) != self.width or self._stated_unit:
-            return found
+    def _read_comments(self) -> None:
+        """Set the header from the comments; a Note reports a last comment that could name columns."""
+        self.header = header_of_comments(self._comments, self.width, self._blank_separated)
+        last = headings(self._comments[-1], self.width) if self._comments else []
+        if self.header is not None or len(last) != self.width or self._stated_unit:
+            return
         if self._chosen:
-            return last
+            self.header = last
+            return
         text = f"the comment {self._comments[-1][:60]!r} names none of x, y, z and is not read as a header"
         warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
-        return None
 
-    def _without_title(self) -> None:
-        """Forget a header line that is a title: a text without known names, for another number of columns."""
-        if not self._header_line or len(self.header) == self.width or self._chosen:
+    def _drop_title(self, numbered: bool) -> None:
+        """Drop a header line that is a title: a text without known names, for another number of columns."""
+        if not self._header_line or self._chosen or len(self.header) in (self.width, self.width - int(numbered)):
             return
         known = any(head.name in COORDINATE_NAMES | DIRECTION_NAMES for head in self.header)
         if known or (len(self.header) >= 3 and not is_blank_separated(self._header_line)):
             return
-        self.header = None
         self._name_title()
+        self._header_line = ""
+        self._read_comments()
 
     def _name_title(self) -> None:
         """Report a title; it may state a unit."""
@@ -306,13 +244,13 @@ class _TableReader:
             return False
         first = bare(self._counted[0][2][0] if self._counted else cells[0])
         counts = first in ("0", "1") and bare(cells[0]) == str(int(first) + len(self._counted))
-        return counts and all(map(_is_numeric_cell, cells[1:4]))
+        return counts and all(map(is_numeric_cell, cells[1:4]))
 
     def _begin(self, number: int, content: str, cells: list[str], numbered: bool) -> None:
         source = str(self.path)
+        self._drop_title(numbered)
         if numbered and self.header is not None and len(self.header) == self.width - 1:
             self.header = [Heading("", "", None), *self.header]
-        self._without_title()
         try:
             self.columns = self._columns(source, numbered)
         except InputError:
@@ -337,7 +275,7 @@ class _TableReader:
     def _take_row(self, number: int, content: str, cells: list[str]) -> None:
         row = []
         for k in self.columns.xyz:
-            if not _is_numeric_cell(cells[k]):
+            if not is_numeric_cell(cells[k]):
                 cell = cells[k].strip()
                 wrong = f": {cell[:30]!r} is not a number"
                 raise self._error(
@@ -354,7 +292,7 @@ class _TableReader:
             self._normal(cells)
 
     def _normal(self, cells: list[str]) -> None:
-        if all(_is_numeric_cell(cells[k]) for k in self.columns.normals):
+        if all(is_numeric_cell(cells[k]) for k in self.columns.normals):
             self.normals.append([value_of(cells[k]) for k in self.columns.normals])
         elif self.columns.named:
             self.normals.append([0.0, 0.0, 0.0])
@@ -393,7 +331,7 @@ def _table_text(path: Path) -> str:
 
 
 def _is_unit(cells: Sequence[str]) -> bool:
-    return all(map(_is_numeric_cell, cells)) and abs(math.hypot(*map(value_of, cells)) - 1.0) < NEARLY_UNIT
+    return all(map(is_numeric_cell, cells)) and abs(math.hypot(*map(value_of, cells)) - 1.0) < NEARLY_UNIT
 
 
 def bare(cell: str) -> str:
@@ -401,7 +339,8 @@ def bare(cell: str) -> str:
     return cell.strip().strip("\"'").strip()
 
 
-def _is_numeric_cell(cell: str) -> bool:
+def is_numeric_cell(cell: str) -> bool:
+    """Return True for a cell that contains a number."""
     try:
         value_of(cell)
     except ValueError:

@@ -18,8 +18,8 @@ from htcp_jax.io.files import known_ending
 from htcp_jax.io.parts.angles import Maker
 from htcp_jax.io.parts.duct_seams import SEAMS, seam
 from htcp_jax.io.parts.path_file import PathPoints, read_path_points
+from htcp_jax.io.parts.path_table import PathTable
 from htcp_jax.io.parts.point_cloud import TEXT, load_geometry
-from htcp_jax.io.parts.table import PathTable
 from htcp_jax.io.parts.units import check_extent, check_path_unit, unit_key
 from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
 from htcp_jax.types import Anywhere, Triple

@@ -1,0 +1,89 @@
+"""Table of a path's file: one seam, with columns by name."""
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError, Note
+from htcp_jax.io.parts.headings import Heading, listed
+from htcp_jax.io.parts.seams import check_one_seam
+from htcp_jax.io.parts.table import TableReader, bare, is_numeric_cell
+
+
+class PathTable:
+    """Rows of a path's file: its points, and further columns by name."""
+
+    def __init__(
+        self, path: Path, chosen: Mapping[str, int | str] = MappingProxyType({}), unit: str | None = None
+    ) -> None:
+        """Read the file; blank lines between rows, and a column that divides the rows, mean several seams.
+
+        Args:
+            path: The file.
+            chosen: The column of each quantity, see `columns.chosen_columns`, in place of the header's names; empty, or
+                with x, y and z.
+            unit: Unit of the coordinates, a key of `columns.PER_METRE`; None: the header's unit, or m if the header has
+                none. A UserWarning reports a header with a different unit.
+
+        Raises:
+            InputError: As `read_table` and `chosen_columns` do, and for several seams.
+        """
+        self._path, self._reader = path, TableReader(path, keep=True, chosen=chosen)
+        self._reader.take_all()
+        columns, header = self._reader.columns, self._reader.header or ()
+        self.xyz: Float[np.ndarray, "P 3"] = self._reader.points(unit).xyz  # [m]
+        self._header = header if columns is not None and len(header) == columns.width and columns.named else ()
+        if columns is None:
+            return
+        check_one_seam(str(path), self._reader.rows, self._reader.blank, self._header)
+        if unit not in (None, columns.unit or unit):
+            text = f"the unit is {columns.unit} in the header and {unit} in the job; the job's is used"
+            warnings.warn(f"{path}: {text}", UserWarning, stacklevel=4)
+
+    def headings(self, family: Sequence[str]) -> list[Heading] | None:
+        """Return the headings of the columns with these names; None if the table lacks one of them."""
+        places = self._places(family)
+        return None if places is None else [self._heading(k) for k in places]
+
+    def numbers(self, family: Sequence[str]) -> Float[np.ndarray, "P k"] | None:
+        """Return the columns with these k names; None if the table lacks one of them, or has points in one of them.
+
+        Raises:
+            InputError: For values that are not finite numbers; the message names the point.
+        """
+        places = self._places(family)
+        if places is None:
+            return None
+        cells = [[bare(row[k]) for k in places] for row in self._reader.rows]
+        for k, row in enumerate(cells):
+            if not all(is_numeric_cell(cell) and math.isfinite(float(cell)) for cell in row):
+                raise InputError(f"{self._path}: {','.join(family)} of point {k + 1} is {','.join(row)[:40]!r}")
+        return np.array(cells, float)
+
+    def name_partial(self, family: Sequence[str]) -> None:
+        """Report the columns of a family that are not read because the table lacks the others, if there are several."""
+        names = [head.name for head in self._header]
+        there = [name for name in family if name in names]
+        if 1 < len(there) < len(family):
+            lacking = ", ".join(name for name in family if name not in names)
+            text = f"columns {', '.join(there)} are not read, as there is no {lacking}"
+            warnings.warn(f"{self._path}: {text}", Note, stacklevel=5)
+
+    def _places(self, family: Sequence[str]) -> list[int] | None:
+        names = [head.name for head in self._header]
+        chosen = self._reader.chosen
+        places = [chosen.get(name, names.index(name) if name in names else None) for name in family]
+        if self._reader.columns is None or None in places or not set(places).isdisjoint(self._reader.columns.xyz):
+            return None
+        for name in family:
+            if name not in chosen and names.count(name) > 1:
+                raise InputError(f"{self._path}: the header names {name} twice: {listed(self._header)}")
+        return places
+
+    def _heading(self, place: int) -> Heading:
+        return self._header[place] if self._header else Heading("", "", None)
