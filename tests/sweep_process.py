@@ -37,7 +37,7 @@ COLD = {"HTCP_CACHE": "off"}  # compiles everything first, which takes many seco
 def make_sweep(folder: Path) -> None:
     """Write a sweep of six starts in front of a plate, 13 targets each, planned in a fraction of a second."""
     (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
-    (folder / "plate.xyz").write_text(PLATE)
+    (folder / "plate.xyz").write_text(f"{PLATE.rstrip()}\n")
     (folder / "job.yaml").write_text(JOB)
     (folder / "grid.yaml").write_text(GRID)
 

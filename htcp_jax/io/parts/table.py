@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import note_missing_line_end, read_array, read_bytes
+from htcp_jax.io.files import read_array, read_bytes
 from htcp_jax.io.parts.columns import (
     NEARLY_UNIT,
     XYZ,
@@ -33,8 +33,7 @@ DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 def read_table(path: Path, unit: str | None = None) -> TablePoints:
     """Read the points of a cloud from a text file, with rows of x, y, z and further columns.
 
-    Columns are separated by commas, semicolons or blanks. Rows with NaN are read, as points without a measurement; a
-    Note reports a last row without a line end.
+    Columns are separated by commas, semicolons or blanks. Rows with NaN are read, as points without a measurement.
 
     Text after a # is a comment, and so is a line that begins with //. The first line that is not a comment may be a
     header without numbers. This header, or the last comment before the first row, may name the columns, see
@@ -134,8 +133,6 @@ class _TableReader:
         lines = _table_text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
         for number, line in enumerate(lines, start=1):
             self.take(number, line)
-        if self._is_cloud:
-            note_missing_line_end(self.path, lines[-1].encode())
         if self._counted:
             self._begin(*self._counted[0], numbered=len(self._counted) > 1)
 
