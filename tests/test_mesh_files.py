@@ -171,6 +171,7 @@ def test_the_faces_of_a_ply_are_found_by_any_usual_name(tmp_path, name, element)
     (FACES.format("a"), "", "damaged: its header declares 1 elements 'face', the file contains 0"),
     (FACES.format("a"), "3 0 1 2\n3 1 2 3\n", "damaged: it has 1 lines more than its header declares"),
     ("element vertex 4\n", "", "its header has the line 'element vertex 4'"),
+    ("property a\n", "", "its header has the line 'property a'"),
     ("property real a\n", "", "its header has the line 'property real a'"),
 ])  # fmt: skip
 def test_a_ply_that_is_damaged_or_hides_faces_is_refused(tmp_path, elements, rows, words):

@@ -96,7 +96,7 @@ def _read_header(data: bytes) -> tuple[bool, list[_Element], int]:
                 if name not in {each.name for each in elements}:
                     elements.append(_Element(name, int(count), []))
                     continue
-            case ["property", *kinds, name] if elements and {*kinds} <= {"list", *TYPES}:
+            case ["property", *kinds, name] if elements and kinds and {*kinds} <= {"list", *TYPES}:
                 own = elements[-1].properties
                 found = _property(name, kinds, order)
                 if found is not None and name not in {each.name for each in own}:
