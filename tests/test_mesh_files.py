@@ -181,6 +181,8 @@ def test_a_ply_that_is_damaged_or_hides_faces_is_refused(tmp_path, elements, row
 @pytest.mark.parametrize("elements, rows, what", [
     ("element edge 1\nproperty int vertex1\nproperty int vertex2\n", "0 1\n", "its 1 elements 'edge'"),
     ("element range_grid 2\nproperty list uchar int vertex_indices\n", "1 0\n0\n", "its 2 elements 'range_grid'"),
+    ("element multi_texture_face 1\nproperty list uchar uint texture_vertex_indices\n", "1 0\n",
+     "its 1 elements 'multi_texture_face'"),
     ("element camera 1\nproperty float view_px\n", "0.5\n", "its 1 elements 'camera'"),
 ])  # fmt: skip
 def test_other_elements_of_a_ply_cloud_are_named(tmp_path, elements, rows, what):
