@@ -17,7 +17,7 @@ grid:
   - start_rad.joint4: {offsets: [0, 0.1]}
 """
 # A plate behind the path, in place of the duct, too dense for any body to pass through.
-PLATE = "\n".join(f"{x} {y / 20} {z / 20}" for x in (0.35, 0.4) for y in range(-6, 1) for z in range(7))
+PLATE = "".join(f"{x} {y / 20} {z / 20}\n" for x in (0.35, 0.4) for y in range(-6, 1) for z in range(7))
 JOB = """
 workpiece:
   cloud: plate.xyz
@@ -37,7 +37,7 @@ COLD = {"HTCP_CACHE": "off"}  # compiles everything first, which takes many seco
 def make_sweep(folder: Path) -> None:
     """Write a sweep of six starts in front of a plate, 13 targets each, planned in a fraction of a second."""
     (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
-    (folder / "plate.xyz").write_text(f"{PLATE.rstrip()}\n")
+    (folder / "plate.xyz").write_text(PLATE)
     (folder / "job.yaml").write_text(JOB)
     (folder / "grid.yaml").write_text(GRID)
 
