@@ -171,6 +171,7 @@ def test_the_faces_of_a_ply_are_found_by_any_usual_name(tmp_path, name, element)
     (FACES.format("a"), "", "damaged: its header declares 1 elements 'face', the file contains 0"),
     (FACES.format("a"), "3 0 1 2\n3 1 2 3\n", "damaged: it has 1 lines more than its header declares"),
     ("element vertex 4\n", "", "its header has the line 'element vertex 4'"),
+    ("property a\n", "", "its header has the line 'property a'"),
     ("property real a\n", "", "its header has the line 'property real a'"),
 ])  # fmt: skip
 def test_a_ply_that_is_damaged_or_hides_faces_is_refused(tmp_path, elements, rows, words):
@@ -180,6 +181,8 @@ def test_a_ply_that_is_damaged_or_hides_faces_is_refused(tmp_path, elements, row
 @pytest.mark.parametrize("elements, rows, what", [
     ("element edge 1\nproperty int vertex1\nproperty int vertex2\n", "0 1\n", "its 1 elements 'edge'"),
     ("element range_grid 2\nproperty list uchar int vertex_indices\n", "1 0\n0\n", "its 2 elements 'range_grid'"),
+    ("element multi_texture_face 1\nproperty list uchar uint texture_vertex_indices\n", "1 0\n",
+     "its 1 elements 'multi_texture_face'"),
     ("element camera 1\nproperty float view_px\n", "0.5\n", "its 1 elements 'camera'"),
 ])  # fmt: skip
 def test_other_elements_of_a_ply_cloud_are_named(tmp_path, elements, rows, what):

@@ -78,7 +78,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         place = tmp_path_factory.mktemp("runs")
         patch.chdir(place)
-        (place / "box.xyz").write_text(f"{BOX}\n{SHELF}")
+        (place / "box.xyz").write_text(f"{BOX}\n{SHELF}\n")
         choices = yaml.safe_load(examples()["paper"].read_text())
         del choices["config"]
         for name, count in (("path", 94), ("short", 2)):

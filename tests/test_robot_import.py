@@ -295,7 +295,7 @@ BROKEN = {
         "or above it; put it into one of these folders",
     ),
     "no file": ('meshes/boom.stl" scale="0.1', 'meshes/jib.stl" scale="0.1', "mesh meshes/jib.stl: no such file"),
-    "damaged": ("package://crane_description/meshes/boom.stl", "bad.stl", "bad.stl: 0 points"),
+    "damaged": ("package://crane_description/meshes/boom.stl", "bad.stl", "bad.stl: damaged: solid"),
     "unknown": (
         "package://crane_description/meshes/boom.stl",
         "bad.wrl",

@@ -106,6 +106,15 @@ def test_withheld_points_of_a_las_cloud_are_ignored_with_their_number(tmp_path, 
         np.testing.assert_allclose(load_cloud(file), POINTS[3:], atol=1e-6)
 
 
+@pytest.mark.parametrize("words", ['UNIT["US survey foot",0.3048006096]', 'LENGTHUNIT["foot",0.3048]'])
+def test_a_las_cloud_in_feet_is_refused(tmp_path, words):
+    las(file := tmp_path / "scan.las")
+    cloud = laspy.read(file)
+    cloud.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(f'PROJCS["a",{words}]'))
+    cloud.write(str(file))
+    assert "its coordinate system is in feet; convert the cloud to metres" in refusal(file)
+
+
 def test_noise_in_a_las_cloud_is_named(tmp_path):
     file = las(tmp_path / "scan.las", classification=np.where(np.arange(40) < 5, 7, 2).astype(np.uint8))
     with pytest.warns(Note, match=r"5 points are classified as noise \(7, 18\) and are used"):

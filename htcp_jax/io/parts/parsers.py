@@ -26,6 +26,7 @@ MOST_COLUMNS = 1000  # maximum number of columns of a PCD cloud
 # Limit of the points' size: [bytes], and times the file's size; LZF reaches 88.
 LEAST_LIMIT, GROWTH = 2**26, 100
 LAS_NOISE = 7, 18  # classes of points that are noise
+GEO_UNITS, GEO_FEET = (3076, 4099), (9002, 9003, 9005)  # keys of the units of x, y and z, and values for feet
 NO_LINE_END = "its last line has no line end; check that the file is complete"  # as in `files.note_missing_line_end`
 
 
@@ -74,6 +75,8 @@ def las(file: Path) -> dict[str, np.ndarray]:
     if int.from_bytes(head[100:104], "little") * 54 > file.stat().st_size:  # laspy would try to read them all
         raise ValueError("it declares more variable length records than fit into the file")
     cloud, remarks = laspy.read(file), []
+    if _is_in_feet(cloud.header.vlrs):
+        raise ValueError("its coordinate system is in feet; convert the cloud to metres")
     declared, there = cloud.header.point_count, len(cloud.points)
     if not cloud.header.are_points_compressed:
         end = cloud.header.start_of_first_evlr if cloud.header.number_of_evlrs else file.stat().st_size
@@ -87,6 +90,17 @@ def las(file: Path) -> dict[str, np.ndarray]:
         remarks.append(f"{noise} points are classified as noise (7, 18) and are used; delete them if they are no walls")
     points = np.array(cloud.xyz, dtype=np.float64)
     return {"points": points[~withheld] if withheld.any() else points, "remarks": np.array(remarks, str)}
+
+
+def _is_in_feet(records) -> bool:
+    """True if a coordinate system in the records of a LAS file has feet as a unit of length."""
+    for record in records:
+        keys = getattr(record, "geo_keys", ())  # of GeoTIFF
+        if any(key.id in GEO_UNITS and key.value_offset in GEO_FEET for key in keys):
+            return True
+        if re.search(r"UNIT\s*\[\s*\"[^\"]*(foot|feet|ftUS)", getattr(record, "string", ""), re.IGNORECASE):
+            return True
+    return False
 
 
 def e57(file: Path) -> dict[str, np.ndarray]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
+from htcp_jax.io.files import note_missing_line_end
 from htcp_jax.io.parts.headings import Heading, listed
 from htcp_jax.io.parts.seams import check_one_seam
 from htcp_jax.io.parts.table import TableReader, bare, is_numeric_cell
@@ -22,6 +23,8 @@ class PathTable:
         self, path: Path, chosen: Mapping[str, int | str] = MappingProxyType({}), unit: str | None = None
     ) -> None:
         """Read the file; blank lines between rows, and a column that divides the rows, mean several seams.
+
+        A Note reports a last row without a line end.
 
         Args:
             path: The file.
@@ -44,6 +47,7 @@ class PathTable:
         if unit not in (None, columns.unit or unit):
             text = f"the unit is {columns.unit} in the header and {unit} in the job; the job's is used"
             warnings.warn(f"{path}: {text}", UserWarning, stacklevel=4)
+        note_missing_line_end(path, self._reader.unended)
 
     def headings(self, family: Sequence[str]) -> list[Heading] | None:
         """Return the headings of the columns with these names; None if the table lacks one of them."""

@@ -26,7 +26,7 @@ FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 POLYGONS, STRIPS = ("face", "faces", "polygon", "polygons"), ("tristrips", "tristrip", "tri_strips", "strips")
 INDICES = ("vertex_indices", "vertex_index")
 UNUSED = ("edge", "edges", "range_grid")  # they name vertices, but have no surface; a range grid is a cloud
-OF_VERTICES = re.compile(r"vert|ind(ex|ices)", re.I)
+OF_VERTICES = re.compile(r"(?!.*tex(ture|coord)).*(vert|ind(ex|ices))", re.I)  # lists of texture corners are not
 
 
 class _Property(NamedTuple):
@@ -82,7 +82,8 @@ def _read_header(data: bytes) -> tuple[bool, list[_Element], int]:
     """Return True for a text, the elements, and the position of the first value."""
     if not (begin := re.match(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r\n|\n|\r)", data)):
         raise ValueError("no header")
-    if not (end := re.compile(rb"[\r\n][ \t]*end_header[ \t]*" + begin[1]).search(data, begin.end() - 1)):
+    line_end = rb"\r" if begin[1] == b"\r" else rb"\r?\n"
+    if not (end := re.compile(rb"[\r\n][ \t]*end_header[ \t]*" + line_end).search(data, begin.end() - 1)):
         raise ValueError("its header has no end")
     order, elements = None, list[_Element]()
     for line in data[begin.end() : end.start()].decode("utf-8", "replace").splitlines():
@@ -96,7 +97,7 @@ def _read_header(data: bytes) -> tuple[bool, list[_Element], int]:
                 if name not in {each.name for each in elements}:
                     elements.append(_Element(name, int(count), []))
                     continue
-            case ["property", *kinds, name] if elements and {*kinds} <= {"list", *TYPES}:
+            case ["property", *kinds, name] if elements and kinds and {*kinds} <= {"list", *TYPES}:
                 own = elements[-1].properties
                 found = _property(name, kinds, order)
                 if found is not None and name not in {each.name for each in own}:
@@ -121,10 +122,15 @@ def _check_elements(path: Path, elements: list[_Element]) -> None:
     for element in elements:
         if element.name in ("vertex", *POLYGONS, *STRIPS) or not element.count:
             continue
-        if element.name not in UNUSED and any(OF_VERTICES.search(each.name) for each in element.properties):
+        if element.name not in UNUSED and any(map(_names_vertices, element.properties)):
             text = f"its {element.count} elements {element.name!r} hold vertices"
             raise InputError(f"{path}: {text}; save the mesh with faces (valid: {', '.join((*POLYGONS, *STRIPS))})")
         warnings.warn(f"{path}: its {element.count} elements {element.name!r} are ignored", Note, stacklevel=3)
+
+
+def _names_vertices(each: _Property) -> bool:
+    is_index = each.type.kind in "iu" and (each.length is not None or "vert" in each.name.lower())
+    return is_index and OF_VERTICES.match(each.name) is not None
 
 
 def _read_text(path: Path, body: bytes, elements: list[_Element]) -> dict[str, _Values]:

@@ -6,6 +6,7 @@ geometry is used or refused, or a Note names it. Parsers that are not written in
 `scan`.
 """
 
+import os
 import warnings
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import known_ending, read_bytes
+from htcp_jax.io.files import known_ending, note_missing_line_end, open_named, read_bytes
 from htcp_jax.io.parts.columns import PER_METRE, TablePoints
 from htcp_jax.io.parts.obj import read_obj
 from htcp_jax.io.parts.ply import read_ply
@@ -27,6 +28,7 @@ TEXT = (".xyz", ".csv", ".txt")
 TABLES = (*TEXT, ".npy")
 MESHES = (".ply", ".stl", ".obj", *PARTS)
 CLOUDS = (*TABLES, *SCANS, *MESHES)
+TAIL = 10_000  # size of the part of a table in which its last line end is looked for [bytes]
 AT_ORIGIN = 10  # number of points at 0 0 0 from which on they may be places where a scanner measured nothing
 
 
@@ -61,8 +63,14 @@ def load_geometry(path: str | Path, unit: str | None = None) -> Geometry:
         if unit is not None:
             found = Geometry(found.points / PER_METRE[unit], found.triangles / PER_METRE[unit])
     else:
-        found = Geometry(read_points(path, unit).xyz, np.empty((0, 3, 3)))
+        found = Geometry(_read_table_or_scan(path, ending, unit).xyz, np.empty((0, 3, 3)))
+    if not len(found.triangles):
+        found = found._replace(points=found.points[_measured(path, found.points)])
     arrays.check_points(found.points, str(path), at_least=1 if len(found.triangles) else 4)
+    if ending in TEXT:
+        with open_named(path) as stream:
+            stream.seek(max(0, os.fstat(stream.fileno()).st_size - TAIL))
+            note_missing_line_end(path, stream.read())
     return found
 
 
@@ -93,24 +101,30 @@ def read_points(path: str | Path, unit: str | None = None) -> TablePoints:
         InputError: For a file that cannot be read. Values and number of points are checked by `load_geometry` only.
     """
     path = Path(path)
-    ending = known_ending(path, (*TABLES, *SCANS))
-    if ending in SCANS:
-        found = read_scan(path, ending)
-    else:
-        found = read_npy(path) if ending == ".npy" else read_table(path, unit)
-    if unit is not None and ending not in TEXT:
-        found = found._replace(xyz=found.xyz / PER_METRE[unit])
-    if not (measured := _measured(path, found.xyz)).all():
-        found = TablePoints(found.xyz[measured], None if found.normals is None else found.normals[measured])
-    return found
+    found = _read_table_or_scan(path, known_ending(path, (*TABLES, *SCANS)), unit)
+    measured = _measured(path, found.xyz)
+    return TablePoints(found.xyz[measured], None if found.normals is None else found.normals[measured])
+
+
+def _read_table_or_scan(path: Path, ending: str, unit: str | None) -> TablePoints:
+    if ending in TEXT:
+        return read_table(path, unit)
+    found = read_npy(path) if ending == ".npy" else read_scan(path, ending)
+    return found if unit is None else found._replace(xyz=found.xyz / PER_METRE[unit])
 
 
 def _measured(path: Path, points: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, "P"]:
     """Return False for points with a NaN coordinate, where a scanner measured nothing.
 
     Notes count them, and points at the origin, which some scanners write instead.
+
+    Raises:
+        InputError: If fewer than 4 points remain.
     """
     is_nan = np.isnan(points).any(axis=1)
+    if is_nan.any() and len(points) - is_nan.sum() < 4:
+        what = f"{len(points) - is_nan.sum()} points, at least 4 are needed; {is_nan.sum()} of {len(points)} are NaN"
+        raise InputError(f"{path}: {what}")
     if is_nan.any():
         warnings.warn(f"{path}: {is_nan.sum()} of {len(points)} points are NaN and are ignored", Note, stacklevel=3)
     if (at_origin := int((points == 0.0).all(axis=1).sum())) >= AT_ORIGIN:
@@ -121,12 +135,10 @@ def _measured(path: Path, points: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, 
 
 def _read_mesh(path: Path, ending: str) -> Geometry:
     vertices, triangles = _geometry(path, ending)
-    if not len(triangles):
-        return Geometry(vertices[_measured(path, vertices)], triangles)
     corners = triangles.reshape(-1, 3)
     if not np.isfinite(corners).all() or np.abs(corners).max(initial=0.0) > arrays.LARGEST_COORDINATE:
         raise InputError(f"{path}: a vertex of the mesh is NaN, infinite or too far from the origin")
-    return Geometry(corners, triangles)
+    return Geometry(corners if len(corners) else vertices, triangles)
 
 
 def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "F 3 3"]]:

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import note_missing_line_end, read_array, read_bytes
+from htcp_jax.io.files import read_array, read_bytes
 from htcp_jax.io.parts.columns import (
     NEARLY_UNIT,
     XYZ,
@@ -47,7 +47,7 @@ def read_table(path: Path, unit: str | None = None) -> TablePoints:
 
     Text after a # is a comment, and so is a line that begins with // or %. The first line that is not a comment may be
     a header without numbers, and the next one a row of units. This header, or a comment before the first row, may name
-    the columns, see `columns_of` and `header_of_comments`. A Note reports a last row without a line end.
+    the columns, see `columns_of` and `header_of_comments`.
 
     Args:
         path: The file.
@@ -85,6 +85,7 @@ class TableReader:
         self.first = self.width = 0  # the line of the first row, and its number of cells
         self._blank_separated = False  # True if blanks separate the cells of the first row
         self.columns: ColumnIndices | None = None
+        self.unended = b""  # the last row if it has no line end
         self.xyz: list[list[float]] = []
         self.normals: list[list[float]] | None = None
         self.whole = False  # True if all rows so far are as 1,5,2,5,3,5, where commas may be decimal
@@ -97,13 +98,10 @@ class TableReader:
             InputError: See `read_table`.
         """
         lines = _table_text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-        is_row = False
         for number, line in enumerate(lines, start=1):
-            is_row = self.take(number, line)
+            self.unended = line.encode() if self.take(number, line) else b""
         if self._counted:
             self._begin(*self._counted[0], numbered=len(self._counted) > 1)
-        if is_row:
-            note_missing_line_end(self.path, lines[-1].encode())
 
     def take(self, number: int, line: str) -> bool:
         """Read a line; return True if it is a row."""
