@@ -250,8 +250,8 @@ HARMLESS = {
     },
     "path": {},
     "path with quaternions": {
-        r"^[\d.]+(?=(?: \S+){7}$)|(?<=# )\S*timestam\S* ": "a time: speeds are planned anew",
-        r" 0 0 0 [12]$": "a rotation has no length",
+        r"^[\d.]+(?=(?: \S+){7}$)|(?<=# )\S*timestam\S* |^timestamp (?=# )": "a time: speeds are planned anew",
+        r" 0 0 0 [\d.]+$": "a rotation has no length",
         r"^#.*\n(?=#)": "the same remark again",
     },
     "joint limits": {"default_velocity_scaling_factor": "speeds are the user's"},
