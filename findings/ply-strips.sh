@@ -3,7 +3,7 @@
 #
 # Guess: the strips, as scanners' tools write them, are triangulated, or the file is refused.
 # Seen: trimesh 5.2.0 returns the strips' corners as a cloud, and of a file with one face and strips only the face;
-# pyvista 0.49.1 (VTK) the same: no cells with an area, and 1 of 5 triangles.
+# pyvista 0.49.1 (VTK) the same: no cells with an area, and 1 of 4 triangles.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
