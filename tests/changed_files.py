@@ -167,6 +167,7 @@ def changed_lines(text: str, harmless: dict[str, str], draw: random.Random) -> C
     elif kind == "move word" and len(words) > 1:
         a, b = sorted(draw.sample(words, 2), key=lambda each: each.start())
         new[k] = line[: a.start()] + b[0] + line[a.end() : b.start()] + a[0] + line[b.end() :]
+        kind = f"{a[0]!r} and {b[0]!r} swapped"
     elif kind == "double line":
         new.insert(k, line)
     elif kind == "double word":

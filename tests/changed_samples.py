@@ -248,10 +248,10 @@ HARMLESS = {
         r"^((\S+ ){3})\S+ \S+ \S+ \S+$": "a point's normal and colour",
         r"^property \S+ (?![xyz]$)\S+$": "a point's normal and colour, and numbers of the user",
     },
-    "path": {},
+    "path": {r"(?<=\[mm)\]": "the unit is known without the closing bracket"},
     "path with quaternions": {
-        r"^[\d.]+(?=(?: \S+){7}$)|(?<=# )\S*timestam\S* ": "a time: speeds are planned anew",
-        r" 0 0 0 [12]$": "a rotation has no length",
+        r"^[\d.]+(?=(?: \S+){7}$)|(?<=# )\S*timestam\S* |^timestamp (?=# )": "a time: speeds are planned anew",
+        r" 0 0 0 [\d.]+$": "a rotation has no length",
         r"^#.*\n(?=#)": "the same remark again",
     },
     "joint limits": {"default_velocity_scaling_factor": "speeds are the user's"},
