@@ -135,6 +135,26 @@ def test_invalid_points_of_an_e57_file_are_ignored_with_their_number(tmp_path):
         np.testing.assert_allclose(load_cloud(file), np.delete(POINTS, [0, 7], axis=0), atol=1e-6)
 
 
+def test_an_e57_file_with_spherical_coordinates_alone_is_read(tmp_path):
+    lib, distance = pye57.libe57, np.linalg.norm(POINTS, axis=1)
+    angles = np.arctan2(POINTS[:, 1], POINTS[:, 0]), np.arcsin(POINTS[:, 2] / distance)
+    columns = dict(zip(("sphericalRange", "sphericalAzimuth", "sphericalElevation"), (distance, *angles), strict=True))
+    with pye57.E57(str(tmp_path / "scan.e57"), mode="w") as written:
+        scan, kinds = lib.StructureNode(written.image_file), lib.StructureNode(written.image_file)
+        for name in columns:
+            kinds.set(name, lib.FloatNode(written.image_file, 0.0, lib.E57_DOUBLE, -10.0, 10.0))
+        points = lib.CompressedVectorNode(written.image_file, kinds, lib.VectorNode(written.image_file, True))
+        scan.set("points", points)
+        written.data3d.append(scan)
+        buffers = lib.VectorSourceDestBuffer()
+        for name, values in columns.items():
+            buffers.append(lib.SourceDestBuffer(written.image_file, name, values, len(values), True, True))
+        writer = points.writer(buffers)
+        writer.write(len(POINTS))
+        writer.close()
+    np.testing.assert_allclose(load_cloud(tmp_path / "scan.e57"), POINTS, atol=1e-12)
+
+
 def test_a_pcd_cloud_with_a_viewpoint_is_not_moved_but_named(tmp_path):
     file = pcd(tmp_path / "scan.pcd")
     file.write_bytes(file.read_bytes().replace(b"VIEWPOINT 0.0 0.0 0.0 1.0", b"VIEWPOINT 0.0 0.0 1.5 1.0", 1))

@@ -201,6 +201,8 @@ def test_a_unit_next_to_one_in_the_file_is_refused(tmp_path):
     np.savetxt(file, 100 * box().cloud, delimiter=",", header="x_cm,y_cm,z_cm", comments="")
     with pytest.raises(InputError, match="the unit is mm, but cm in the header; omit the key"):
         load_geometry(file, "mm")
+    with pytest.raises(InputError, match="the unit is 'ft'; valid: m, mm, cm, in"):
+        load_geometry(file, "ft")
     np.testing.assert_array_equal(load_geometry(file, "cm").points, load_geometry(file).points)
 
 

@@ -56,6 +56,7 @@ def load_geometry(path: str | Path, unit: str | None = None) -> Geometry:
     """
     path = Path(path)
     ending = known_ending(path, CLOUDS)
+    _check_unit(path, unit)
     if ending in PARTS and unit is not None:
         raise InputError(f"{path}: the unit is {unit}, but a {ending} file states its own unit; omit the key")
     if ending in MESHES:
@@ -101,9 +102,15 @@ def read_points(path: str | Path, unit: str | None = None) -> TablePoints:
         InputError: For a file that cannot be read. Values and number of points are checked by `load_geometry` only.
     """
     path = Path(path)
+    _check_unit(path, unit)
     found = _read_table_or_scan(path, known_ending(path, (*TABLES, *SCANS)), unit)
     measured = _measured(path, found.xyz)
     return TablePoints(found.xyz[measured], None if found.normals is None else found.normals[measured])
+
+
+def _check_unit(path: Path, unit: str | None) -> None:
+    if unit is not None and unit not in PER_METRE:
+        raise InputError(f"{path}: the unit is {unit!r}; valid: {', '.join(PER_METRE)}")
 
 
 def _read_table_or_scan(path: Path, ending: str, unit: str | None) -> TablePoints:

@@ -20,6 +20,7 @@ METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometre
 KEYS = {"millimetres": "mm", "inches": "in", "centimetres": "cm", "metres": "m"}  # values of `workpiece.unit`
 LARGE = 2.0  # ratio of a part's size to the arm's reach from which on a warning is given
 ABSURD = 5.0  # ratio of sizes from which on a part is refused, see the module's docstring
+REMEDY = 'lengths must be in metres, and a mesh in millimetres needs scale="0.001 0.001 0.001" in the model'
 HALL = 50.0  # ratio of the size of a cell's mesh or cloud to the arm's reach from which on a warning is given
 STAND_OFF = 0.5  # factor of the largest plausible distance of a path from its part, see `_stand_off`
 
@@ -102,7 +103,7 @@ def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
     if length > links:
         raise InputError(f"{measured}, but the TCP is {length:.3g} m from the last joint; lengths must be in metres")
     if thickest > links:
-        raise InputError(f"{measured}, but a body has a radius of {thickest:.3g} m; lengths must be in metres")
+        raise InputError(f"{measured}, but a body has a radius of {thickest:.3g} m; {REMEDY}")
 
 
 def check_path_unit(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
