@@ -36,7 +36,7 @@ def check_one_seam(source: str, rows: Sequence[Sequence[str]], blank: Sequence[i
         InputError: If a blank line between rows, or a column, divides the rows into several seams.
     """
     between = np.array(blank[1:], int)
-    starts = np.flatnonzero(between > min(between, default=0)) + 1
+    starts = (np.flatnonzero(between > min(between, default=0)) + 1).tolist()
     if len(starts):
         raise InputError(f"{source}: {_seams(starts, len(rows))}, separated by a blank line; {REMEDY}")
     for k, head in enumerate(header):
@@ -44,7 +44,7 @@ def check_one_seam(source: str, rows: Sequence[Sequence[str]], blank: Sequence[i
             continue
         runs = [len(list(run)) for _, run in groupby(_value(row[k]) for row in rows)]
         if 1 < len(runs) < len(rows):
-            starts = np.cumsum(runs)[:-1]
+            starts = np.cumsum(runs)[:-1].tolist()
             remedy = f"{REMEDY}; or rename the column"
             raise InputError(f"{source}: {_seams(starts, len(rows))}, by column {head.text}; {remedy}")
 
@@ -85,7 +85,7 @@ def _value(cell: str) -> str | float:
 
 def _seams(starts: Sequence[int], rows: int) -> str:
     """Return the seams' rows as text, from the index of the first row of each seam but the first."""
-    bounds = [0, *map(int, starts), rows]
+    bounds = [0, *starts, rows]
     ranges = [f"rows {a + 1} to {b}" if b > a + 1 else f"row {b}" for a, b in pairwise(bounds)]
     more = f" and {len(ranges) - MOST_SEAMS} more" if len(ranges) > MOST_SEAMS else ""
     return f"{len(ranges)} seams ({', '.join(ranges[:MOST_SEAMS])}{more})"
