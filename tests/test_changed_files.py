@@ -1,12 +1,12 @@
 """What a user's file says is used, refused, or named: 1,000 files with one change each."""
 
 import pytest
-from changed_files import CLOSED, FINE, KINDS, SAMPLES, change_of, outcome, unchanged
+from changed_files import FINE, KINDS, SAMPLES, change_of, outcome, unchanged
 
 CHANGES = 1000
 
 
-@pytest.mark.parametrize("name", CLOSED)
+@pytest.mark.parametrize("name", KINDS)
 def test_a_change_of_a_file_changes_the_result_or_is_refused_or_is_named(name, tmp_path):
     changes = [change_of(name, seed) for seed in range(-(-CHANGES // len(KINDS)))]
     found = [(change.description, outcome(name, tmp_path, change)) for change in changes]

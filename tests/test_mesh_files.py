@@ -149,7 +149,7 @@ def test_the_triangles_of_a_strip_have_one_sense(tmp_path):
     assert (np.cross(found[:, 1] - found[:, 0], found[:, 2] - found[:, 0])[:, 2] > 0).all()
 
 
-@pytest.mark.parametrize("name", ["vertex_indices", "vertex_index", "corners"])
+@pytest.mark.parametrize("name", ["vertex_indices", "vertex_index"])
 @pytest.mark.parametrize("element", ["face", "polygons"])
 def test_the_faces_of_a_ply_are_found_by_any_usual_name(tmp_path, name, element):
     header = FACES.format(name).replace("face", element)

@@ -90,7 +90,7 @@ def _read_header(data: bytes) -> tuple[bool, list[_Element], int]:
         match line.split():
             case [] | ["comment", *_] | ["obj_info", *_]:
                 continue
-            case ["format", name, _] if name in FORMATS and order is None:
+            case ["format", name, "1.0"] if name in FORMATS and order is None:
                 order = FORMATS[name]
                 continue
             case ["element", name, count] if count.isdigit() and len(count) <= 12 and order is not None:
@@ -271,6 +271,10 @@ def _indices(path: Path, name: str, values: _Values) -> _Lists | None:
     if len(known) != 1:
         text = f"its elements {name!r} have the lists {', '.join(lists) or 'none'}"
         raise InputError(f"{path}: {text}; one with the vertices is needed, {INDICES[0]}")
+    if known[0] not in INDICES:
+        warnings.warn(
+            f"{path}: the list {known[0]!r} of its elements {name!r} is read as their vertices", Note, stacklevel=5
+        )
     return lists[known[0]]
 
 

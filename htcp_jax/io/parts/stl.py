@@ -16,7 +16,7 @@ HEADER, RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)),
 NEAR = 10.0  # a record after the last declared triangle is one, too, if it is within so many sizes of the mesh
 _CORNER = r"\s+vertex" + 3 * r"\s+(\S+)"
 FACET = re.compile(
-    r"\s*facet\s+(?:\S+\s+){0,5}?outer\s+loop" + 3 * _CORNER + r"\s+end\s*loop\s+end\s*facet(?=\s|$)", re.I
+    r"\s*facet\s+(?:(?!outer\s)\S+\s+){0,5}?outer\s+loop" + 3 * _CORNER + r"\s+end\s*loop\s+end\s*facet(?=\s|$)", re.I
 )
 BEGIN, END = (re.compile(rf"\s*{word}(?![^\s])([^\n\r]*)", re.I) for word in ("solid", r"end\s*solid"))
 
