@@ -29,12 +29,12 @@ arm = yourdfpy.URDF.load("arm.urdf", load_meshes=False, load_collision_meshes=Fa
 print("yourdfpy:", arm.joint_map["j2"].axis.tolist())
 chain = pytorch_kinematics.build_serial_chain_from_urdf(open("arm.urdf").read().encode(), "b")
 turned = chain.forward_kinematics(torch.tensor([0.0, 0.3])).get_matrix()[0, :3, :3].numpy()
-print("pytorch_kinematics: x of the link is", turned[:, 0].round(3).tolist())
+print("pytorch_kinematics: x of the link is", *(f"{value:.3f}" for value in turned[:, 0]))
 PY
 diff seen.txt - <<'EXPECTED' || exit 1
 mujoco: [1.0, 0.0, 0.0]
 yourdfpy: [1.0, 0.0, 0.0]
-pytorch_kinematics: x of the link is [0.9549999833106995, 0.296000003814697, 0.0]
+pytorch_kinematics: x of the link is 0.955 0.296 0.000
 EXPECTED
 cat seen.txt
 echo "as seen on 2026-11-28"

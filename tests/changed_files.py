@@ -307,6 +307,13 @@ def change_of(name: str, seed: int) -> Change:
             return change
 
 
+def cuts(name: str, count: int = 200) -> list[str]:
+    """Return the beginnings of a kind's sample that end at `count` places, except at the ends of lines."""
+    text = SAMPLES[KINDS[name].file].rstrip()
+    found = (text[: len(text) * k // count] for k in range(count))
+    return [cut for cut in found if not cut.endswith("\n")]
+
+
 def read_with_warnings(name: str, folder: Path, text: str) -> tuple[Any, set[str]]:
     """Return the reader's result and the texts of its warnings."""
     with warnings.catch_warnings(record=True) as given:
