@@ -156,20 +156,26 @@ def test_the_faces_of_a_ply_are_found_by_any_usual_name(tmp_path, name, element)
     assert len(geometry(tmp_path, "a.ply", ply(header, "4 0 1 3 2\n")).triangles) == 2
 
 
+def test_a_list_of_another_name_is_read_as_the_vertices_of_the_faces_and_named(tmp_path):
+    with pytest.warns(Note, match="the list 'corners' of its elements 'face' is read as their vertices"):
+        found = geometry(tmp_path, "a.ply", ply(FACES.format("corners"), "4 0 1 3 2\n"))
+    assert len(found.triangles) == 2
+
+
 @pytest.mark.parametrize("elements, rows, words", [
     ("element trifans 1\nproperty list int int vertex_index\n", "4 0 1 2 3\n", "elements 'trifans' hold vertices"),
     ("element patch 1\nproperty list int int corner_index\n", "3 0 1 2\n", "'patch' hold vertices"),
     ("element face 1\nproperty int a\n", "3\n", "elements 'face' have the lists none"),
     (FACES.format("a") + "property list uchar int b\n", "3 0 1 2 3 0 1 2\n", "have the lists a, b; one with the"),
-    (FACES.format("a"), "3 0 1 4\n", "damaged: face 1 has vertex 5; the file has 4 vertices"),
-    (FACES.format("a"), "3 0 1 -1\n", "damaged: face 1 has vertex 0; the file has 4 vertices"),
+    (FACES.format("vertex_index"), "3 0 1 4\n", "damaged: face 1 has vertex 5; the file has 4 vertices"),
+    (FACES.format("vertex_index"), "3 0 1 -1\n", "damaged: face 1 has vertex 0; the file has 4 vertices"),
     (STRIPS, "3 0 1 4\n", "has vertex 5"), (STRIPS, "2 0 1\n", "a triangle strip has 2 corners"),
-    (FACES.format("a"), "4 0 1 2\n", "damaged: face 1 of 1 is not complete"),
-    (FACES.format("a"), "3 0 1 2 3\n", "face 1 has more numbers than its header declares"),
-    (FACES.format("a"), "2 0 1\n", "face 1 has 2 corners; at least 3 are needed"),
-    (FACES.format("a"), "3 0 1 2.5\n", "2.5 is not of the type int32"),
-    (FACES.format("a"), "", "damaged: its header declares 1 elements 'face', the file contains 0"),
-    (FACES.format("a"), "3 0 1 2\n3 1 2 3\n", "damaged: it has 1 lines more than its header declares"),
+    (FACES.format("vertex_index"), "4 0 1 2\n", "damaged: face 1 of 1 is not complete"),
+    (FACES.format("vertex_index"), "3 0 1 2 3\n", "face 1 has more numbers than its header declares"),
+    (FACES.format("vertex_index"), "2 0 1\n", "face 1 has 2 corners; at least 3 are needed"),
+    (FACES.format("vertex_index"), "3 0 1 2.5\n", "2.5 is not of the type int32"),
+    (FACES.format("vertex_index"), "", "damaged: its header declares 1 elements 'face', the file contains 0"),
+    (FACES.format("vertex_index"), "3 0 1 2\n3 1 2 3\n", "damaged: it has 1 lines more than its header declares"),
     ("element vertex 4\n", "", "its header has the line 'element vertex 4'"),
     ("property a\n", "", "its header has the line 'property a'"),
     ("property real a\n", "", "its header has the line 'property real a'"),
