@@ -10,7 +10,9 @@ from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import load_robot, read_joint_limits
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of
-from htcp_jax.trajectory import limits_of_job
+from htcp_jax.motion import Motion
+from htcp_jax.status import Kind
+from htcp_jax.trajectory import check_ranges, limits_of_job
 from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.validation.mujoco_arm import MujocoArm
 
@@ -91,6 +93,7 @@ REFUSED = {
     "an expression": ("joint_limits: {j1: {min_position: rad(pi/2)}}", "is 'rad(pi/2)'; write a number"),
     "another unit": ("joint_limits: {j1: {min_position: !foot 2}}", "tag !foot is not allowed"),
     "a word with a unit": ("joint_limits: {j1: {min_position: !degrees x}}", "!degrees x is not a number"),
+    "an underscore": ("joint_limits: {j1: {min_position: !degrees 1_0}}", "!degrees 1_0 is not a number"),
     "degrees": (
         "joint_limits: {j1: {min_position: -170, max_position: 170}}",
         "min_position of joint j1 is -170 rad, which seems to be in degrees; write !degrees -170, or -2.96706",
@@ -155,6 +158,15 @@ def test_a_last_line_without_an_end_is_named(folder):
     assert "the last line has no line end" in read(folder, text).note()
 
 
+def test_motions_may_leave_a_range_that_the_file_does_not_state(folder):
+    robot, stated = toy.robot(), read(folder, "joint_limits: {j1: {max_position: 1}, j2: {max_velocity: 1}}\n")
+    kind = np.array([Kind.PROCESS] * 2)
+    wider = Motion(np.array([np.asarray(robot.lower) - 0.1, np.zeros(4)]), np.arange(2), kind)
+    check_ranges(stated, robot, wider, "plan")
+    with pytest.raises(InputError, match=r"joint j1 reaches 1\.1 rad at target 1, .* allows 1; "):
+        check_ranges(stated, robot, wider._replace(x=np.array([np.zeros(4), [1.1, 0, 0, 0]])), "plan")
+
+
 def test_planner_and_validator_have_the_same_ranges(folder):
     (folder / "joint_limits.yaml").write_text(NARROW)
     file = str(folder / "joint_limits.yaml")
@@ -191,9 +203,15 @@ def test_programs_of_the_job_keep_the_file_s_rates_but_its_own_section_precedes_
     assert joint_limits(robot, own, stated).velocity.tolist() == [0.1, 0.2, 0.3, 0.4]
 
 
-@pytest.mark.parametrize("name", ["arm.urdf", "simulaton", "arm.srdf"])
+@pytest.mark.parametrize("name", ["arm.urdf", "simulaton", "arm.srdf", "limits.txt"])
 def test_another_source_of_limits_is_refused_with_the_valid_ones(folder, name):
     (folder / "job.yaml").write_text(f"robot: {{model: toy.xml, limits: {name}}}\nstart_rad: [0, 0, 1.7, 0.5]\n")
     valid = "valid: simulation, datasheet, model, or a YAML file such as MoveIt's joint_limits.yaml"
     with pytest.raises(InputError, match=f"'{name}' is not a source of joint limits; {valid}"):
         load_config(folder / "job.yaml")
+
+
+def test_a_file_with_another_ending_is_refused_wherever_it_is_named(folder):
+    (folder / "limits.txt").write_text(NARROW)
+    with pytest.raises(InputError, match=r"limits\.txt is not a file with joint limits; valid: a YAML file such as"):
+        read_joint_limits(folder / "limits.txt", JOINTS, "toy")

@@ -181,6 +181,14 @@ def test_a_speed_of_zero_is_named_and_a_program_needs_it(tmp_path):
         joint_limits(robot)
 
 
+@pytest.mark.parametrize("acceleration", ["0", "-2"])
+def test_an_acceleration_that_is_not_positive_is_named(tmp_path, acceleration):
+    text = arm(f'<limit lower="-1" upper="1" velocity="1" acceleration="{acceleration}"/>')
+    for read in readings(tmp_path, text):
+        with pytest.warns(Note, match="the acceleration of elbow is not positive and counts as missing"):
+            read()
+
+
 def test_joints_of_a_positioner_need_ranges_too(tmp_path):
     (tmp_path / "arm.urdf").write_text(arm())
     table = '<robot name="p"><link name="floor"/><link name="table"/>{}</robot>'
@@ -244,6 +252,7 @@ REFUSED = {
     "a joint without a name": (arm().replace('"wrist"', '""'), "joint '': <joint> has no attribute 'name'"),
     "no child": (arm().replace('<child link="hand"/>', ""), "joint 'wrist': <joint> has no <child>"),
     "a word as a bound": (arm('<limit lower="low" upper="1"/>'), "joint 'elbow': <limit lower='low'> is not a number"),
+    "an underscore": (arm('<limit lower="-1_0" upper="1"/>'), "joint 'elbow': <limit lower='-1_0'> is not a number"),
     "nan as a bound": (arm('<limit lower="nan" upper="1"/>'), "joint 'elbow': <limit lower='nan'> is not a number"),
     "two angles": (arm().replace('xyz="0 0 0.3"', 'rpy="0 1"', 1), "joint 'shoulder': <origin rpy='0 1'> is not 3"),
     "two shapes": (arm().replace("<sphere", '<box size="1 1 1"/><sphere', 1), "link 'base': <geometry> contains <box>"),

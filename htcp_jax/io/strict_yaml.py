@@ -125,7 +125,7 @@ class _UnitLoader(_Loader):
 
     def construct_quantity(self, node):
         try:
-            return UNITS[node.tag] * float(self.construct_scalar(node))
+            return UNITS[node.tag] * float(self.construct_scalar(node).replace("_", "x"))  # Python reads 1_0 as ten
         except ValueError:
             problem = f"{node.tag} {node.value} is not a number"
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from None

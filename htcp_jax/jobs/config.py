@@ -25,7 +25,7 @@ from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
 from htcp_jax.io.parts import Maker
-from htcp_jax.io.robots import joint_limits, model_source
+from htcp_jax.io.robots import LIMITS_FILE, is_limits_file, model_source
 from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.given_kinds import given_kind_of, needs_kind, record_of
@@ -130,9 +130,9 @@ def _limits_source(value: str) -> str:
     Raises:
         InputError: If it is neither of these.
     """
-    if value in LIMIT_PROFILES or joint_limits.is_limits_file(value):
+    if value in LIMIT_PROFILES or is_limits_file(value):
         return value
-    valid = f"{', '.join(LIMIT_PROFILES)}, or a YAML file such as MoveIt's joint_limits.yaml"
+    valid = f"{', '.join(LIMIT_PROFILES)}, or {LIMITS_FILE}"
     raise InputError(f"{Path(value).name!r} is not a source of joint limits; valid: {valid}")
 
 

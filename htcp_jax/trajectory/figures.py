@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from htcp_jax.io.robots import RATES
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.curve import Blend
-from htcp_jax.trajectory.limits import KINDS, MotionLimits
+from htcp_jax.trajectory.limits import MotionLimits
 from htcp_jax.trajectory.program import FeedDrop, Program
 from htcp_jax.trajectory.time_scaling import TimeScaling, instants
 
@@ -128,7 +129,7 @@ def _largest_shares(looked_at: list[tuple[np.ndarray, list[np.ndarray]]], names:
         return []
     times, parts = zip(*looked_at, strict=True)
     time, found = np.concatenate(times), []
-    for kind, share in zip(KINDS, map(np.concatenate, zip(*parts, strict=True)), strict=True):
+    for kind, share in zip(RATES, map(np.concatenate, zip(*parts, strict=True)), strict=True):
         row, joint = np.unravel_index(share.argmax(), share.shape)
         found.append(Share(kind, float(share[row, joint]), names[joint], float(time[row])))
     return found

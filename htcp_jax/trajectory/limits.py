@@ -6,12 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import JointLimits
-from htcp_jax.io.robots import joint_limits as limits_format
+from htcp_jax.io.robots import RATES, JointLimits
 from htcp_jax.jobs import config
 from htcp_jax.model import Robot
-
-KINDS = limits_format.RATES
 
 
 class MotionLimits(NamedTuple):
@@ -59,7 +56,7 @@ def joint_limits(
         InputError: If a joint has no velocity limit, or if a list in the job has not one value per joint.
     """
     job = config.ProgramConfig() if job is None else job
-    given = {kind: own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in KINDS}
+    given = {kind: own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in RATES}
     own = own_rates(robot, stated)
     velocity = _given_or(given["velocity"], own["velocity"])
     for name, speed in zip(robot.joint_names, velocity, strict=True):
@@ -84,7 +81,7 @@ def own_rates(robot: Robot, stated: JointLimits | None) -> dict[str, Float[np.nd
     model["jerk"] = np.full(len(robot.joint_names), np.inf)
     if stated is None:
         return model
-    rates = {kind: stated.rates(kind) for kind in KINDS}
+    rates = {kind: stated.rates(kind) for kind in RATES}
     return {kind: np.where(np.isnan(own), model[kind], own) for kind, own in rates.items()}
 
 

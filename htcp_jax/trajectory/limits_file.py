@@ -5,14 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import JointLimits, read_joint_limits
+from htcp_jax.io.robots import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
 from htcp_jax.jobs import PlanConfig
 from htcp_jax.model import Robot
 from htcp_jax.motion import Motion, motion
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.limits import KINDS, own_rates
-
-ROUNDING = 1e-6  # distance beyond a range that is not reported [rad or m]
+from htcp_jax.trajectory.limits import own_rates
 
 
 def limits_of_job(job: PlanConfig, robot: Robot) -> JointLimits | None:
@@ -46,7 +44,7 @@ def limits_overrides(stated: JointLimits, robot: Robot, of_job: JointLimits | No
         InputError: If the file limits some joints, but another joint has no such limit.
     """
     own, found = own_rates(robot, of_job), []
-    for kind in KINDS:
+    for kind in RATES:
         given = stated.rates(kind)
         if np.isnan(given).all():
             continue
@@ -58,11 +56,11 @@ def limits_overrides(stated: JointLimits, robot: Robot, of_job: JointLimits | No
 
 
 def check_ranges(stated: JointLimits, robot: Robot, moved: Motion | motion.Motions, name: str) -> None:
-    """Check that the configurations of motions are within the ranges in a file.
+    """Check that the configurations of motions are within the ranges in a file; ends that it does not state are free.
 
     Args:
         stated: The limits in the file.
-        robot: The arm.
+        robot: The motions' arm.
         moved: The motions.
         name: Name of the motions, for messages.
 
@@ -70,13 +68,15 @@ def check_ranges(stated: JointLimits, robot: Robot, moved: Motion | motion.Motio
         InputError: If a joint is outside its range; the message has the joint that is farthest outside.
     """
     lower, upper = stated.ranges(robot.slides, np.asarray(robot.lower, float), np.asarray(robot.upper, float))
+    lower = np.where([own.lower is None for own in stated.stated], -np.inf, lower)
+    upper = np.where([own.upper is None for own in stated.stated], np.inf, upper)
     excess = np.maximum(lower - moved.x, moved.x - upper)
-    if excess.max(initial=0.0) <= ROUNDING:
+    if excess.max(initial=0.0) <= LIMIT_ROUNDING:
         return
     row, joint = map(int, np.unravel_index(excess.argmax(), excess.shape))
     value, limit = moved.x[row, joint], (lower if moved.x[row, joint] < lower[joint] else upper)[joint]
     digits = 3 if f"{value:.3g}" != f"{limit:.3g}" else 8
-    others = [each for k, each in enumerate(robot.joint_names) if k != joint and excess[:, k].max() > ROUNDING]
+    others = [each for k, each in enumerate(robot.joint_names) if k != joint and excess[:, k].max() > LIMIT_ROUNDING]
     also = f" ({', '.join(others)} beyond, too)" if others else ""
     scenario = f" of scenario {moved.scenario[row]}" if isinstance(moved, motion.Motions) else ""
     raise InputError(

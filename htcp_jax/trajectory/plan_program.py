@@ -232,7 +232,8 @@ def program_of_plans(
         raise InputError(f"{name}: the motion leads to only {end.executable} of {end.targets} targets; {why}")
     robot = robots.lengthen_tool(build.robot_of(job.robot, job.cell, job.tree), job.robot.tool_extension_m)
     goals = build.scene(job)[2].goals if job.task else None
-    return timed_plan(plans, scenario, job, robot, goals, feed_m_s, method, retract=retract)
+    limits = joint_limits(robot, job.program, limits_of_job(job, robot))
+    return timed_plan(plans, scenario, job, robot, goals, limits, feed_m_s, method, retract=retract)
 
 
 def timed_plan(
@@ -241,6 +242,7 @@ def timed_plan(
     job: PlanConfig,
     robot: Robot,
     goals: Float[np.ndarray, "T G"] | None,
+    limits: MotionLimits,
     feed_m_s: float,
     method: str,
     *,
@@ -254,14 +256,14 @@ def timed_plan(
         job: The scenario's job.
         robot: The robot with the job's tool.
         goals: Goals of the scenario [m, rad]; None if the job has no task.
+        limits: The robot's limits, see `joint_limits`.
         feed_m_s: Feed rate of the TCP on the path.
         method: Name of the method, for the result.
         retract: True to append the retraction.
 
     Raises:
-        InputError: If `time_motion` or `joint_limits` raises it.
+        InputError: If `time_motion` raises it.
     """
-    limits = joint_limits(robot, job.program, limits_of_job(job, robot))
     whole = motion.motion(plans, scenario, job.on_path, retract=retract)
     left = motion_slack(plans, scenario, whole, job.settings.tube_m, robot)
     if job.cell.self_collision:

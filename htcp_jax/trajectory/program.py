@@ -14,11 +14,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots import RATES
 from htcp_jax.model import Robot
 from htcp_jax.motion import Motion
 from htcp_jax.trajectory.blends import MotionSlack, blends
 from htcp_jax.trajectory.curve import Blend
-from htcp_jax.trajectory.limits import KINDS, MotionLimits
+from htcp_jax.trajectory.limits import MotionLimits
 from htcp_jax.trajectory.path import path_of_blend
 from htcp_jax.trajectory.time_scaling import TimeScaling, instants, time_scaling
 from htcp_jax.trajectory.timed_motion import TimedMotion
@@ -169,4 +170,4 @@ def _split_at(which: np.ndarray, breaks: np.ndarray) -> list[np.ndarray]:
 
 
 def _named(limit: int, names: tuple[str, ...]) -> str:
-    return f"{KINDS[limit % len(KINDS)]} of {names[limit // len(KINDS)]}"
+    return f"{RATES[limit % len(RATES)]} of {names[limit // len(RATES)]}"

@@ -20,7 +20,7 @@ import pyarrow as pa
 from htcp_jax.device import processes
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.io import files
-from htcp_jax.io.robots import JointLimits
+from htcp_jax.io.robots import RATES, JointLimits
 from htcp_jax.jobs import PlanConfig, build
 from htcp_jax.model import Robot, Workpiece
 from htcp_jax.model import robot as robots
@@ -30,7 +30,7 @@ from htcp_jax.runs import Run, lock, open_run, timing_file
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.trajectory.figures import ProgramFigures, program_figures
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torques, torques
-from htcp_jax.trajectory.limits import KINDS, joint_limits
+from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.limits_file import check_ranges, limits_of_job
 from htcp_jax.trajectory.plan_program import PlanProgram, requested_feed, timed_plan, with_program
 from htcp_jax.trajectory.timed_motion import TimedMotion
@@ -118,15 +118,21 @@ def _check_motions(timer: "_Timer", methods: Sequence[str], stated: JointLimits)
     """Check that all motions that lead to their last target are within the ranges in a file.
 
     Raises:
-        InputError: For the motion that is farthest outside.
+        InputError: For the motion that is farthest outside, among those of arms with the same ranges.
     """
     on_path = np.array([job.on_path for job in timer.jobs])
-    robot = build.robot_of(timer.found.config.robot, tree=timer.found.config.tree)
+    arms: dict[tuple[bytes, bytes], tuple[Robot, list[int]]] = {}
+    for number, job in enumerate(timer.jobs):
+        arm = timer.arm(job)
+        arms.setdefault((np.asarray(arm.lower).tobytes(), np.asarray(arm.upper).tobytes()), (arm, []))[1].append(number)
     for method in methods:
         plans = timer.plans(method)
         timed = [plans.outcome(scenario).can_be_driven for scenario in range(len(plans.x))]
         moved = motion.motions(plans, on_path, plans.executable & np.array(timed)[:, None])
-        check_ranges(stated, robot, moved, f"{timer.found.folder}, {method}")
+        for arm, scenarios in arms.values():
+            own = np.isin(moved.scenario, scenarios)
+            moved_by_arm = motion.Motions(*(column[own] for column in moved))
+            check_ranges(stated, arm, moved_by_arm, f"{timer.found.folder}, {method}")
 
 
 def _chosen_methods(found: plan_sets.RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
@@ -143,6 +149,7 @@ class _Timer:
         self.found, self.requested = found, requested
         self.plans: Callable[[str], Plans] = cache(found.plans)
         self._arms: dict[str, Robot] = {}
+        self._stated: dict[str, JointLimits | None] = {}
         self._models: dict[str, mujoco.MjModel | None] = {}
         self._inverse: dict[str, Callable] = {}
         self._parts: dict[str, Workpiece] = {}
@@ -161,10 +168,10 @@ class _Timer:
         """The timing settings as a `Timing` without rows."""
         job = with_program(self.found.config, self.requested.overrides)
         limits = {key: job.program.model_dump(mode="json")[key] for key in LIMITS}
-        if job.robot.limits_file is not None and (stated := limits_of_job(job, self._arm(job))) is not None:
+        if (stated := self._limits_in_file(job)) is not None:
             limits |= {
                 kind: Path(stated.file).name
-                for kind in KINDS
+                for kind in RATES
                 if limits[kind] is None and not np.isnan(stated.rates(kind)).all()
             }
         return timing_file.Timing(self.requested.feed_m_s, limits, timing_file.SCHEMA.empty_table())
@@ -191,12 +198,13 @@ class _Timer:
         plans, job = self.plans(method), self.jobs[scenario]
         if not plans.outcome(scenario).can_be_driven:
             return None
-        arm = self._arm(job)
+        arm = self.arm(job)
         goals = build.scenario_of(job, arm, self._part(job, arm)).goals if job.task else None
         robot = robots.lengthen_tool(arm, job.robot.tool_extension_m)
+        limits = joint_limits(robot, job.program, self._limits_in_file(job))
         try:
-            made = timed_plan(plans, scenario, job, robot, goals, self.requested.feed_m_s, method)
-        except InputError:  # limits and feed are valid: the arm never moves
+            made = timed_plan(plans, scenario, job, robot, goals, limits, self.requested.feed_m_s, method)
+        except InputError:  # the feed is valid: the arm never moves
             return None
         return _TimedScenario(program_figures(made.program, made.limits), self._timed(made), np.asarray(robot.effort))
 
@@ -227,11 +235,21 @@ class _Timer:
             self._models[key] = model_of(job.robot, job.tree)
         return self._models[key]
 
-    def _arm(self, job: PlanConfig) -> Robot:
+    def arm(self, job: PlanConfig) -> Robot:
+        """Return a job's arm, without the tool's extension."""
         key = repr(build.robot_key(job))
         if key not in self._arms:
             self._arms[key] = build.robot_of(job.robot, job.cell, job.tree)
         return self._arms[key]
+
+    def _limits_in_file(self, job: PlanConfig) -> JointLimits | None:
+        """Return the limits in the file that a job names; None if it names no file."""
+        if job.robot.limits_file is None:
+            return None
+        key = repr(build.robot_key(job))
+        if key not in self._stated:
+            self._stated[key] = limits_of_job(job, self.arm(job))
+        return self._stated[key]
 
     def _part(self, job: PlanConfig, arm: Robot) -> Workpiece:
         key = repr((build.robot_key(job), build.workpiece_key(job)))

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import LinkMeshes, composed, joint_limits, model_source
+from htcp_jax.io.robots import LinkMeshes, composed, is_limits_file, model_source, read_joint_limits
 from htcp_jax.model import Tool
 from htcp_jax.model import tool as tools
 from htcp_jax.types import Triple
@@ -106,9 +106,9 @@ class MujocoArm:
         self.length = 2 * self._half
         self.joints = tuple(_joint_name(self._model, j) for j in self._order.tolist())
         self.lower, self.upper = (limit[self._order] for limit in _limits_of_profile(self._model, limits))
-        if joint_limits.is_limits_file(limits):
+        if is_limits_file(limits):
             slides = (self._model.jnt_type[self._order] != _HINGE).tolist()
-            stated = joint_limits.read_joint_limits(limits, self.joints, model_source.label_of(path).name)
+            stated = read_joint_limits(limits, self.joints, model_source.label_of(path).name)
             self.lower, self.upper = stated.ranges(slides, self.lower, self.upper)
         self.speed = _numeric(self._model, "speed", math.inf)[self._order]
         self._pose(np.zeros(len(self._order)))

@@ -1,10 +1,13 @@
-from . import attached, capsule_fit, close_fit, composed, joint_limits, mjcf, model_file, model_source, safe_xml
-from .joint_limits import JointLimits, read_joint_limits
+from . import attached, capsule_fit, close_fit, composed, mjcf, model_file, model_source, safe_xml
+from .joint_limits import LIMIT_ROUNDING, LIMITS_FILE, RATES, JointLimits, is_limits_file, read_joint_limits
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot, part_moves
 from .vendor_import import ImportedArm, body_name, chain_text, import_robot
 
 __all__ = [
+    "LIMITS_FILE",
+    "LIMIT_ROUNDING",
+    "RATES",
     "ImportedArm",
     "JointLimits",
     "LinkMeshes",
@@ -16,7 +19,7 @@ __all__ = [
     "composed",
     "gp50",
     "import_robot",
-    "joint_limits",
+    "is_limits_file",
     "load_robot",
     "mjcf",
     "model_file",

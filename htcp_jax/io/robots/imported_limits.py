@@ -65,5 +65,5 @@ def write_ranges(
         numbers: Values of PER_JOINT.
     """
     at = list(joints)
-    remarks.note_limits(model, path, joints, ranges, numbers.get("speed", np.full(model.njnt, np.inf))[at])
+    remarks.note_limits(model, path, joints, ranges, {name: values[at] for name, values in numbers.items()})
     model.jnt_limited[at], model.jnt_range[at] = np.isfinite(ranges).all(axis=1), ranges

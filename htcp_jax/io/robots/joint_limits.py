@@ -23,7 +23,7 @@ from htcp_jax.io import strict_yaml
 
 SECTION = "joint_limits"
 ENDINGS = ".yaml", ".yml", ".json"
-MODELS = ".urdf", ".srdf", ".xacro", ".xml", ".mjcf"  # endings of files that have no such section
+LIMITS_FILE = f"a YAML file such as MoveIt's joint_limits.yaml, with the ending {', '.join(ENDINGS)}"
 RATES = "velocity", "acceleration", "jerk"
 BOUNDS = {"position": ("min_position", "max_position")} | {
     rate: (f"max_{rate}",) for rate in RATES
@@ -32,12 +32,12 @@ SWITCHES = tuple(f"has_{kind}_limits" for kind in (*BOUNDS, "effort", "decelerat
 LARGEST_ANGLE, LARGEST_SHIFT = 20.0, 100.0  # larger positions [rad, m] are usually in degrees or millimetres
 FASTEST = 50.0  # larger velocities [rad/s, m/s] are named, as they may be in degrees per second
 MOST = 8  # largest number of names in a list of a message
-UNLIMITED = 1e6  # larger positions stand for no limit [rad]
-ROUNDING = 1e-6  # difference from the model's limit that is not reported [rad or m, per s]
+UNLIMITED = 1e6  # larger positions stand for no limit [rad or m]
+LIMIT_ROUNDING = 1e-6  # difference from a limit that is not reported [rad or m, per s]
 ANGLE = re.compile(
     r"\s*(deg|rad)\(\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*\)\s*"
 )  # as rosparam reads them
-ANGLE_UNITS = {"deg": math.pi / 180, "rad": 1.0}
+ANGLE_TAGS = {"deg": "!degrees", "rad": "!radians"}
 
 
 class StatedLimits(NamedTuple):
@@ -101,7 +101,7 @@ class JointLimits(NamedTuple):
         if math.isinf(value) or (abs(value) > UNLIMITED and not slide):
             return math.copysign(math.inf, value)
         largest = LARGEST_SHIFT if slide else LARGEST_ANGLE
-        if abs(value) > largest and not (math.isfinite(farthest) and abs(value) <= farthest + ROUNDING):
+        if abs(value) > largest and not (math.isfinite(farthest) and abs(value) <= farthest + LIMIT_ROUNDING):
             unit, wrong = ("m", "millimetres") if slide else ("rad", "degrees")
             remedy = f"write {1e-3 * value:g}" if slide else f"write !degrees {value:g}, or {math.radians(value):.6g}"
             key = BOUNDS["position"][side]
@@ -147,13 +147,13 @@ class JointLimits(NamedTuple):
         """Yield the joints whose ranges are wider than the model's, with both ranges."""
         for name, own, low, high in zip(self.names, self.stated, lower.tolist(), upper.tolist(), strict=True):
             below, above = low if own.lower is None else own.lower, high if own.upper is None else own.upper
-            if below < low - ROUNDING or above > high + ROUNDING:
+            if below < low - LIMIT_ROUNDING or above > high + LIMIT_ROUNDING:
                 yield f"{name} {below:g} to {above:g} (the model's: {low:g} to {high:g})"
 
     def _faster(self, speed: np.ndarray) -> Iterator[str]:
         """Yield the joints whose velocity limits are larger than the model's, with both."""
         for name, own, known in zip(self.names, self.rates("velocity").tolist(), speed.tolist(), strict=True):
-            if own > known + ROUNDING:
+            if own > known + LIMIT_ROUNDING:
                 yield f"{name} {own:g} (the model's: {known:g})"
 
 
@@ -176,15 +176,13 @@ def read_joint_limits(path: str | Path, names: Sequence[str], arm: str) -> Joint
         arm: Name of the arm, for messages.
 
     Raises:
-        InputError: If the file cannot be read, is not YAML, has another format, or limits none of the joints. For a
-            joint of the arm: if a switch is not true or false, a limit is switched on but missing, a position is not a
-            number, or another limit is not positive.
+        InputError: If the file has another ending than those in `ENDINGS`, cannot be read, is not YAML, has another
+            format, or limits none of the joints. For a joint of the arm: if a switch is not true or false, a limit is
+            switched on but missing, a position is not a number, or another limit is not positive.
     """
     file = str(path)
-    if Path(path).suffix.lower() in MODELS:
-        raise InputError(
-            f"{file} is not a file with joint limits; valid: a YAML file such as MoveIt's joint_limits.yaml"
-        )
+    if not is_limits_file(path):
+        raise InputError(f"{file} is not a file with joint limits; valid: {LIMITS_FILE}")
     text = strict_yaml.yaml_text(path)
     section, unused = _section(strict_yaml.parse_mapping(text, file, units=True), file)
     section = {str(name): entry for name, entry in section.items()}  # YAML also has numbers as keys
@@ -260,7 +258,7 @@ def _number(value: Any, file: str, key: str, joint: str) -> float:
         InputError: If it is not a number, or if it is a rate that is not positive and finite.
     """
     if isinstance(value, str) and (angle := ANGLE.fullmatch(value)):
-        value = float(angle[2]) * ANGLE_UNITS[angle[1]]
+        value = float(angle[2]) * strict_yaml.UNITS[ANGLE_TAGS[angle[1]]]
     number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
     if key in BOUNDS["position"]:
         if math.isnan(number):

@@ -197,7 +197,7 @@ def read_robot_file(
         "base_frames": _named_frames(model, frames, moving=False),
         "world": _arm_frame(robot.WORLD.name, *frames[0]) if chain.root else robot.WORLD,
     }
-    remarks.note_limits(model, path, joints, ranges, arrays["speed"])
+    remarks.note_limits(model, path, joints, ranges, arrays)
     held = {each.name: (Capsule(each.p, each.q, each.radius), frames[each.body][1]) for each in capsules}
     return RobotFields(arrays, facts, stored, held)
 

@@ -16,19 +16,19 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots.frames import joint_name
+from htcp_jax.io.robots.joint_limits import UNLIMITED
 
 ON_JOINT, ON_BODY = "remark on joint ", "remark on body "  # heads of a text's name, before the joint's or body's
-NO_RANGE, NO_SPEED, ENDLESS, SOFT, ONE_BOUND = "no range", "no speed", "endless", "soft limits", "one bound"
+NO_RANGE, ENDLESS, SOFT, ONE_BOUND = "no range", "endless", "soft limits", "one bound"
 UNUSED_RANGE, LONG_AXIS = "unused range", "long axis"
 # Each of these is followed by a value.
-FOLLOWS, COUPLED, TYPE, HELD = "follows ", "is coupled to ", "type ", "is held at "
-LARGEST_RANGE = 1e6  # [rad or m]; a larger bound is none
+FOLLOWS, COUPLED, TYPE, HELD, NO_RATE = "follows ", "is coupled to ", "type ", "is held at ", "no "
 PLANAR_ENDINGS = "_TX", "_TY", "_RZ"  # of the names of the three joints that MuJoCo makes of a planar one
 MOST_NAMED = 12  # maximum number of joints in a note
 
 
 class Remedies(NamedTuple):
-    """How a user freezes a joint, with {} for its name, and gives limits."""
+    """Texts for messages: how to freeze a joint, with {} for its name, and how to give limits."""
 
     freeze: str
     limits: str
@@ -116,7 +116,7 @@ def check_ranges(
     """
     names = [joint_name(model, j) for j in joints]
     said = [_remarks(model, name) for name in names]
-    is_open = ~(np.abs(ranges) <= LARGEST_RANGE).all(axis=1)
+    is_open = ~(np.abs(ranges) <= UNLIMITED).all(axis=1)
     missing = [name for name, own, is_one in zip(names, said, is_open, strict=True) if is_one and NO_RANGE in own]
     if missing:
         freeze = remedies.freeze.format(missing[0] if len(missing) == 1 else "JOINT")
@@ -137,7 +137,7 @@ def note_limits(
     path: Path,
     joints: Sequence[int],
     ranges: Float[np.ndarray, "N 2"],
-    speeds: Float[np.ndarray, "N"],
+    rates: Mapping[str, Float[np.ndarray, "N"]],
 ) -> None:
     """Name in notes what was assumed about the limits of joints on the chain.
 
@@ -146,20 +146,24 @@ def note_limits(
         path: Its file, for messages.
         joints: Indices of the N moving joints on the chain.
         ranges: Lower and upper limits that apply to them [rad or m].
-        speeds: Their speed limits [rad/s or m/s]; inf for none.
+        rates: Their limits of "speed" and "acceleration" [rad or m, per s and s2]; inf, or no entry, for none.
     """
     said = {joint_name(model, j): _remarks(model, joint_name(model, j)) for j in joints}
     is_own = (own_ranges(model, joints) == ranges).all(axis=1)
-    always = np.full(len(said), True)
+    always, unlimited = np.full(len(said), True), np.full(len(said), np.inf)
     for remark, (applies, text) in {
         SOFT: (is_own, "the soft limits of <safety_controller>, tighter than the range, are the range of {}"),
         ENDLESS: (is_own, "a range beyond 1e6 rad counts as unlimited: {}"),
         UNUSED_RANGE: (is_own, "the range of a continuous joint is not used: {}"),
         LONG_AXIS: (always, "the length of the <axis> of {} is not 1 and has no effect"),
-        NO_SPEED: (
-            np.isinf(speeds),
+        NO_RATE + "speed": (
+            np.isinf(rates.get("speed", unlimited)),
             "the speed of {} is not positive and counts as missing; htcp program needs it: --limits FILE or "
             "program.velocity",
+        ),
+        NO_RATE + "acceleration": (
+            np.isinf(rates.get("acceleration", unlimited)),
+            "the acceleration of {} is not positive and counts as missing",
         ),
     }.items():
         named = [name for name, is_so in zip(said, applies, strict=True) if is_so and remark in said[name]]

@@ -155,7 +155,7 @@ def _check_numbers(text: str, count: int, where: str, may_be_infinite: bool) -> 
     if not count:
         return
     try:
-        values = [float(part) for part in text.split()]
+        values = [] if "_" in text else [float(part) for part in text.split()]  # Python reads 1_0 as ten
     except ValueError:
         values = []
     if len(values) != count or any(map(math.isnan, values)) or not (may_be_infinite or all(map(math.isfinite, values))):

@@ -13,13 +13,14 @@ from xml.etree.ElementTree import Element, SubElement
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
+from htcp_jax.io.robots.joint_limits import UNLIMITED
 from htcp_jax.io.robots.urdf_elements import short
 
 WORLD = "world"  # MuJoCo's own body 0; a URDF's root link may have this name
 TYPES = "revolute", "continuous", "prismatic", "fixed", "floating", "planar"
 BALL = "spherical"  # pybullet's and MuJoCo's addition
 ROUNDED = 0.01  # an axis whose length differs more from 1 is named
-_SPEEDS = {"speed": ("velocity",), "acceleration": ("acceleration", "drake:acceleration")}
+_RATES = {"speed": ("velocity",), "acceleration": ("acceleration", "drake:acceleration")}
 
 
 class UrdfJoints(NamedTuple):
@@ -87,7 +88,7 @@ def read_joints(root: Element, path: Path) -> UrdfJoints:
     Raises:
         InputError: For a descending range, soft limits that contradict it, and a moving joint with an axis of 0.
     """
-    found = UrdfJoints({name: {} for name in _SPEEDS}, {})
+    found = UrdfJoints({name: {} for name in _RATES}, {})
     joints = [each for each in root.findall("joint") if each.get("type") != "fixed"]
     _warn_of_lost_leaders(root, path)
     has_world = WORLD not in {each.get("link") for each in root.findall("joint/child")}
@@ -102,11 +103,13 @@ def read_joints(root: Element, path: Path) -> UrdfJoints:
         said += [] if kind == "continuous" else _range_remarks(joint, path)
         if kind == "continuous" and _states_range(joint):
             said.append(remarks.UNUSED_RANGE)
-        for numeric, attributes in _SPEEDS.items():
-            given = [number for each in attributes if (number := _number(joint, "limit", each)) > 0]
-            found.numbers[numeric][name] = min(given, default=math.inf)
-        if joint.find("limit[@velocity]") is not None and not _number(joint, "limit", "velocity") > 0:
-            said.append(remarks.NO_SPEED)
+        for numeric, attributes in _RATES.items():
+            stated = {} if (limit := joint.find("limit")) is None else limit.attrib
+            given = [float(stated[each]) for each in attributes if each in stated]
+            positive = [number for number in given if number > 0]
+            found.numbers[numeric][name] = min(positive, default=math.inf)
+            if given and not positive:
+                said.append(remarks.NO_RATE + numeric)
         if (mimic := joint.find("mimic")) is not None:
             said.append(remarks.FOLLOWS + mimic.get("joint", ""))
     return found
@@ -133,7 +136,7 @@ def _range_remarks(joint: Element, path: Path) -> list[str]:
     lower, upper = _number(joint, "limit", "lower"), _number(joint, "limit", "upper")
     if not lower < upper and (lower, upper) != (0, 0):
         raise InputError(f"{path}: joint {name!r} has range {lower:g} to {upper:g}; the lower limit must come first")
-    far = [math.isinf(bound) or (abs(bound) > remarks.LARGEST_RANGE and not slides) for bound in (lower, upper)]
+    far = [math.isinf(bound) or (abs(bound) > UNLIMITED and not slides) for bound in (lower, upper)]
     if (lower, upper) == (0, 0) or all(far):
         said.append(remarks.ENDLESS if all(far) and not slides else remarks.NO_RANGE)
         lower, upper = -math.inf, math.inf
@@ -167,7 +170,7 @@ def _states_range(joint: Element) -> bool:
     """Return True if a continuous joint has a range, or soft limits, that would limit it."""
     hard = [_number(joint, "limit", side) for side in ("lower", "upper")]
     soft = [_number(joint, "safety_controller", f"soft_{side}_limit") for side in ("lower", "upper")]
-    return any(lower < upper and min(-lower, upper) < remarks.LARGEST_RANGE for lower, upper in (hard, soft))
+    return any(lower < upper and min(-lower, upper) < UNLIMITED for lower, upper in (hard, soft))
 
 
 def _relieve(joint: Element, has_world: bool) -> None:
