@@ -9,7 +9,7 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 "${PYTHON:-python3}" -m venv venv
-venv/bin/pip install --quiet --disable-pip-version-check laspy==2.7.0 pye57==0.4.19
+venv/bin/pip install --quiet --disable-pip-version-check laspy==2.7.0 pye57==0.4.19 numpy==2.4.6
 venv/bin/python -W ignore - > seen.txt 2> log.txt <<'PY' || { cat log.txt; exit 1; }
 import laspy, numpy, pye57
 

@@ -9,7 +9,7 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 "${PYTHON:-python3}" -m venv venv
-venv/bin/pip install --quiet --disable-pip-version-check trimesh==5.2.0 scipy==1.17.1 meshio==5.3.5 pyvista==0.49.1
+venv/bin/pip install --quiet --disable-pip-version-check trimesh==5.2.0 scipy==1.17.1 meshio==5.3.5 pyvista==0.49.1 numpy==2.4.6
 venv/bin/python -W ignore - > seen.txt 2> log.txt <<'PY' || { cat log.txt; exit 1; }
 import pathlib
 

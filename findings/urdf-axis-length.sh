@@ -9,7 +9,7 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 "${PYTHON:-python3}" -m venv venv
-venv/bin/pip install --quiet --disable-pip-version-check mujoco==4.0.0 pin==4.1.0 drake==1.51.1 pybullet==3.2.7 yourdfpy==0.0.60 urchin==0.0.30 roboticstoolbox-python==1.5.0
+venv/bin/pip install --quiet --disable-pip-version-check mujoco==4.0.0 pin==4.1.0 drake==1.51.1 pybullet==3.2.7 yourdfpy==0.0.60 urchin==0.0.30 roboticstoolbox-python==1.5.0 numpy==2.4.6 scipy==1.17.1
 cat > arm.urdf <<'XML'
 <robot name="arm">
 <link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>

@@ -9,7 +9,7 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 "${PYTHON:-python3}" -m venv venv
-venv/bin/pip install --quiet --disable-pip-version-check mujoco==4.0.0 yourdfpy==0.0.60 pytorch-kinematics==0.10.0
+venv/bin/pip install --quiet --disable-pip-version-check mujoco==4.0.0 yourdfpy==0.0.60 pytorch-kinematics==0.10.0 numpy==2.4.6 scipy==1.17.1
 cat > arm.urdf <<'XML'
 <robot name="arm">
 <link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -29,12 +29,12 @@ arm = yourdfpy.URDF.load("arm.urdf", load_meshes=False, load_collision_meshes=Fa
 print("yourdfpy:", arm.joint_map["j2"].axis.tolist())
 chain = pytorch_kinematics.build_serial_chain_from_urdf(open("arm.urdf").read().encode(), "b")
 turned = chain.forward_kinematics(torch.tensor([0.0, 0.3])).get_matrix()[0, :3, :3].numpy()
-print("pytorch_kinematics: x of the link is", *(f"{value:.3f}" for value in turned[:, 0]))
+print("pytorch_kinematics: x of the link is", *(f"{value:.3g}" for value in turned[:, 0]))
 PY
 diff seen.txt - <<'EXPECTED' || exit 1
 mujoco: [1.0, 0.0, 0.0]
 yourdfpy: [1.0, 0.0, 0.0]
-pytorch_kinematics: x of the link is 0.955 0.296 0.000
+pytorch_kinematics: x of the link is 0.955 0.296 0
 EXPECTED
 cat seen.txt
 echo "as seen on 2026-11-28"
