@@ -1,4 +1,4 @@
-"""Files with one change: what a file says is used, refused, or named in one line.
+"""Files with one change: what a file states is used, refused, or named in one line.
 
 A change renames an element, moves it to where it means something else, doubles it, or doubles its value. The same seed
 gives the same change. A change is lost if the reader accepts the file, returns what it returned for the unchanged file,

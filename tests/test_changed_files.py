@@ -1,4 +1,4 @@
-"""What a user's file says is used, refused, or named: 1,000 files with one change each."""
+"""What a user's file states is used, refused, or named: 1,000 files with one change each."""
 
 import pytest
 from changed_files import FINE, KINDS, SAMPLES, Change, change_of, cuts, outcome, unchanged

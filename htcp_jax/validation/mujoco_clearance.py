@@ -97,8 +97,8 @@ class Wall:
 def wall_of(part: config.WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
     """Return the wall of a job's workpiece.
 
-    If a user-supplied part has no inlet direction, the direction of the hull's
-    facet nearest to the inlet is used. Without an inlet there is no interior rule.
+    If a user-supplied part has no inlet direction, the direction of the hull's facet nearest to the inlet is used.
+    Without an inlet there is no interior rule.
     """
     triangles = workpiece.triangles if len(workpiece.triangles) else None
     given = None if part.is_along_world_x else part.inlet_direction
