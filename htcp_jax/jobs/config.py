@@ -24,7 +24,7 @@ from pydantic import (
 from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
-from htcp_jax.io.parts import Maker
+from htcp_jax.io.parts import LengthUnit, Maker
 from htcp_jax.io.robots import joint_limits, model_source
 from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
@@ -45,7 +45,6 @@ FASTEST = 1e9  # maximum joint rate, and maximum encoder count per unit
 JointRates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # one limit per joint, for both directions
 Moment = Annotated[float, Field(gt=0, le=100)]  # [s]
 AUTO = "auto"  # value of start_rad: the planner chooses the start
-LengthUnit = Literal["m", "mm", "cm", "in"]  # keys of `io.parts.columns.PER_METRE`
 WORLD = "world"  # parent of models and fixtures that are fixed in the world
 
 

@@ -1,5 +1,6 @@
 from .angles import Maker
 from .duct_seams import SEAMS
+from .lengths import LengthUnit
 from .point_cloud import load_geometry
 from .units import check_cell_extent, check_tool
 from .workpiece_source import (
@@ -15,6 +16,7 @@ from .workpiece_source import (
 __all__ = [
     "SEAMS",
     "GeneratedDuct",
+    "LengthUnit",
     "Maker",
     "NoCloud",
     "PointCloud",

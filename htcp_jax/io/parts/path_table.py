@@ -44,8 +44,8 @@ class PathTable:
         if columns is None:
             return
         check_one_seam(str(path), self._reader.rows, self._reader.blank, self._header)
-        if unit not in (None, columns.unit or unit):
-            text = f"the unit is {columns.unit} in the header and {unit} in the job; the job's is used"
+        if unit not in (None, self._reader.unit or unit):
+            text = f"the unit is {self._reader.unit} in the header and {unit} in the job; the job's is used"
             warnings.warn(f"{path}: {text}", UserWarning, stacklevel=4)
         note_missing_line_end(path, self._reader.unended)
 

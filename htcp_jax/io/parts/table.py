@@ -33,6 +33,7 @@ from htcp_jax.io.parts.headings import (
     units_in,
     with_units,
 )
+from htcp_jax.io.parts.lengths import PER_METRE
 
 COMMENTS = ("//", "%")  # beginnings of a line that is a comment; # may stand anywhere in a line
 SEPARATOR_LINE = re.compile(r'"?sep=.?"?')  # of spreadsheets
@@ -59,9 +60,8 @@ def read_table(path: Path, unit: str | None = None) -> TablePoints:
     """
     reader = TableReader(path)
     reader.take_all()
-    stated = None if reader.columns is None else reader.columns.unit
-    if unit not in (None, stated or unit):
-        raise InputError(f"{path}: the unit is {unit}, but {stated} in the header; omit the key")
+    if unit not in (None, reader.unit or unit):
+        raise InputError(f"{path}: the unit is {unit}, but {reader.unit} in the header; omit the key")
     return reader.points(unit)
 
 
@@ -80,7 +80,7 @@ class TableReader:
         self._header_line = ""  # the line without numbers before the first row; "": a comment may be the header
         self._comments: list[str] = []  # before the first row
         self._units: list[str] | None = None  # in the row below the header, or in a comment
-        self._stated_unit: str | None = None  # in a comment such as "unit: mm"
+        self._stated: list[str] = []  # units in comments such as "unit: mm", and in a title
         self._blank = self._most_blank = 0  # number of blank lines in sequence, and its maximum since the last row
         self.first = self.width = 0  # the line of the first row, and its number of cells
         self._blank_separated = False  # True if blanks separate the cells of the first row
@@ -136,6 +136,12 @@ class TableReader:
             return True
         return False
 
+    @property
+    def unit(self) -> str | None:
+        """Unit in the header and the comments; two different ones are joined by "and"; None without any."""
+        named = [self.columns.unit] if self.columns is not None and self.columns.unit else []
+        return " and ".join(dict.fromkeys([*named, *self._stated])) or None
+
     @staticmethod
     def _is_header(content: str) -> bool:
         return bool(coordinates_in([head.name for head in headings(content)]))
@@ -147,7 +153,7 @@ class TableReader:
             unit: Unit of the coordinates, a key of `columns.PER_METRE`; None: the header's unit, or m if it has none.
 
         Raises:
-            InputError: If commas may be decimal, and for an unknown unit in the header.
+            InputError: If commas may be decimal, and for an unknown unit or two units in the file.
         """
         if self.columns is None:
             return TablePoints(np.empty((0, 3)))
@@ -157,7 +163,7 @@ class TableReader:
             )
         xyz = np.array(self.xyz, dtype=np.float64).reshape(-1, 3)
         normals = None if self.normals is None else np.array(self.normals, dtype=np.float64)
-        return self.columns.points(xyz, normals, str(self.path), unit)
+        return self.columns._replace(unit=self.unit).points(xyz, normals, str(self.path), unit)
 
     def _remark(self, number: int, comment: str, is_blank: bool) -> None:
         """Count blank lines; store a comment before the first row, which may name columns or units."""
@@ -165,12 +171,17 @@ class TableReader:
         self._most_blank = max(self._most_blank, self._blank)
         if not comment:
             return
+        self._state(comment)
         if not self.first:
             self._comments.append(comment)
-            self._stated_unit = stated_unit(comment) or self._stated_unit
         elif self.keep and not self._most_blank and ABOUT_SEAMS.search(comment):
             text = f"the comment {comment[:60]!r} in line {number} does not begin another seam; a blank line would"
             warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
+
+    def _state(self, text: str) -> None:
+        """Store the unit of length that a comment or a title states."""
+        if (unit := stated_unit(text)) is not None:
+            self._stated.append(unit)
 
     def _row(self, number: int, content: str, cells: list[str]) -> None:
         if len(cells) < 3 or (self.first and len(cells) != self.width):
@@ -199,12 +210,14 @@ class TableReader:
         units = self._units or next(filter(None, (units_in(cells_of(text)) for text in self._comments)), None)
         if units and self.header and len(units) == len(self.header):
             self.header = with_units(self.header, units, str(self.path))
+        elif units and not self.header and len(units) == self.width:
+            self._stated += [unit for unit in units if unit in PER_METRE]
 
     def _read_comments(self) -> None:
         """Set the header from the comments; a Note reports a last comment that could name columns."""
         self.header = header_of_comments(self._comments, self.width, self._blank_separated)
         last = headings(self._comments[-1], self.width) if self._comments else []
-        if self.header is not None or len(last) != self.width or self._stated_unit:
+        if self.header is not None or len(last) != self.width or self._stated:
             return
         if self._chosen:
             self.header = last
@@ -225,7 +238,7 @@ class TableReader:
 
     def _name_title(self) -> None:
         """Report a title; it may state a unit."""
-        self._stated_unit = stated_unit(self._header_line) or self._stated_unit
+        self._state(self._header_line)
         text = f"the first line is a title, not a header: {self._header_line[:60]!r}"
         warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
 
@@ -257,8 +270,6 @@ class TableReader:
             raise
         self.normals = None if self.columns.normals is None else []
         self.whole = not (self.columns.named or numbered) and self.width > 3 and ";" not in content and "," in content
-        if self._stated_unit and self.columns.unit is None:
-            self.columns = self.columns._replace(unit=self._stated_unit)
         for row in self._counted:
             self._take_row(*row)
         self._counted = []
