@@ -183,7 +183,8 @@ def test_a_comment_below_a_title_names_the_columns(tmp_path):
 
 @pytest.mark.parametrize("names, there, lacking", [
     ("nx,ny,n", "nx, ny", "nz"), ("qx,qy,qz", "qx, qy, qz", "qw"), ("tx,t,tz", "tx, tz", "ty"),
-    ("A,B,speed", "a, b", "c"),
+    ("A,B,speed", "a, b", "c"), ("O,A,speed", "o, a", "t"), ("roll,speed,gap", "roll", "pitch, yaw"),
+    ("rx,ry,speed", "rx, ry", "rz"),
 ])  # fmt: skip
 def test_columns_that_lack_others_of_their_kind_are_named(tmp_path, names, there, lacking):
     found, said = read(write(tmp_path, f"x,y,z,{names}\n", POINTS, NORMALS))
@@ -194,6 +195,26 @@ def test_columns_that_lack_others_of_their_kind_are_named(tmp_path, names, there
 def test_a_second_set_of_normals_is_named(tmp_path):
     found, said = read(write(tmp_path, "x,y,z,nx,ny,nz,i,j,k\n", POINTS, NORMALS, NORMALS[::-1]))
     assert np.allclose(found.frames.normals, NORMALS) and said[0][1] == "nx ny nz are read, and i j k ignored"
+
+
+@pytest.mark.parametrize("names, text", [
+    ("qw,qx,qy,qz,W,P,R", "qw qx qy qz are read, and w p r ignored"),
+    ("a,b,c,W,P,R,speed", "w p r are read, and a b c ignored"),
+    ("qw,qx,qy,qz,roll,pitch,speed", "columns roll, pitch are not read, as there is no yaw"),
+])  # fmt: skip
+def test_orientations_next_to_others_are_named(tmp_path, names, text):
+    found, said = read(write(tmp_path, f"x,y,z,{names}\n", POINTS, QUATERNIONS, NORMALS))
+    assert found.frames.rotations is not None and said == [(Note, text)]
+
+
+def test_a_repeated_name_of_a_quaternion_is_refused_next_to_chosen_coordinates(tmp_path):
+    file = write(tmp_path, "x,y,z,qw,qx,qy,qz,qw\n", POINTS, QUATERNIONS, NUMBERS)
+    assert refusal(file, chosen={"x": 1, "y": 2, "z": 3}).startswith("the header names qw twice")
+
+
+def test_colours_and_single_letters_are_no_part_of_angles(tmp_path):
+    assert read(write(tmp_path, "x,y,z,r,g,b,a\n", POINTS, QUATERNIONS))[1] == []
+    assert read(write(tmp_path, "x,y,z,t,speed,gap\n", POINTS, NORMALS))[1] == []
 
 
 def test_a_header_between_blanks_has_units_in_brackets(tmp_path):

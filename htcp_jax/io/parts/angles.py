@@ -6,6 +6,7 @@ Kawasaki, Mitsubishi, Yaskawa), of Vathos (ABB, Doosan, Universal Robots) and of
 """
 
 import warnings
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -53,11 +54,16 @@ CERTAIN = {WPR: "fanuc", OAT: "kawasaki", **dict.fromkeys(RTDE, "ur")}  # names 
 FAMILIES = (CHOSEN, WPR, OAT, ABC, AER, RX_RY_RZ, RPY, *RTDE)
 
 
-def rotations_of(table: PathTable, maker: Maker | None, source: str) -> Float[np.ndarray, "P 3 3"] | None:
+def rotations_of(
+    table: PathTable, found: Sequence[tuple[str, ...]], maker: Maker | None, source: str
+) -> Float[np.ndarray, "P 3 3"] | None:
     """Return the orientations that a table's angles state; None, with a Note, if they cannot be read with certainty.
+
+    A Note names angles that are ignored next to others.
 
     Args:
         table: The table.
+        found: The families of FAMILIES that the table has.
         maker: The maker whose order and unit the angles have; None: the one whose names they have.
         source: The file, for messages.
 
@@ -67,27 +73,29 @@ def rotations_of(table: PathTable, maker: Maker | None, source: str) -> Float[np
     """
     if maker is not None:
         names = (CHOSEN, ORDERS[maker].names, *(RTDE if maker == "ur" else ()))
-        family = next((family for family in names if table.headings(family)), None)
+        family = next((family for family in names if family in found), None)
         if family is None:
             text = (
                 f"{KEY} is {maker}, whose angles are {', '.join(ORDERS[maker].names)}, but the path has no such columns"
             )
             raise InputError(f"{source}: {text}; choose them with workpiece.path_columns: {', '.join(CHOSEN)}")
+        table.name_ignored(family, found)
         return _rotations(table, family, ORDERS[maker], source)
-    family = next((family for family in FAMILIES if table.headings(family)), None)
-    if family in CERTAIN:
+    unread = list(found)
+    while unread and unread[0] in CERTAIN:
         try:
-            return _rotations(table, family, ORDERS[CERTAIN[family]], source)
+            rotations = _rotations(table, unread[0], ORDERS[CERTAIN[unread[0]]], source)
         except InputError as error:  # columns of these names may hold something else
             warnings.warn(f"{error}; the columns are not read as angles", Note, stacklevel=4)
-            return None
-    if family is not None:
+            del unread[0]
+        else:
+            table.name_ignored(unread[0], unread)
+            return rotations
+    for family in unread:
         makers = [name for name in get_args(Maker) if family in (CHOSEN, ORDERS[name].names)]
         text = f"columns {listed(table.headings(family))} are not read, as makers order angles differently"
+        makers += ["ur"] if family in RTDE else []
         warnings.warn(f"{source}: {text}; for orientations, set {KEY}: {', '.join(makers)}", Note, stacklevel=4)
-        return None
-    for family in (ABC, WPR, RX_RY_RZ, RPY):
-        table.name_partial(family)
     return None
 
 

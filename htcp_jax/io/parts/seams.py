@@ -16,7 +16,7 @@ DIVIDING = {
     "contour", "line", "layer", "group", "part", "type", "id", "process_on", "arc_on", "laser_on", "weld_on", "tool_on",
     "spray_on", "active",
 }  # fmt: skip
-SUFFIXES = ("", "_id", "_no", "_nr", "_number", "_index", "_name", "_type")
+SUFFIXES = ("", "id", "no", "nr", "number", "index", "name", "type")
 REMEDY = "plan one at a time: write each into its own file, and set home_rad of the next job to the end of the last"
 MOST_SEAMS = 3  # maximum number of seams in a message
 JUMP = 10.0  # a step of so many usual ones is named
@@ -40,7 +40,7 @@ def check_one_seam(source: str, rows: Sequence[Sequence[str]], blank: Sequence[i
     if len(starts):
         raise InputError(f"{source}: {_seams(starts, len(rows))}, separated by a blank line; {REMEDY}")
     for k, head in enumerate(header):
-        if not _divides(head.name):
+        if not _divides(head):
             continue
         runs = [len(list(run)) for _, run in groupby(_value(row[k]) for row in rows)]
         if 1 < len(runs) < len(rows):
@@ -71,7 +71,9 @@ def name_jumps(source: str, xyz: Float[np.ndarray, "P 3"], one_point_m: float) -
     warnings.warn(f"{source}: {text}; if these are several seams, {REMEDY}", Note, stacklevel=4)
 
 
-def _divides(name: str) -> bool:
+def _divides(head: Heading) -> bool:
+    """True for a name in DIVIDING, and for one with a suffix: seam_id, Seam ID, SeamID, seamid, weldLine, weld line."""
+    name = head.name.replace("_", "")
     return any(name.endswith(suffix) and name.removesuffix(suffix) in DIVIDING for suffix in SUFFIXES)
 
 
