@@ -58,7 +58,8 @@ def test_two_seams_are_found_between_doubled_line_ends(tmp_path):
     assert "2 seams (rows 1 to 6, rows 7 to 12), separated by a blank line" in refusal(write(tmp_path, text))
 
 
-@pytest.mark.parametrize("name", ["seam", "Seam ID", "path", "segment_no", "pass", "type", "id", "weld number"])
+@pytest.mark.parametrize("name", ["seam", "Seam ID", "path", "segment_no", "pass", "type", "id", "weld number",
+                                  "SeamID", "weld line", "WeldLine", "Arc On", "seamid"])  # fmt: skip
 def test_a_column_that_divides_the_rows_means_several_seams(tmp_path, name):
     rows = [f"{row},{word}" for rows, word in ((LEFT, "A"), (RIGHT, '"B"'), (LEFT, "A")) for row in rows]
     words = refusal(write(tmp_path, "\n".join([f"x,y,z,{name}", *rows, ""])))
@@ -66,7 +67,7 @@ def test_a_column_that_divides_the_rows_means_several_seams(tmp_path, name):
 
 
 @pytest.mark.parametrize("name, values", [("seam", ["7"] * 6), ("id", "123456"), ("type", ["1", "1.0", '"1"'] * 2),
-                                          ("feed", "112233")])  # fmt: skip
+                                          ("feed", "112233"), ("weld speed", "112233")])  # fmt: skip
 def test_a_column_with_one_value_or_one_for_each_row_is_one_seam(tmp_path, name, values):
     rows = [f"{value},{row}" for row, value in zip(LEFT, values, strict=True)]
     xyz, said = read(write(tmp_path, "\n".join([f"{name},x,y,z", *rows, ""])))
