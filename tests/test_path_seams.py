@@ -89,10 +89,16 @@ def test_a_step_of_a_few_usual_ones_and_a_short_one_are_no_jumps(tmp_path):
     assert read(write(tmp_path, "0,0,0\n0,0,1e-4\n0,0,2e-4\n0,0,3e-4\n0,0,9e-3\n"))[1] == []
 
 
-def test_a_last_row_without_a_line_end_is_read_with_a_note(tmp_path):
-    xyz, said = read(write(tmp_path, "\n".join(["x,y,z", *LEFT])))
-    assert np.array_equal(xyz, PLAIN) and said == ["its last line has no line end; check that the file is complete"]
-    assert read(write(tmp_path, "\n".join(["x,y,z", *LEFT, "# end"])))[1] == []
+@pytest.mark.parametrize("end", ["", "\n# end", "\n# end\n", "\n  ", "  "])
+def test_a_last_line_without_a_line_end_is_read_with_the_same_note_in_paths_and_clouds(tmp_path, end):
+    file = write(tmp_path, "\n".join(["x,y,z", *LEFT]) + end)
+    xyz, said = read(file)
+    is_cut = end in ("", "\n# end", "  ")
+    assert said == ["its last line has no line end; check that the file is complete"] * is_cut
+    with warnings.catch_warnings(record=True) as of_cloud:
+        warnings.simplefilter("always")
+        assert np.array_equal(load_cloud(file), xyz) and np.array_equal(xyz, PLAIN)
+    assert [str(one.message).removeprefix(f"{file}: ") for one in of_cloud] == said
 
 
 def test_a_path_that_is_cut_anywhere_is_refused_or_read_with_a_note_unless_it_ends_with_a_row(tmp_path):

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import note_missing_line_end
+from htcp_jax.io.files import note_missing_line_end, read_tail
 from htcp_jax.io.parts.headings import Heading, listed
 from htcp_jax.io.parts.seams import check_one_seam
 from htcp_jax.io.parts.table import TableReader, bare, is_numeric_cell
@@ -26,7 +26,7 @@ class PathTable:
     ) -> None:
         """Read the file; blank lines between rows, and a column that divides the rows, mean several seams.
 
-        A Note reports a last row without a line end.
+        A Note reports a last line without a line end.
 
         Args:
             path: The file.
@@ -49,7 +49,7 @@ class PathTable:
         if unit not in (None, self._reader.unit or unit):
             text = f"the unit is {self._reader.unit} in the header and {unit} in the job; the job's is used"
             warnings.warn(f"{path}: {text}", UserWarning, stacklevel=4)
-        note_missing_line_end(path, self._reader.unended)
+        note_missing_line_end(path, read_tail(path))
 
     def headings(self, family: Sequence[str]) -> list[Heading] | None:
         """Return the headings of the columns with these names; None if the table lacks one of them.

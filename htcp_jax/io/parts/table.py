@@ -85,7 +85,7 @@ class TableReader:
         self.first = self.width = 0  # the line of the first row, and its number of cells
         self._blank_separated = False  # True if blanks separate the cells of the first row
         self.columns: ColumnIndices | None = None
-        self.unended = b""  # the last row if it has no line end
+        self._may_count = False  # True if the header does not use the first column for a quantity
         self.xyz: list[list[float]] = []
         self.normals: list[list[float]] | None = None
         self.whole = False  # True if all rows so far are as 1,5,2,5,3,5, where commas may be decimal
@@ -99,12 +99,12 @@ class TableReader:
         """
         lines = _table_text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
         for number, line in enumerate(lines, start=1):
-            self.unended = line.encode() if self.take(number, line) else b""
+            self._take(number, line)
         if self._counted:
-            self._begin(*self._counted[0], numbered=len(self._counted) > 1)
+            number, content, _ = self._counted[0]
+            self._begin(number, content, numbered=len(self._counted) > 1)
 
-    def take(self, number: int, line: str) -> bool:
-        """Read a line; return True if it is a row."""
+    def _take(self, number: int, line: str) -> None:
         content, mark, comment = line.partition("#")
         content = content.strip()
         if mark and content and not self.first and self._is_header(content + comment):
@@ -113,13 +113,12 @@ class TableReader:
             content, mark, comment = "", content[:1], content.lstrip("/%")
         if not content.strip(",;\t "):
             self._remark(number, comment.strip(), is_blank=not mark)
-            return False
+            return
         cells = cells_of(content)
         if not self.first and not any(is_numeric_cell(cell) for cell in cells):
             if self._read_heading(number, content, cells):
-                return False
+                return
         self._row(number, content, cells)
-        return True
 
     def _read_heading(self, number: int, content: str, cells: list[str]) -> bool:
         """Read a line without numbers before the first row: a title, the header or units; False for any other."""
@@ -196,7 +195,7 @@ class TableReader:
             self._counted.append((number, content, cells))
             return
         if self.columns is None:
-            self._begin(number, content, cells, numbered=False)
+            self._begin(number, content, numbered=False)
         self._take_row(number, content, cells)
 
     def _know(self, number: int, content: str, cells: list[str]) -> None:
@@ -212,6 +211,9 @@ class TableReader:
             self.header = with_units(self.header, units, str(self.path))
         elif units and not self.header and len(units) == self.width:
             self._stated += [unit for unit in units if unit in PER_METRE]
+        names = [head.name for head in self.header or ()]
+        is_named = len(names) != self.width - 1 and (bool(coordinates_in(names)) or "x" in names[:1])
+        self._may_count = self.width >= 4 and not self._chosen and not is_named
 
     def _read_comments(self) -> None:
         """Set the header from the comments; a Note reports a last comment that could name columns."""
@@ -243,21 +245,16 @@ class TableReader:
         warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
 
     def _counts(self, cells: list[str]) -> bool:
-        """True if the first column counts all rows so far, and the header does not use it for a quantity."""
-        names = [head.name for head in self.header or ()]
-        if (
-            self.width < 4
-            or self._chosen
-            or (len(names) != self.width - 1 and (coordinates_in(names) or "x" in names[:1]))
-        ):
+        """True if the first column counts all rows so far."""
+        if not self._may_count:
             return False
-        if not names and self.width == 6 and _is_unit(cells[3:]):  # coordinates and a normal
+        if self.width == 6 and not self.header and _is_unit(cells[3:]):  # coordinates and a normal
             return False
         first = bare(self._counted[0][2][0] if self._counted else cells[0])
         counts = first in ("0", "1") and bare(cells[0]) == str(int(first) + len(self._counted))
         return counts and all(map(is_numeric_cell, cells[1:4]))
 
-    def _begin(self, number: int, content: str, cells: list[str], numbered: bool) -> None:
+    def _begin(self, number: int, content: str, numbered: bool) -> None:
         source = str(self.path)
         self._drop_title(numbered)
         if numbered and self.header is not None and len(self.header) == self.width - 1:
