@@ -1,4 +1,4 @@
-from .angles import Maker
+from .angles import CHOSEN_ANGLES, Maker
 from .duct_seams import SEAMS
 from .lengths import LengthUnit
 from .point_cloud import load_geometry
@@ -14,6 +14,7 @@ from .workpiece_source import (
 )
 
 __all__ = [
+    "CHOSEN_ANGLES",
     "SEAMS",
     "GeneratedDuct",
     "LengthUnit",

@@ -24,7 +24,7 @@ ROTATION_VECTOR = "vector"
 ABC, AER, OAT, WPR = ("a", "b", "c"), ("a", "e", "r"), ("o", "a", "t"), ("w", "p", "r")
 RX_RY_RZ, RPY = ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
 RTDE = tuple(tuple(f"{name}_tcp_pose_{k}" for k in (3, 4, 5)) for name in ("actual", "target"))
-CHOSEN = ("angle_1", "angle_2", "angle_3")  # roles in `workpiece.path_columns`
+CHOSEN_ANGLES = ("angle_1", "angle_2", "angle_3")  # roles in `workpiece.path_columns`
 KEY = "workpiece.path_angles"
 
 
@@ -51,7 +51,7 @@ ORDERS: dict[str, AngleOrder] = {
     "yaskawa": AngleOrder(RX_RY_RZ, "xyz"),
 }
 CERTAIN = {WPR: "fanuc", OAT: "kawasaki", **dict.fromkeys(RTDE, "ur")}  # names that only one maker uses
-FAMILIES = (CHOSEN, WPR, OAT, ABC, AER, RX_RY_RZ, RPY, *RTDE)
+FAMILIES = (CHOSEN_ANGLES, WPR, OAT, ABC, AER, RX_RY_RZ, RPY, *RTDE)
 
 
 def rotations_of(
@@ -72,13 +72,13 @@ def rotations_of(
             unit.
     """
     if maker is not None:
-        names = (CHOSEN, ORDERS[maker].names, *(RTDE if maker == "ur" else ()))
+        names = (CHOSEN_ANGLES, ORDERS[maker].names, *(RTDE if maker == "ur" else ()))
         family = next((family for family in names if family in found), None)
         if family is None:
             text = (
                 f"{KEY} is {maker}, whose angles are {', '.join(ORDERS[maker].names)}, but the path has no such columns"
             )
-            raise InputError(f"{source}: {text}; choose them with workpiece.path_columns: {', '.join(CHOSEN)}")
+            raise InputError(f"{source}: {text}; choose them with workpiece.path_columns: {', '.join(CHOSEN_ANGLES)}")
         table.name_ignored(family, found)
         return _rotations(table, family, ORDERS[maker], source)
     unread = list(found)
@@ -92,7 +92,7 @@ def rotations_of(
             table.name_ignored(unread[0], unread)
             return rotations
     for family in unread:
-        makers = [name for name in get_args(Maker) if family in (CHOSEN, ORDERS[name].names)]
+        makers = [name for name in get_args(Maker) if family in (CHOSEN_ANGLES, ORDERS[name].names)]
         text = f"columns {listed(table.headings(family))} are not read, as makers order angles differently"
         makers += ["ur"] if family in RTDE else []
         warnings.warn(f"{source}: {text}; for orientations, set {KEY}: {', '.join(makers)}", Note, stacklevel=4)
