@@ -143,6 +143,7 @@ def test_one_command_judges_a_job_and_writes_a_table_and_a_picture(job, tmp_path
     assert "is a job; omit config (--config), which replaces the job of a sweep" in capsys.readouterr().err
 
 
+@pytest.mark.filterwarnings("ignore:.*the path jumps")
 def test_the_study_from_python_has_the_counts_and_a_row_for_each_target(job):
     study = htcp_jax.reach_study(job, resolution_rad=0.9, proof_cells=64)
     assert study.counts[Reach.REACHABLE] == 9 and study.counts[Reach.OUT_OF_REACH] == 1

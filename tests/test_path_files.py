@@ -48,7 +48,8 @@ def refusal(file, **choices) -> str:
     ("X (cm),Y (cm),Z (cm)", 1e2), ("x [in],y [in],z [in]", 1 / 0.0254), ('"x [mm]","y [mm]","z [mm]"', 1e3),
     ("px,py,pz", 1), ("position.x,position.y,position.z", 1), ("Pos X,Pos Y,Pos Z", 1),
     ("tcp_x_mm,tcp_y_mm,tcp_z_mm", 1e3),
-    ("pose.position.x,pose.position.y,pose.position.z", 1), ("x,y,z [mm]", 1e3), ("[x],[y],[z]", 1),
+    ("pose.position.x,pose.position.y,pose.position.z", 1), ("x,y,z [mm]", 1e3),
+    ("x [inch],y,z", 1 / 0.0254), ("[x],[y],[z]", 1),
     ('"Points:0","Points:1","Points:2"', 1), ("Points_0,Points_1,Points_2", 1), ("X/mm,Y/mm,Z/mm", 1e3),
     ("X in mm,Y in mm,Z in mm", 1e3),
     ("field.pose.pose.position.x,field.pose.pose.position.y,field.pose.pose.position.z", 1),
@@ -113,6 +114,8 @@ def test_a_header_may_be_separated_by_tabs(tmp_path):
 @pytest.mark.parametrize("header", [
     "x,y,z,v\nmm,mm,mm,mm/s\n", "v,x,y,z\n[mm/s],[mm],[mm],[mm]\n", "# x,y,z,v\n# mm,mm,mm,mm/s\n",
     "# unit: mm\nx,y,z,v\n", "// made by hand, units = mm\n# x,y,z,v\n",
+    "# all lengths in mm\nx,y,z,v\n", "# coordinates [mm]\nx,y,z,v\n", "# Units: millimeters, deg\nx,y,z,v\n",
+    "# speed in m/s\n# Units: mm\nx,y,z,v\n",
 ])  # fmt: skip
 def test_a_row_of_units_and_a_comment_state_the_unit(tmp_path, header):
     columns = [NUMBERS + 0.5, 1e3 * POINTS] if header.startswith("v") else [1e3 * POINTS, NUMBERS]
@@ -127,6 +130,27 @@ def test_a_row_of_units_and_a_comment_state_the_unit(tmp_path, header):
 ])  # fmt: skip
 def test_a_row_of_units_that_contradicts_is_refused(tmp_path, header, words):
     assert refusal(write(tmp_path, header, POINTS)) == words
+
+
+@pytest.mark.parametrize("header, units", [
+    ("# unit: mm\nx [m],y [m],z [m]\n", "m and mm"), ("# unit: mm\n# unit: m\nx,y,z\n", "mm and m"),
+])  # fmt: skip
+def test_stated_units_that_contradict_each_other_are_refused_unless_the_job_states_one(tmp_path, header, units):
+    file = write(tmp_path, header, 1e3 * POINTS)
+    assert refusal(file).startswith(f"the unit in the header is '{units}'; valid: m, mm")
+    assert np.allclose(read(file, unit="mm")[0].xyz, POINTS)
+
+
+def test_a_unit_below_the_rows_counts(tmp_path):
+    file = write(tmp_path, "x,y,z\n", 1e3 * POINTS)
+    file.write_text(file.read_text() + "# unit: mm\n")
+    assert np.allclose(read(file)[0].xyz, POINTS)
+
+
+@pytest.mark.parametrize("comment", ["coordinates in robot frame", "units: deg, s", "gap in mm", "speed unit: mm/s",
+                                     "points in the plane, 3 mm apart", "unit vectors"])  # fmt: skip
+def test_a_comment_about_something_else_states_no_unit_of_length(tmp_path, comment):
+    assert np.array_equal(read(write(tmp_path, f"# {comment}\nx,y,z\n", POINTS))[0].xyz, POINTS)
 
 
 def test_numbers_in_quotes_are_read(tmp_path):
@@ -159,7 +183,8 @@ def test_a_comment_below_a_title_names_the_columns(tmp_path):
 
 @pytest.mark.parametrize("names, there, lacking", [
     ("nx,ny,n", "nx, ny", "nz"), ("qx,qy,qz", "qx, qy, qz", "qw"), ("tx,t,tz", "tx, tz", "ty"),
-    ("A,B,speed", "a, b", "c"),
+    ("A,B,speed", "a, b", "c"), ("O,A,speed", "o, a", "t"), ("roll,speed,gap", "roll", "pitch, yaw"),
+    ("rx,ry,speed", "rx, ry", "rz"),
 ])  # fmt: skip
 def test_columns_that_lack_others_of_their_kind_are_named(tmp_path, names, there, lacking):
     found, said = read(write(tmp_path, f"x,y,z,{names}\n", POINTS, NORMALS))
@@ -170,6 +195,26 @@ def test_columns_that_lack_others_of_their_kind_are_named(tmp_path, names, there
 def test_a_second_set_of_normals_is_named(tmp_path):
     found, said = read(write(tmp_path, "x,y,z,nx,ny,nz,i,j,k\n", POINTS, NORMALS, NORMALS[::-1]))
     assert np.allclose(found.frames.normals, NORMALS) and said[0][1] == "nx ny nz are read, and i j k ignored"
+
+
+@pytest.mark.parametrize("names, text", [
+    ("qw,qx,qy,qz,W,P,R", "qw qx qy qz are read, and w p r ignored"),
+    ("a,b,c,W,P,R,speed", "w p r are read, and a b c ignored"),
+    ("qw,qx,qy,qz,roll,pitch,speed", "columns roll, pitch are not read, as there is no yaw"),
+])  # fmt: skip
+def test_orientations_next_to_others_are_named(tmp_path, names, text):
+    found, said = read(write(tmp_path, f"x,y,z,{names}\n", POINTS, QUATERNIONS, NORMALS))
+    assert found.frames.rotations is not None and said == [(Note, text)]
+
+
+def test_a_repeated_name_of_a_quaternion_is_refused_next_to_chosen_coordinates(tmp_path):
+    file = write(tmp_path, "x,y,z,qw,qx,qy,qz,qw\n", POINTS, QUATERNIONS, NUMBERS)
+    assert refusal(file, chosen={"x": 1, "y": 2, "z": 3}).startswith("the header names qw twice")
+
+
+def test_colours_and_single_letters_are_no_part_of_angles(tmp_path):
+    assert read(write(tmp_path, "x,y,z,r,g,b,a\n", POINTS, QUATERNIONS))[1] == []
+    assert read(write(tmp_path, "x,y,z,t,speed,gap\n", POINTS, NORMALS))[1] == []
 
 
 def test_a_header_between_blanks_has_units_in_brackets(tmp_path):
@@ -278,7 +323,8 @@ def test_a_header_that_is_ambiguous_is_refused_with_its_names(tmp_path, header, 
 
 
 @pytest.mark.parametrize("header, unit", [
-    ("x [inch],y [inch],z [inch]", "inch"), ("X (Feet),y,z", "feet"), ("# x y z [100 mm]", "100_mm"),
+    ("x [ft],y [ft],z [ft]", "ft"), ("# units: ft\nx,y,z", "ft"), ("# Unit = 0.001 m", "0.001 m"),
+    ("X (Feet),y,z", "feet"), ("# x y z [100 mm]", "100_mm"),
 ])  # fmt: skip
 def test_an_unknown_unit_of_a_header_is_refused_unless_the_job_states_one(tmp_path, header, unit):
     file = write(tmp_path, f"{header}\n", POINTS)

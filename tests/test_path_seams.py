@@ -58,7 +58,8 @@ def test_two_seams_are_found_between_doubled_line_ends(tmp_path):
     assert "2 seams (rows 1 to 6, rows 7 to 12), separated by a blank line" in refusal(write(tmp_path, text))
 
 
-@pytest.mark.parametrize("name", ["seam", "Seam ID", "path", "segment_no", "pass", "type", "id", "weld number"])
+@pytest.mark.parametrize("name", ["seam", "Seam ID", "path", "segment_no", "pass", "type", "id", "weld number",
+                                  "SeamID", "weld line", "WeldLine", "Arc On", "seamid"])  # fmt: skip
 def test_a_column_that_divides_the_rows_means_several_seams(tmp_path, name):
     rows = [f"{row},{word}" for rows, word in ((LEFT, "A"), (RIGHT, '"B"'), (LEFT, "A")) for row in rows]
     words = refusal(write(tmp_path, "\n".join([f"x,y,z,{name}", *rows, ""])))
@@ -66,7 +67,7 @@ def test_a_column_that_divides_the_rows_means_several_seams(tmp_path, name):
 
 
 @pytest.mark.parametrize("name, values", [("seam", ["7"] * 6), ("id", "123456"), ("type", ["1", "1.0", '"1"'] * 2),
-                                          ("feed", "112233")])  # fmt: skip
+                                          ("feed", "112233"), ("weld speed", "112233")])  # fmt: skip
 def test_a_column_with_one_value_or_one_for_each_row_is_one_seam(tmp_path, name, values):
     rows = [f"{value},{row}" for row, value in zip(LEFT, values, strict=True)]
     xyz, said = read(write(tmp_path, "\n".join([f"{name},x,y,z", *rows, ""])))
@@ -88,10 +89,16 @@ def test_a_step_of_a_few_usual_ones_and_a_short_one_are_no_jumps(tmp_path):
     assert read(write(tmp_path, "0,0,0\n0,0,1e-4\n0,0,2e-4\n0,0,3e-4\n0,0,9e-3\n"))[1] == []
 
 
-def test_a_last_row_without_a_line_end_is_read_with_a_note(tmp_path):
-    xyz, said = read(write(tmp_path, "\n".join(["x,y,z", *LEFT])))
-    assert np.array_equal(xyz, PLAIN) and said == ["its last line has no line end; check that the file is complete"]
-    assert read(write(tmp_path, "\n".join(["x,y,z", *LEFT, "# end"])))[1] == []
+@pytest.mark.parametrize("end", ["", "\n# end", "\n# end\n", "\n  ", "  "])
+def test_a_last_line_without_a_line_end_is_read_with_the_same_note_in_paths_and_clouds(tmp_path, end):
+    file = write(tmp_path, "\n".join(["x,y,z", *LEFT]) + end)
+    xyz, said = read(file)
+    is_cut = end in ("", "\n# end", "  ")
+    assert said == ["its last line has no line end; check that the file is complete"] * is_cut
+    with warnings.catch_warnings(record=True) as of_cloud:
+        warnings.simplefilter("always")
+        assert np.array_equal(load_cloud(file), xyz) and np.array_equal(xyz, PLAIN)
+    assert [str(one.message).removeprefix(f"{file}: ") for one in of_cloud] == said
 
 
 def test_a_path_that_is_cut_anywhere_is_refused_or_read_with_a_note_unless_it_ends_with_a_row(tmp_path):

@@ -247,9 +247,13 @@ def test_normals_and_tangents_are_those_that_the_planner_computes_in_its_own_way
     np.testing.assert_allclose(data.tangents, part.tangents, atol=1e-12)
 
 
-def test_tangents_of_a_path_that_pauses_and_reverses_are_the_planners():
-    path = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 1, 0], [1, 0, 0], [0, 0, 3]], float)
-    own = load_workpiece(GeneratedDuct(points=100), path)
+@pytest.mark.parametrize("path", [
+    [[0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 1, 0], [1, 0, 0], [0, 0, 3]],
+    [[0, 0, 0], [1e-3, 0, 0], [1e-3, 5e-6, 0], [2e-3, 0, 0], [3e-3, 0, 0], [3e-3, 5e-6, 0]],
+    [[0, 0, 0], [0.1, 0, 0], [0.1, 7e-6, 0], [0.1, 14e-6, 0], [0.2, 0, 0]],
+])  # fmt: skip
+def test_tangents_of_a_path_that_pauses_and_reverses_are_the_planners(path):
+    own = load_workpiece(GeneratedDuct(points=100), np.array(path, float))
     np.testing.assert_allclose(data_of(own).tangents, own.tangents, atol=1e-12)
 
 

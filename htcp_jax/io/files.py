@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 LARGEST_NAMED = 2 * 2**30  # maximum size of a file that a job names, and of a Parquet file [bytes]
 LARGEST = 64 * 2**20  # maximum size of any other file in a folder, and of decompressed data [bytes]
+TAIL = 10_000  # size of the part of a text in which its last line end is looked for [bytes]
 GROWTH = 50  # decompressed data may have this many times the file's size, even if that is more than LARGEST
 MOST_VALUES, DEEPEST = 5_000_000, 100  # maximum number of values and nesting depth of JSON
 MOST_ARRAYS = 100  # maximum number of arrays in an archive
@@ -109,9 +110,26 @@ def read_bytes(path: Path) -> bytes:
         return stream.read()
 
 
+def read_tail(path: Path) -> bytes:
+    """Return the last TAIL bytes of a file named by the user.
+
+    Raises:
+        InputError: See `open_named`.
+    """
+    with open_named(path) as stream:
+        stream.seek(max(0, os.fstat(stream.fileno()).st_size - TAIL))
+        return stream.read()
+
+
+def lacks_line_end(data: bytes) -> bool:
+    """Return True for the end of a text whose last line has no line end, as in a file that was cut."""
+    rest = data.rstrip(b" \t\0\x1a")
+    return bool(rest) and not rest.endswith((b"\n", b"\r"))
+
+
 def note_missing_line_end(path: Path, data: bytes) -> None:
-    """Warn by a Note of a text whose last line has no line end, as in a file that was cut."""
-    if (rest := data.rstrip(b" \t\0\x1a")) and not rest.endswith((b"\n", b"\r")):
+    """Warn by a Note of a text whose last line has no line end, see `lacks_line_end`."""
+    if lacks_line_end(data):
         warnings.warn(f"{path}: its last line has no line end; check that the file is complete", Note, stacklevel=3)
 
 

@@ -24,7 +24,7 @@ from pydantic import (
 from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
 from htcp_jax.io import strict_model
-from htcp_jax.io.parts import Maker
+from htcp_jax.io.parts import CHOSEN_ANGLES, LengthUnit, Maker
 from htcp_jax.io.robots import LIMITS_FILE, is_limits_file, model_source
 from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
@@ -45,7 +45,6 @@ FASTEST = 1e9  # maximum joint rate, and maximum encoder count per unit
 JointRates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # one limit per joint, for both directions
 Moment = Annotated[float, Field(gt=0, le=100)]  # [s]
 AUTO = "auto"  # value of start_rad: the planner chooses the start
-LengthUnit = Literal["m", "mm", "cm", "in"]  # keys of `io.parts.columns.PER_METRE`
 WORLD = "world"  # parent of models and fixtures that are fixed in the world
 
 
@@ -224,8 +223,7 @@ class PathColumnsConfig(strict_model.FileSection):
 
     @model_validator(mode="after")
     def _is_complete(self) -> "PathColumnsConfig":
-        angles = ("angle_1", "angle_2", "angle_3")
-        for family in (("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz"), angles):
+        for family in (("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz"), CHOSEN_ANGLES):
             given = [name for name in family if getattr(self, name) is not None]
             if given and len(given) < len(family):
                 raise InputError(f"path_columns has only {', '.join(given)}; all of {', '.join(family)} are needed")

@@ -41,9 +41,8 @@ def tangents(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
     if len(places) == 1:
         raise InputError("the path has no tangent, because all of its points coincide")
     found = np.gradient(places, axis=0)
-    length = np.linalg.norm(found, axis=1, keepdims=True)
-    back = length[:, 0] <= 1e-9  # where the path reverses
-    found[back], length[back] = np.diff(places, axis=0, append=places[-1:])[back], 1.0
+    back = np.linalg.norm(found, axis=1) <= 1e-9  # where the path reverses
+    found[back] = np.diff(places, axis=0, append=places[-1:])[back]
     found /= np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
     return found[np.cumsum(apart) - 1]
 

@@ -19,7 +19,8 @@ from htcp_jax.jobs import config as configs
 from htcp_jax.runs import parameters
 
 NEAREST, SURROUNDINGS = 60, 500  # numbers of points for fitting a normal, and for choosing its sign
-DISTINCT_M = 1e-9  # points of a path that are closer than this coincide
+ONE_PLACE_M = 1e-5  # points of a path within this distance of the last place are the same place
+SHORTEST_M = 1e-9  # a vector that is shorter than this has no direction
 
 
 class Track(NamedTuple):
@@ -122,16 +123,23 @@ def path_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]
     near = cloud[cKDTree(cloud).query(path, k=min(NEAREST, len(cloud)))[1]]
     normals = np.linalg.svd(near - near.mean(axis=1, keepdims=True), full_matrices=False)[2][:, 2]
     some = cloud[:: max(1, len(cloud) // SURROUNDINGS)]
-    width = max(float(np.ptp(cloud, axis=0).max()) / 4, DISTINCT_M)
+    width = max(float(np.ptp(cloud, axis=0).max()) / 4, SHORTEST_M)
     weight = np.exp(-((cdist(path, some) / width) ** 2) / 2)
     inwards = weight @ some / weight.sum(axis=1, keepdims=True) - path
     return np.where((inwards * normals).sum(axis=1) < 0, -1.0, 1.0)[:, None] * normals
 
 
 def tangents_of(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Return unit tangents of a path, from the previous distinct point to the next; at a reversal, only to the next."""
-    new = np.append(True, np.linalg.norm(np.diff(path, axis=0), axis=1) > DISTINCT_M)
-    padded = np.pad(path[new], ((1, 1), (0, 0)), "edge")
+    """Return unit tangents of a path, from the previous place to the next; at a reversal, only to the next.
+
+    All points within ONE_PLACE_M of a place, up to the first point outside, have its tangent.
+    """
+    places, place_of = [path[0]], []
+    for point in path:
+        if np.linalg.norm(point - places[-1]) > ONE_PLACE_M:
+            places.append(point)
+        place_of.append(len(places) - 1)
+    padded = np.pad(np.array(places), ((1, 1), (0, 0)), "edge")
     along, ahead = padded[2:] - padded[:-2], padded[2:] - padded[1:-1]
-    along = np.where(np.linalg.norm(along, axis=1)[:, None] > DISTINCT_M, along, ahead)
-    return (along / np.linalg.norm(along, axis=1)[:, None])[np.cumsum(new) - 1]
+    along = np.where(np.linalg.norm(along, axis=1)[:, None] > SHORTEST_M, along, ahead)
+    return (along / np.linalg.norm(along, axis=1)[:, None])[place_of]

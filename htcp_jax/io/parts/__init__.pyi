@@ -1,5 +1,6 @@
-from .angles import Maker
+from .angles import CHOSEN_ANGLES, Maker
 from .duct_seams import SEAMS
+from .lengths import LengthUnit
 from .point_cloud import load_geometry
 from .units import check_cell_extent, check_tool
 from .workpiece_source import (
@@ -13,8 +14,10 @@ from .workpiece_source import (
 )
 
 __all__ = [
+    "CHOSEN_ANGLES",
     "SEAMS",
     "GeneratedDuct",
+    "LengthUnit",
     "Maker",
     "NoCloud",
     "PointCloud",

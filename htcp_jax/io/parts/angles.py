@@ -6,10 +6,10 @@ Kawasaki, Mitsubishi, Yaskawa), of Vathos (ABB, Doosan, Universal Robots) and of
 """
 
 import warnings
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
@@ -23,7 +23,7 @@ ROTATION_VECTOR = "vector"
 ABC, AER, OAT, WPR = ("a", "b", "c"), ("a", "e", "r"), ("o", "a", "t"), ("w", "p", "r")
 RX_RY_RZ, RPY = ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
 RTDE = tuple(tuple(f"{name}_tcp_pose_{k}" for k in (3, 4, 5)) for name in ("actual", "target"))
-CHOSEN = ("angle_1", "angle_2", "angle_3")  # roles in `workpiece.path_columns`
+CHOSEN_ANGLES = ("angle_1", "angle_2", "angle_3")  # roles in `workpiece.path_columns`
 KEY = "workpiece.path_angles"
 
 
@@ -50,14 +50,19 @@ ORDERS: dict[str, AngleOrder] = {
     "yaskawa": AngleOrder(RX_RY_RZ, "xyz"),
 }
 CERTAIN = {WPR: "fanuc", OAT: "kawasaki", **dict.fromkeys(RTDE, "ur")}  # names that only one maker uses
-FAMILIES = (CHOSEN, WPR, OAT, ABC, AER, RX_RY_RZ, RPY, *RTDE)
+FAMILIES = (CHOSEN_ANGLES, WPR, OAT, ABC, AER, RX_RY_RZ, RPY, *RTDE)
 
 
-def rotations_of(table: PathTable, maker: Maker | None, source: str) -> Float[np.ndarray, "P 3 3"] | None:
+def rotations_of(
+    table: PathTable, found: Sequence[tuple[str, ...]], maker: Maker | None, source: str
+) -> Float[np.ndarray, "P 3 3"] | None:
     """Return the orientations that a table's angles state; None, with a Note, if they cannot be read with certainty.
+
+    A Note names angles that are ignored next to others.
 
     Args:
         table: The table.
+        found: The families of FAMILIES that the table has.
         maker: The maker whose order and unit the angles have; None: the one whose names they have.
         source: The file, for messages.
 
@@ -66,28 +71,30 @@ def rotations_of(table: PathTable, maker: Maker | None, source: str) -> Float[np
             unit.
     """
     if maker is not None:
-        names = (CHOSEN, ORDERS[maker].names, *(RTDE if maker == "ur" else ()))
-        family = next((family for family in names if table.headings(family)), None)
+        names = (CHOSEN_ANGLES, ORDERS[maker].names, *(RTDE if maker == "ur" else ()))
+        family = next((family for family in names if family in found), None)
         if family is None:
             text = (
                 f"{KEY} is {maker}, whose angles are {', '.join(ORDERS[maker].names)}, but the path has no such columns"
             )
-            raise InputError(f"{source}: {text}; choose them with workpiece.path_columns: {', '.join(CHOSEN)}")
+            raise InputError(f"{source}: {text}; choose them with workpiece.path_columns: {', '.join(CHOSEN_ANGLES)}")
+        table.name_ignored(family, found)
         return _rotations(table, family, ORDERS[maker], source)
-    family = next((family for family in FAMILIES if table.headings(family)), None)
-    if family in CERTAIN:
+    unread = list(found)
+    while unread and unread[0] in CERTAIN:
         try:
-            return _rotations(table, family, ORDERS[CERTAIN[family]], source)
+            rotations = _rotations(table, unread[0], ORDERS[CERTAIN[unread[0]]], source)
         except InputError as error:  # columns of these names may hold something else
             warnings.warn(f"{error}; the columns are not read as angles", Note, stacklevel=4)
-            return None
-    if family is not None:
-        makers = [name for name in get_args(Maker) if family in (CHOSEN, ORDERS[name].names)]
+            del unread[0]
+        else:
+            table.name_ignored(unread[0], unread)
+            return rotations
+    for family in unread:
+        makers = [name for name in get_args(Maker) if family in (CHOSEN_ANGLES, ORDERS[name].names)]
         text = f"columns {listed(table.headings(family))} are not read, as makers order angles differently"
+        makers += ["ur"] if family in RTDE else []
         warnings.warn(f"{source}: {text}; for orientations, set {KEY}: {', '.join(makers)}", Note, stacklevel=4)
-        return None
-    for family in (ABC, WPR, RX_RY_RZ, RPY):
-        table.name_partial(family)
     return None
 
 
@@ -97,6 +104,8 @@ def _rotations(table: PathTable, family: tuple[str, ...], order: AngleOrder, sou
         raise InputError(f"{source}: the unit of {', '.join(family)} is {' and '.join(sorted(units))}; valid: deg, rad")
     angles = table.numbers(family)
     angles = np.radians(angles) if units == {"deg"} else angles
+    import scipy  # here, as the schema of a job needs the makers' names and not this slow import
+
     rotation = scipy.spatial.transform.Rotation
     if order.axes == ROTATION_VECTOR:
         return rotation.from_rotvec(angles).as_matrix()

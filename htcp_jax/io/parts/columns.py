@@ -18,8 +18,8 @@ from htcp_jax.io.parts.headings import (
     heading,
     listed,
 )
+from htcp_jax.io.parts.lengths import PER_METRE
 
-PER_METRE = {"m": 1.0, "mm": 1e3, "cm": 1e2, "in": 1.0 / 0.0254}  # units of a table
 KEY = "workpiece.path_columns"
 CHOOSE = f"; for a path, {KEY} chooses columns"
 REMEDY = f"name x, y and z in the header{CHOOSE}"

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.parts.lengths import LENGTHS, OTHER_LENGTHS
 
 XYZ = ("x", "y", "z")
 # Names of coordinates in common exports; x, y, z take precedence.
@@ -24,15 +25,26 @@ QUATERNIONS = tuple(
 DIRECTIONS = (*NORMALS, *TANGENTS, *QUATERNIONS)
 COORDINATE_NAMES = frozenset(name for family in COORDINATES for name in family)
 DIRECTION_NAMES = frozenset(name for family in DIRECTIONS for name in family)
-LENGTHS = ("m", "mm", "cm", "in")
 ANGLES = {"deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad", "radians": "rad"}
-OTHER_UNITS = ("inch", "inches", "ft", "um", "µm", "km", "s", "ms", "us", "ns", "min", "m/s", "mm/s", "mm/min", "m/min",
-               "cm/min", "%", "a", "v", "w", "n", "nm", "hz", "1/min", "rpm", "k", "°c", "-", "1", "")  # fmt: skip
+NAMES = {**LENGTHS, **ANGLES}  # units by their names
+OTHER_UNITS = ("ft", "um", "µm", "km", "s", "sec", "seconds", "si", "ms", "us", "ns", "min", "m/s", "mm/s", "mm/min",
+               "m/min", "cm/min", "rad/s", "deg/s", "%", "a", "v", "w", "n", "nm", "hz", "1/min", "rpm", "k", "°c", "-",
+               "1", "")  # fmt: skip
 BRACKETS = re.compile(r"\s*(?:\[([^\]]*)\]|\(([^)]*)\))")  # x [m], y (mm)
 SEPARATORS = re.compile(r"[\s,;]+")
-SUFFIX = re.compile(rf"(.+?)(?:_in)?_({'|'.join((*LENGTHS, *ANGLES))})")  # x_mm, X in mm, x/mm, a_deg
+SUFFIX = re.compile(rf"(.+?)(?:_in)?_({'|'.join(NAMES)})")  # x_mm, X in mm, x/mm, a_deg
 FIELD = re.compile(r".*_((?:position|orientation|translation|rotation)_[wxyz])")  # /arm/pose/position/x, of ROS
-STATED_UNIT = re.compile(r"(?:.*\W)?units?\s*[:=]\s*[\[(]?(m|mm|cm|in)[\])]?\s*", re.IGNORECASE)  # "# unit: mm"
+UNIT_KEY = re.compile(r"units?[\"']?\s*[:=](.*)", re.IGNORECASE)  # "# unit: mm"
+UNIT_WORDS = re.compile(r"[\s,;()\[\]{}\"']+")
+NUMBER = re.compile(r"(?!1$)[\d.]+")
+LENGTH_NAMES = "|".join((*LENGTHS, *OTHER_LENGTHS))
+SUBJECTS = "units|lengths|coordinates|positions|points|dimensions|xyz"
+STATED_LENGTHS = tuple(re.compile(rf"{form}(?![\w/²³^-])", re.IGNORECASE) for form in (
+    rf"\b(?:{SUBJECTS}|distances|values|[xyz])\b[^,;:]*?\bin\s+[\[(]?({LENGTH_NAMES})",  # "# all lengths in mm"
+    rf"\b(?:{SUBJECTS})\s*:?\s*[\[(]({LENGTH_NAMES})[\])]",  # "# coordinates [mm]"
+    rf"\b(?:{SUBJECTS})\s*:?\s+((?!in\b)(?:{LENGTH_NAMES}))\W*$",  # "# units mm"
+    rf"^\W*({LENGTH_NAMES})\W*$",
+))  # fmt: skip
 QUOTED = re.compile(r'"[^"]*"')
 HIDDEN = {ord(letter): chr(0xE000 + k) for k, letter in enumerate(",; \t")}  # of a text between quotes
 SHOWN = {ord(hidden): chr(letter) for letter, hidden in HIDDEN.items()}
@@ -76,7 +88,7 @@ def heading(cell: str) -> Heading:
         name, unit = found.groups()
     if found := FIELD.fullmatch(name):
         name = found[1]
-    return Heading(text.replace("[", " [") if inside else text, name, ANGLES.get(unit, unit) or None)
+    return Heading(text.replace("[", " [") if inside else text, name, NAMES.get(unit, unit) or None)
 
 
 def _marked(line: str) -> str:
@@ -150,9 +162,9 @@ def header_of_comments(comments: Sequence[str], width: int, blank_separated: boo
 def units_in(cells: Sequence[str]) -> list[str] | None:
     """Return the units in a row of units, such as mm,mm,mm or [s] [m] [m] [m]; None if it is no such row."""
     units = [cell.strip("[](){}<>\"' \t").lower() for cell in cells]
-    if not any(unit in LENGTHS or unit in ANGLES for unit in units):
+    if NAMES.keys().isdisjoint(units):
         return None
-    return [ANGLES.get(unit, unit) for unit in units] if set(units) <= {*LENGTHS, *ANGLES, *OTHER_UNITS} else None
+    return [NAMES.get(unit, unit) for unit in units] if set(units) <= {*NAMES, *OTHER_UNITS} else None
 
 
 def with_units(header: Sequence[Heading], units: Sequence[str], source: str) -> list[Heading]:
@@ -168,6 +180,18 @@ def with_units(header: Sequence[Heading], units: Sequence[str], source: str) -> 
 
 
 def stated_unit(text: str) -> str | None:
-    """Return the unit of length that a comment states, as in "units: mm"; None if it states none."""
-    found = STATED_UNIT.fullmatch(text.strip())
-    return found[1].lower() if found else None
+    """Return the unit of length that a comment states, as in "units: mm" or "all lengths in mm"; None if none.
+
+    A unit that is not known, or several, are returned as in the text, so that they can be refused.
+    """
+    key = UNIT_KEY.search(text)
+    if key is None:
+        found = next(filter(None, (form.search(text) for form in STATED_LENGTHS)), None)
+        return None if found is None else LENGTHS.get(found[1].lower(), found[1].lower())
+    words = [word for cell in UNIT_WORDS.split(key[1].lower()) if (word := cell.strip(".:*"))]
+    lengths = {LENGTHS.get(word, word) for k, word in enumerate(words)
+               if word in LENGTHS.keys() | OTHER_LENGTHS and (k == 0 or word != "in")}  # fmt: skip
+    if set(words) <= {*ANGLES, *OTHER_UNITS} - OTHER_LENGTHS:
+        return None
+    is_scaled = NUMBER.fullmatch(words[0]) is not None  # "0.001 m"
+    return lengths.pop() if len(lengths) == 1 and not is_scaled else key[1].strip()[:30]

@@ -48,28 +48,27 @@ def read_path_points(
     table = PathTable(path, chosen, unit)
     name_jumps(str(path), table.xyz, ONE_POINT_M)
     normals, tangents = (
-        None if (names := _family(table, families, path)) is None else _unit_vectors(table, names, what, path)
+        None if (names := _family(table, families)) is None else _unit_vectors(table, names, what, path)
         for families, what in ((headings.NORMALS, "normal"), (headings.TANGENTS, "tangent"))
     )
     return PathPoints(table.xyz, PathFrames(normals, tangents, _rotations(table, maker, path)))
 
 
-def _family(table: PathTable, families: Sequence[tuple[str, ...]], path: Path) -> tuple[str, ...] | None:
+def _family(table: PathTable, families: Sequence[tuple[str, ...]]) -> tuple[str, ...] | None:
     """Return the first family of names that a table has; a Note names the others."""
-    found = [names for names in families if table.headings(names)]
-    if len(found) > 1:
-        others = " and ".join(" ".join(names) for names in found[1:])
-        warnings.warn(f"{path}: {' '.join(found[0])} are read, and {others} ignored", Note, stacklevel=4)
-    for names in families if not found else ():
-        table.name_partial(names)
-    return found[0] if found else None
+    if not (found := table.families(families)):
+        return None
+    table.name_ignored(found[0], found)
+    return found[0]
 
 
 def _rotations(table: PathTable, maker: angles.Maker | None, path: Path) -> Float[np.ndarray, "T 3 3"] | None:
     """Return the orientations of quaternions or angles; None if the table has neither."""
-    names = _family(table, headings.QUATERNIONS, path)
-    if names is None:
-        return angles.rotations_of(table, maker, str(path))
+    found = table.families((*headings.QUATERNIONS, *angles.FAMILIES))
+    names = found[0] if found else None
+    if names not in headings.QUATERNIONS:
+        return angles.rotations_of(table, found, maker, str(path))
+    table.name_ignored(names, found)
     if maker is not None:
         raise InputError(f"{path}: {angles.KEY} is {maker}, but the path has quaternions; omit the key")
     quaternions = table.numbers(names)

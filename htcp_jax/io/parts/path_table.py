@@ -10,10 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import note_missing_line_end
+from htcp_jax.io.files import note_missing_line_end, read_tail
 from htcp_jax.io.parts.headings import Heading, listed
 from htcp_jax.io.parts.seams import check_one_seam
 from htcp_jax.io.parts.table import TableReader, bare, is_numeric_cell
+
+COLOURS = {"r", "g", "b"}
 
 
 class PathTable:
@@ -24,7 +26,7 @@ class PathTable:
     ) -> None:
         """Read the file; blank lines between rows, and a column that divides the rows, mean several seams.
 
-        A Note reports a last row without a line end.
+        A Note reports a last line without a line end.
 
         Args:
             path: The file.
@@ -44,49 +46,74 @@ class PathTable:
         if columns is None:
             return
         check_one_seam(str(path), self._reader.rows, self._reader.blank, self._header)
-        if unit not in (None, columns.unit or unit):
-            text = f"the unit is {columns.unit} in the header and {unit} in the job; the job's is used"
+        if unit not in (None, self._reader.unit or unit):
+            text = f"the unit is {self._reader.unit} in the header and {unit} in the job; the job's is used"
             warnings.warn(f"{path}: {text}", UserWarning, stacklevel=4)
-        note_missing_line_end(path, self._reader.unended)
+        note_missing_line_end(path, read_tail(path))
 
     def headings(self, family: Sequence[str]) -> list[Heading] | None:
-        """Return the headings of the columns with these names; None if the table lacks one of them."""
-        places = self._places(family)
-        return None if places is None else [self._heading(k) for k in places]
+        """Return the headings of the columns with these names; None if the table lacks one of them.
+
+        Raises:
+            InputError: If the header has one of the names twice.
+        """
+        if (places := self._places(family)) is None:
+            return None
+        names = [head.name for head in self._header]
+        for name in family:
+            if name not in self._reader.chosen and names.count(name) > 1:
+                raise InputError(f"{self._path}: the header names {name} twice: {listed(self._header)}")
+        return [self._heading(k) for k in places]
 
     def numbers(self, family: Sequence[str]) -> Float[np.ndarray, "P k"] | None:
         """Return the columns with these k names; None if the table lacks one of them, or has points in one of them.
 
         Raises:
-            InputError: For values that are not finite numbers; the message names the point.
+            InputError: For values that are not finite numbers, with the point, and for a name that occurs twice.
         """
-        places = self._places(family)
-        if places is None:
+        if self.headings(family) is None:
             return None
+        places = self._places(family)
         cells = [[bare(row[k]) for k in places] for row in self._reader.rows]
         for k, row in enumerate(cells):
             if not all(is_numeric_cell(cell) and math.isfinite(float(cell)) for cell in row):
                 raise InputError(f"{self._path}: {','.join(family)} of point {k + 1} is {','.join(row)[:40]!r}")
         return np.array(cells, float)
 
-    def name_partial(self, family: Sequence[str]) -> None:
-        """Report the columns of a family that are not read because the table lacks the others, if there are several."""
-        names = [head.name for head in self._header]
-        there = [name for name in family if name in names]
-        if 1 < len(there) < len(family):
-            lacking = ", ".join(name for name in family if name not in names)
-            text = f"columns {', '.join(there)} are not read, as there is no {lacking}"
-            warnings.warn(f"{self._path}: {text}", Note, stacklevel=5)
+    def families(self, families: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+        """Return the families all of whose columns the table has; a Note names the columns of incomplete ones.
+
+        A single letter alone, or next to the colours r, g and b, usually means something else and is not named.
+        """
+        found = [family for family in families if self._places(family) is not None]
+        chosen = self._reader.chosen.values()
+        names = {head.name for k, head in enumerate(self._header) if k not in chosen}
+        names -= {name for family in found for name in family} | (COLOURS | {"a"} if names >= COLOURS else set())
+        for family in families:
+            there = [name for name in family if name in names]
+            if family in found or len(there) == len(family) or len("".join(there)) < 2:
+                continue
+            names.difference_update(there)
+            lacking = ", ".join(name for name in family if name not in there)
+            self._note(f"columns {', '.join(there)} are not read, as there is no {lacking}")
+        return found
+
+    def name_ignored(self, family: Sequence[str], found: Sequence[tuple[str, ...]]) -> None:
+        """Report the families among those found that are ignored because another one is read."""
+        if others := " and ".join(" ".join(each) for each in found if each != family):
+            self._note(f"{' '.join(family)} are read, and {others} ignored")
+
+    def _note(self, text: str) -> None:
+        warnings.warn(f"{self._path}: {text}", Note, stacklevel=5)
 
     def _places(self, family: Sequence[str]) -> list[int] | None:
         names = [head.name for head in self._header]
         chosen = self._reader.chosen
         places = [chosen.get(name, names.index(name) if name in names else None) for name in family]
+        if any(name not in chosen and place in chosen.values() for name, place in zip(family, places, strict=True)):
+            return None
         if self._reader.columns is None or None in places or not set(places).isdisjoint(self._reader.columns.xyz):
             return None
-        for name in family:
-            if name not in chosen and names.count(name) > 1:
-                raise InputError(f"{self._path}: the header names {name} twice: {listed(self._header)}")
         return places
 
     def _heading(self, place: int) -> Heading:

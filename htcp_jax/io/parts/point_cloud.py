@@ -6,7 +6,6 @@ geometry is used or refused, or a Note names it. Parsers that are not written in
 `scan`.
 """
 
-import os
 import warnings
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import known_ending, note_missing_line_end, open_named, read_bytes
+from htcp_jax.io.files import known_ending, note_missing_line_end, read_bytes, read_tail
 from htcp_jax.io.parts.columns import PER_METRE, TablePoints
 from htcp_jax.io.parts.obj import read_obj
 from htcp_jax.io.parts.ply import read_ply
@@ -28,7 +27,6 @@ TEXT = (".xyz", ".csv", ".txt")
 TABLES = (*TEXT, ".npy")
 MESHES = (".ply", ".stl", ".obj", *PARTS)
 CLOUDS = (*TABLES, *SCANS, *MESHES)
-TAIL = 10_000  # size of the part of a table in which its last line end is looked for [bytes]
 AT_ORIGIN = 10  # number of points at 0 0 0 from which on they may be places where a scanner measured nothing
 
 
@@ -69,9 +67,7 @@ def load_geometry(path: str | Path, unit: str | None = None) -> Geometry:
         found = found._replace(points=found.points[_measured(path, found.points)])
     arrays.check_points(found.points, str(path), at_least=1 if len(found.triangles) else 4)
     if ending in TEXT:
-        with open_named(path) as stream:
-            stream.seek(max(0, os.fstat(stream.fileno()).st_size - TAIL))
-            note_missing_line_end(path, stream.read())
+        note_missing_line_end(path, read_tail(path))
     return found
 
 

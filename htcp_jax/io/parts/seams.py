@@ -1,5 +1,6 @@
 """Detection of several seams in one path's file."""
 
+import re
 import warnings
 from collections.abc import Sequence
 from itertools import groupby, pairwise
@@ -10,13 +11,12 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts.headings import Heading
 
-# Names of columns that divide the rows; a column in which every row has its own value counts rows.
-DIVIDING = {
-    "seam", "segment", "path", "pass", "weld", "bead", "trajectory", "toolpath", "stroke", "polyline", "curve",
-    "contour", "line", "layer", "group", "part", "type", "id", "process_on", "arc_on", "laser_on", "weld_on", "tool_on",
-    "spray_on", "active",
-}  # fmt: skip
-SUFFIXES = ("", "_id", "_no", "_nr", "_number", "_index", "_name", "_type")
+# Columns that divide the rows; a column in which every row has its own value counts rows. Names are compounds of these
+# words, with an optional suffix, in lower case and without blanks: seam_id, Seam ID, SeamID, weld line.
+DIVIDING = re.compile(
+    "(?:seam|segment|path|pass|weld|bead|trajectory|toolpath|stroke|polyline|curve|contour|line|layer|group|part|type|id"
+    "|processon|arcon|laseron|weldon|toolon|sprayon|active)+(?:no|nr|number|index|name)?"
+)
 REMEDY = "plan one at a time: write each into its own file, and set home_rad of the next job to the end of the last"
 MOST_SEAMS = 3  # maximum number of seams in a message
 JUMP = 10.0  # a step of so many usual ones is named
@@ -40,7 +40,7 @@ def check_one_seam(source: str, rows: Sequence[Sequence[str]], blank: Sequence[i
     if len(starts):
         raise InputError(f"{source}: {_seams(starts, len(rows))}, separated by a blank line; {REMEDY}")
     for k, head in enumerate(header):
-        if not _divides(head.name):
+        if not DIVIDING.fullmatch(re.sub(r"[\W_]", "", head.name)):
             continue
         runs = [len(list(run)) for _, run in groupby(_value(row[k]) for row in rows)]
         if 1 < len(runs) < len(rows):
@@ -69,10 +69,6 @@ def name_jumps(source: str, xyz: Float[np.ndarray, "P 3"], one_point_m: float) -
     more = f" and {len(jumps) - MOST_SEAMS} more" if len(jumps) > MOST_SEAMS else ""
     text = f"the path jumps {', '.join(first)}{more}; its usual step is {1e3 * usual:.3g} mm"
     warnings.warn(f"{source}: {text}; if these are several seams, {REMEDY}", Note, stacklevel=4)
-
-
-def _divides(name: str) -> bool:
-    return any(name.endswith(suffix) and name.removesuffix(suffix) in DIVIDING for suffix in SUFFIXES)
 
 
 def _value(cell: str) -> str | float:

@@ -33,6 +33,7 @@ from htcp_jax.io.parts.headings import (
     units_in,
     with_units,
 )
+from htcp_jax.io.parts.lengths import PER_METRE
 
 COMMENTS = ("//", "%")  # beginnings of a line that is a comment; # may stand anywhere in a line
 SEPARATOR_LINE = re.compile(r'"?sep=.?"?')  # of spreadsheets
@@ -59,9 +60,8 @@ def read_table(path: Path, unit: str | None = None) -> TablePoints:
     """
     reader = TableReader(path)
     reader.take_all()
-    stated = None if reader.columns is None else reader.columns.unit
-    if unit not in (None, stated or unit):
-        raise InputError(f"{path}: the unit is {unit}, but {stated} in the header; omit the key")
+    if unit not in (None, reader.unit or unit):
+        raise InputError(f"{path}: the unit is {unit}, but {reader.unit} in the header; omit the key")
     return reader.points(unit)
 
 
@@ -80,12 +80,12 @@ class TableReader:
         self._header_line = ""  # the line without numbers before the first row; "": a comment may be the header
         self._comments: list[str] = []  # before the first row
         self._units: list[str] | None = None  # in the row below the header, or in a comment
-        self._stated_unit: str | None = None  # in a comment such as "unit: mm"
+        self._stated: list[str] = []  # units in comments such as "unit: mm", and in a title
         self._blank = self._most_blank = 0  # number of blank lines in sequence, and its maximum since the last row
         self.first = self.width = 0  # the line of the first row, and its number of cells
         self._blank_separated = False  # True if blanks separate the cells of the first row
         self.columns: ColumnIndices | None = None
-        self.unended = b""  # the last row if it has no line end
+        self._may_count = False  # True if the header does not use the first column for a quantity
         self.xyz: list[list[float]] = []
         self.normals: list[list[float]] | None = None
         self.whole = False  # True if all rows so far are as 1,5,2,5,3,5, where commas may be decimal
@@ -99,12 +99,12 @@ class TableReader:
         """
         lines = _table_text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
         for number, line in enumerate(lines, start=1):
-            self.unended = line.encode() if self.take(number, line) else b""
+            self._take(number, line)
         if self._counted:
-            self._begin(*self._counted[0], numbered=len(self._counted) > 1)
+            number, content, _ = self._counted[0]
+            self._begin(number, content, numbered=len(self._counted) > 1)
 
-    def take(self, number: int, line: str) -> bool:
-        """Read a line; return True if it is a row."""
+    def _take(self, number: int, line: str) -> None:
         content, mark, comment = line.partition("#")
         content = content.strip()
         if mark and content and not self.first and self._is_header(content + comment):
@@ -113,13 +113,12 @@ class TableReader:
             content, mark, comment = "", content[:1], content.lstrip("/%")
         if not content.strip(",;\t "):
             self._remark(number, comment.strip(), is_blank=not mark)
-            return False
+            return
         cells = cells_of(content)
         if not self.first and not any(is_numeric_cell(cell) for cell in cells):
             if self._read_heading(number, content, cells):
-                return False
+                return
         self._row(number, content, cells)
-        return True
 
     def _read_heading(self, number: int, content: str, cells: list[str]) -> bool:
         """Read a line without numbers before the first row: a title, the header or units; False for any other."""
@@ -136,6 +135,12 @@ class TableReader:
             return True
         return False
 
+    @property
+    def unit(self) -> str | None:
+        """Unit in the header and the comments; two different ones are joined by "and"; None without any."""
+        named = [self.columns.unit] if self.columns is not None and self.columns.unit else []
+        return " and ".join(dict.fromkeys([*named, *self._stated])) or None
+
     @staticmethod
     def _is_header(content: str) -> bool:
         return bool(coordinates_in([head.name for head in headings(content)]))
@@ -147,7 +152,7 @@ class TableReader:
             unit: Unit of the coordinates, a key of `columns.PER_METRE`; None: the header's unit, or m if it has none.
 
         Raises:
-            InputError: If commas may be decimal, and for an unknown unit in the header.
+            InputError: If commas may be decimal, and for an unknown unit or two units in the file.
         """
         if self.columns is None:
             return TablePoints(np.empty((0, 3)))
@@ -157,7 +162,7 @@ class TableReader:
             )
         xyz = np.array(self.xyz, dtype=np.float64).reshape(-1, 3)
         normals = None if self.normals is None else np.array(self.normals, dtype=np.float64)
-        return self.columns.points(xyz, normals, str(self.path), unit)
+        return self.columns._replace(unit=self.unit).points(xyz, normals, str(self.path), unit)
 
     def _remark(self, number: int, comment: str, is_blank: bool) -> None:
         """Count blank lines; store a comment before the first row, which may name columns or units."""
@@ -165,12 +170,17 @@ class TableReader:
         self._most_blank = max(self._most_blank, self._blank)
         if not comment:
             return
+        self._state(comment)
         if not self.first:
             self._comments.append(comment)
-            self._stated_unit = stated_unit(comment) or self._stated_unit
         elif self.keep and not self._most_blank and ABOUT_SEAMS.search(comment):
             text = f"the comment {comment[:60]!r} in line {number} does not begin another seam; a blank line would"
             warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
+
+    def _state(self, text: str) -> None:
+        """Store the unit of length that a comment or a title states."""
+        if (unit := stated_unit(text)) is not None:
+            self._stated.append(unit)
 
     def _row(self, number: int, content: str, cells: list[str]) -> None:
         if len(cells) < 3 or (self.first and len(cells) != self.width):
@@ -185,7 +195,7 @@ class TableReader:
             self._counted.append((number, content, cells))
             return
         if self.columns is None:
-            self._begin(number, content, cells, numbered=False)
+            self._begin(number, content, numbered=False)
         self._take_row(number, content, cells)
 
     def _know(self, number: int, content: str, cells: list[str]) -> None:
@@ -199,12 +209,17 @@ class TableReader:
         units = self._units or next(filter(None, (units_in(cells_of(text)) for text in self._comments)), None)
         if units and self.header and len(units) == len(self.header):
             self.header = with_units(self.header, units, str(self.path))
+        elif units and not self.header and len(units) == self.width:
+            self._stated += [unit for unit in units if unit in PER_METRE]
+        names = [head.name for head in self.header or ()]
+        is_named = len(names) != self.width - 1 and (bool(coordinates_in(names)) or "x" in names[:1])
+        self._may_count = self.width >= 4 and not self._chosen and not is_named
 
     def _read_comments(self) -> None:
         """Set the header from the comments; a Note reports a last comment that could name columns."""
         self.header = header_of_comments(self._comments, self.width, self._blank_separated)
         last = headings(self._comments[-1], self.width) if self._comments else []
-        if self.header is not None or len(last) != self.width or self._stated_unit:
+        if self.header is not None or len(last) != self.width or self._stated:
             return
         if self._chosen:
             self.header = last
@@ -225,26 +240,21 @@ class TableReader:
 
     def _name_title(self) -> None:
         """Report a title; it may state a unit."""
-        self._stated_unit = stated_unit(self._header_line) or self._stated_unit
+        self._state(self._header_line)
         text = f"the first line is a title, not a header: {self._header_line[:60]!r}"
         warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
 
     def _counts(self, cells: list[str]) -> bool:
-        """True if the first column counts all rows so far, and the header does not use it for a quantity."""
-        names = [head.name for head in self.header or ()]
-        if (
-            self.width < 4
-            or self._chosen
-            or (len(names) != self.width - 1 and (coordinates_in(names) or "x" in names[:1]))
-        ):
+        """True if the first column counts all rows so far."""
+        if not self._may_count:
             return False
-        if not names and self.width == 6 and _is_unit(cells[3:]):  # coordinates and a normal
+        if self.width == 6 and not self.header and _is_unit(cells[3:]):  # coordinates and a normal
             return False
         first = bare(self._counted[0][2][0] if self._counted else cells[0])
         counts = first in ("0", "1") and bare(cells[0]) == str(int(first) + len(self._counted))
         return counts and all(map(is_numeric_cell, cells[1:4]))
 
-    def _begin(self, number: int, content: str, cells: list[str], numbered: bool) -> None:
+    def _begin(self, number: int, content: str, numbered: bool) -> None:
         source = str(self.path)
         self._drop_title(numbered)
         if numbered and self.header is not None and len(self.header) == self.width - 1:
@@ -257,8 +267,6 @@ class TableReader:
             raise
         self.normals = None if self.columns.normals is None else []
         self.whole = not (self.columns.named or numbered) and self.width > 3 and ";" not in content and "," in content
-        if self._stated_unit and self.columns.unit is None:
-            self.columns = self.columns._replace(unit=self._stated_unit)
         for row in self._counted:
             self._take_row(*row)
         self._counted = []
