@@ -63,6 +63,9 @@ TEXTS = {
     "blanks and a mark": (f"\ufeff \t\nsolid a\n{ONE}endsolid a\n", 1),
     "tabs and Windows lines": (f"solid a\n{ONE}endsolid a\n".replace("\n", "\r\n\t"), 1),
     "words of the format as a name": (f"solid facet endsolid vertex\n{ONE}endsolid facet\n", 1),
+    "a facet on the line of the name": (f"solid a {ONE.replace(chr(10), ' ', 6)}{ONE}endsolid a\n", 2),
+    "a facet that begins on the line of the name": (f"solid a {ONE}{ONE}endsolid a\n", 2),
+    "all in one line": (f"solid a {ONE}{ONE}endsolid a".replace("\n", " ") + "\n", 2),
     "no normal": (f"solid a\n{ONE.replace('0 0 1', 'nan nan nan', 1)}endsolid a\n", 1),
 }
 
@@ -85,6 +88,9 @@ def test_a_text_stl_has_the_triangles_of_all_its_solids(tmp_path, case):
     (f"solid a\n{ONE.replace('1 0 0', '1 0 zero')}endsolid\n", "could not convert string to float: 'zero'"),
     (f"solid a\n{ONE.replace('1 0 0', '1 0 1_0')}endsolid\n", "'1_0' is not a number"),
     (f"solid a\n{ONE}endsolid\nfacet\n", "line 10: 'facet' where a solid must begin"),
+    (f"solid a\n{ONE}endsolid a {ONE}endsolid a\n", "line 9: 'facet' where a solid must begin"),
+    (f"solid a\n{ONE.replace('normal', 'facet')}endsolid\n", "line 2: 'facet' is not part of a valid facet"),
+    (f"solid a\n{ONE.replace('0 0 1', '0 0 1 vertex')}endsolid\n", "line 2: a facet has 4 vertices"),
     ("solid a\nendsolid a\n", "it contains no triangles"),
 ])  # fmt: skip
 def test_a_text_stl_that_is_damaged_is_refused_with_the_place(tmp_path, text, words):
@@ -239,6 +245,15 @@ def test_an_obj_is_read_in_any_usual_notation(tmp_path, text):
 ])  # fmt: skip
 def test_a_line_of_an_obj_that_is_not_read_is_refused(tmp_path, line, words):
     assert words in refusal(tmp_path, "a.obj", f"{SQUARE}{line}\nf 1 2 3\n")
+
+
+def test_a_backslash_in_a_comment_of_an_obj_does_not_hide_the_next_line(tmp_path):
+    text = f"# C:\\parts\\\n{SQUARE}f 1 2 3 4 # C:\\\n"
+    assert len(geometry(tmp_path, "a.obj", text).triangles) == 2
+
+
+def test_lines_of_an_obj_that_a_backslash_joins_count_as_lines(tmp_path):
+    assert "line 7: unknown key 'ff'" in refusal(tmp_path, "a.obj", f"{SQUARE}f 1 2 \\\n3 4\nff \\\n1\n")
 
 
 @pytest.mark.parametrize("line, what", [
