@@ -169,8 +169,12 @@ def test_a_list_of_another_name_is_read_as_the_vertices_of_the_faces_and_named(t
 
 
 @pytest.mark.parametrize("elements, rows, words", [
-    ("element trifans 1\nproperty list int int vertex_index\n", "4 0 1 2 3\n", "elements 'trifans' hold vertices"),
-    ("element patch 1\nproperty list int int corner_index\n", "3 0 1 2\n", "'patch' hold vertices"),
+    ("element trifans 1\nproperty list int int vertex_index\n", "4 0 1 2 3\n", "elements 'trifans' may hold vertices"),
+    ("element patch 1\nproperty list int int corner_index\n", "3 0 1 2\n", "'patch' may hold vertices"),
+    ("element cell 1\nproperty list uchar int corners\n", "3 0 1 2\n", "'cell' may hold vertices"),
+    ("element triangles 1\n" + "".join(f"property int v{k}\n" for k in range(3)), "0 1 2\n",
+     "'triangles' may hold vertices"),
+    ("element beam 1\nproperty int vertex1\nproperty int vertex2\n", "0 1\n", "'beam' may hold vertices"),
     ("element face 1\nproperty int a\n", "3\n", "elements 'face' have the lists none"),
     (FACES.format("a") + "property list uchar int b\n", "3 0 1 2 3 0 1 2\n", "have the lists a, b; one with the"),
     (FACES.format("vertex_index"), "3 0 1 4\n", "damaged: face 1 has vertex 5; the file has 4 vertices"),
@@ -196,10 +200,16 @@ def test_a_ply_that_is_damaged_or_hides_faces_is_refused(tmp_path, elements, row
     ("element multi_texture_face 1\nproperty list uchar uint texture_vertex_indices\n", "1 0\n",
      "its 1 elements 'multi_texture_face'"),
     ("element camera 1\nproperty float view_px\n", "0.5\n", "its 1 elements 'camera'"),
+    ("element material 1\nproperty int vertex_count\n", "4\n", "its 1 elements 'material'"),
+    ("element material 1\n" + "".join(f"property uchar ambient_{name}\n" for name in ("red", "green", "blue")),
+     "9 9 9\n", "its 1 elements 'material'"),
 ])  # fmt: skip
 def test_other_elements_of_a_ply_cloud_are_named(tmp_path, elements, rows, what):
-    with pytest.warns(Note, match=f"a.ply: {what} are ignored"):
+    with pytest.warns(Note) as notes:
         assert len(geometry(tmp_path, "a.ply", ply(elements, rows)).points) == 4
+    cloud = "it has no faces; its 4 vertices are read as a cloud"
+    assert [str(each.message) for each in notes] == [f"{tmp_path / 'a.ply'}: {text}" for text in (
+        f"{what} are ignored", cloud)]  # fmt: skip
 
 
 @pytest.mark.parametrize("order, name", [("<", "little"), (">", "big")])

@@ -41,9 +41,7 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
                 lines.append(words)
             if words.startswith("DATA") or len(lines) == 10:
                 break
-        start = stream.tell()
-        stream.seek(max(start, file.stat().st_size - 1))
-        last = stream.read()
+        body = stream.read()
     about, size = MetaData.parse_header(lines), file.stat().st_size
     columns, row = sum(about.count), sum(map(math.prod, zip(about.size, about.count, strict=True)))
     if columns > MOST_COLUMNS or about.points * row > max(LEAST_LIMIT, GROWTH * size):
@@ -52,10 +50,20 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
         raise ValueError(f"the header declares {about.points} points, and {about.width} x {about.height}")
     cloud = PointCloud.from_path(file)
     data = cloud.pc_data
-    there = (size - start) // row if about.data == Encoding.BINARY else data.size
-    if there != about.points:
+    there, rest = data.size, b""
+    if about.data == Encoding.BINARY:
+        there, rest = len(body) // row, body[about.points * row :]
+    elif about.data == Encoding.BINARY_COMPRESSED and about.points:
+        packed, unpacked = (int.from_bytes(body[k : k + 4], "little") for k in (0, 4))
+        there, rest = unpacked // row, body[8 + packed :]
+    is_padded = not rest.strip(b"\0")
+    if there < about.points or (there > about.points and not (is_padded and rest)):
         raise ValueError(f"the header declares {about.points} points, the file contains {there}")
-    if about.data == Encoding.ASCII and last not in (b"\n", b"\r"):
+    if not is_padded:
+        raise ValueError(f"damaged: it has {len(rest)} bytes more than its header declares")
+    if rest:
+        remarks.append(f"{len(rest)} bytes after the last of {about.points:,} points are ignored")
+    if about.data == Encoding.ASCII and not body.endswith((b"\n", b"\r")):
         remarks.append(NO_LINE_END)
     if about.viewpoint[:3] != (0, 0, 0) or abs(about.viewpoint[3]) != 1:
         remarks.append(f"its VIEWPOINT is not applied: {' '.join(f'{value:g}' for value in about.viewpoint)}")
