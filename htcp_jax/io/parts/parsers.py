@@ -52,14 +52,14 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
     data = cloud.pc_data
     there, rest = data.size, b""
     if about.data == Encoding.BINARY:
-        there, rest = len(body) // row, body[about.points * row :]
+        rest = body[about.points * row :]
+        there = len(body if rest.strip(b"\0") else body[: about.points * row]) // row
     elif about.data == Encoding.BINARY_COMPRESSED and about.points:
         packed, unpacked = (int.from_bytes(body[k : k + 4], "little") for k in (0, 4))
         there, rest = unpacked // row, body[8 + packed :]
-    is_padded = not rest.strip(b"\0")
-    if there < about.points or (there > about.points and not (is_padded and rest)):
+    if there != about.points:
         raise ValueError(f"the header declares {about.points} points, the file contains {there}")
-    if not is_padded:
+    if rest.strip(b"\0"):
         raise ValueError(f"damaged: it has {len(rest)} bytes more than its header declares")
     if rest:
         remarks.append(f"{len(rest)} bytes after the last of {about.points:,} points are ignored")
