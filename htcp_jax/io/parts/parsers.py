@@ -128,18 +128,17 @@ def e57(file: Path) -> dict[str, np.ndarray]:
 
 def step(file: Path) -> dict[str, np.ndarray]:
     """Read the triangles [m] of all solids and faces in a STEP file; the file contains its unit."""
-    import cascadio
     import trimesh
 
-    about, how = _step_faces(file.read_bytes()), {"tol_linear": CHORD_DEVIATION_MM, "tol_angular": TURN_RAD}
-    glb = cascadio.load(file.read_bytes(), use_parallel=False, **how)
-    if not glb:
-        raise ValueError("the file contains no shapes")
-    # Open CASCADE omits faces that it cannot mesh. If they are not merged, each is a primitive.
-    read = _primitives(cascadio.load(file.read_bytes(), use_parallel=False, merge_primitives=False, **how))
+    data = file.read_bytes()
+    about = _step_faces(data)
+    # Open CASCADE omits faces that it cannot mesh. Only unmerged primitives can be counted, one for each face. Others
+    # give the triangles, as the two kinds need not have one order; the first are freed before the second are made.
+    read = _primitives(_tessellated(data, merge_primitives=False))
     if read < about.faces:
         missing = about.faces - read
         raise ValueError(f"{missing} of {about.faces} faces cannot be read; repair the part and export it again")
+    glb = _tessellated(data, merge_primitives=True)
     scene = trimesh.load_scene(io.BytesIO(glb), file_type="glb", process=False)
     placed = [np.empty((0, 3, 3))]
     for node in scene.graph.nodes_geometry:
@@ -149,10 +148,20 @@ def step(file: Path) -> dict[str, np.ndarray]:
     return {"triangles": np.concatenate(placed), "remarks": np.array(about.remarks, str)}
 
 
-class StepFaces(NamedTuple):
-    """What a STEP file declares."""
+def _tessellated(data: bytes, merge_primitives: bool) -> bytes:
+    """Return the triangles of a STEP file as a GLB file."""
+    import cascadio
 
-    faces: int  # number of faces in all shells
+    how = {"tol_linear": CHORD_DEVIATION_MM, "tol_angular": TURN_RAD, "use_parallel": False}
+    if not (glb := cascadio.load(data, merge_primitives=merge_primitives, **how)):
+        raise ValueError("the file contains no shapes")
+    return glb
+
+
+class StepFaces(NamedTuple):
+    """Number of faces that a STEP file declares, and remarks."""
+
+    faces: int  # in all shells
     remarks: list[str]
 
 
