@@ -289,12 +289,21 @@ POLYGONS = {
     "U": U,
     "U the other way": U[::-1],
     "a frame with a bridge": [(0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)],
+    "a plate with three holes and bridges": [
+        (0, 0),
+        *((x + 3 * k, y) for k in range(3) for x, y in ((1, 0), (1, 1), (1, 2), (2, 2), (2, 1), (1, 1), (1, 0))),
+        (9, 0),
+        (9, 3),
+        (0, 3),
+    ],
     "comb": [(-1, -3), (40, -3), *((39 - k, 0 if k % 2 else 5) for k in range(40))],
     "spiral": [
         *((r * np.cos(a), r * np.sin(a)) for a, r in zip(np.linspace(0, 20, 60), np.linspace(1, 9, 60), strict=True)),
         *((r * np.cos(a), r * np.sin(a)) for a, r in zip(np.linspace(20, 0, 60), np.linspace(8, 0.5, 60), strict=True)),
     ],
 }
+STAR = np.random.default_rng(1).uniform(0.2, 1.0, 200) * np.exp(2j * np.pi * np.arange(200) / 200)
+POLYGONS["star"] = list(zip(STAR.real, STAR.imag, strict=True))
 SPACE = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
 
 
