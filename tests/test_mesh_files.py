@@ -63,6 +63,9 @@ TEXTS = {
     "blanks and a mark": (f"\ufeff \t\nsolid a\n{ONE}endsolid a\n", 1),
     "tabs and Windows lines": (f"solid a\n{ONE}endsolid a\n".replace("\n", "\r\n\t"), 1),
     "words of the format as a name": (f"solid facet endsolid vertex\n{ONE}endsolid facet\n", 1),
+    "a facet on the line of the name": (f"solid a {ONE.replace(chr(10), ' ', 6)}{ONE}endsolid a\n", 2),
+    "a facet that begins on the line of the name": (f"solid a {ONE}{ONE}endsolid a\n", 2),
+    "all in one line": (f"solid a {ONE}{ONE}endsolid a".replace("\n", " ") + "\n", 2),
     "no normal": (f"solid a\n{ONE.replace('0 0 1', 'nan nan nan', 1)}endsolid a\n", 1),
 }
 
@@ -85,6 +88,9 @@ def test_a_text_stl_has_the_triangles_of_all_its_solids(tmp_path, case):
     (f"solid a\n{ONE.replace('1 0 0', '1 0 zero')}endsolid\n", "could not convert string to float: 'zero'"),
     (f"solid a\n{ONE.replace('1 0 0', '1 0 1_0')}endsolid\n", "'1_0' is not a number"),
     (f"solid a\n{ONE}endsolid\nfacet\n", "line 10: 'facet' where a solid must begin"),
+    (f"solid a\n{ONE}endsolid a {ONE}endsolid a\n", "line 9: 'facet' where a solid must begin"),
+    (f"solid a\n{ONE.replace('normal', 'facet')}endsolid\n", "line 2: 'facet' is not part of a valid facet"),
+    (f"solid a\n{ONE.replace('0 0 1', '0 0 1 vertex')}endsolid\n", "line 2: a facet has 4 vertices"),
     ("solid a\nendsolid a\n", "it contains no triangles"),
 ])  # fmt: skip
 def test_a_text_stl_that_is_damaged_is_refused_with_the_place(tmp_path, text, words):
@@ -163,8 +169,12 @@ def test_a_list_of_another_name_is_read_as_the_vertices_of_the_faces_and_named(t
 
 
 @pytest.mark.parametrize("elements, rows, words", [
-    ("element trifans 1\nproperty list int int vertex_index\n", "4 0 1 2 3\n", "elements 'trifans' hold vertices"),
-    ("element patch 1\nproperty list int int corner_index\n", "3 0 1 2\n", "'patch' hold vertices"),
+    ("element trifans 1\nproperty list int int vertex_index\n", "4 0 1 2 3\n", "elements 'trifans' may hold vertices"),
+    ("element patch 1\nproperty list int int corner_index\n", "3 0 1 2\n", "'patch' may hold vertices"),
+    ("element cell 1\nproperty list uchar int corners\n", "3 0 1 2\n", "'cell' may hold vertices"),
+    ("element triangles 1\n" + "".join(f"property int v{k}\n" for k in range(3)), "0 1 2\n",
+     "'triangles' may hold vertices"),
+    ("element beam 1\nproperty int vertex1\nproperty int vertex2\n", "0 1\n", "'beam' may hold vertices"),
     ("element face 1\nproperty int a\n", "3\n", "elements 'face' have the lists none"),
     (FACES.format("a") + "property list uchar int b\n", "3 0 1 2 3 0 1 2\n", "have the lists a, b; one with the"),
     (FACES.format("vertex_index"), "3 0 1 4\n", "damaged: face 1 has vertex 5; the file has 4 vertices"),
@@ -190,10 +200,16 @@ def test_a_ply_that_is_damaged_or_hides_faces_is_refused(tmp_path, elements, row
     ("element multi_texture_face 1\nproperty list uchar uint texture_vertex_indices\n", "1 0\n",
      "its 1 elements 'multi_texture_face'"),
     ("element camera 1\nproperty float view_px\n", "0.5\n", "its 1 elements 'camera'"),
+    ("element material 1\nproperty int vertex_count\n", "4\n", "its 1 elements 'material'"),
+    ("element material 1\n" + "".join(f"property uchar ambient_{name}\n" for name in ("red", "green", "blue")),
+     "9 9 9\n", "its 1 elements 'material'"),
 ])  # fmt: skip
 def test_other_elements_of_a_ply_cloud_are_named(tmp_path, elements, rows, what):
-    with pytest.warns(Note, match=f"a.ply: {what} are ignored"):
+    with pytest.warns(Note) as notes:
         assert len(geometry(tmp_path, "a.ply", ply(elements, rows)).points) == 4
+    cloud = "it has no faces; its 4 vertices are read as a cloud"
+    assert [str(each.message) for each in notes] == [f"{tmp_path / 'a.ply'}: {text}" for text in (
+        f"{what} are ignored", cloud)]  # fmt: skip
 
 
 @pytest.mark.parametrize("order, name", [("<", "little"), (">", "big")])
@@ -241,6 +257,15 @@ def test_a_line_of_an_obj_that_is_not_read_is_refused(tmp_path, line, words):
     assert words in refusal(tmp_path, "a.obj", f"{SQUARE}{line}\nf 1 2 3\n")
 
 
+def test_a_backslash_in_a_comment_of_an_obj_does_not_hide_the_next_line(tmp_path):
+    text = f"# C:\\parts\\\n{SQUARE}f 1 2 3 4 # C:\\\n"
+    assert len(geometry(tmp_path, "a.obj", text).triangles) == 2
+
+
+def test_lines_of_an_obj_that_a_backslash_joins_count_as_lines(tmp_path):
+    assert "line 7: unknown key 'ff'" in refusal(tmp_path, "a.obj", f"{SQUARE}f 1 2 \\\n3 4\nff \\\n1\n")
+
+
 @pytest.mark.parametrize("line, what", [
     ("l 1 2 3", r"its 1 lines \(l\) are ignored"), ("p 1", r"its 1 points \(p\) are ignored"),
 ])  # fmt: skip
@@ -264,12 +289,21 @@ POLYGONS = {
     "U": U,
     "U the other way": U[::-1],
     "a frame with a bridge": [(0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)],
+    "a plate with three holes and bridges": [
+        (0, 0),
+        *((x + 3 * k, y) for k in range(3) for x, y in ((1, 0), (1, 1), (1, 2), (2, 2), (2, 1), (1, 1), (1, 0))),
+        (9, 0),
+        (9, 3),
+        (0, 3),
+    ],
     "comb": [(-1, -3), (40, -3), *((39 - k, 0 if k % 2 else 5) for k in range(40))],
     "spiral": [
         *((r * np.cos(a), r * np.sin(a)) for a, r in zip(np.linspace(0, 20, 60), np.linspace(1, 9, 60), strict=True)),
         *((r * np.cos(a), r * np.sin(a)) for a, r in zip(np.linspace(20, 0, 60), np.linspace(8, 0.5, 60), strict=True)),
     ],
 }
+STAR = np.random.default_rng(1).uniform(0.2, 1.0, 200) * np.exp(2j * np.pi * np.arange(200) / 200)
+POLYGONS["star"] = list(zip(STAR.real, STAR.imag, strict=True))
 SPACE = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
 
 

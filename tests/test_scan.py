@@ -10,7 +10,7 @@ import pytest
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.parts.point_cloud import load_cloud, read_points
+from htcp_jax.io.parts.point_cloud import load_cloud, load_geometry, read_points
 from htcp_jax.io.parts.scan import PARTS, SCANS, parsed, read_part
 
 laspy, pye57 = pytest.importorskip("laspy"), pytest.importorskip("pye57")
@@ -135,6 +135,13 @@ def test_invalid_points_of_an_e57_file_are_ignored_with_their_number(tmp_path):
         np.testing.assert_allclose(load_cloud(file), np.delete(POINTS, [0, 7], axis=0), atol=1e-6)
 
 
+def test_an_e57_file_is_in_metres_whatever_the_job_says(tmp_path):
+    file = e57(tmp_path / "scan.e57")
+    with pytest.raises(InputError, match=r"scan.e57: the unit is mm, but a .e57 file is in metres; omit the key"):
+        load_geometry(file, unit="mm")
+    assert np.array_equal(load_geometry(file, unit="m").points, load_cloud(file))
+
+
 def test_an_e57_file_with_spherical_coordinates_alone_is_read(tmp_path):
     lib, distance = pye57.libe57, np.linalg.norm(POINTS, axis=1)
     angles = np.arctan2(POINTS[:, 1], POINTS[:, 0]), np.arcsin(POINTS[:, 2] / distance)
@@ -171,6 +178,17 @@ def test_a_pcd_cloud_with_another_number_of_points_is_refused(tmp_path, encoding
         text = text.replace(key + b" 40", key + b" %d" % count, 1)
     file.write_bytes(text)
     assert f"the header declares {count} points, the file contains 40" in refusal(file)
+
+
+@pytest.mark.parametrize("encoding", ["binary", "binary_compressed"])
+def test_bytes_after_the_last_point_of_a_pcd_cloud_are_padding_or_damage(tmp_path, encoding):
+    file = pcd(tmp_path / "scan.pcd", encoding)
+    content = file.read_bytes()
+    file.write_bytes(content + bytes(100))
+    with pytest.warns(Note, match="scan.pcd: 100 bytes after the last of 40 points are ignored"):
+        np.testing.assert_allclose(load_cloud(file), POINTS, atol=1e-6)
+    file.write_bytes(content + b"end")
+    assert "damaged: it has 3 bytes more than its header declares" in refusal(file)
 
 
 SPOILED = np.where(np.arange(40)[:, None] == 4, [0.5, np.nan, 0.5], POINTS)

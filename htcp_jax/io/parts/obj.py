@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,15 +39,11 @@ def read_obj(path: Path, data: bytes) -> tuple[Float[np.ndarray, "V 3"], Float[n
     Raises:
         InputError: For a damaged line, for a face without vertex, and for free-form curves and surfaces.
     """
-    text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
     vertices: list[list[float]] = []
     faces: list[_Face] = []
     materials: dict[str, int] = {"": 0}
     material, others = 0, dict[str, int]()
-    for number, line in enumerate(text.split("\n"), start=1):
-        words = line.partition("#")[0].split()
-        if not words:
-            continue
+    for number, words in _statements(data):
         key = words[0]
         if key == VERTEX:
             vertices.append(_vertex(path, number, words))
@@ -59,8 +56,8 @@ def read_obj(path: Path, data: bytes) -> tuple[Float[np.ndarray, "V 3"], Float[n
         elif key in IGNORED:
             others[key] = others.get(key, 0) + 1
         elif key not in HARMLESS:
-            text = f"line {number}: unknown key {key[:20]!r}; write # before the line if it may be ignored"
-            raise InputError(f"{path}: not a readable .obj file ({text})")
+            what = f"line {number}: unknown key {key[:20]!r}; write # before the line if it may be ignored"
+            raise InputError(f"{path}: not a readable .obj file ({what})")
     if not vertices:
         raise InputError(f"{path}: not a readable .obj file (it contains no vertices)")
     _name(path, others, len(faces), len(vertices))
@@ -68,6 +65,20 @@ def read_obj(path: Path, data: bytes) -> tuple[Float[np.ndarray, "V 3"], Float[n
     triangles = _triangles(path, xyz, faces)
     note_missing_line_end(path, data)
     return xyz, triangles
+
+
+def _statements(data: bytes) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number of the first line, and the words, of each statement. A backslash in a comment joins no lines."""
+    text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
+    begun, first = "", 0
+    for number, line in enumerate(text.split("\n"), start=1):
+        content = begun + line.partition("#")[0]
+        first = first if begun else number
+        begun = content[:-1] if line.endswith("\\") and "#" not in line else ""
+        if not begun and (words := content.split()):
+            yield first, words
+    if words := begun.split():
+        yield first, words
 
 
 def _vertex(path: Path, number: int, words: list[str]) -> list[float]:

@@ -41,9 +41,7 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
                 lines.append(words)
             if words.startswith("DATA") or len(lines) == 10:
                 break
-        start = stream.tell()
-        stream.seek(max(start, file.stat().st_size - 1))
-        last = stream.read()
+        body = stream.read()
     about, size = MetaData.parse_header(lines), file.stat().st_size
     columns, row = sum(about.count), sum(map(math.prod, zip(about.size, about.count, strict=True)))
     if columns > MOST_COLUMNS or about.points * row > max(LEAST_LIMIT, GROWTH * size):
@@ -52,10 +50,20 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
         raise ValueError(f"the header declares {about.points} points, and {about.width} x {about.height}")
     cloud = PointCloud.from_path(file)
     data = cloud.pc_data
-    there = (size - start) // row if about.data == Encoding.BINARY else data.size
+    there, rest = data.size, b""
+    if about.data == Encoding.BINARY:
+        rest = body[about.points * row :]
+        there = len(body if rest.strip(b"\0") else body[: about.points * row]) // row
+    elif about.data == Encoding.BINARY_COMPRESSED and about.points:
+        packed, unpacked = (int.from_bytes(body[k : k + 4], "little") for k in (0, 4))
+        there, rest = unpacked // row, body[8 + packed :]
     if there != about.points:
         raise ValueError(f"the header declares {about.points} points, the file contains {there}")
-    if about.data == Encoding.ASCII and last not in (b"\n", b"\r"):
+    if rest.strip(b"\0"):
+        raise ValueError(f"damaged: it has {len(rest)} bytes more than its header declares")
+    if rest:
+        remarks.append(f"{len(rest)} bytes after the last of {about.points:,} points are ignored")
+    if about.data == Encoding.ASCII and not body.endswith((b"\n", b"\r")):
         remarks.append(NO_LINE_END)
     if about.viewpoint[:3] != (0, 0, 0) or abs(about.viewpoint[3]) != 1:
         remarks.append(f"its VIEWPOINT is not applied: {' '.join(f'{value:g}' for value in about.viewpoint)}")
@@ -120,18 +128,17 @@ def e57(file: Path) -> dict[str, np.ndarray]:
 
 def step(file: Path) -> dict[str, np.ndarray]:
     """Read the triangles [m] of all solids and faces in a STEP file; the file contains its unit."""
-    import cascadio
     import trimesh
 
-    about, how = _step_faces(file.read_bytes()), {"tol_linear": CHORD_DEVIATION_MM, "tol_angular": TURN_RAD}
-    glb = cascadio.load(file.read_bytes(), use_parallel=False, **how)
-    if not glb:
-        raise ValueError("the file contains no shapes")
-    # Open CASCADE omits faces that it cannot mesh. If they are not merged, each is a primitive.
-    read = _primitives(cascadio.load(file.read_bytes(), use_parallel=False, merge_primitives=False, **how))
+    data = file.read_bytes()
+    about = _step_faces(data)
+    # Open CASCADE omits faces that it cannot mesh. Only unmerged primitives can be counted, one for each face. Others
+    # give the triangles, as the two kinds need not have one order; the first are freed before the second are made.
+    read = _primitives(_tessellated(data, merge_primitives=False))
     if read < about.faces:
         missing = about.faces - read
         raise ValueError(f"{missing} of {about.faces} faces cannot be read; repair the part and export it again")
+    glb = _tessellated(data, merge_primitives=True)
     scene = trimesh.load_scene(io.BytesIO(glb), file_type="glb", process=False)
     placed = [np.empty((0, 3, 3))]
     for node in scene.graph.nodes_geometry:
@@ -141,10 +148,20 @@ def step(file: Path) -> dict[str, np.ndarray]:
     return {"triangles": np.concatenate(placed), "remarks": np.array(about.remarks, str)}
 
 
-class StepFaces(NamedTuple):
-    """What a STEP file declares."""
+def _tessellated(data: bytes, merge_primitives: bool) -> bytes:
+    """Return the triangles of a STEP file as a GLB file."""
+    import cascadio
 
-    faces: int  # number of faces in all shells
+    how = {"tol_linear": CHORD_DEVIATION_MM, "tol_angular": TURN_RAD, "use_parallel": False}
+    if not (glb := cascadio.load(data, merge_primitives=merge_primitives, **how)):
+        raise ValueError("the file contains no shapes")
+    return glb
+
+
+class StepFaces(NamedTuple):
+    """Number of faces that a STEP file declares, and remarks."""
+
+    faces: int  # in all shells
     remarks: list[str]
 
 

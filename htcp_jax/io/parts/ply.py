@@ -26,7 +26,8 @@ FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 POLYGONS, STRIPS = ("face", "faces", "polygon", "polygons"), ("tristrips", "tristrip", "tri_strips", "strips")
 INDICES = ("vertex_indices", "vertex_index")
 UNUSED = ("edge", "edges", "range_grid")  # they name vertices, but have no surface; a range grid is a cloud
-OF_VERTICES = re.compile(r"(?!.*tex(ture|coord)).*(vert|ind(ex|ices))", re.I)  # lists of texture corners are not
+NUMBERED = re.compile(r".*vert.*\d", re.I)  # vertex1, vertex2: each a vertex
+OF_COLOURS = re.compile(r".*tex(ture|coord)|.*(red|green|blue|alpha)$", re.I)  # integers that are no vertices
 
 
 class _Property(NamedTuple):
@@ -73,6 +74,8 @@ def read_ply(path: Path, data: bytes) -> tuple[Float[np.ndarray, "V 3"], Float[n
         raise
     except (ValueError, OverflowError) as error:
         raise InputError(f"{path}: not a readable .ply file ({one_line(error)})") from None
+    if not len(triangles) and any(each.count for each in elements if each is not vertices):
+        warnings.warn(f"{path}: it has no faces; its {len(xyz)} vertices are read as a cloud", Note, stacklevel=2)
     if is_text:
         note_missing_line_end(path, data)
     return xyz, triangles
@@ -122,15 +125,16 @@ def _check_elements(path: Path, elements: list[_Element]) -> None:
     for element in elements:
         if element.name in ("vertex", *POLYGONS, *STRIPS) or not element.count:
             continue
-        if element.name not in UNUSED and any(map(_names_vertices, element.properties)):
-            text = f"its {element.count} elements {element.name!r} hold vertices"
+        if element.name not in UNUSED and _may_hold_vertices(element):
+            text = f"its {element.count} elements {element.name!r} may hold vertices"
             raise InputError(f"{path}: {text}; save the mesh with faces (valid: {', '.join((*POLYGONS, *STRIPS))})")
         warnings.warn(f"{path}: its {element.count} elements {element.name!r} are ignored", Note, stacklevel=3)
 
 
-def _names_vertices(each: _Property) -> bool:
-    is_index = each.type.kind in "iu" and (each.length is not None or "vert" in each.name.lower())
-    return is_index and OF_VERTICES.match(each.name) is not None
+def _may_hold_vertices(element: _Element) -> bool:
+    """True for a list of integers, for three integers, and for an integer with the name of a numbered vertex."""
+    integers = [each for each in element.properties if each.type.kind in "iu" and not OF_COLOURS.match(each.name)]
+    return len(integers) >= 3 or any(each.length is not None or NUMBERED.fullmatch(each.name) for each in integers)
 
 
 def _read_text(path: Path, body: bytes, elements: list[_Element]) -> dict[str, _Values]:

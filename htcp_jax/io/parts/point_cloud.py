@@ -18,7 +18,7 @@ from htcp_jax.io.files import known_ending, note_missing_line_end, read_bytes, r
 from htcp_jax.io.parts.columns import PER_METRE, TablePoints
 from htcp_jax.io.parts.obj import read_obj
 from htcp_jax.io.parts.ply import read_ply
-from htcp_jax.io.parts.scan import PARTS, SCANS, read_part, read_scan
+from htcp_jax.io.parts.scan import OF_ONE_UNIT, PARTS, SCANS, read_part, read_scan
 from htcp_jax.io.parts.stl import read_stl
 from htcp_jax.io.parts.table import read_npy, read_table
 from htcp_jax.model import arrays, mesh_points
@@ -55,8 +55,6 @@ def load_geometry(path: str | Path, unit: str | None = None) -> Geometry:
     path = Path(path)
     ending = known_ending(path, CLOUDS)
     _check_unit(path, unit)
-    if ending in PARTS and unit is not None:
-        raise InputError(f"{path}: the unit is {unit}, but a {ending} file states its own unit; omit the key")
     if ending in MESHES:
         found = _read_mesh(path, ending)
         if unit is not None:
@@ -107,6 +105,10 @@ def read_points(path: str | Path, unit: str | None = None) -> TablePoints:
 def _check_unit(path: Path, unit: str | None) -> None:
     if unit is not None and unit not in PER_METRE:
         raise InputError(f"{path}: the unit is {unit!r}; valid: {', '.join(PER_METRE)}")
+    ending = path.suffix.lower()
+    if (ending in PARTS and unit is not None) or (ending in OF_ONE_UNIT and unit not in (None, "m")):
+        why = "states its own unit" if ending in PARTS else "is in metres"
+        raise InputError(f"{path}: the unit is {unit}, but a {ending} file {why}; omit the key")
 
 
 def _read_table_or_scan(path: Path, ending: str, unit: str | None) -> TablePoints:

@@ -14,7 +14,7 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError, Note
 
@@ -22,7 +22,9 @@ TINY = 1e-6  # share of a polygon's size: triangles of a smaller height count as
 ZERO = 1e-15  # share of a polygon's squared size: smaller areas are 0
 UNEVEN = 0.05  # share of a polygon's size: a polygon with a corner farther from its mean plane is named
 MOST_TURNS = 64  # corners up to which a fan from each corner is tried before ear clipping
-MOST_CORNERS = 10_000  # maximum number of corners of a polygon that needs ear clipping
+NO_EAR = 3  # rank of a corner that is not clipped, see `_ranks`
+MOST_FAILED = 4  # maximum number of failed tests for ears, times the number of corners
+MOST_CORNERS = 6_000  # maximum number of corners of a polygon that needs ear clipping, which takes seconds
 
 Vertices = Float[np.ndarray, "V 3"]
 Indices = Int[np.ndarray, "C"]
@@ -168,34 +170,64 @@ def _flattened(corners: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"]
 
 
 def _ears(points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "t 3"] | None:
-    """Clip ears from a counter-clockwise polygon; None if there are not enough. A hole may be joined by a bridge."""
-    ring, ears = np.arange(len(points)), []
+    """Clip ears from a counter-clockwise polygon; None if there are not enough. A hole may be joined by a bridge.
+
+    A corner that is no ear is tested again only if a neighbour or what blocks it has been clipped. In a simple polygon
+    the latter does not happen, see `_block`; a polygon that needs many more tests than that counts as crossing itself.
+    """
+    n, points = len(points), np.ascontiguousarray(points.T)
+    ring, ears, failed = np.arange(n), [], 0
+    before, after = np.roll(ring, 1), np.roll(ring, -1)
+    blocks, (ranks, lines) = np.full((2, n), -1), _ranks(points, before, ring, after)
     while len(ring) > 2:
-        corners = points[ring]
-        before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
-        turns = _cross(corners - before, after - corners)
-        lines = np.abs(turns) <= TINY * np.linalg.norm(after - before, axis=1)
-        order = [*np.flatnonzero(np.abs(turns) <= ZERO), *np.flatnonzero((turns > 0) & ~lines), *np.flatnonzero(lines)]
-        ear = next((k for k in order if lines[k] or _is_ear(corners, k)), None)
-        if ear is None:
+        ear = np.argmin(ranks)
+        if ranks[ear] >= NO_EAR or failed > MOST_FAILED * n:
             return None
-        ears.append(np.take(ring, [ear - 1, ear, ear + 1], mode="wrap"))
-        ring = np.delete(ring, ear)
+        a, c = before[ear], after[ear]
+        if not lines[ear] and (block := _block(points, ring, a, ear, c)) is not None:
+            blocks[:, ear], ranks[ear], failed = block, NO_EAR, failed + 1
+            continue
+        ears.append((a, ear, c))
+        ring, after[a], before[c] = ring[ring != ear], c, a
+        ranks[ear], blocks[:, ear] = NO_EAR, -1
+        again = np.array([a, c, *np.flatnonzero((blocks[0] == ear) | (blocks[1] == ear))])
+        ranks[again], lines[again] = _ranks(points, before[again], again, after[again])
+        blocks[:, again] = -1
     return np.array(ears)
 
 
-def _is_ear(corners: Float[np.ndarray, "n 2"], k: np.integer) -> bool:
-    """True if no part of the polygon's boundary is in the triangle of the convex corner k."""
-    a, b, c = np.take(corners, [k - 1, k, k + 1], axis=0, mode="wrap")
-    inside = (_cross(b - a, corners - a) >= 0) & (_cross(c - b, corners - b) >= 0) & (_cross(a - c, corners - c) >= 0)
-    inside &= ~np.logical_or.reduce([(corners == each).all(axis=1) for each in (a, b, c)])
-    if inside.any():
-        return False
-    left, ends = _cross(c - a, corners - a), np.roll(corners, -1, axis=0)
-    crosses = left * np.roll(left, -1) < 0
-    crosses &= _cross(ends - corners, a - corners) * _cross(ends - corners, c - corners) < 0
-    return not crosses.any()
+def _ranks(
+    points: Float[np.ndarray, "2 n"], before: Indices, at: Indices, after: Indices
+) -> tuple[Int[np.ndarray, "C"], Bool[np.ndarray, "C"]]:
+    """Return the order of clipping: corners without area first, then convex ones, then lines; and True for lines."""
+    a, b, c = points[:, before], points[:, at], points[:, after]
+    turns = _cross(b - a, c - b)
+    lines = np.abs(turns) <= TINY * np.linalg.norm(c - a, axis=0)
+    return np.select([np.abs(turns) <= ZERO, (turns > 0) & ~lines, lines], [0, 1, 2], NO_EAR), lines
 
 
-def _cross(a: Float[np.ndarray, "*n 2"], b: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+def _block(
+    points: Float[np.ndarray, "2 n"], ring: Indices, before: np.integer, ear: np.integer, after: np.integer
+) -> tuple[np.integer, np.integer] | None:
+    """Return what part of the polygon's boundary is in the triangle of a convex corner: a corner, twice, or an edge.
+
+    Of several corners it is the one farthest from the triangle's open side. In a simple polygon that one turns the
+    other way, so it is no ear itself.
+    """
+    a, b, c, corners = (points[:, at] for at in ([before], [ear], [after], ring))
+    depth = _cross(a - c, corners - c)
+    inside = np.flatnonzero((_cross(b - a, corners - a) >= 0) & (_cross(c - b, corners - b) >= 0) & (depth >= 0))
+    inside = inside[~np.logical_or.reduce([(corners[:, inside] == each).all(axis=0) for each in (a, b, c)])]
+    if inside.size:
+        deepest = ring[inside[np.argmax(depth[inside])]]
+        return deepest, deepest
+    left = _cross(c - a, corners - a)
+    edges = np.flatnonzero(left * np.roll(left, -1) < 0)
+    ends = (edges + 1) % len(ring)
+    along, start = corners[:, ends] - corners[:, edges], corners[:, edges]
+    crossing = np.flatnonzero(_cross(along, a - start) * _cross(along, c - start) < 0)
+    return (ring[edges[crossing[0]]], ring[ends[crossing[0]]]) if crossing.size else None
+
+
+def _cross(a: Float[np.ndarray, "2 *n"], b: Float[np.ndarray, "2 *n"]) -> Float[np.ndarray, "*n"]:
+    return a[0] * b[1] - a[1] * b[0]

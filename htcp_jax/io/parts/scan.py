@@ -36,6 +36,7 @@ SCANS = {
     ".laz": ScanFormat("las", ("laspy", "lazrs"), "scan"),
 }
 PARTS = {ending: ScanFormat("step", ("cascadio",), "cad") for ending in (".step", ".stp")}
+OF_ONE_UNIT = (*PARTS, ".e57")  # formats that state their unit, or have one
 LONGEST_S = 600
 MEMORY = 4 * 2**30  # memory limit [bytes], to which 40 times the file's size is added
 

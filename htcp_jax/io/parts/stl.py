@@ -15,10 +15,12 @@ Triangles = Float[np.ndarray, "F 3 3"]
 HEADER, RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 NEAR = 10.0  # a record after the last declared triangle is one, too, if it is within so many sizes of the mesh
 _CORNER = r"\s+vertex" + 3 * r"\s+(\S+)"
-FACET = re.compile(
-    r"\s*facet\s+(?:(?!outer\s)\S+\s+){0,5}?outer\s+loop" + 3 * _CORNER + r"\s+end\s*loop\s+end\s*facet(?=\s|$)", re.I
+_START = r"facet(?:\s+normal(?:\s+\S+){3})?\s+outer\s+loop"
+FACET = re.compile(rf"\s*{_START}{3 * _CORNER}\s+end\s*loop\s+end\s*facet(?=\s|$)", re.I)
+# The name of a solid goes on to the end of the line, or to a facet.
+BEGIN, END = (
+    re.compile(rf"\s*{word}(?![^\s])((?:(?!(?<!\S){_START})[^\n\r])*)", re.I) for word in ("solid", r"end\s*solid")
 )
-BEGIN, END = (re.compile(rf"\s*{word}(?![^\s])([^\n\r]*)", re.I) for word in ("solid", r"end\s*solid"))
 
 
 def read_stl(path: Path, data: bytes) -> Triangles:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.columns import PER_METRE
-from htcp_jax.io.parts.scan import PARTS
+from htcp_jax.io.parts.scan import OF_ONE_UNIT
 from htcp_jax.model import Robot, kinematics, workpiece
 
 METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometres": 1e3}  # the most likely units first
@@ -26,12 +26,12 @@ STAND_OFF = 0.5  # factor of the largest plausible distance of a path from its p
 
 
 def unit_key(file: str) -> str | None:
-    """Return the job's key for the unit of a part's file; None if the file states its unit.
+    """Return the job's key for the unit of a part's file; None if the file or its format states the unit.
 
     Args:
         file: The file's name, or a label without an ending for a part that is not from a file.
     """
-    return None if Path(file).suffix.lower() in ("", *PARTS) else "workpiece.unit"
+    return None if Path(file).suffix.lower() in ("", *OF_ONE_UNIT) else "workpiece.unit"
 
 
 def check_extent(
