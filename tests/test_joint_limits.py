@@ -131,6 +131,17 @@ NAMED = {
 }
 
 
+@pytest.mark.parametrize(("limit", "slide", "line"), [
+    ("!degrees 50", True, "limits of joint j1 are degrees or radians, but it moves in m"),
+    ("rad(0.5)", True, "limits of joint j1 are degrees or radians, but it moves in m"),
+    ("!millimeters 50", False, "limits of joint j1 are lengths, but it moves in rad"),
+])  # fmt: skip
+def test_a_unit_of_another_kind_of_joint_is_refused(folder, limit, slide, line):
+    stated = read(folder, f"joint_limits: {{j1: {{max_velocity: {limit}}}}}\n")
+    with pytest.raises(InputError, match=line):
+        stated.ranges([slide] * 4, np.full(4, -1.0), np.ones(4))
+
+
 @pytest.mark.parametrize(("above", "entry", "line"), NAMED.values(), ids=NAMED)
 def test_what_is_not_used_or_remains_the_model_s_is_named_in_one_line(folder, above, entry, line):
     second = "" if "j2" in entry else ", j2: {max_velocity: 1}"

@@ -19,6 +19,20 @@ from htcp_jax.io.files import opened
 LARGEST_FILE = 2 * 2**20  # [bytes]; PyYAML reads about 150 kB per second
 DEEPEST = 50
 UNITS = {"!degrees": math.pi / 180, "!radians": 1.0, "!meters": 1.0, "!millimeters": 1e-3}  # as in xacro, by tag
+OF_ANGLES = "!degrees", "!radians"
+
+
+class Quantity(float):
+    """A number that was written with a unit, in rad or m, or per s, s2 or s3."""
+
+    is_angle: bool
+
+    @classmethod
+    def of(cls, tag: str, number: float) -> "Quantity":
+        """Return the quantity of a number with a tag in `UNITS`."""
+        found = cls(UNITS[tag] * number)
+        found.is_angle = tag in OF_ANGLES
+        return found
 
 
 def read_yaml(path: str | Path) -> dict:
@@ -125,7 +139,8 @@ class _UnitLoader(_Loader):
 
     def construct_quantity(self, node):
         try:
-            return UNITS[node.tag] * float(self.construct_scalar(node).replace("_", "x"))  # Python reads 1_0 as ten
+            number = float(self.construct_scalar(node).replace("_", "x"))  # Python reads 1_0 as ten
+            return Quantity.of(node.tag, number)
         except ValueError:
             problem = f"{node.tag} {node.value} is not a number"
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from None

@@ -77,10 +77,12 @@ class JointLimits(NamedTuple):
             upper: Upper ends of the model's ranges [rad or m], inf for no limit.
 
         Raises:
-            InputError: If a range does not ascend, or if a position seems to be in degrees or millimetres.
+            InputError: If a range does not ascend, if a position seems to be in degrees or millimetres, and for angles
+                of a prismatic joint or lengths of another one.
         """
         bounds = np.stack([lower, upper], axis=1).astype(float)
         for own, name, stated, slide in zip(bounds, self.names, self.stated, slides, strict=True):
+            self._check_units(name, stated, slide)
             farthest = float(np.abs(own).max())
             for side, value in enumerate((stated.lower, stated.upper)):
                 if value is not None:
@@ -91,6 +93,12 @@ class JointLimits(NamedTuple):
                     "max_position"
                 )
         return bounds[:, 0], bounds[:, 1]
+
+    def _check_units(self, joint: str, stated: StatedLimits, slide: bool) -> None:
+        given = [value for value in stated if isinstance(value, strict_yaml.Quantity)]
+        if any(value.is_angle == slide for value in given):
+            wrong, right = ("degrees or radians", "m") if slide else ("lengths", "rad")
+            raise InputError(f"{self.file}: limits of joint {joint} are {wrong}, but it moves in {right}")
 
     def _position(self, joint: str, side: int, value: float, slide: bool, farthest: float) -> float:
         """Return one end of a range; infinite for hinges beyond `UNLIMITED`.
@@ -258,8 +266,9 @@ def _number(value: Any, file: str, key: str, joint: str) -> float:
         InputError: If it is not a number, or if it is a rate that is not positive and finite.
     """
     if isinstance(value, str) and (angle := ANGLE.fullmatch(value)):
-        value = float(angle[2]) * strict_yaml.UNITS[ANGLE_TAGS[angle[1]]]
-    number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+        value = strict_yaml.Quantity.of(ANGLE_TAGS[angle[1]], float(angle[2]))
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    number = value if isinstance(value, strict_yaml.Quantity) else float(value) if is_number else math.nan
     if key in BOUNDS["position"]:
         if math.isnan(number):
             raise InputError(
