@@ -95,7 +95,8 @@ class PathTable:
                 continue
             names.difference_update(there)
             lacking = ", ".join(name for name in family if name not in there)
-            self._note(f"columns {', '.join(there)} are not read, as there is no {lacking}")
+            what = f"columns {', '.join(there)} are" if there[1:] else f"column {there[0]} is"
+            self._note(f"{what} not read, as there is no {lacking}")
         return found
 
     def name_ignored(self, family: Sequence[str], found: Sequence[tuple[str, ...]]) -> None:
