@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.files import note_missing_line_end
@@ -21,13 +21,24 @@ HARMLESS = {  # names, colours, normals, rendering; and the parts of free-form e
     *("bevel", "c_interp", "d_interp", "cstype", "deg", "bmat", "step", "parm", "trim", "hole", "scrv", "sp", "end"),
     *("con", "ctech", "stech"),
 }
-CORNER = re.compile(r"([+-]?\d{1,12})(?:/[+-]?\d*){0,2}")
+MOST_DIGITS = 12
+CORNER = re.compile(rf"([+-]?\d{{1,{MOST_DIGITS}}})(?:/[+-]?\d*){{0,2}}")
 
 
-class _Face(NamedTuple):
-    corners: list[int]  # indices of vertices, from 0
-    width: int  # number of integers on its line
+class _FaceLine(NamedTuple):
+    number: int  # of the line
+    words: list[str]  # its corners
+    before: int  # number of vertices before the line
     material: int
+
+
+class _Faces(NamedTuple):
+    """Faces, in the file's order."""
+
+    corners: Int[np.ndarray, "C"]  # indices of vertices, from 0, of one face after the other
+    counts: Int[np.ndarray, "n"]  # number of corners
+    widths: Int[np.ndarray, "n"]  # number of integers on the face's line
+    materials: Int[np.ndarray, "n"]
 
 
 def read_obj(path: Path, data: bytes) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "F 3 3"]]:
@@ -40,7 +51,7 @@ def read_obj(path: Path, data: bytes) -> tuple[Float[np.ndarray, "V 3"], Float[n
         InputError: For a damaged line, for a face without vertex, and for free-form curves and surfaces.
     """
     vertices: list[list[float]] = []
-    faces: list[_Face] = []
+    lines: list[_FaceLine] = []
     materials: dict[str, int] = {"": 0}
     material, others = 0, dict[str, int]()
     for number, words in _statements(data):
@@ -48,7 +59,7 @@ def read_obj(path: Path, data: bytes) -> tuple[Float[np.ndarray, "V 3"], Float[n
         if key == VERTEX:
             vertices.append(_vertex(path, number, words))
         elif key in FACES:
-            faces.append(_face(path, number, words, len(vertices), material))
+            lines.append(_FaceLine(number, words[1:], len(vertices), material))
         elif key == MATERIAL:
             material = materials.setdefault(" ".join(words[1:]), len(materials))
         elif key in FREE_FORM:
@@ -58,9 +69,10 @@ def read_obj(path: Path, data: bytes) -> tuple[Float[np.ndarray, "V 3"], Float[n
         elif key not in HARMLESS:
             what = f"line {number}: unknown key {key[:20]!r}; write # before the line if it may be ignored"
             raise InputError(f"{path}: not a readable .obj file ({what})")
+    faces = _faces(path, lines)
     if not vertices:
         raise InputError(f"{path}: not a readable .obj file (it contains no vertices)")
-    _name(path, others, len(faces), len(vertices))
+    _name(path, others, len(lines), len(vertices))
     xyz = np.array(vertices, np.float64).reshape(-1, 3)
     triangles = _triangles(path, xyz, faces)
     note_missing_line_end(path, data)
@@ -89,18 +101,27 @@ def _vertex(path: Path, number: int, words: list[str]) -> list[float]:
     return [x, y, z]
 
 
-def _face(path: Path, number: int, words: list[str], before: int, material: int) -> _Face:
-    """Return a face; `before` is the number of vertices before its line."""
-    corners, width = [], 0
-    for word in words[1:]:
-        if not (found := CORNER.fullmatch(word)):
-            raise InputError(f"{path}: not a readable .obj file (line {number}: {word[:20]!r} is not a corner)")
-        vertex = int(found[1])
-        if vertex == 0 or vertex < -before:
-            raise InputError(f"{path}: line {number}: there is no vertex {vertex}; the first vertex is 1")
-        corners.append(vertex - 1 if vertex > 0 else before + vertex)
-        width += len(word.replace("/", " ").split())
-    return _Face(corners, width, material)
+def _faces(path: Path, lines: list[_FaceLine]) -> _Faces:
+    counts = np.array([len(line.words) for line in lines], int)
+    materials = np.array([line.material for line in lines], int)
+    words = [word for line in lines for word in line.words]
+    joined = "".join(words)
+    if joined.isascii() and joined.isdigit() and max(map(len, words)) <= MOST_DIGITS:  # the usual case, in one step
+        numbers = np.array(list(map(int, words)))
+        if numbers.all():
+            return _Faces(numbers - 1, counts, counts, materials)
+    corners = [_corner(path, line, word) for line in lines for word in line.words]
+    widths = [sum(len(word.replace("/", " ").split()) for word in line.words) for line in lines]
+    return _Faces(np.array(corners, int), counts, np.array(widths, int), materials)
+
+
+def _corner(path: Path, line: _FaceLine, word: str) -> int:
+    if not (found := CORNER.fullmatch(word)):
+        raise InputError(f"{path}: not a readable .obj file (line {line.number}: {word[:20]!r} is not a corner)")
+    vertex = int(found[1])
+    if vertex == 0 or vertex < -line.before:
+        raise InputError(f"{path}: line {line.number}: there is no vertex {vertex}; the first vertex is 1")
+    return vertex - 1 if vertex > 0 else line.before + vertex
 
 
 def _name(path: Path, others: dict[str, int], faces: int, vertices: int) -> None:
@@ -112,20 +133,18 @@ def _name(path: Path, others: dict[str, int], faces: int, vertices: int) -> None
         warnings.warn(f"{path}: it has no faces; its {vertices} vertices are read as a cloud", Note, stacklevel=3)
 
 
-def _triangles(path: Path, vertices: Float[np.ndarray, "V 3"], faces: list[_Face]) -> Float[np.ndarray, "F 3 3"]:
+def _triangles(path: Path, vertices: Float[np.ndarray, "V 3"], faces: _Faces) -> Float[np.ndarray, "F 3 3"]:
     """Return the triangles of faces. Materials follow each other from the last to the first, as in earlier versions."""
-    if not faces:
+    counts = faces.counts
+    if not counts.size:
         return np.empty((0, 3, 3))
-    corners = np.array([corner for face in faces for corner in face.corners], int)
-    counts = np.array([len(face.corners) for face in faces])
-    found = polygons.triangulate(vertices, corners, counts, str(path))
-    order, columns = polygons.rolled_quads(found, counts), np.array([face.width for face in faces])
-    materials = np.array([face.material for face in faces])
-    groups = [np.flatnonzero(materials == each) for each in dict.fromkeys(materials.tolist())]
+    found = polygons.triangulate(vertices, faces.corners, counts, str(path))
+    order = polygons.rolled_quads(found, counts)
+    groups = [np.flatnonzero(faces.materials == each) for each in dict.fromkeys(faces.materials.tolist())]
     parts = []
     for group in reversed(groups):
         rows = np.flatnonzero(np.isin(found.polygon, group)) if len(groups) > 1 else np.arange(len(order))
-        if len({*columns[group].tolist()}) == 1 and counts[group[0]] == 4:
+        if len({*faces.widths[group].tolist()}) == 1 and counts[group[0]] == 4:
             rows = rows[np.argsort(found.rank[rows], kind="stable")]
         parts.append(order[rows])
     return vertices[np.concatenate(parts)]
