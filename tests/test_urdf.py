@@ -252,6 +252,10 @@ REFUSED = {
     "a joint without a name": (arm().replace('"wrist"', '""'), "joint '': <joint> has no attribute 'name'"),
     "no child": (arm().replace('<child link="hand"/>', ""), "joint 'wrist': <joint> has no <child>"),
     "a word as a bound": (arm('<limit lower="low" upper="1"/>'), "joint 'elbow': <limit lower='low'> is not a number"),
+    "a word as Drake's acceleration": (
+        arm('<limit lower="-1" upper="1" drake:acceleration="a"/>').replace("<robot", '<robot xmlns:drake="d"'),
+        "joint 'elbow': <limit drake:acceleration='a'> is not a number",
+    ),
     "an underscore": (arm('<limit lower="-1_0" upper="1"/>'), "joint 'elbow': <limit lower='-1_0'> is not a number"),
     "nan as a bound": (arm('<limit lower="nan" upper="1"/>'), "joint 'elbow': <limit lower='nan'> is not a number"),
     "two angles": (arm().replace('xyz="0 0 0.3"', 'rpy="0 1"', 1), "joint 'shoulder': <origin rpy='0 1'> is not 3"),

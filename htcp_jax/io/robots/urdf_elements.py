@@ -67,6 +67,7 @@ _CONTENT = {
     "mesh": _rule("", "filename! scale:3"),
     "sphere": _rule("", "radius:1!"),
 }
+_CONTENT["limit"].numbers["drake:acceleration"] = 1  # the one attribute with a prefix that is read
 _INFINITE = "limit", "safety_controller"  # elements in which a number may be infinite
 
 
