@@ -113,7 +113,8 @@ def test_a_header_may_be_separated_by_tabs(tmp_path):
 
 @pytest.mark.parametrize("header", [
     "x,y,z,v\nmm,mm,mm,mm/s\n", "v,x,y,z\n[mm/s],[mm],[mm],[mm]\n", "# x,y,z,v\n# mm,mm,mm,mm/s\n",
-    "# unit: mm\nx,y,z,v\n", "// made by hand, units = mm\n# x,y,z,v\n",
+    "# unit: mm\nx,y,z,v\n", "% unit mm\nx,y,z,v\n",
+    "# Einheit: mm\nx,y,z,v\n", "// made by hand, units = mm\n# x,y,z,v\n",
     "# all lengths in mm\nx,y,z,v\n", "# coordinates [mm]\nx,y,z,v\n", "# Units: millimeters, deg\nx,y,z,v\n",
     "# speed in m/s\n# Units: mm\nx,y,z,v\n",
 ])  # fmt: skip
@@ -308,6 +309,33 @@ def test_a_chosen_column_that_is_missing_or_ambiguous_is_refused_with_what_there
 def test_a_name_without_a_header_is_refused(tmp_path):
     words = refusal(write(tmp_path, "", POINTS), chosen={"x": "X", "y": 2, "z": 3})
     assert words == "workpiece.path_columns.x is 'X': no such column; it has 3 columns, without a header"
+
+
+@pytest.mark.parametrize("names", ["x_ft,y_ft,z_ft", "X feet,Y feet,Z feet", "A [um],B [um],C [um]"])
+def test_chosen_columns_keep_the_unit_of_the_header(tmp_path, names):
+    words = refusal(write(tmp_path, f"{names}\n", POINTS), chosen={"x": 1, "y": 2, "z": 3})
+    assert words.startswith("the unit in the header is") and "workpiece.path_unit" in words
+
+
+def test_six_columns_without_a_header_are_points_and_normals(tmp_path):
+    file, normals = tmp_path / "path.csv", np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0]])
+    np.savetxt(file, np.hstack([POINTS[:2], normals]), delimiter=",")
+    with pytest.warns(Note, match="6 columns; the first three are taken as x, y, z, the others as normals"):
+        found = read_path_points(file)
+    assert np.allclose(found.frames.normals, normals) and np.allclose(found.xyz, POINTS[:2])
+
+
+def test_a_row_that_ends_within_quotes_is_refused(tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text('"0.1","0.2","0.3"\n"0.1","0.2","0.')
+    assert refusal(file) == "line 2 has a quote without its end"
+
+
+def test_comments_that_have_the_form_of_a_row_are_named(tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text("x,y,z\n0.1,0.2,0.3\n#REF!,0.25,0.3\n0.2,0.2,0.3\n# a remark, with 2, commas\n")
+    with pytest.warns(Note, match="comments in the form of a row are ignored; the first of 1 is line 3"):
+        assert len(read_path_points(file).xyz) == 2
 
 
 @pytest.mark.parametrize("header, words", [

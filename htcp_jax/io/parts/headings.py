@@ -32,13 +32,13 @@ OTHER_UNITS = ("ft", "um", "µm", "km", "s", "sec", "seconds", "si", "ms", "us",
                "1", "")  # fmt: skip
 BRACKETS = re.compile(r"\s*(?:\[([^\]]*)\]|\(([^)]*)\))")  # x [m], y (mm)
 SEPARATORS = re.compile(r"[\s,;]+")
-SUFFIX = re.compile(rf"(.+?)(?:_in)?_({'|'.join(NAMES)})")  # x_mm, X in mm, x/mm, a_deg
+SUFFIX = re.compile(rf"(.+?)(?:_in)?_({'|'.join((*NAMES, *OTHER_LENGTHS))})")  # x_mm, X in mm, x/mm, a_deg
 FIELD = re.compile(r".*_((?:position|orientation|translation|rotation)_[wxyz])")  # /arm/pose/position/x, of ROS
-UNIT_KEY = re.compile(r"units?[\"']?\s*[:=](.*)", re.IGNORECASE)  # "# unit: mm"
+UNIT_KEY = re.compile(r"(?:units?|einheit(?:en)?)[\"']?\s*[:=](.*)", re.IGNORECASE)  # "# unit: mm"
 UNIT_WORDS = re.compile(r"[\s,;()\[\]{}\"']+")
 NUMBER = re.compile(r"(?!1$)[\d.]+")
 LENGTH_NAMES = "|".join((*LENGTHS, *OTHER_LENGTHS))
-SUBJECTS = "units|lengths|coordinates|positions|points|dimensions|xyz"
+SUBJECTS = "units?|einheit(?:en)?|lengths|coordinates|positions|points|dimensions|xyz"
 STATED_LENGTHS = tuple(re.compile(rf"{form}(?![\w/²³^-])", re.IGNORECASE) for form in (
     rf"\b(?:{SUBJECTS}|distances|values|[xyz])\b[^,;:]*?\bin\s+[\[(]?({LENGTH_NAMES})",  # "# all lengths in mm"
     rf"\b(?:{SUBJECTS})\s*:?\s*[\[(]({LENGTH_NAMES})[\])]",  # "# coordinates [mm]"

@@ -51,6 +51,10 @@ def read_path_points(
         None if (names := _family(table, families)) is None else _unit_vectors(table, names, what, path)
         for families, what in ((headings.NORMALS, "normal"), (headings.TANGENTS, "tangent"))
     )
+    if normals is None and table.guessed_normals is not None:
+        normals = table.guessed_normals
+        if len(wrong := np.flatnonzero(~normals.any(axis=1))):
+            raise InputError(f"{path}: the normal at point {wrong[0] + 1} has the length 0; it must be 1")
     return PathPoints(table.xyz, PathFrames(normals, tangents, _rotations(table, maker, path)))
 
 

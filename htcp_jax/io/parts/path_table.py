@@ -41,7 +41,10 @@ class PathTable:
         self._path, self._reader = path, TableReader(path, keep=True, chosen=chosen)
         self._reader.take_all()
         columns, header = self._reader.columns, self._reader.header or ()
-        self.xyz: Float[np.ndarray, "P 3"] = self._reader.points(unit).xyz  # [m]
+        points = self._reader.points(unit)
+        self.xyz: Float[np.ndarray, "P 3"] = points.xyz  # [m]
+        # Unit normals, or 0, in the last columns of a table without names; None if there are none.
+        self.guessed_normals = None if columns is None or columns.named else points.normals
         self._header = header if columns is not None and len(header) == columns.width and columns.named else ()
         if columns is None:
             return
@@ -49,6 +52,9 @@ class PathTable:
         if unit not in (None, self._reader.unit or unit):
             text = f"the unit is {self._reader.unit} in the header and {unit} in the job; the job's is used"
             warnings.warn(f"{path}: {text}", UserWarning, stacklevel=4)
+        if hidden := self._reader.hidden:
+            text = f"comments in the form of a row are ignored; the first of {len(hidden)} is line {hidden[0]}"
+            warnings.warn(f"{path}: {text}", Note, stacklevel=4)
         note_missing_line_end(path, read_tail(path))
 
     def headings(self, family: Sequence[str]) -> list[Heading] | None:

@@ -75,6 +75,7 @@ class TableReader:
         self.path, self.keep, self._chosen = path, keep, chosen  # keep: a path; else a cloud
         self.chosen: dict[str, int] = {}  # indices of the chosen columns
         self.rows: list[list[str]] = []  # cells of all columns, if `keep`
+        self.hidden: list[int] = []  # lines of comments that have the form of a row, if `keep`
         self.blank: list[int] = []  # number of blank lines in sequence before each row, if `keep`
         self.header: list[Heading] | None = None
         self._header_line = ""  # the line without numbers before the first row; "": a comment may be the header
@@ -173,6 +174,8 @@ class TableReader:
         self._state(comment)
         if not self.first:
             self._comments.append(comment)
+        elif self.keep and sum(map(is_numeric_cell, row := cells_of(comment))) >= 2 and len(row) == self.width:
+            self.hidden.append(number)
         elif self.keep and not self._most_blank and ABOUT_SEAMS.search(comment):
             text = f"the comment {comment[:60]!r} in line {number} does not begin another seam; a blank line would"
             warnings.warn(f"{self.path}: {text}", Note, stacklevel=4)
@@ -183,6 +186,8 @@ class TableReader:
             self._stated.append(unit)
 
     def _row(self, number: int, content: str, cells: list[str]) -> None:
+        if content.count('"') % 2:
+            raise self._error(number, " has a quote without its end")
         if len(cells) < 3 or (self.first and len(cells) != self.width):
             need = "3 are needed (x y z)" if len(cells) < 3 else f"line {self.first} has {self.width}"
             raise self._error(number, _decimal_commas(content) or f" has {len(cells)} columns, {need}")
