@@ -3,6 +3,7 @@
 import io
 import os
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -184,7 +185,7 @@ def test_garbage_and_truncation_give_one_line_and_print_nothing(tmp_path, capfd,
 
 def test_a_parsers_own_log_stays_silent(tmp_path, caplog):
     """Check that no log appears: trimesh logs a traceback for a bad normal and ignores it."""
-    stl = BOX.export(file_type="stl_ascii").replace("normal ", "normal abc ")
+    stl = re.sub(r"normal \S+", "normal abc", BOX.export(file_type="stl_ascii"))
     assert load_cloud(write(tmp_path, "a.stl", stl), spacing=0.5).shape[1] == 3
     assert not caplog.records
 

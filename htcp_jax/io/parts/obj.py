@@ -84,7 +84,7 @@ def _statements(data: bytes) -> Iterator[tuple[int, list[str]]]:
     text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
     begun, first = "", 0
     for number, line in enumerate(text.split("\n"), start=1):
-        content = begun + line.partition("#")[0]
+        content = begun + (line.partition("#")[0] if "#" in line else line)
         first = first if begun else number
         begun = content[:-1] if line.endswith("\\") and "#" not in line else ""
         if not begun and (words := content.split()):
@@ -95,7 +95,9 @@ def _statements(data: bytes) -> Iterator[tuple[int, list[str]]]:
 
 def _vertex(path: Path, number: int, words: list[str]) -> list[float]:
     try:
-        x, y, z = (float(word.replace("_", "?")) for word in words[1:4])  # Python reads 1_0 as ten
+        x, y, z = map(float, words[1:4])
+        if "_" in "".join(words[1:4]):  # Python reads 1_0 as ten
+            raise ValueError
     except ValueError:
         raise InputError(f"{path}: not a readable .obj file (line {number}: a vertex needs three numbers)") from None
     return [x, y, z]
