@@ -60,7 +60,7 @@ def test_a_part_far_larger_than_the_arm_is_refused_with_its_unit(unit, factor, a
     assert said.endswith(f"in {unit}; convert to metres (factor {factor})")
 
 
-@pytest.mark.parametrize("unit", ["millimetres", "inches"])
+@pytest.mark.parametrize("unit", ["millimetres", "inches", "centimetres"])
 def test_a_path_in_metres_is_not_called_wrong_with_its_part(unit):
     """Path in metres with a part in another unit: only the part is named."""
     assert f"; it seems to be in {unit}" in refusal(box(UNITS[unit], 1.0))

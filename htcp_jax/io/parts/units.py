@@ -135,18 +135,21 @@ def _part_hint(
     Args:
         part: The part, in the numbers of its file.
         path: The path [m].
-        units: The units in which the part has a plausible size, the most likely first.
+        units: The units in which the part has a plausible size, the most likely first; the one in which the part is
+            nearest to its path is named.
         key: See `check_extent`.
     """
     if not units:
         return "check that it is in metres, and keep only the part that the arm can reach"
-    metres = METRES.get(units[0], 1.0)
-    alone = workpiece.median_distance(metres * part, path) <= _stand_off(metres * part)
-    keys = [each for each in (key, None if alone else "workpiece.path_unit") if each]
-    whose = "it seems" if alone else "it and its path seem"
-    if key is None or units[0] not in KEYS:
-        return f"{whose} to be in {units[0]}; convert to metres (factor {metres:g})"
-    return f"{whose} to be in {units[0]}; set {' and '.join(f'{each}: {KEYS[units[0]]}' for each in keys)}"
+    scaled = {unit: METRES.get(unit, 1.0) * part for unit in units}
+    distances = {unit: workpiece.median_distance(points, path) for unit, points in scaled.items()}
+    near = [unit for unit in units if distances[unit] <= _stand_off(scaled[unit])]
+    unit = min(near, key=distances.__getitem__, default=units[0])
+    keys = [each for each in (key, None if near else "workpiece.path_unit") if each]
+    whose = "it seems" if near else "it and its path seem"
+    if key is None or unit not in KEYS:
+        return f"{whose} to be in {unit}; convert to metres (factor {METRES.get(unit, 1.0):g})"
+    return f"{whose} to be in {unit}; set {' and '.join(f'{each}: {KEYS[unit]}' for each in keys)}"
 
 
 def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> str:
