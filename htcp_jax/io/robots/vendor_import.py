@@ -177,9 +177,9 @@ def import_robot(
     chosen = _chosen_geoms(geoms, model, visual)
     own = [geom for geom in chosen if not _is_excluded(geom, model) and _body_of(model, geom) not in omitted]
     if not own:
-        raise InputError(
-            f"{path}: no shapes to enclose by capsules; geoms of the model: {_geom_kinds(geoms) or 'none'}"
-        )
+        remedy = "" if visual else "; --visual encloses visual geometry"
+        kinds = _geom_kinds(geoms) or "none"
+        raise InputError(f"{path}: no shapes to enclose by capsules; geoms of the model: {kinds}{remedy}")
     hint = other_frames(model, bodies, tip) if root == 0 else ""
     joint_names = check_joints(model, path, joints, chain, hint, fewest, OF_IMPORT)
     ranges, numbers = limits_of(model, path, joints, limits)
