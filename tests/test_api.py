@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pyarrow as pa
 import pytest
+import toy
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -101,6 +102,17 @@ def test_a_failed_plan_says_where_and_why(short, tmp_path):
     assert not plan.complete and "failed at target 12</td>" in plan._repr_html_() and reason in plan._repr_html_()
     assert "inside the workpiece" in colliding_bodies and colliding_bodies in plan._repr_html_()
     assert plan.frame().clearance_m.isna().sum() == 1 and plan.frame().path_clear.isna().sum() == 1
+
+
+def test_shapes_for_contact_that_are_not_checked_are_named(tmp_path):
+    job = toy.write_job(tmp_path)
+    drawn = '<geom type="box" size="1 1 1" contype="0" conaffinity="0"/>'
+    others = f'<geom name="wrist" type="cylinder" size=".01 .01"/>{drawn}'
+    arm = (tmp_path / "arm.xml").read_text()
+    assert "not checked" not in htcp_jax.plan(job, method="baseline").facts()
+    (tmp_path / "arm.xml").write_text(arm.replace("<site ", f"{others}<site ", 1))
+    facts = htcp_jax.plan(job, method="baseline").facts()
+    assert facts["not checked"] == "wrist: no capsule or sphere; convert the arm with htcp robot"
 
 
 def test_overrides_are_words_or_values(short):

@@ -102,7 +102,7 @@ class Robot:
     slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)
     capsule_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)
     capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
-    ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # geoms that are not capsules or spheres
+    ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # for contact, no capsule or sphere
     exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=LABEL)  # pairs that the model excludes
     # True: `exclusions` is complete, except for pairs with a capsule of `mounted`
     listed: bool = dataclasses.field(default=False, metadata=_STATIC)

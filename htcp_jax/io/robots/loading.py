@@ -33,7 +33,7 @@ def load_robot(
 
     Args:
         path: The file, or the models that form a cell. Capsule and sphere geoms on any body become capsules; all other
-            geoms are listed in `ignored_geoms`. Mesh files are never opened.
+            geoms for contact are listed in `ignored_geoms`. Mesh files are never opened.
         tcp_site: Name of the site, or else of the body, whose frame is the TCP. If the default "tcp" does not exist,
             the TCP is the model's only site, or a URDF's outermost link.
         limits: Joint limits. "model": the file's joint ranges, infinite where an MJCF file has none. "simulation": +-pi

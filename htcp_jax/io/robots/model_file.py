@@ -186,7 +186,11 @@ def read_robot_file(
         "slides": slides,
         "capsule_names": tuple(capsule.name for capsule in capsules),
         "capsule_link": tuple(capsule.link for capsule in capsules),
-        "ignored_geoms": tuple(_geom_name(model, g) for g in range(model.ngeom) if not _is_round(model, g)),
+        "ignored_geoms": tuple(
+            _geom_name(model, g)
+            for g in np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist()
+            if not _is_round(model, g)
+        ),
         "exclusions": tuple(each for each in exclusions if valid or each.rule == "a"),
         "listed": lists.is_complete and valid,
         "listed_together": tuple(
