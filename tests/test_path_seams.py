@@ -59,7 +59,8 @@ def test_two_seams_are_found_between_doubled_line_ends(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["seam", "Seam ID", "path", "segment_no", "pass", "type", "id", "weld number",
-                                  "SeamID", "weld line", "WeldLine", "Arc On", "seamid"])  # fmt: skip
+                                  "SeamID", "weld line", "WeldLine", "Arc On", "seamid",
+                                  "Naht", "Naht-Nr", "traj_id", "laser", "weldNo"])  # fmt: skip
 def test_a_column_that_divides_the_rows_means_several_seams(tmp_path, name):
     rows = [f"{row},{word}" for rows, word in ((LEFT, "A"), (RIGHT, '"B"'), (LEFT, "A")) for row in rows]
     words = refusal(write(tmp_path, "\n".join([f"x,y,z,{name}", *rows, ""])))

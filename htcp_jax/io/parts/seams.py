@@ -15,7 +15,8 @@ from htcp_jax.io.parts.headings import Heading
 # words, with an optional suffix, in lower case and without blanks: seam_id, Seam ID, SeamID, weld line.
 DIVIDING = re.compile(
     "(?:seam|segment|path|pass|weld|bead|trajectory|toolpath|stroke|polyline|curve|contour|line|layer|group|part|type|id"
-    "|processon|arcon|laseron|weldon|toolon|sprayon|active)+(?:no|nr|number|index|name)?"
+    "|traj|run|track|block|operation|feature|naht|bahn|raupe|lage|schicht|spur|process|arc|laser|welding|motion|active"
+    "|processon|arcon|laseron|weldon|toolon|sprayon)+(?:no|nr|number|nummer|index|name)?"
 )
 REMEDY = "plan one at a time: write each into its own file, and set home_rad of the next job to the end of the last"
 MOST_SEAMS = 3  # maximum number of seams in a message
