@@ -22,7 +22,7 @@ import numpy as np
 import trimesh
 
 from benchmarks import hardware
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures
 from htcp_jax.clearance.obstacles.self_collision import self_collision

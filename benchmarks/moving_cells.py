@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import cell_distances, hardware
 from benchmarks.cell_distances import FAR_M, WEDGE, Compared, Ring, compared
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures
 from htcp_jax.clearance.obstacles.self_collision import self_collision

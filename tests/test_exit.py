@@ -23,11 +23,11 @@ from htcp_jax.cli.sweep import _sweep_bars
 from htcp_jax.errors import Note
 from htcp_jax.model.robot import GP50
 from htcp_jax.planning import batch
-from htcp_jax.process_exit import PART
 from htcp_jax.runs import open_run
 from htcp_jax.runs.reachability_file import read_reachability
 from htcp_jax.runs.sweep import SweepProgress, sweep
-from htcp_jax.unfinished import temporary_folder
+from htcp_jax.system.process_exit import PART
+from htcp_jax.system.unfinished import temporary_folder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="phases are seen in /proc")
 LIMIT_S = 30.0  # 5 on a quiet machine
@@ -217,7 +217,7 @@ def test_a_stopped_reachability_keeps_what_it_found_marked_as_incomplete(here, m
 def test_a_process_ends_with_its_code_while_a_thread_is_at_work():
     """Check the exit code with a running thread: the interpreter's own shutdown can abort C++ threads of libraries."""
     code = (
-        "import atexit, threading, time\nfrom htcp_jax.process_exit import run\n"
+        "import atexit, threading, time\nfrom htcp_jax.system.process_exit import run\n"
         "atexit.register(print, 'closed')\nthreading.Thread(target=time.sleep, args=(600,)).start()\nrun(lambda: 3)"
     )
     done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, timeout=60)
