@@ -21,11 +21,11 @@ from htcp_jax.cli.main import COMMANDS
 from htcp_jax.cli.plan import _Search
 from htcp_jax.cli.sweep import _sweep_bars
 from htcp_jax.errors import Note
-from htcp_jax.model.robot import GP50
 from htcp_jax.planning import batch
 from htcp_jax.runs import open_run
 from htcp_jax.runs.reachability_file import read_reachability
 from htcp_jax.runs.sweep import SweepProgress, sweep
+from htcp_jax.spec import GP50
 from htcp_jax.system.process_exit import PART
 from htcp_jax.system.unfinished import temporary_folder
 
@@ -225,7 +225,7 @@ def test_a_process_ends_with_its_code_while_a_thread_is_at_work():
 
 
 def test_a_command_leaves_what_another_one_is_writing_into_the_same_folder(tmp_path):
-    code = "from htcp_jax import process_exit, unfinished; process_exit.run(lambda: unfinished.clear({!r}) or 0)"
+    code = "from htcp_jax.system import process_exit, unfinished; process_exit.run(lambda: unfinished.clear({!r}) or 0)"
     with temporary_folder(tmp_path) as scratch:
         write = scratch / f"{PART}file"
         write.write_text("")

@@ -282,7 +282,7 @@ def test_the_source_in_a_name_is_that_of_the_core():
 INVERSE = """
 import jax, jax.numpy as jnp, numpy as np
 import htcp_jax
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.device import kept_executables
 cache_folder.enable()
 device, x = jax.devices("cpu")[0], (jnp.eye(3) + 0.1,)
@@ -324,7 +324,7 @@ def test_a_slow_result_is_stored_for_the_next_process_and_computed_again_if_its_
 
 SCENE = """
 import sys
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.jobs import build, load_config
 cache_folder.enable()

@@ -1,4 +1,4 @@
-from . import files, lock, output_files
+from . import files, lock, output_files, process_exit, unfinished
 from .files import (
     LARGEST,
     known_ending,
@@ -16,6 +16,8 @@ from .process_exit import INTERRUPTED, PART, is_watched, run, signals_blocked, s
 from .unfinished import NO_LINK, READ, clear, lock_file, temporary_folder
 
 __all__ = [
+    "unfinished",
+    "process_exit",
     "INTERRUPTED",
     "LARGEST",
     "NO_LINK",
