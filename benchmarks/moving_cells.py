@@ -30,7 +30,7 @@ from htcp_jax.clearance.obstacles.self_exclusions import distances
 from htcp_jax.io.cell import load_cell
 from htcp_jax.jobs import build, load_config
 from htcp_jax.model import Robot, kinematics
-from htcp_jax.model.robot import GP50
+from htcp_jax.spec import GP50
 
 POSITIONER = Path("configs/positioner/cell.xml")
 STANDING = (  # shapes in the world; {} is the box's type

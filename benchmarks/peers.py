@@ -36,9 +36,9 @@ from benchmarks.figures import Figure, save
 from benchmarks.peer_planners import Advance, Task
 from htcp_jax.caching import cache_folder
 from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.model.robot import GP50
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.parameters import of_job
+from htcp_jax.spec import GP50
 from htcp_jax.status import Status
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall

@@ -19,10 +19,10 @@ from htcp_jax import api
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model import Task
-from htcp_jax.model.robot import GP50
 from htcp_jax.motion import Motion
 from htcp_jax.motion.manipulability import manipulability
 from htcp_jax.motion.motion import motion as motion_of
+from htcp_jax.spec import GP50
 from htcp_jax.spec.config import ProgramConfig
 from htcp_jax.spec.feed import feed_of
 from htcp_jax.status import Kind
