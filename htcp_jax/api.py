@@ -15,7 +15,7 @@ from htcp_jax.clearance.obstacles import obstacle_kind, self_collision
 from htcp_jax.device import devices
 from htcp_jax.io import output_files
 from htcp_jax.jobs import PlanConfig, load_config, with_kinds
-from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
+from htcp_jax.model import Robot, Scenario, TaskRowKind, Workpiece
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Motion, Plans, Tried
@@ -386,7 +386,7 @@ def plan(
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
     obstacles: Sequence[obstacle_kind.ObstacleKind | Mapping[str, Any]] = (),
-    task: Sequence[task_row_kind.TaskRowKind | Mapping[str, Any]] | None = None,
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
 ) -> Plan:
     """Plan one job, and return the job with its plan.
 

@@ -64,7 +64,8 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
     "kinds": {"with_arrays": "a job's row of another package, whose own check in numpy is called"},
     "settings": {"Settings": "tolerances of a job"},
     "model": {
-        "Tool ZERO TaskRow TaskRowKind": "what a job's file states",
+        "Tool ZERO": "what a job's file states",
+        "TaskRowKind BuiltInRow PointRow AxisRow OrientationRow TCP_ON_PATH path_row": "rows of a job's task",
         "PRIMITIVES": "names of MuJoCo's shapes",
         "TOUCHING_M": "overlap of meshes that a job's arm is allowed",
         "Workpiece": "type of what `workpiece_of` loads; its points, triangles, path and inlet are copied at once",

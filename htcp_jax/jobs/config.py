@@ -15,7 +15,6 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
-    WrapSerializer,
     WrapValidator,
     field_validator,
     model_validator,
@@ -28,8 +27,8 @@ from htcp_jax.io.parts import CHOSEN_ANGLES, LengthUnit, Maker
 from htcp_jax.io.robots import LIMITS_FILE, is_limits_file, model_source
 from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
-from htcp_jax.jobs.given_kinds import given_kind_of, needs_kind, record_of
-from htcp_jax.model import TaskRow, Tool, duct, task_row_kind
+from htcp_jax.jobs.given_kinds import built_in_row, kind_of, needs_kind, record_of
+from htcp_jax.model import AxisRow, OrientationRow, PointRow, TaskRowKind, Tool, duct, task_list
 from htcp_jax.registry import NAME
 from htcp_jax.settings import Settings
 
@@ -111,15 +110,18 @@ LockedJoints = Annotated[tuple[tuple[str, Number], ...], BeforeValidator(_locked
 CoupledAxes = Annotated[tuple[tuple[str, str], ...], BeforeValidator(_coupled), PlainSerializer(dict)]
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
-# An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a `TaskRow`.
+# An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a built-in one.
 Row = Annotated[
-    TaskRow, WrapValidator(given_kind_of(task_row_kind.TASK_ROWS, task_row_kind.TaskRowKind)), WrapSerializer(record_of)
+    PointRow | AxisRow | OrientationRow,
+    PlainValidator(built_in_row),
+    WrapValidator(kind_of(task_list.TASK_ROWS, TaskRowKind)),
+    PlainSerializer(record_of),
 ]
 Obstacle = Annotated[
     Any,
     AfterValidator(needs_kind),
-    WrapValidator(given_kind_of(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
-    WrapSerializer(record_of),
+    WrapValidator(kind_of(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
+    PlainSerializer(record_of),
 ]
 
 

@@ -20,7 +20,7 @@ from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.config_file import layers, layers_of, merged, parse_override, put_key
 from htcp_jax.jobs.defaults import fill_in, keys_of
 from htcp_jax.jobs.examples import example_or_path
-from htcp_jax.model import task_row_kind
+from htcp_jax.model import TaskRowKind
 from htcp_jax.registry import NAME
 
 
@@ -76,7 +76,7 @@ def read_config(
 def with_kinds(
     job: PlanConfig,
     obstacles: Sequence[obstacle_kind.ObstacleKind | Mapping[str, Any]],
-    task: Sequence[task_row_kind.TaskRowKind | Mapping[str, Any]] | None,
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None,
 ) -> PlanConfig:
     """Return the job with additional obstacles, and with `task` in place of its own task.
 

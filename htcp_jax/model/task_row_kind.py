@@ -1,36 +1,20 @@
-"""Kinds of task rows, as written in a job; the base class for kinds of other packages.
+"""Base class of task rows, as written in a job: of the built-in ones (`task_list`), and of those of other packages.
 
-`given_row` converts a kind, a Python object with fields, to a `task_rows.Row` for a robot with goals at every target.
-See docs/add-a-task-row.md. This module reads jobs, and does not import JAX until a method is called.
+`rows_of_spec` converts a row to a `task_rows.Row` for a robot with goals at every target. See docs/add-a-task-row.md.
+This module contains data only, and does not import JAX.
 """
 
-from collections.abc import Callable
-from importlib import import_module
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.kinds import ExtensionKind, kind_fault
-from htcp_jax.registry import Registry
+from htcp_jax.kinds import ExtensionKind
 from htcp_jax.types import Array
 
-if TYPE_CHECKING:
-    from htcp_jax.model.robot import Robot
-    from htcp_jax.model.task_rows import Feature, Row
-    from htcp_jax.model.workpiece import Workpiece
-
-ON_PATH = {"place": "places", "tangent": "tangents", "normal": "normals"}  # values along the path that a kind may use
-
-
-class PlacedPath(NamedTuple):
-    """A workpiece's pose and its path in the world."""
-
-    rotate: Float[np.ndarray, "3 3"]  # rotation of the workpiece
-    translate: Float[np.ndarray, "3"]  # its translation [m]
-    path: Float[np.ndarray, "T 3"]  # points of the path in the world [m]
-    workpiece: "Workpiece"
+ON_PATH = {"place": "path", "tangent": "tangents", "normal": "normals"}  # values along the path that a row may use
+AIM_RAD, AIM_M = 1e-3, 2e-4  # distance inside an inequality at which a step aims, as rows are linearised
 
 
 class TaskRowKind(ExtensionKind):
@@ -54,11 +38,8 @@ class TaskRowKind(ExtensionKind):
     rate: ClassVar[float | None] = None
     along: ClassVar[tuple[str, ...]] = ()
 
-    on: ClassVar[Any] = None  # for built-in rows only: "path" if the row's point follows the path
-    frame: ClassVar[str] = "world"
-
-    def features(self, robot: "Robot") -> tuple["Feature", ...]:
-        """Return the constrained points and directions of the arm, from `point_of` and `axis_of`."""
+    def features(self, robot: Any) -> Sequence[Any]:
+        """Return the constrained points and directions of a robot's arm, from `point_of` and `axis_of`."""
         raise NotImplementedError
 
     def error(self, value: Float[Array, "v"]) -> Float[Array, "m"]:
@@ -67,9 +48,7 @@ class TaskRowKind(ExtensionKind):
         Args:
             value: World coordinates of the features, concatenated: points [m], directions of length 1.
         """
-        import jax.numpy as jnp
-
-        return jnp.zeros(0)
+        return _namespace(value).zeros(0)
 
     def slack(self, value: Float[Array, "v"]) -> Float[Array, "b"]:
         """Return the slacks of the row's inequalities, computed in jax.numpy; negative if violated.
@@ -77,17 +56,11 @@ class TaskRowKind(ExtensionKind):
         Args:
             value: World coordinates of the features, concatenated: points [m], directions of length 1.
         """
-        import jax.numpy as jnp
-
-        return jnp.zeros(0)
+        return _namespace(value).zeros(0)
 
     def aim(self, value: Float[Array, "v"]) -> Float[Array, "b"]:
         """Return the distance inside each inequality at which a step aims [m or rad]."""
-        import jax.numpy as jnp
-
-        from htcp_jax.model.task_rows import AIM_M, AIM_RAD
-
-        return jnp.full(self.inequalities, AIM_RAD if self.angular else AIM_M)
+        return _namespace(value).full(self.inequalities, AIM_RAD if self.angular else AIM_M)
 
     def deviation(self, frame: Callable[[str], tuple[np.ndarray, np.ndarray]]) -> Float[np.ndarray, "n"] | None:
         """Return the violation of the row in n configurations [m or rad], in plain numpy, for `htcp validate`.
@@ -107,33 +80,10 @@ class TaskRowKind(ExtensionKind):
 
     @property
     def uses(self) -> set[str]:
-        """Names of the path's directions that the row requires: normals, tangents."""
-        return {ON_PATH[name] for name in self.along} - {"places"}
-
-    def part(self, robot: "Robot") -> "Row":
-        """Return the planner's row for a robot.
-
-        Raises:
-            InputError: For an invalid `along`, a name that the robot lacks, and a wrong number of errors or slacks.
-        """
-        return _given_row().row_of_kind(self, robot)
-
-    def goals(self, part: "Row", posed: PlacedPath) -> Float[np.ndarray, "T g"]:
-        """Return the goals of the row at the T points of the path."""
-        return _given_row().goals_of_kind(self, posed)
-
-    def drawn(self, part: "Row", rng: np.random.Generator) -> Float[np.ndarray, "g"]:
-        """Return a random goal: the row's own numbers, with random vectors for the path's place and directions."""
-        return _given_row().drawn_of_kind(self, rng)
+        """Names of the path's directions that the row requires: normals, tangents, rotations."""
+        return {ON_PATH[name] for name in self.along} - {"path"}
 
 
-def _given_row() -> ModuleType:
-    """Import module `given_row` on first use, as it imports JAX."""
-    return import_module("htcp_jax.model.given_row")
-
-
-def _row_fault(kind: Any) -> str:
-    return kind_fault(kind, TaskRowKind, ["features"]) or kind_fault(kind, TaskRowKind, ["error", "slack"])
-
-
-TASK_ROWS = Registry("htcp_jax.task_rows", "kind of task row", _row_fault)
+def _namespace(value: Any) -> Any:
+    """Return the module with the functions of an array: jax.numpy or numpy."""
+    return value.__array_namespace__()

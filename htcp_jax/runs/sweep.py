@@ -27,7 +27,7 @@ from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.io import output_files
 from htcp_jax.jobs import grid as grids
 from htcp_jax.jobs import grid_axes, seeded
-from htcp_jax.model import task_row_kind
+from htcp_jax.model import TASK_ROWS
 from htcp_jax.motion import Plans, manipulability, start_cause
 from htcp_jax.planning import Progress as ShardProgress
 from htcp_jax.planning import registry
@@ -288,7 +288,7 @@ def _manifest(
 def _code(spec: grids.Sweep, methods: tuple[str, ...]) -> dict[str, str]:
     """Return the SHA-256 of the code of methods, obstacles and task rows that other packages define."""
     kinds = code_of(obstacle_kind.OBSTACLES, (kind.name for kind in spec.config.cell.obstacles))
-    rows = code_of(task_row_kind.TASK_ROWS, (row.name for row in spec.config.task))
+    rows = code_of(TASK_ROWS, (row.name for row in spec.config.task))
     return code_of(registry.METHODS, methods) | kinds | rows
 
 
@@ -308,7 +308,7 @@ def _planner(
 
     registry.METHODS.refuse_own(methods)
     obstacle_kind.OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
-    task_row_kind.TASK_ROWS.refuse_own(row.name for row in spec.config.task)
+    TASK_ROWS.refuse_own(row.name for row in spec.config.task)
     return on_ray(batch, spec.config, on.partition(":")[2])
 
 
