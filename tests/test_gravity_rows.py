@@ -18,8 +18,9 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots import load_robot
 from htcp_jax.jobs import build, load_config
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.model import AxisRow, OrientationRow, PathFrames, Task, Workpiece
+from htcp_jax.model import PathFrames, Task, Workpiece
 from htcp_jax.model.rows_of_spec import PlacedPath, goals_of, row_of
+from htcp_jax.spec import AxisRow, OrientationRow
 from htcp_jax.trajectory.displacement import arm_at, displacement_bound
 from htcp_jax.trajectory.row_slack import slack_of_rows
 from htcp_jax.validation import validate_results

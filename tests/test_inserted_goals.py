@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.device import tables
 from htcp_jax.errors import InputError
-from htcp_jax.model import AxisRow, OrientationRow, Task, Workpiece, kinematics
+from htcp_jax.model import Task, Workpiece, kinematics
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, TaskPoint
@@ -21,6 +21,7 @@ from htcp_jax.planning.batch import Progress, plan
 from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.tree import BeamTree
 from htcp_jax.planning.inserted_goals import PathParts, inserted, pieces_of
+from htcp_jax.spec import AxisRow, OrientationRow
 from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.validation.scene_rules import WorkpieceData
 from htcp_jax.validation.task_check import part_between

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from htcp_jax.model import AxisRow, PointRow
+from htcp_jax.spec import AxisRow, PointRow
 from htcp_jax.viewer import glyphs
 from htcp_jax.viewer.normal_glyphs import LENGTH_M
 

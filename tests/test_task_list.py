@@ -12,12 +12,13 @@ from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.model import AxisRow, OrientationRow, PathFrames, PointRow
+from htcp_jax.model import PathFrames
 from htcp_jax.model.duct import section_value
 from htcp_jax.model.goals import task_of
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.model.path_frames import tangents, wall_normals
 from htcp_jax.model.task import TCP_POSITION
+from htcp_jax.spec import AxisRow, OrientationRow, PointRow
 
 ON_PATH = {"point": "tcp", "on": "path"}
 UP = (0.0, 0.0, 2.0)

@@ -20,10 +20,9 @@ from htcp_jax.model.rotations import frame_turns
 from htcp_jax.model.rows_of_spec import PlacedPath, drawn_goal, goals_of, row_of
 from htcp_jax.model.scenario import Scenario, with_tool
 from htcp_jax.model.task import Task
-from htcp_jax.model.task_list import TCP_ON_PATH, BuiltInRow, PointRow, path_row
-from htcp_jax.model.task_row_kind import TaskRowKind
 from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, Row, TaskPoint
 from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, PointRow, TaskRowKind, path_row
 
 DRAWS, FLAT = 8, 1e-6  # random configurations from which a task's rank is computed; tolerance of singular values
 

@@ -1,7 +1,7 @@
 """Conversion of a job's task rows to the planner's rows, and the rows' goals at every target.
 
-`row_of` and `goals_of` have one implementation for each class of built-in rows (`task_list`); all other classes are of
-other packages (`task_row_kind.TaskRowKind`) and become a `GivenRow`.
+`row_of` and `goals_of` have one implementation for each class of built-in rows (`spec.task_list`). All other classes
+are of other packages (`spec.task_row_kind.TaskRowKind`) and become a `GivenRow`.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,27 @@ import scipy
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import Slot, Template, numbers_of, template_of
 from htcp_jax.model.arm_features import axis_of, frame_of, point_of
 from htcp_jax.model.robot import ArmFrame, Robot
 from htcp_jax.model.rotations import turned_directions
 from htcp_jax.model.row_bounds import RateBound
-from htcp_jax.model.task_list import AxisRow, BuiltInRow, OrientationRow, PointRow
-from htcp_jax.model.task_row_kind import AIM_M, AIM_RAD, ON_PATH, TaskRowKind
 from htcp_jax.model.task_rows import SLACK, AxisTowards, Feature, FrameOrientation, PointAlong, Row, TaskPoint, mixed
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.numerics import safe_norm
+from htcp_jax.spec import (
+    AIM_M,
+    AIM_RAD,
+    ON_PATH,
+    AxisRow,
+    BuiltInRow,
+    OrientationRow,
+    PointRow,
+    Slot,
+    TaskRowKind,
+    Template,
+    numbers_of,
+    template_of,
+)
 from htcp_jax.types import Array, Scalar
 
 

@@ -27,8 +27,8 @@ from htcp_jax.model.rotations import (
     turned_frames,
 )
 from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, allowed_axes, allowed_frames, chord
-from htcp_jax.model.task_row_kind import AIM_M, AIM_RAD
 from htcp_jax.numerics import product, safe_norm
+from htcp_jax.spec import AIM_M, AIM_RAD
 from htcp_jax.types import Array, Float, Triple, Vector3
 
 XYZ = (0, 1, 2)

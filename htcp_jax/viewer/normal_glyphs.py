@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.model import TaskRowKind, Workpiece
+from htcp_jax.model import Workpiece
+from htcp_jax.spec import TaskRowKind
 
 LENGTH_M = 0.04
 NormalGlyphs = Float[np.ndarray, "n 2 3"]  # foot and tip of each glyph, world [m]

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.kinds import ExtensionKind
+from htcp_jax.spec.kinds import ExtensionKind
 from htcp_jax.types import Array
 
 ON_PATH = {"place": "path", "tangent": "tangents", "normal": "normals"}  # values along the path that a row may use

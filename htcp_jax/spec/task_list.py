@@ -14,9 +14,9 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any, ClassVar
 
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import kind_fault
-from htcp_jax.model.task_row_kind import TaskRowKind
-from htcp_jax.registry import Registry
+from htcp_jax.spec.kinds import kind_fault
+from htcp_jax.spec.registry import Registry
+from htcp_jax.spec.task_row_kind import TaskRowKind
 from htcp_jax.types import Triple
 
 FRAMES = "world", "workpiece", "path"
