@@ -14,7 +14,7 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import self_collision
 from htcp_jax.device import devices
 from htcp_jax.jobs import load_config, with_kinds
-from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
+from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Motion, Plans, Tried
@@ -29,7 +29,7 @@ from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import motion_summary as motion_summaries
 from htcp_jax.runs import plan_folder, provenance
 from htcp_jax.runs import summary as summaries
-from htcp_jax.spec import PlanConfig, obstacle_kind
+from htcp_jax.spec import PlanConfig, TaskRowKind, obstacle_kind
 from htcp_jax.status import NOT_TRIED, Status
 from htcp_jax.system import output_files
 
@@ -387,7 +387,7 @@ def plan(
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
     obstacles: Sequence[obstacle_kind.ObstacleKind | Mapping[str, Any]] = (),
-    task: Sequence[task_row_kind.TaskRowKind | Mapping[str, Any]] | None = None,
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
 ) -> Plan:
     """Plan one job, and return the job with its plan.
 

@@ -19,13 +19,13 @@ from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.model.task_row_kind import TASK_ROWS
 from htcp_jax.placement.ranges import read_ranges
 from htcp_jax.planning import batch
 from htcp_jax.report.validation import notes
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.spec.kinds import numbers_of
 from htcp_jax.spec.obstacle_kind import OBSTACLES
+from htcp_jax.spec.task_list import TASK_ROWS
 from htcp_jax.status import SegmentStatus, Status
 from htcp_jax.trajectory.blends import MotionSlack
 from htcp_jax.trajectory.task_slack import with_rows
@@ -215,7 +215,7 @@ def test_a_row_without_a_rate_is_sampled_and_nowhere_called_proven():
 
 
 def test_a_row_holds_where_it_is_planned_and_its_proof_is_one(kinds):
-    on_path = htcp_jax.TaskRow(point="tcp", on="path")
+    on_path = htcp_jax.PointRow(point="tcp", on="path")
     plan = htcp_jax.plan({"method": "baseline"}, task=[on_path, kinds["stays-above"]("link4", 1.4)])
     x = jnp.asarray(plan.plans.x[0][plan.plans.tracked[0]])
     task = task_of_job(plan.job, plan.robot)

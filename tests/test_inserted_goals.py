@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.device import tables
 from htcp_jax.errors import InputError
-from htcp_jax.model import Task, TaskRow, Workpiece, kinematics
+from htcp_jax.model import Task, Workpiece, kinematics
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, TaskPoint
@@ -21,6 +21,7 @@ from htcp_jax.planning.batch import Progress, plan
 from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.tree import BeamTree
 from htcp_jax.planning.inserted_goals import PathParts, inserted, pieces_of
+from htcp_jax.spec import AxisRow, OrientationRow
 from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.validation.scene_rules import WorkpieceData
 from htcp_jax.validation.task_check import part_between
@@ -197,7 +198,7 @@ def test_validation_turns_directions_between_targets_as_inserted_goals_do():
     path, turns = rng.normal(size=(3, 3)), Rotation.random(3, rng=rng)
     normals = turns.apply([0.0, 0.0, 1.0])
     part = WorkpieceData(path, path, None, np.empty((0, 3, 3)), 0.0, normals, None, turns.as_matrix())
-    rows = TaskRow(axis="tcp.z", towards="path.normal"), TaskRow(orientation="path")
+    rows = AxisRow(axis="tcp.z", towards="path.normal"), OrientationRow(orientation="path")
     point, share = np.array([1, 2, 2, 1]), np.array([0.0, 0.4, 1.0, 0.7])
     found = part_between(rows, np.eye(3), np.zeros(3), part, point, share)
     columns = np.concatenate([path, normals, turns.as_matrix().reshape(3, 9)], axis=1)

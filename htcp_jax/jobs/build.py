@@ -4,6 +4,8 @@ All raise InputError for invalid input.
 """
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -45,7 +47,17 @@ def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
 
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:
     """Build the task of a job: the constraints on the tool at each point of the path."""
-    return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
+    with _rows_by_key():
+        return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
+
+
+@contextmanager
+def _rows_by_key() -> Iterator[None]:
+    """Name a task's rows by their keys in the job, such as task.2, in errors."""
+    try:
+        yield
+    except goals.RowError as error:
+        raise InputError(error.message("task.")) from None
 
 
 def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.ComposedModel | None = None) -> Robot:
@@ -184,9 +196,10 @@ def scenario_of(
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
-    if beyond_reach == "raise":
-        goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
+    with _rows_by_key():
+        scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
+        if beyond_reach == "raise":
+            goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
     return scenario
 
 

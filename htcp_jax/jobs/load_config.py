@@ -15,10 +15,10 @@ from typing import Any
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.defaults import fill_in, keys_of
-from htcp_jax.model import task_row_kind
 from htcp_jax.spec import (
     NAME,
     PlanConfig,
+    TaskRowKind,
     example_or_path,
     layers,
     layers_of,
@@ -82,7 +82,7 @@ def read_config(
 def with_kinds(
     job: PlanConfig,
     obstacles: Sequence[obstacle_kind.ObstacleKind | Mapping[str, Any]],
-    task: Sequence[task_row_kind.TaskRowKind | Mapping[str, Any]] | None,
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None,
 ) -> PlanConfig:
     """Return the job with additional obstacles, and with `task` in place of its own task.
 

@@ -13,7 +13,6 @@ from . import (
     scenario,
     surface,
     task,
-    task_row_kind,
     task_rows,
     workpiece,
 )
@@ -23,7 +22,6 @@ from .path_frames import ONE_POINT_M, PathFrames
 from .robot import Robot
 from .scenario import Scenario
 from .task import Task
-from .task_list import TaskRow
 from .workpiece import Workpiece
 
 __all__ = [
@@ -35,7 +33,6 @@ __all__ = [
     "Robot",
     "Scenario",
     "Task",
-    "TaskRow",
     "Workpiece",
     "arrays",
     "convex_piece",
@@ -51,7 +48,6 @@ __all__ = [
     "scenario",
     "surface",
     "task",
-    "task_row_kind",
     "task_rows",
     "workpiece",
 ]

@@ -28,10 +28,10 @@ from htcp_jax.model.rotations import (
 )
 from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, allowed_axes, allowed_frames, chord
 from htcp_jax.numerics import product, safe_norm
+from htcp_jax.spec import AIM_M, AIM_RAD
 from htcp_jax.types import Array, Float, Triple, Vector3
 
 XYZ = (0, 1, 2)
-AIM_RAD, AIM_M = 1e-3, 2e-4  # distance inside an inequality at which a step aims, as rows are linearised
 AIM_SHARE = 0.25  # upper limit of AIM_RAD and AIM_M, as a share of the half angle or band
 SLACK = 1e-6  # widening of goals on the approach, for rounding [rad; for rows of other packages also m]
 

@@ -93,9 +93,8 @@ def register(value: Any) -> Any:
     Raises:
         InputError: If the value is incomplete, or if its name is already taken or not valid in file names.
     """
-    from htcp_jax.model import task_row_kind
-    from htcp_jax.spec import obstacle_kind
+    from htcp_jax.spec import TASK_ROWS, TaskRowKind, obstacle_kind
 
-    kinds = {obstacle_kind.ObstacleKind: obstacle_kind.OBSTACLES, task_row_kind.TaskRowKind: task_row_kind.TASK_ROWS}
+    kinds = {obstacle_kind.ObstacleKind: obstacle_kind.OBSTACLES, TaskRowKind: TASK_ROWS}
     known = (registry for kind, registry in kinds.items() if isinstance(value, type) and issubclass(value, kind))
     return next(known, METHODS).register(value)

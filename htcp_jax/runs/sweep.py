@@ -25,7 +25,6 @@ from htcp_jax.device import tables as device_tables
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs import grid as grids
 from htcp_jax.jobs import grid_axes, seeded
-from htcp_jax.model import task_row_kind
 from htcp_jax.motion import Plans, manipulability, start_cause
 from htcp_jax.planning import Progress as ShardProgress
 from htcp_jax.planning import registry
@@ -38,7 +37,7 @@ from htcp_jax.runs.provenance import code_of, planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
-from htcp_jax.spec import obstacle_kind
+from htcp_jax.spec import TASK_ROWS, obstacle_kind
 from htcp_jax.system import SignalReceived, locked, output_files, signals, stop_message, temporary_folder
 
 SHARD_SCENARIOS = 512  # default size of a shard, equal on every machine; smaller shards leave lanes unused
@@ -285,7 +284,7 @@ def _manifest(
 def _code(spec: grids.Sweep, methods: tuple[str, ...]) -> dict[str, str]:
     """Return the SHA-256 of the code of methods, obstacles and task rows that other packages define."""
     kinds = code_of(obstacle_kind.OBSTACLES, (kind.name for kind in spec.config.cell.obstacles))
-    rows = code_of(task_row_kind.TASK_ROWS, (row.name for row in spec.config.task))
+    rows = code_of(TASK_ROWS, (row.name for row in spec.config.task))
     return code_of(registry.METHODS, methods) | kinds | rows
 
 
@@ -305,7 +304,7 @@ def _planner(
 
     registry.METHODS.refuse_own(methods)
     obstacle_kind.OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
-    task_row_kind.TASK_ROWS.refuse_own(row.name for row in spec.config.task)
+    TASK_ROWS.refuse_own(row.name for row in spec.config.task)
     return on_ray(batch, spec.config, on.partition(":")[2])
 
 

@@ -8,6 +8,7 @@ from . import (
     obstacle_kind,
     strict_model,
     strict_yaml,
+    task_list,
     tool,
 )
 from .choices import (
@@ -29,9 +30,13 @@ from .kinds import ExtensionKind, Slot, Template, kind_fault, numbers_of, templa
 from .model_source import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, label_of, split_name
 from .obstacle_kind import ObstacleKind
 from .registry import NAME, Registry
+from .task_list import TASK_ROWS, TCP_ON_PATH, AxisRow, BuiltInRow, OrientationRow, PointRow, path_row
+from .task_row_kind import AIM_M, AIM_RAD, ON_PATH, TaskRowKind
 from .tool import Tool
 
 __all__ = [
+    "AIM_M",
+    "AIM_RAD",
     "AUTO",
     "BUILT_IN_ARM",
     "CHOSEN_ANGLES",
@@ -43,11 +48,16 @@ __all__ = [
     "NAME",
     "NEUTRAL_TRANSLATION",
     "NO_CLOUD",
+    "ON_PATH",
     "PIVOT",
     "ROBOT",
     "SEAMS",
     "SOURCES",
+    "TASK_ROWS",
+    "TCP_ON_PATH",
     "WORLD",
+    "AxisRow",
+    "BuiltInRow",
     "CellConfig",
     "CloudConfig",
     "ComposedModel",
@@ -56,11 +66,14 @@ __all__ = [
     "Maker",
     "ModelSource",
     "ObstacleKind",
+    "OrientationRow",
     "PlacedModel",
     "PlanConfig",
+    "PointRow",
     "Registry",
     "RobotConfig",
     "Slot",
+    "TaskRowKind",
     "Template",
     "Tool",
     "WorkpieceConfig",
@@ -80,11 +93,13 @@ __all__ = [
     "numbers_of",
     "obstacle_kind",
     "parse_override",
+    "path_row",
     "put_key",
     "read_mapping",
     "split_name",
     "strict_model",
     "strict_yaml",
+    "task_list",
     "template_of",
     "tool",
     "with_arrays",

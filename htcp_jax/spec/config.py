@@ -15,16 +15,14 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
-    WrapSerializer,
     WrapValidator,
     field_validator,
     model_validator,
 )
 
 from htcp_jax.errors import InputError
-from htcp_jax.model import TaskRow, task_row_kind
 from htcp_jax.settings import Settings
-from htcp_jax.spec import model_source, obstacle_kind, strict_model
+from htcp_jax.spec import model_source, obstacle_kind, strict_model, task_list
 from htcp_jax.spec.choices import (
     CHOSEN_ANGLES,
     GP50,
@@ -38,8 +36,10 @@ from htcp_jax.spec.choices import (
 )
 from htcp_jax.spec.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD
 from htcp_jax.spec.feed import feed_of
-from htcp_jax.spec.given_kinds import given_kind_of, needs_kind, record_of
+from htcp_jax.spec.given_kinds import built_in_row, kind_of, needs_kind, record_of
 from htcp_jax.spec.registry import NAME
+from htcp_jax.spec.task_list import AxisRow, OrientationRow, PointRow
+from htcp_jax.spec.task_row_kind import TaskRowKind
 from htcp_jax.spec.tool import Tool
 
 FARTHEST = 1e9  # maximum coordinate in a file [m]
@@ -120,15 +120,18 @@ LockedJoints = Annotated[tuple[tuple[str, Number], ...], BeforeValidator(_locked
 CoupledAxes = Annotated[tuple[tuple[str, str], ...], BeforeValidator(_coupled), PlainSerializer(dict)]
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
-# An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a `TaskRow`.
+# An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a built-in one.
 Row = Annotated[
-    TaskRow, WrapValidator(given_kind_of(task_row_kind.TASK_ROWS, task_row_kind.TaskRowKind)), WrapSerializer(record_of)
+    PointRow | AxisRow | OrientationRow,
+    PlainValidator(built_in_row),
+    WrapValidator(kind_of(task_list.TASK_ROWS, TaskRowKind)),
+    PlainSerializer(record_of),
 ]
 Obstacle = Annotated[
     Any,
     AfterValidator(needs_kind),
-    WrapValidator(given_kind_of(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
-    WrapSerializer(record_of),
+    WrapValidator(kind_of(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
+    PlainSerializer(record_of),
 ]
 
 
