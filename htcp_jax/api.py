@@ -13,7 +13,7 @@ from htcp_jax import jobs, runs
 from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import self_collision
 from htcp_jax.device import devices
-from htcp_jax.jobs import load_config, with_kinds
+from htcp_jax.jobs import load_config, source_of, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
@@ -410,13 +410,15 @@ def plan(
         overrides = {**overrides, "method": name} if isinstance(overrides, Mapping) else [*overrides, f"method={name}"]
     with devices.on(devices.choose(device)[0]):
         job = with_kinds(load_config(config, overrides), obstacles, task)
-    return plan_job(job, None if isinstance(method, str) else method, progress=progress, device=device)
+    chosen = None if isinstance(method, str) else method
+    return plan_job(job, chosen, source=source_of(config), progress=progress, device=device)
 
 
 def plan_job(
     job: PlanConfig,
     method: registry.Method | None = None,
     *,
+    source: str = "the configuration",
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
 ) -> Plan:
@@ -425,6 +427,7 @@ def plan_job(
     Args:
         job: The job.
         method: The planning method; None: the job's.
+        source: Name of the job, for messages.
         progress: See `plan`.
         device: See `plan`.
 
@@ -433,7 +436,7 @@ def plan_job(
     """
     with devices.on(devices.choose(device)[0]):
         chosen = method or registry.find(job.method)
-        robot, workpiece, scenario = jobs.build.scene(job)
+        job, robot, workpiece, scenario = jobs.build.resolved_scene(job, source)
         all_obstacles = jobs.build.obstacles_of(job.cell, robot)
         plans = batch.plan(
             robot,

@@ -19,6 +19,7 @@ from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
+from htcp_jax.jobs.resolve import resolve
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, mesh_points, surface
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
@@ -40,9 +41,20 @@ NO_CELL = CellConfig()
 
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     """Build the robot, the workpiece and the scenario of a job."""
+    return resolved_scene(job)[1:]
+
+
+def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[PlanConfig, Robot, Workpiece, Scenario]:
+    """Resolve a job, and build its robot, workpiece and scenario.
+
+    Args:
+        job: The job.
+        source: Name of the job, for messages.
+    """
     robot = robot_of(job.robot, job.cell, job.tree)
+    job = resolve(job, robot, source)
     workpiece = workpiece_of(job.workpiece, robot)
-    return robot, workpiece, scenario_of(job, robot, workpiece)
+    return job, robot, workpiece, scenario_of(job, robot, workpiece)
 
 
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:

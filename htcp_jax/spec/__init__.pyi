@@ -23,8 +23,9 @@ from .choices import (
     Maker,
     is_limits_file,
 )
-from .config import AUTO, DEPENDENT, SOURCES, CellConfig, CloudConfig, PlanConfig, RobotConfig, WorkpieceConfig
+from .config import AUTO, CellConfig, CloudConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from .config_file import BUILT_IN_ARM, FILES, NO_CLOUD, layers, layers_of, merged, parse_override, put_key
+from .defaults import DEPENDENT, SOURCES, is_other_arm, keys_of, value_at
 from .examples import example_or_path, read_mapping
 from .kinds import ExtensionKind, Slot, Template, kind_fault, numbers_of, template_of, with_arrays
 from .model_source import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, label_of, split_name
@@ -84,6 +85,8 @@ __all__ = [
     "feed",
     "given_kinds",
     "is_limits_file",
+    "is_other_arm",
+    "keys_of",
     "kind_fault",
     "label_of",
     "layers",
@@ -102,5 +105,6 @@ __all__ = [
     "task_list",
     "template_of",
     "tool",
+    "value_at",
     "with_arrays",
 ]
