@@ -18,13 +18,14 @@ from htcp_jax.jobs import PlanConfig, load_config, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
-from htcp_jax.motion import Motion, Plans, Tried
+from htcp_jax.motion import Execution, Motion, Plans, Problem, Tried
 from htcp_jax.motion import manipulability as manipulabilities
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.motion import start_cause as start_causes
 from htcp_jax.notebook import html_facts
 from htcp_jax.planning import batch, inserted_goals, registry
+from htcp_jax.planning import methods as planning_methods
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import motion_summary as motion_summaries
@@ -431,21 +432,12 @@ def plan_job(
         InputError: See `plan`.
     """
     with devices.on(devices.choose(device)[0]):
-        chosen = method or registry.find(job.method)
+        chosen = method or planning_methods.find(job.method)
         robot, workpiece, scenario = jobs.build.scene(job)
         all_obstacles = jobs.build.obstacles_of(job.cell, robot)
-        plans = batch.plan(
-            robot,
-            workpiece,
-            scenario,
-            chosen,
-            job.settings,
-            progress=progress,
-            device=device,
-            task=jobs.build.task_of_job(job, robot),
-            obstacles=all_obstacles,
-            check_starts=True,
-        )
+        task, execution = jobs.build.task_of_job(job, robot), Execution(device)
+        made = robot, workpiece, scenario, job.settings, task, all_obstacles, execution
+        plans = batch.plan(Problem.of(*made, check_starts=True), chosen, progress)
         robot, scenario = scenarios.with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device)
 
@@ -457,6 +449,6 @@ def methods() -> "pandas.DataFrame":
     """
     import pyarrow as pa
 
-    known = registry.METHODS.all().items()
-    rows = [{"method": name, "title": method.title, "description": method.description} for name, method in known]
+    known = registry.descriptions().items()
+    rows = [{"method": name, "title": title, "description": description} for name, (title, description) in known]
     return runs.tables.table_frame(pa.Table.from_pylist(rows)).set_index("method")

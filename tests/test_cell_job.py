@@ -31,7 +31,7 @@ from htcp_jax.jobs.config import CellConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import GP50
-from htcp_jax.planning.batch import check_start
+from htcp_jax.motion.start_check import check_start
 from htcp_jax.runs.identity import config_hash, identity, identity_differences, refuse_changed
 from htcp_jax.runs.input_files import anchor_files, file_hashes
 from htcp_jax.validation import validate_results

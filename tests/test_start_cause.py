@@ -14,7 +14,7 @@ from htcp_jax.model import Task, Workpiece
 from htcp_jax.model.scenario import make_scenario, stack, without_pose
 from htcp_jax.motion import Plans
 from htcp_jax.motion.start_cause import nearest_bodies, start_causes
-from htcp_jax.planning.batch import check_start
+from htcp_jax.motion.start_check import check_start
 from htcp_jax.runs.tables import CAUSE, STEPS, scenario_table, with_new_columns
 from htcp_jax.status import Status
 

@@ -131,11 +131,11 @@ def slug(name: str) -> str:
 def _appendix(parts: Sequence[Part]) -> list[Block]:
     ran = {part.run_name: part.run.config for part in parts}
     methods = dict.fromkeys(method for part in parts for method in part.plans)
-    known = {name: method for name, method in registry.METHODS.all().items() if name in methods}
+    known = registry.descriptions()
     about = Table(
         "methods",
         (Column("method", "method"), Column("title", "name"), Column("what", "what it does")),
-        tuple((name, known[name].title, known[name].description) for name in methods if name in known),
+        tuple((name, *known[name]) for name in methods if name in known),
     )
     presets_shown = presets() if any(fits_presets(part) for part in parts) else {}
     return [

@@ -28,8 +28,9 @@ from htcp_jax.io import output_files
 from htcp_jax.jobs import grid as grids
 from htcp_jax.jobs import grid_axes, seeded
 from htcp_jax.model import task_row_kind
-from htcp_jax.motion import Plans, manipulability, start_cause
+from htcp_jax.motion import Execution, Plans, manipulability, start_cause
 from htcp_jax.planning import Progress as ShardProgress
+from htcp_jax.planning import methods as planning_methods
 from htcp_jax.planning import registry
 from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import writer
@@ -86,12 +87,12 @@ def sweep(
         seed: Value of `settings.seed`; None: the configuration's.
         progress: Function that is called with the `SweepProgress` of a method while it advances.
         finished: Function that is called with each shard after it has been written.
-        threads: Number of engines per process, see `batch.plan`.
+        threads: Number of engines per process, see `Execution`.
         shard_scenarios: Number of scenarios per shard; None: SHARD_SCENARIOS. A folder with results keeps its number.
         on: "here" plans on this machine, in several processes if that is faster. "ray" or `"ray:<address>"` sends
             the shards to the workers of a Ray cluster, see `ray_`.
         device: Device to plan on, such as "cpu"; None: a GPU if there is one. With Ray it must be None or "cpu".
-        targets_in_all: See `batch.plan`; None: the number of targets of the shards to plan.
+        targets_in_all: See `Execution`; None: the number of targets of the shards to plan.
 
     Raises:
         InputError: If the input is invalid, or if the folder contains another sweep, is in use or cannot be written.
@@ -110,7 +111,8 @@ def sweep(
                 raise InputError(f"{name} is {value}; valid: 1 to {grid_axes.MOST:,}")
         batch = spec.batch(limit)
         requested = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
-        planned = _planner(on, chosen, batch, spec, threads, device, targets_in_all)
+        execution = Execution(device, threads, targets_in_all=targets_in_all)
+        planned = _planner(on, chosen, batch, spec, execution)
         with _folder(out) as (folder, keep, discard), locked(folder), planned as plan, signals() as came:
             run = writer.begin(folder, requested, keep)
 
@@ -198,14 +200,14 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
         InputError: If the list is empty, or if a method is unknown, cannot be imported, or is repeated.
     """
     if methods == "all":
-        return tuple(registry.METHODS.all())
+        return tuple(registry.descriptions())
     names = [name.strip() for name in methods.split(",")] if isinstance(methods, str) else list(methods)
     if not any(names):
         raise InputError(f"no methods; valid: all, {', '.join(registry.names())}")
     for name in names:
         if name not in registry.names():
             raise InputError(f"unknown method {name!r}; valid: all, {', '.join(registry.names())}")
-        registry.find(name)
+        planning_methods.find(name)
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"method {name} is given twice")
@@ -292,18 +294,10 @@ def _code(spec: grids.Sweep, methods: tuple[str, ...]) -> dict[str, str]:
     return code_of(registry.METHODS, methods) | kinds | rows
 
 
-def _planner(
-    on: str,
-    methods: tuple[str, ...],
-    batch: grids.Batch,
-    spec: grids.Sweep,
-    threads: int | None,
-    device: str | None,
-    targets_in_all: int | None,
-):
+def _planner(on: str, methods: tuple[str, ...], batch: grids.Batch, spec: grids.Sweep, execution: Execution):
     """Return a context manager that yields plan(shards, report), which yields a `PlannedShard` for each shard."""
     if on == "here":
-        return contextlib.nullcontext(partial(plan_here, batch, threads, device, targets_in_all))
+        return contextlib.nullcontext(partial(plan_here, batch, execution))
     from htcp_jax.runs.ray_ import on_ray  # here, as Ray is an optional dependency
 
     registry.METHODS.refuse_own(methods)
