@@ -8,7 +8,6 @@ from small_motions import SMALL, check_segment, first_of, segments
 
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
-from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion import Problem
 from htcp_jax.motion.lane_inputs import lane_inputs
@@ -16,6 +15,7 @@ from htcp_jax.motion.transfers import other_configurations
 from htcp_jax.planning.batch import plan
 from htcp_jax.reachability import reachable_prefixes
 from htcp_jax.reachability.configuration_search import known_configurations, search
+from htcp_jax.spec import GP50
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import PartPose, check_rows

@@ -13,7 +13,6 @@ from jaxtyping import Bool, Int
 
 from htcp_jax.clearance import Obstacle, Obstacles, Scene
 from htcp_jax.clearance.obstacles import given_obstacle, of_workpiece, tip_guard
-from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind
 from htcp_jax.device import Executor
 from htcp_jax.device import devices as compute_devices
 from htcp_jax.device import processes as worker_processes
@@ -26,6 +25,7 @@ from htcp_jax.motion.execution import DEFAULT, Execution
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.settings import Settings, settings_of
+from htcp_jax.spec import ObstacleKind
 from htcp_jax.types import Anywhere
 
 FoundInThread = TypeVar("FoundInThread")

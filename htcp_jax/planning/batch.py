@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.device import devices as compute_devices
 from htcp_jax.device import processes as worker_processes
 from htcp_jax.device import tables

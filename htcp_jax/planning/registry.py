@@ -6,7 +6,7 @@ No method is imported here. `planning.methods` has the built-in ones, and finds 
 from typing import Any
 
 from htcp_jax.planning.method import Method
-from htcp_jax.registry import Registry
+from htcp_jax.spec import Registry
 
 
 def _fault(method: Any) -> str:
@@ -67,8 +67,8 @@ def register(value: Any) -> Any:
     Raises:
         InputError: If the value is incomplete, or if its name is already taken or not valid in file names.
     """
-    from htcp_jax.clearance.obstacles import obstacle_kind
     from htcp_jax.model import task_row_kind
+    from htcp_jax.spec import obstacle_kind
 
     kinds = {obstacle_kind.ObstacleKind: obstacle_kind.OBSTACLES, task_row_kind.TaskRowKind: task_row_kind.TASK_ROWS}
     known = (registry for kind, registry in kinds.items() if isinstance(value, type) and issubclass(value, kind))
