@@ -185,10 +185,8 @@ class Plan:
         at = int(clearance.argmin())
         if not np.isfinite(clearance[at]):
             return {}
-        known = self.robot, self.workpiece, self.scenario, np.asarray(self.plans.x[0, at])
         with devices.on(devices.choose(self.device)[0]):
-            task = jobs.build.task_of_job(self.job, self.robot)
-            body, other = start_causes.nearest_bodies(*known, self.job.settings, task, self.obstacles)
+            body, other = start_causes.nearest_bodies(self._problem, np.asarray(self.plans.x[0, at]))
         return {"minimum clearance": f"at target {at}: {body} next to {other}"}
 
     def _distances(self) -> dict[str, str]:
@@ -231,13 +229,17 @@ class Plan:
     @cached_property
     def start_cause(self) -> start_causes.StartCause | None:
         """The reason why the plan could not begin; None if it began. The reasons are listed in `start_cause.CAUSES`."""
+        if (status := self.plans.status[:, 0])[0] not in start_causes.CAUSES:
+            return None
         with devices.on(devices.choose(self.device)[0]):
-            known = self.job.settings, jobs.build.task_of_job(self.job, self.robot), self.obstacles
-            status = self.plans.status[:, 0]
-            found = start_causes.start_causes(
-                self.robot, self.workpiece, scenarios.stack([self.scenario]), status, *known
-            )
-        return found.get(0)
+            return start_causes.start_causes(self._problem, status)[0]
+
+    @cached_property
+    def _problem(self) -> Problem:
+        """The job's scenario as a problem, to measure single configurations."""
+        task, execution = jobs.build.task_of_job(self.job, self.robot), Execution(self.device, threads=1)
+        one = scenarios.stack([self.scenario])
+        return Problem(self.robot, self.workpiece, one, self.job.settings, task, self.obstacles, execution)
 
     @property
     def _nearest_attempt(self) -> Obstruction | None:

@@ -266,7 +266,7 @@ def test_every_thread_gets_a_checker_and_its_share_of_the_rows():
 def test_goals_follow_the_targets_of_an_approach_that_left_its_lines():
     one = poses()[0]
     first, goals = int(one.on_path), np.arange(4.0 * len(one.targets)).reshape(-1, 4)
-    problem = problem_of([replace(one, task_goals=goals)] * 2)
+    problem = problem_of([one]).with_scenarios(stack([replace(one, task_goals=goals)] * 2))
     plans = problem.empty_plans()
     assert problem.as_planned(plans) is problem
     plans.target[1, 1:first] = plans.target[1, first]

@@ -109,8 +109,7 @@ class Problem:
         compute_devices.choose(execution.device)  # an unknown one is an error before the time below begins
         began = time.perf_counter()
         limited = scenario_functions.with_max_joint_step(scenarios, settings.max_joint_step_rad)
-        checks = {"check_paths": check_paths, "check_starts": check_starts}
-        problem = cls(robot, workpiece, limited, settings, task, others, execution, **checks)
+        problem = cls(robot, workpiece, limited, settings, task, others, execution, check_paths, check_starts)
         return replace(problem, prepared_s=time.perf_counter() - began)
 
     @cached_property

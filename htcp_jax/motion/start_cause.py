@@ -14,20 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance import Obstacles, Scene, contacts, nearest_to
+from htcp_jax.clearance import Scene, contacts, nearest_to
 from htcp_jax.clearance.obstacles import self_collision
 from htcp_jax.device import lane_function, tables
 from htcp_jax.errors import InputError
-from htcp_jax.model import Robot, Scenario, Task, Workpiece
+from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion import start_check
-from htcp_jax.motion.execution import Execution
 from htcp_jax.motion.home import FIRST_ROUND, ROUNDS
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.transfers import drawn_configurations
-from htcp_jax.settings import Settings
 from htcp_jax.status import AT_HOME, Status
 
 CAUSES = Status.START_IN_COLLISION, Status.HOME_IN_COLLISION, Status.NO_START  # statuses with a cause
@@ -63,34 +61,17 @@ class StartCause(NamedTuple):
         return scenario_functions.without_pose(T_world_workpiece) if is_part else ""
 
 
-def start_causes(
-    robot: Robot,
-    workpiece: Workpiece,
-    scenarios: Scenario,
-    status: Int[np.ndarray, "S"],
-    settings: Settings,
-    task: Task,
-    obstacles: Obstacles,
-    rounds: int = ROUNDS,
-) -> dict[int, StartCause]:
+def start_causes(problem: Problem, status: Int[np.ndarray, "S"], rounds: int = ROUNDS) -> dict[int, StartCause]:
     """Return the reasons why scenarios cannot begin: row -> reason, for rows with a status of `CAUSES`.
 
     Args:
-        robot: The arm with its tool.
-        workpiece: The part.
-        scenarios: Stacked scenarios.
+        problem: The problem.
         status: Statuses of the scenarios' first targets.
-        settings: The settings that the scenarios were planned with.
-        task: The task.
-        obstacles: Obstacles in addition to the workpiece.
         rounds: Maximum number of rounds of sampled starts to measure.
     """
     rows = np.flatnonzero(np.isin(status, CAUSES)).tolist()
-    if not rows:
-        return {}
-    problem = Problem(robot, workpiece, scenarios, settings, task, obstacles, Execution(threads=1))
     causes = {s: start_cause(problem, s, Status(int(status[s])), rounds) for s in rows}
-    places = {s: cause.place(scenarios.T_world_workpiece[s]) for s, cause in causes.items()}
+    places = {s: cause.place(problem.scenarios.T_world_workpiece[s]) for s, cause in causes.items()}
     return {s: cause._replace(description=places[s] + cause.description) for s, cause in causes.items()}
 
 
@@ -157,32 +138,16 @@ def refuse_standing_overlaps(problem: Problem) -> None:
             raise InputError(f"{place}no start exists: {found.description}")
 
 
-def nearest_bodies(
-    robot: Robot,
-    workpiece: Workpiece,
-    scenario: Scenario,
-    x: Float[np.ndarray, "N"],
-    settings: Settings,
-    task: Task,
-    obstacles: Obstacles,
-) -> tuple[str, str]:
+def nearest_bodies(problem: Problem, x: Float[np.ndarray, "N"]) -> tuple[str, str]:
     """Return the label of the capsule with the minimum clearance at x, and the name of the obstacle nearest to it.
 
     Args:
-        robot: The arm with its tool.
-        workpiece: The part.
-        scenario: The scenario.
+        problem: The problem; its first scenario is measured.
         x: The configuration [rad or m].
-        settings: The settings that the scenario was planned with.
-        task: The task.
-        obstacles: Obstacles in addition to the workpiece.
     """
-    problem = Problem(
-        robot, workpiece, scenario_functions.stack([scenario]), settings, task, obstacles, Execution(threads=1)
-    )
     found = _Measured(problem, 0, x[None])
     name, other = found.pair(int(found.distance[0].argmin()), 0)
-    return robots.capsule_label(robot, name), other
+    return robots.capsule_label(problem.robot, name), other
 
 
 class _Measured:

@@ -95,7 +95,7 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacle
 
 
 def begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
-    """Return the configurations that must be clear before planning (home, start), by name."""
+    """Return the configurations [rad or m] that must be clear before planning (home, start), by name."""
     if scenario.begins_anywhere:
         return {}
     start = {"start": scenario.x_start}

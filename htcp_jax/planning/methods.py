@@ -73,10 +73,7 @@ BUILT_IN = (
             NullSpace(lambda problem, seen, key, s: sphere.adam(problem, seen, start_key=_start_key(s, key)), _FIRST),
         ),
     ),
-    StepQPs(
-        *_named("keep-clear"),
-        keep_clear=True,
-    ),
+    StepQPs(*_named("keep-clear"), keep_clear=True),
     StepQPs(
         *_named("hybrid"),
         stages=(
@@ -89,9 +86,7 @@ BUILT_IN = (
         replan_backwards=True,
         check_paths=True,
     ),
-    BeamSearchMethod(
-        *_named("beam"),
-    ),
+    BeamSearchMethod(*_named("beam")),
 )
 _BY_NAME: dict[str, Method] = {method.name: method for method in BUILT_IN}
 

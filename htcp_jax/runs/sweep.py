@@ -26,7 +26,7 @@ from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs import grid as grids
 from htcp_jax.jobs import grid_axes, seeded
 from htcp_jax.model import task_row_kind
-from htcp_jax.motion import Execution, Plans, manipulability, start_cause
+from htcp_jax.motion import Execution, Plans, Problem, manipulability, start_cause
 from htcp_jax.planning import Progress as ShardProgress
 from htcp_jax.planning import methods as planning_methods
 from htcp_jax.planning import registry
@@ -241,11 +241,10 @@ def _causes(batch: grids.Batch, span: Span, plans: Plans) -> dict[int, start_cau
     (cell, scenarios), status = scenarios_of(batch, span), plans.status[:, 0]
     for number in np.unique(cell[np.isin(status, start_cause.CAUSES)]).tolist():
         own, rows = batch.cells[number], np.flatnonzero(cell == number)
-        known = own.settings, own.task, own.obstacles
-        some = start_cause.start_causes(
-            own.robot, own.workpiece, device_tables.gather(scenarios, rows), status[rows], *known, rounds=1
-        )
-        found |= {int(rows[s]): cause for s, cause in some.items()}
+        some, execution = device_tables.gather(scenarios, rows), Execution(threads=1)
+        problem = Problem(own.robot, own.workpiece, some, own.settings, own.task, own.obstacles, execution)
+        causes = start_cause.start_causes(problem, status[rows], rounds=1)
+        found |= {int(rows[s]): cause for s, cause in causes.items()}
     return found
 
 
