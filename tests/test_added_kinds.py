@@ -49,7 +49,7 @@ def test_a_page_is_true_from_its_package_to_its_report(place):
     assert code == 0, err
     report = (place.folder / "report" / "report.html").read_text()
     swept = {"docs/add-an-obstacle.md": "cell.obstacles.1.centre", "docs/add-a-task-row.md": "task.2.height"}
-    assert swept.get(place.page, "Random neighbours") in report
+    assert swept.get(place.page, "Clear neighbours") in report
     assert json.loads((place.folder / "plan" / "validation.json").read_text())["validated"]
 
 

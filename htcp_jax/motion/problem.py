@@ -29,6 +29,7 @@ from htcp_jax.spec import ObstacleKind
 from htcp_jax.types import Anywhere
 
 FoundInThread = TypeVar("FoundInThread")
+Rows = int | np.integer | Int[np.ndarray, "n"]
 
 
 def ignore(tracked: int, finished: int) -> None:
@@ -161,9 +162,16 @@ class Problem:
         plans.status[refused, 0] = self.scenarios.refused[refused]
         return plans
 
-    def inputs(self, scenario: int, target: int, count: int = 1) -> LaneInputs:
-        """Return the inputs of a `CollisionChecker` for one target of a scenario, in `count` equal rows."""
-        return lane_inputs(self.scenarios, np.full(count, scenario), np.full(count, target))
+    def inputs(self, scenario: Rows, target: Rows, count: int = 1) -> LaneInputs:
+        """Return the inputs of lane functions and of a `CollisionChecker`, in `count` equal rows for each target.
+
+        Args:
+            scenario: Row of a scenario, or n rows.
+            target: Index of the target, or n of them.
+            count: Number of equal rows; those of one target follow each other.
+        """
+        rows = np.broadcast_arrays(scenario, target)
+        return lane_inputs(self.scenarios, *(np.repeat(each, count) for each in rows))
 
     def in_threads(
         self, work: Callable[[CollisionChecker, slice], FoundInThread], threads: int | None = None

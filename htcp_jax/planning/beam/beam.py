@@ -64,7 +64,7 @@ class BeamSearchMethod(Method):
     def warm_up(self, problem: Problem) -> WarmUp:
         """Return one call of each lane function; those that continue after dead ends are for hard targets."""
         one, zero, turns = problem.to_plan[:1], np.zeros(1, int), np.zeros(1, bool)
-        inputs, x = problem.inputs(int(one[0]), 0), problem.scenarios.x_start[one]
+        inputs, x = problem.inputs(one, 0), problem.scenarios.x_start[one]
         proof = collision_checker.prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
         first = [(step_functions.ADVANCE, inputs, x, x), (EXTEND, inputs, x), proof]
         smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, inputs, x)]

@@ -16,7 +16,7 @@ def warm_up_calls(problem: Problem, recoveries: Recoveries) -> WarmUp:
     """
     executor, one = problem.checkers[0].executor, problem.to_plan[:1]
     x = problem.scenarios.x_start[one]
-    inputs, lanes = problem.inputs(int(one[0]), 0), new_lanes(executor.sizes, one, np.zeros(1, int), x, x)
+    inputs, lanes = problem.inputs(one, 0), new_lanes(executor.sizes, one, np.zeros(1, int), x, x)
     x, state = lanes.x_ref, (inputs, lanes.x_ref, lanes.x_previous, lanes.linear)
     advance = step_functions.advance_of(problem.settings), inputs, x, x
     proof = [collision_checker.prove_call(problem.task, inputs, x, x)] if problem.check_paths else []
