@@ -26,6 +26,7 @@ from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
 from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.motion import Problem
 from htcp_jax.planning.batch import plan
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -44,7 +45,7 @@ def main() -> None:
     job = load_config(ROOT / "configs/duct.yaml", chosen.overrides)
     robot, workpiece, where = scene(job)
     random = np.random.default_rng(0)
-    tracked = plan(robot, workpiece, where, "nspace-sqp", job.settings, check_paths=False).x[0]
+    tracked = plan(Problem.of(robot, workpiece, where, job.settings, check_paths=False), "nspace-sqp").x[0]
     tracked = tracked[np.isfinite(tracked).all(axis=1)]
     x = tracked[random.integers(len(tracked), size=QUERIES)] + random.normal(0, 0.03, (QUERIES, tracked.shape[1]))
     where = jax.tree.map(jnp.asarray, where)

@@ -66,7 +66,7 @@ def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_reported():
 @pytest.mark.parametrize("method", ["nspace-sqp", "nspace-sample", "hybrid"])
 def test_what_is_compiled_first_is_what_hard_targets_need(method, monkeypatch):
     monkeypatch.setattr(EXECUTABLES, "_compiled", {})  # nothing is in memory yet
-    toy.planned(method="baseline", compiled_first=(method,))
+    toy.planned(method="baseline", warm_up=(method,))
     before, hard = len(EXECUTABLES), toy.planned(method=method)
     assert (hard.status == Status.TRACKED_AFTER_RECOVERY).any()
     assert len(EXECUTABLES) == before and hard.compile_s == 0

@@ -17,7 +17,7 @@ from htcp_jax.model.scenario import make_scenario
 from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, TaskPoint
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion.step_functions import State
-from htcp_jax.planning.batch import Progress, plan
+from htcp_jax.planning.batch import Progress
 from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.tree import BeamTree
 from htcp_jax.planning.inserted_goals import PathParts, inserted, pieces_of
@@ -45,9 +45,8 @@ def rectangle(method="beam", **changes):
     """The plan along a rectangle of four points, and the same with all tracked targets counted."""
     reported: list[Progress] = []
     settings = replace(toy.SETTINGS, **changes)
-    how = {"progress": reported.append, "threads": 1}
-    found = plan(toy.robot(), workpiece(CORNERS), [scenario(CORNERS)], method, settings, **how)
-    return found, reported
+    how = {"part": workpiece(CORNERS), "threads": 1}
+    return toy.planned([scenario(CORNERS)], method, settings, reported.append, **how), reported
 
 
 def joint_path(plans, s, t):
@@ -91,7 +90,7 @@ def test_nothing_is_inserted_on_short_segments_and_before_the_path():
 
 
 def test_a_scenario_with_long_segments_has_the_same_plan_in_any_batch():
-    both = plan(toy.robot(), workpiece(CORNERS), [toy.scenarios()[3], scenario(CORNERS)], "beam", toy.SETTINGS)
+    both = toy.planned([toy.scenarios()[3], scenario(CORNERS)], part=workpiece(CORNERS))
     alone, others = rectangle()[0], toy.plans_by()
     toy.same(both, 1, alone, 0, alone.status.shape[1])
     toy.same(both, 0, others, 3, int(toy.scenarios()[3].count))
@@ -103,7 +102,7 @@ def test_a_segment_that_fails_in_the_middle_fails_at_its_target_and_keeps_what_w
     path = (*CORNERS[:1], (0.45, 0.0, 0.3), (1.3, 0.0, 0.3))
     far = scenario(path, beyond_reach="record")
     far = replace(far, refused=np.asarray(scenarios.NOT_REFUSED, np.int32))
-    plans = plan(toy.robot(), workpiece(path), [far], "beam", replace(toy.SETTINGS, effort=0.0))
+    plans = toy.planned([far], settings=replace(toy.SETTINGS, effort=0.0), part=workpiece(path))
     end = plans.outcome(0)
     assert (end.failed, end.tracked, end.executable) == (3, 3, 3) and not end.status.tracked
     assert np.isnan(plans.x[0, 3]).all() and plans.segment_status[0, 3] == SegmentStatus.NOT_CHECKED

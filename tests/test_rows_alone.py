@@ -18,8 +18,7 @@ from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.joint_search import join
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.step_functions import ADVANCE, PATH_CLEAR, PREPARE, PROVE, SETTLE, TRACK_CHUNK, ProofResolution
-from htcp_jax.planning.methods import BUILT_IN
-from htcp_jax.planning.registry import find
+from htcp_jax.planning.methods import BUILT_IN, find
 from htcp_jax.planning.tracking.stages import ENTER
 from htcp_jax.reachability import reachable_prefixes
 

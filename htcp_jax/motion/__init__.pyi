@@ -13,12 +13,14 @@ from . import (
     selection,
     smoothing,
     start_cause,
+    start_check,
     step_functions,
     tool_cells,
     transfers,
 )
 from .collision_checker import CollisionChecker
 from .dead_ends import Tried
+from .execution import Execution
 from .motion import Motion
 from .plans import Plans
 from .problem import Problem
@@ -26,6 +28,7 @@ from .via_points import ViaPoints
 
 __all__ = [
     "CollisionChecker",
+    "Execution",
     "Motion",
     "Plans",
     "Problem",
@@ -45,6 +48,7 @@ __all__ = [
     "selection",
     "smoothing",
     "start_cause",
+    "start_check",
     "step_functions",
     "tool_cells",
     "transfers",

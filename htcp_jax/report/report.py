@@ -131,8 +131,8 @@ def slug(name: str) -> str:
 def _appendix(parts: Sequence[Part]) -> list[Block]:
     ran = {part.run_name: part.run.config for part in parts}
     methods = dict.fromkeys(method for part in parts for method in part.plans)
-    known = {name: method for name, method in registry.METHODS.all().items() if name in methods}
-    rows = ((name, known[name].title, known[name].description) for name in methods if name in known)
+    known = registry.descriptions()
+    rows = ((name, *known[name]) for name in methods if name in known)
     about = Table("methods", columns.of("method", "title", "description"), tuple(rows))
     presets_shown = presets() if any(fits_presets(part) for part in parts) else {}
     return [

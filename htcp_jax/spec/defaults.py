@@ -1,4 +1,4 @@
-"""Defaults of a job's keys that depend on its arm or its part; `jobs.resolve` adds those that depend on the arm's file."""
+"""Defaults that follow from other keys of the same job, without opening a file."""
 
 import math
 from typing import Any
