@@ -12,6 +12,8 @@ import pytest
 
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.device.executor import ExecutableCache
+from htcp_jax.device.lane_function import LaneFunction
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
@@ -87,6 +89,11 @@ def configurations_near(x: np.ndarray, count: int, width: float, seed: int = 0) 
 
 
 @cache
+def compiled_from(executables: ExecutableCache, *lane_functions: LaneFunction) -> list:
+    """Executables of some lane functions in a cache, as pairs (lane function, executable)."""
+    return [(key[0], executable) for key, executable in executables._compiled.items() if key[0] in lane_functions]
+
+
 def in_rows(function: Callable, count: int) -> Callable:
     """`function(*shared, *row)` as `call(shared, *rows)` for any number of rows, by one program for `count` of them."""
     compiled = jax.jit(lambda shared, rows: jax.lax.map(lambda row: function(*shared, *row), rows))

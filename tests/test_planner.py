@@ -14,7 +14,7 @@ from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.scenario import make_scenario
-from htcp_jax.motion.step_functions import ADVANCE, ADVANCE_SMALLEST, PATH_CLEAR, PREPARE
+from htcp_jax.motion.step_functions import ADVANCE, ADVANCE_SMALLEST, CLEAR, PREPARE
 from htcp_jax.planning import start_clearance
 from htcp_jax.planning.batch import check_start, plan
 from htcp_jax.planning.registry import find, names
@@ -145,8 +145,8 @@ def test_on_a_cpu_a_kernel_is_one_native_function():
     fail, and everything would take twice the time.
     """
     planned("nspace-sqp")
-    programs = EXECUTABLES.executables_of(PREPARE, ADVANCE, ADVANCE_SMALLEST, PATH_CLEAR, ENTER)
-    assert {lane_function.name for lane_function, _ in programs} >= {"prepare", "advance", "check_path", "enter"}
+    programs = made_once.compiled_from(EXECUTABLES, PREPARE, ADVANCE, ADVANCE_SMALLEST, CLEAR, ENTER)
+    assert {lane_function.name for lane_function, _ in programs} >= {"prepare", "advance", "is_clear", "enter"}
     for lane_function, program in programs:
         assert " while(" not in program.as_text().partition("\nENTRY ")[2], lane_function.name
 

@@ -22,7 +22,7 @@ from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import axis_contact, capsule_point_distance, product
 from htcp_jax.pytree import register_pytree
-from htcp_jax.types import Bool, Float, Int, Scalar
+from htcp_jax.types import Bool, Float, Scalar
 
 
 @register_pytree
@@ -162,18 +162,6 @@ class Cloud(Obstacle):
     ) -> Bool[jax.Array, ""]:
         """Return True if a capsule certainly has less clearance than the margin, see `Obstacle.surely_touches`."""
         return self.any_within(where, p, q, radius + margin_m - moves)
-
-    def touches_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        body: Int[jax.Array, ""],
-        requested: Bool[jax.Array, "S"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if the body touches a point at any of the configurations marked in `requested`."""
-        within = jnp.where(requested, robots.radius_to_workpiece(robot)[body] + self.cover, -1.0)
-        return jnp.any(nearest_rows(self.index, bodies.p_workpiece[:, body], bodies.q_workpiece[:, body], within) >= 0)
 
 
 def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:

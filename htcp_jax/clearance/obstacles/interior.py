@@ -16,7 +16,7 @@ from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpie
 from htcp_jax.model import Robot
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
-from htcp_jax.types import Bool, Float, Int, Scalar
+from htcp_jax.types import Bool, Float, Scalar
 
 NEAR_M = 0.05  # distance in front of the plane within which the depth in the hull is computed
 
@@ -100,19 +100,6 @@ class Interior(Obstacle):
     ) -> Bool[jax.Array, ""]:
         """Return True if an end of a capsule is certainly deep and outside the hull, see `Obstacle.surely_touches`."""
         return self.any_outside(where, p, q, moves)
-
-    def touches_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        body: Int[jax.Array, ""],
-        requested: Bool[jax.Array, "S"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if a deep end of the body lies outside at any of the configurations marked in `requested`."""
-        deep = _depth_of_ends(where, bodies.p[:, body], bodies.q[:, body]) > 0
-        ends = jnp.concatenate([bodies.p_workpiece[:, body], bodies.q_workpiece[:, body]])
-        return jnp.any(crossed_facets(self.hull, ends, jnp.concatenate([requested, requested]) & deep) >= 0)
 
     def _outside(self, where: HasWorkpiecePose, bodies: BodyAxes):
         """Return the distance of every body's outermost deep end outside the hull [m], -inf if no end is outside.

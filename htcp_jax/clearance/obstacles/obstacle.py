@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import product
-from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar
+from htcp_jax.types import Bool, Float, Joints, Pose, Scalar
 
 
 @runtime_checkable
@@ -81,11 +81,11 @@ def by_pieces(robot: Robot, rows: RowPairs, touch: Contacts) -> Bool[jax.Array, 
 class BodyAxes(NamedTuple):
     """Ends of the bodies' axes [m], in the world and in the workpiece frame."""
 
-    p: Float[jax.Array, "*S K 3"]  # first ends, world
-    q: Float[jax.Array, "*S K 3"]  # second ends, world
-    p_workpiece: Float[jax.Array, "*S K 3"]
-    q_workpiece: Float[jax.Array, "*S K 3"]
-    T: Float[jax.Array, "*S K 4 4"] | None = None  # poses of the bodies' links in the world, for an arm with pieces
+    p: Float[jax.Array, "K 3"]  # first ends, world
+    q: Float[jax.Array, "K 3"]  # second ends, world
+    p_workpiece: Float[jax.Array, "K 3"]
+    q_workpiece: Float[jax.Array, "K 3"]
+    T: Float[jax.Array, "K 4 4"] | None = None  # poses of the bodies' links in the world, for an arm with pieces
 
 
 def bodies_at(robot: Robot, where: HasWorkpiecePose, x: Joints) -> BodyAxes:
@@ -157,28 +157,6 @@ class Obstacle:
         row's other side.
         """
         return self.contacts(robot, where, bodies).distance
-
-    def touches_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        body: Int[jax.Array, ""],
-        requested: Bool[jax.Array, "S"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if one body touches the obstacle at any of the S configurations marked in `requested`.
-
-        Only for kinds with `per_body`.
-
-        Args:
-            robot: The robot.
-            where: A scenario, or another `HasWorkpiecePose`.
-            bodies: The bodies at all S configurations.
-            body: Index of the body.
-            requested: True for the configurations to test.
-        """
-        distance = jax.vmap(lambda own: self.contacts(robot, where, own).distance)(bodies)
-        return jnp.any(requested & (distance[:, body] <= 0))
 
     def clear_along(
         self,
