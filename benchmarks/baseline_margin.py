@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
 from htcp_jax.report.charts.style import new_figure

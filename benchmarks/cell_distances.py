@@ -22,7 +22,7 @@ import numpy as np
 import trimesh
 
 from benchmarks import hardware
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures
 from htcp_jax.clearance.obstacles.self_collision import self_collision
@@ -33,7 +33,7 @@ from htcp_jax.io.robots.mjcf import arm_xml
 from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.model import Robot
 from htcp_jax.model.kinematics import capsule_segments
-from htcp_jax.model.robot import GP50
+from htcp_jax.spec import GP50
 from htcp_jax.validation.mujoco_arm import MujocoArm
 
 WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"

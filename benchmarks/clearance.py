@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.clearance import Obstacles, clearance, is_clear
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.obstacles.linearisation import linearise

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import htcp_jax
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.report.charts.style import LINES, new_figure, plain_axes
 from htcp_jax.solvers.path_qp import path_cost
 

@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from benchmarks import hardware
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
 from htcp_jax.device import devices
 from htcp_jax.jobs.grid import Batch, load_sweep

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from scipy.optimize import differential_evolution
 
 from benchmarks import hardware
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.jobs.grid import Sweep
 from htcp_jax.placement.place_file import Search, load_search
 from htcp_jax.placement.scores import evaluate_raised

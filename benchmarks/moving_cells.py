@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import cell_distances, hardware
 from benchmarks.cell_distances import FAR_M, WEDGE, Compared, Ring, compared
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures
 from htcp_jax.clearance.obstacles.self_collision import self_collision
@@ -30,7 +30,7 @@ from htcp_jax.clearance.obstacles.self_exclusions import distances
 from htcp_jax.io.cell import load_cell
 from htcp_jax.jobs import build, load_config
 from htcp_jax.model import Robot, kinematics
-from htcp_jax.model.robot import GP50
+from htcp_jax.spec import GP50
 
 POSITIONER = Path("configs/positioner/cell.xml")
 STANDING = (  # shapes in the world; {} is the box's type

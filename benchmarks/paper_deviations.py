@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.clearance import Scene, own_scene
 from htcp_jax.device import Executor
 from htcp_jax.device.executor import EXECUTABLES

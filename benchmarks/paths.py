@@ -24,7 +24,7 @@ import htcp_jax
 from benchmarks import hardware
 from benchmarks.path_check import Verdicts, check, reachable
 from benchmarks.path_problems import IKLINK, PathProblem, made, problems, read_problem
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.settings import Settings
 
 ROW = "{:18} {:>9} {:>6} {:>8} {:>6} {:>6} {:>9} {:>5} {:>8} {:>8} {:>7} {:>6} {:>9} {:>8}"

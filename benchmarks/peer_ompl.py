@@ -21,9 +21,9 @@ from ompl import base, geometric, util
 
 from benchmarks.peer_cell import Brought, Cell
 from htcp_jax.clearance import clearance
-from htcp_jax.model.robot import GP50
 from htcp_jax.motion import Plans, Problem, ViaPoints
 from htcp_jax.planning import Method
+from htcp_jax.spec import GP50
 from htcp_jax.status import Status
 
 DELTA_RAD = 0.05  # between the configurations that OMPL checks

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from htcp_jax.jobs.grid import Batch
-from htcp_jax.model.robot import GP50
+from htcp_jax.spec import GP50
 
 SAMPLE_M = 0.02  # between samples of a capsule's axis
 

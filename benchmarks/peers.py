@@ -34,11 +34,11 @@ from scipy.spatial import cKDTree
 from benchmarks import hardware, peer_motions, peer_planners, peer_trajopt
 from benchmarks.figures import Figure, save
 from benchmarks.peer_planners import Advance, Task
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.model.robot import GP50
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.parameters import of_job
+from htcp_jax.spec import GP50
 from htcp_jax.status import Status
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall

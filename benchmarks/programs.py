@@ -23,8 +23,8 @@ from jaxtyping import Float
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
 from htcp_jax.jobs.build import scene
-from htcp_jax.jobs.feed import feed_of
 from htcp_jax.runs import open_plans
+from htcp_jax.spec.feed import feed_of
 from htcp_jax.trajectory import PlanProgram
 from htcp_jax.trajectory.blends import MotionSlack, motion_slack
 from htcp_jax.trajectory.figures import ProgramFigures, program_figures

@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.inverse_kinematics import reanchor

@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from htcp_jax.io.parts.duct_seams import SEAMS, seam
+from htcp_jax.io.parts.duct_seams import seam
 from htcp_jax.model.duct import STATIONS, surface
 from htcp_jax.report.charts.style import INK, new_figure
+from htcp_jax.spec import SEAMS
 from htcp_jax.viewer.viewpoints import View
 
 COLOURS = "#22303c", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#c8102e", "#332288"

@@ -33,9 +33,9 @@ from benchmarks.figures import COMMITTED, Entry, committed, nearest, record
 from benchmarks.speed_cases import CASES, Broken, Checkout, Requested, lacking
 from benchmarks.speed_table import Measured, counts_differ, head, medians, rows, sources
 from htcp_jax.errors import InputError
-from htcp_jax.io.strict_yaml import read_yaml
 from htcp_jax.jobs import load_config
 from htcp_jax.planning import registry
+from htcp_jax.spec.strict_yaml import read_yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 NEEDED = "htcp_jax/__init__.py", "benchmarks/tables.py", "sweeps/cross.yaml", "pyproject.toml"  # of a checkout

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from benchmarks import hardware
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.tracking import step_qps

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.cli.output import claim_device
 from htcp_jax.device import Executor
 from htcp_jax.jobs.grid import load_sweep

@@ -50,6 +50,6 @@ _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 def __getattr__(name: str):
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public names: {', '.join(__all__)}")
-    importlib.import_module("htcp_jax.cache_folder").enable()
+    importlib.import_module("htcp_jax.caching.cache_folder").enable()
     importlib.import_module("htcp_jax.notebook").show_figures()
     return _load(name)

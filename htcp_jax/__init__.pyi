@@ -1,7 +1,6 @@
 from . import clearance
 from .api import Plan, methods, plan
 from .clearance.obstacles.linearisation import linearise
-from .clearance.obstacles.obstacle_kind import ObstacleKind, ObstacleShape
 from .clearance.obstacles.obstacles import clearances
 from .clearance.obstacles.of_workpiece import make_obstacle
 from .errors import InputError
@@ -26,6 +25,7 @@ from .report.reach_study import reach_study
 from .report.report import make_report
 from .runs.run_folder import open_run
 from .runs.sweep import sweep
+from .spec.obstacle_kind import ObstacleKind, ObstacleShape
 from .status import Status
 from .trajectory.run_timing import time_run
 

@@ -4,7 +4,7 @@ import gc
 import sys
 from typing import NoReturn
 
-from htcp_jax.process_exit import run
+from htcp_jax.system import run
 
 OBJECTS = 100_000  # new objects after which Python collects garbage: imports create a million that remain
 

@@ -11,10 +11,9 @@ from jaxtyping import Float
 
 from htcp_jax import jobs, runs
 from htcp_jax.clearance import Obstacles
-from htcp_jax.clearance.obstacles import obstacle_kind, self_collision
+from htcp_jax.clearance.obstacles import self_collision
 from htcp_jax.device import devices
-from htcp_jax.io import output_files
-from htcp_jax.jobs import PlanConfig, load_config, with_kinds
+from htcp_jax.jobs import load_config, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
@@ -30,7 +29,9 @@ from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import motion_summary as motion_summaries
 from htcp_jax.runs import plan_folder, provenance
 from htcp_jax.runs import summary as summaries
+from htcp_jax.spec import PlanConfig, obstacle_kind
 from htcp_jax.status import NOT_TRIED, Status
+from htcp_jax.system import output_files
 
 if TYPE_CHECKING:
     import pandas

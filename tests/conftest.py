@@ -10,7 +10,7 @@ import hypothesis
 import jax
 import pytest
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.errors import InputError
 
 jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -37,7 +37,7 @@ from htcp_jax.io.robots.collada_mesh import read_triangles
 from htcp_jax.io.robots.joint_limits import RATES
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.io.robots.model_file import RobotFields, read_robot_file
-from htcp_jax.jobs import PlanConfig, load_config
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scenario_of
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Workpiece
@@ -46,6 +46,7 @@ from htcp_jax.runs import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.solvers import ClarabelSolver
 from htcp_jax.solvers.step_qp import QPStatus, StepQP
+from htcp_jax.spec.config import PlanConfig
 from htcp_jax.validation.records import read_results
 
 HERE = Path(__file__).parent

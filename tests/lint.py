@@ -10,9 +10,9 @@ and a package has 5 to 15 of them, except those in SIZES.
 **Validation.** `validation` imports nothing of the planner's mathematics: from other packages only the names in
 TO_VALIDATION, which are data, files and constants. A module that it imports counts by the names that it uses of it.
 
-**The core.** CORE imports none of the libraries in OUTSIDE_CORE.
+**Libraries.** CORE imports none of those in OUTSIDE_CORE, `spec` none of those in OUTSIDE_SPEC, and `system` none.
 
-**Files.** `io/files.py` alone opens, reads and writes files: its readers take regular files of a bounded size and
+**Files.** `system/files.py` alone opens, reads and writes files: its readers take regular files of a bounded size and
 follow no link out of a folder, its writer replaces a file completely or not at all. Other modules make none of the
 calls in OPENS, except those that OWN_FILES lists with the reason.
 
@@ -43,28 +43,44 @@ from typing import NamedTuple
 
 PACKAGE = "htcp_jax"
 PACKAGES = [  # from the bottom up
+    *("system", "caching", "spec"),
     *("model", "solvers", "clearance", "device", "motion", "planning", "reachability"),
     *("io", "jobs", "runs", "trajectory", "placement", "validation", "viewer", "report", "cli"),
 ]
-CORE = PACKAGES[:7]
+CORE = PACKAGES[3:10]
 OUTSIDE_CORE = {"yaml", "pyarrow", "matplotlib", "rich", "mujoco"}  # files, charts, tables, simulation
+OUTSIDE_SPEC = {"jax", "mujoco", "scipy", "trimesh", "pyarrow", "matplotlib", "rich"}  # slow to import; not for data
 SIZES = {  # packages with fewer than 5 or more than 15 public names, and why
     "": "all that a user needs, and the mathematics for jax.grad",
     "model": "terms that every other package shares",
+    "io": "each kind of file has a module or a package",
+    "system": "each concern has functions of its own: files, locks, signals, the end of a process",
+    "spec": "each thing that people write has a type, and its keys have choices",
     "motion": "plans, their checks and the functions of one lane, which two families of methods are made of",
     "runs": "each file of a run's folder has a module",
     "io.robots": "each step from a vendor's file, or the files of a cell, to an arm has a module",
     "cli": "the command alone",
 }
-ABOVE = {"api": "viewer", "__main__": "cli"}  # modules at the root that import from this package and those before it
+# Modules at the root that import from this package and those before it.
+ABOVE = {"__init__": "caching", "api": "viewer", "__main__": "cli"}
 TO_VALIDATION = {  # package or module at the root -> names that `validation` imports from it ("*": any) -> reason
     "errors": {"InputError": "how a bad file is refused"},
     "types": {"*": "types of arrays"},
     "status": {"*": "numbers in saved results"},
-    "kinds": {"with_arrays": "a job's row of another package, whose own check in numpy is called"},
     "settings": {"Settings": "tolerances of a job"},
+    "system": {
+        "write_json write_text": "how results are written",
+        "read_json": "reader of a run's files",
+    },
+    "spec": {
+        "CellConfig CloudConfig FixtureConfig PlanConfig RobotConfig WorkpieceConfig WORLD Tool ZERO": "what a job's "
+        "file states",
+        "ModelSource label_of default_tcp": "reader of an arm's file, or of a cell's, which MuJoCo composes",
+        "FileSection read_yaml validate_model is_limits_file": "readers of files",
+        "with_arrays": "a job's row of another package, whose own check in numpy is called",
+    },
     "model": {
-        "Tool ZERO TaskRow TaskRowKind": "what a job's file states",
+        "TaskRow TaskRowKind": "what a job's file states",
         "PRIMITIVES": "names of MuJoCo's shapes",
         "TOUCHING_M": "overlap of meshes that a job's arm is allowed",
         "Workpiece": "type of what `workpiece_of` loads; its points, triangles, path and inlet are copied at once",
@@ -72,16 +88,14 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
     "motion": {"Plans Outcome": "saved results"},
     "trajectory": {"TimedMotion": "saved results"},
     "io": {
-        "write_json write_text": "how results are written",
-        "read_json read_yaml load_geometry FileSection validate_model": "readers of files",
+        "load_geometry": "reader of a part's file",
         "read_meshes thickness_m THIN_M": "reader of a cell's file: the triangles that the planner reads, and which of "
         "them are a solid or flat",
-        "read_model ModelSource label_of default_tcp": "reader of an arm's file, or of a cell's, which MuJoCo composes",
-        "is_limits_file read_joint_limits": "reader of a file with joint limits",
+        "read_model": "reader of an arm's file, or of a cell's, which MuJoCo composes",
+        "read_joint_limits": "reader of a file with joint limits",
         "LinkMeshes": "meshes to which an arm's file refers, placed by MuJoCo and measured by FCL",
     },
     "jobs": {
-        "CellConfig CloudConfig FixtureConfig PlanConfig RobotConfig WorkpieceConfig WORLD": "what a job's file states",
         "robot_key workpiece_key walls_key": "keys of a job, to load each part once",
         "shapes_in_world": "MuJoCo shapes that a job's obstacle of another package states",
         "robot_of workpiece_of": "loading of a workpiece; points on a mesh, which only normals are fitted to, are as "
@@ -96,19 +110,20 @@ OPENS = re.compile(  # calls that access a file by its path, by the end of their
     r"|^tempfile\.|^shutil\.(copy|copyfile|copy2|move)$|\.savefig$"
 )
 OWN_FILES = {  # modules that open files themselves, and why that is safe
-    "io.files": "the one",
-    "unfinished": "a lock on each of them",
-    "process_exit": "the processes of this one, in /proc",
+    "system.files": "the one",
+    "io.arrays": "streams that `system.files` opened",
+    "system.unfinished": "a lock on each of them",
+    "system.process_exit": "the processes of this one, in /proc",
     "io.parts.parsers": "a process of its own with limits, see io.parts.scan",
     "io.parts.scan": "reads what that process wrote into a folder that was made just now",
-    "jobs.examples": "files that ship with the package",
+    "spec.examples": "files that ship with the package",
     "cli.example": "the same, copied into a folder that was made just now",
-    "runs.lock": "the lock's file, without following a link",
+    "system.lock": "the lock's file, without following a link",
     "runs.provenance": "/proc/cpuinfo",
-    "io.output_files": "files that a person names for the gate",
+    "system.output_files": "files that a person names for the gate",
     "runs.plan_folder": "bytes in memory",
-    "cache_folder": "the user's own cache",
-    "cache_key": "the source of this package, and /proc/cpuinfo",
+    "caching.cache_folder": "the user's own cache",
+    "caching.cache_key": "the source of this package, and /proc/cpuinfo",
     "device.processes": "a folder that was made just now",
     "cli.main": "os.devnull",
     "report.document": "a picture in memory",
@@ -133,7 +148,7 @@ def faults(root: Path) -> list[str]:
     """Faults of a checkout, one line each."""
     incomplete_names = (f"{name}: {'; '.join(why)}" for name, why in incomplete(root).items() if why)
     package = root / PACKAGE
-    imports = *import_faults(package), *public_faults(package), *validation_faults(package), *core_faults(package)
+    imports = *import_faults(package), *public_faults(package), *validation_faults(package), *library_faults(package)
     return [*imports, *file_faults(package), *incomplete_names]
 
 
@@ -161,14 +176,22 @@ def public_faults(package: Path) -> Iterator[str]:
                         yield f"{name} imports {imported or 'all'} of {home}, which is not public there"
 
 
-def core_faults(package: Path) -> Iterator[str]:
-    """Imports of CORE that are in OUTSIDE_CORE."""
-    for file in sorted(file for folder in CORE for file in (package / folder).rglob("*.py")):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            modules += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
-            for library in sorted({module.partition(".")[0] for module in modules} & OUTSIDE_CORE):
-                yield f"{_dotted(file.relative_to(package))} imports {library}, which is not for the core"
+def library_faults(package: Path) -> Iterator[str]:
+    """Imports of libraries that a package must not use."""
+    for folder in ("system", "spec", *CORE):
+        for file in sorted((package / folder).rglob("*.py")):
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+                modules += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+                for library in sorted({module.partition(".")[0] for module in modules}):
+                    if _is_outside(folder, library):
+                        yield f"{_dotted(file.relative_to(package))} imports {library}, which is not for {folder}"
+
+
+def _is_outside(folder: str, library: str) -> bool:
+    if folder == "system":
+        return library not in {*sys.stdlib_module_names, PACKAGE, "lazy_loader"}
+    return library in (OUTSIDE_SPEC if folder == "spec" else OUTSIDE_CORE)
 
 
 def validation_faults(package: Path) -> Iterator[str]:
@@ -203,12 +226,15 @@ def _used(tree: ast.Module, package: Path) -> Iterator[tuple[str, str]]:
 
 
 def imports_in(node: ast.AST) -> Iterator[tuple[str, str]]:
-    """Names that a statement imports from the package, each with the dotted module within it. "" is the package itself,
-    or the name of a module that is imported as a module."""
+    """Names that a statement or a call of `import_module` imports from the package, each with the dotted module within
+    it. "" is the package itself, or the name of a module that is imported as a module."""
     if isinstance(node, ast.Import):
         modules = [(alias.name, "") for alias in node.names]
     elif isinstance(node, ast.ImportFrom):
         modules = [(str(node.module), alias.name) for alias in node.names]
+    elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        called = [one.value for one in node.args if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+        modules = [module.rpartition(".")[::2] for module in called]
     else:
         return
     for module, name in modules:
@@ -245,12 +271,12 @@ def _exists(package: Path, target: str, unit: str) -> bool:
 
 
 def file_faults(package: Path) -> Iterator[str]:
-    """Calls in a package's files that open, read or write a file other than through `io/files.py`."""
+    """Calls in a package's files that open, read or write a file other than through `system/files.py`."""
     for file in sorted(package.rglob("*.py")):
         name = _dotted(file.relative_to(package))
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if name not in OWN_FILES else ():
             if isinstance(node, ast.Call) and OPENS.search(call := ast.unparse(node.func)):
-                yield f"{name}, line {node.lineno}: {call}; io/files.py has what is needed"
+                yield f"{name}, line {node.lineno}: {call}; system/files.py has what is needed"
 
 
 def import_faults(package: Path) -> Iterator[str]:

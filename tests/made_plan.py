@@ -8,10 +8,11 @@ from made_once import START, robot
 
 from htcp_jax import api
 from htcp_jax.io.parts.workpiece_source import load_workpiece
-from htcp_jax.jobs import PlanConfig, load_config
+from htcp_jax.jobs import load_config
 from htcp_jax.model.duct import duct_cloud, weld
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.motion import Plans, ViaPoints
+from htcp_jax.spec.config import PlanConfig
 from htcp_jax.status import SegmentStatus, Status
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_RECOVERY, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED

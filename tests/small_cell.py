@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import htcp_jax
-from htcp_jax.model import Robot, Tool
+from htcp_jax.model import Robot
 from htcp_jax.model.kinematics import jacobian, tcp_pose
-from htcp_jax.model.tool import ToolBody
+from htcp_jax.spec.tool import Tool, ToolBody
 
 LENGTH_M, POINTS, STEP_M = 0.16, 6, 0.005  # of the tool, the path
 PLATE_M, GAP_M = 0.005, 0.004  # between points of the plate, between it and the path

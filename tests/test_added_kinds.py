@@ -14,18 +14,18 @@ import htcp_jax
 from htcp_jax.clearance import clearances
 from htcp_jax.clearance.obstacles.given_obstacle import GivenObstacle, given_obstacles, with_given
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
-from htcp_jax.clearance.obstacles.obstacle_kind import OBSTACLES
 from htcp_jax.clearance.proof.row_proof import between, rows_left
 from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.kinds import numbers_of
 from htcp_jax.model.task_row_kind import TASK_ROWS
 from htcp_jax.placement.ranges import read_ranges
 from htcp_jax.planning import batch
 from htcp_jax.report.validation import notes
 from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.spec.kinds import numbers_of
+from htcp_jax.spec.obstacle_kind import OBSTACLES
 from htcp_jax.status import SegmentStatus, Status
 from htcp_jax.trajectory.blends import MotionSlack
 from htcp_jax.trajectory.task_slack import with_rows

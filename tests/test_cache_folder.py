@@ -5,7 +5,7 @@ import os
 import jax
 import pytest
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 
 
 @pytest.fixture(autouse=True)

@@ -7,7 +7,7 @@ from unittest import mock
 import jax
 import numpy as np
 
-from htcp_jax.caching import cached_by_values, cached_for_last
+from htcp_jax.caching.decorators import cached_by_values, cached_for_last
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.device.executor import ExecutableCache
 from htcp_jax.device.lane_function import STEP, LaneFunction

@@ -26,8 +26,8 @@ from htcp_jax.io.cell import load_cell
 from htcp_jax.io.robots.mjcf import arm_xml
 from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.model.kinematics import capsule_segments
-from htcp_jax.model.robot import GP50
 from htcp_jax.pytree import without_labels
+from htcp_jax.spec import GP50
 
 POSE = 'pos="0.1 -0.2 0.3" euler="20 30 40"'
 WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"

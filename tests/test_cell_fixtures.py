@@ -20,9 +20,9 @@ from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.errors import InputError, Note
 from htcp_jax.jobs import build, load_config
-from htcp_jax.jobs.config import CellConfig, RobotConfig
 from htcp_jax.model.kinematics import capsule_segments, tip_segment
 from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.spec.config import CellConfig, RobotConfig
 from htcp_jax.validation import validate_results
 from htcp_jax.validation.carried import CarriedBody
 from htcp_jax.validation.mujoco_arm import MujocoArm

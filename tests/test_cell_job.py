@@ -27,13 +27,13 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.cell import load_cell
 from htcp_jax.jobs import build, load_config
 from htcp_jax.jobs.build import obstacles_of
-from htcp_jax.jobs.config import CellConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.kinematics import capsule_segments
-from htcp_jax.model.robot import GP50
 from htcp_jax.planning.batch import check_start
 from htcp_jax.runs.identity import config_hash, identity, identity_differences, refuse_changed
 from htcp_jax.runs.input_files import anchor_files, file_hashes
+from htcp_jax.spec import GP50
+from htcp_jax.spec.config import CellConfig
 from htcp_jax.validation import validate_results
 from htcp_jax.viewer.colours import FIXTURE
 

@@ -17,7 +17,7 @@ from htcp_jax.clearance.obstacles.of_cell import PlacedCloud
 from htcp_jax.errors import Note
 from htcp_jax.io.cell import load_cell, read_meshes
 from htcp_jax.jobs import build
-from htcp_jax.jobs.config import CellConfig
+from htcp_jax.spec.config import CellConfig
 from htcp_jax.validation import validate_results
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell

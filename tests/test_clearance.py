@@ -20,8 +20,9 @@ from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, clearance_rows
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import capsule_segments
-from htcp_jax.model.robot import GP50, lengthen_tool
+from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.model.scenario import make_scenario
+from htcp_jax.spec import GP50
 
 
 class Where(NamedTuple):

@@ -12,7 +12,7 @@ from htcp_jax.cli.main import COMMANDS
 from htcp_jax.motion import Plans, Problem
 from htcp_jax.planning import registry
 from htcp_jax.planning.method import Method
-from htcp_jax.process_exit import INTERRUPTED
+from htcp_jax.system.process_exit import INTERRUPTED
 
 SHORT = ["--set", "workpiece.path=path.csv"]
 

@@ -15,10 +15,10 @@ from test_motion_proof import motions
 
 from htcp_jax.backend import Backend, compiled_for, triton
 from htcp_jax.clearance import Scene, clearance
-from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
+from htcp_jax.clearance.obstacles.cloud import Cloud, cloud_of
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import travel_bound

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import PlanConfig, load_config
+from htcp_jax.jobs import load_config
+from htcp_jax.spec.config import PlanConfig
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 SWEEPS = Path(__file__).parents[1] / "sweeps"

@@ -7,16 +7,17 @@ import pytest
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.parts.duct_seams import BEADS, SEAMS, seam
+from htcp_jax.io.parts.duct_seams import BEADS, seam
 from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import workpiece_of
-from htcp_jax.jobs.config import WorkpieceConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.grid_axes import from_record, group_record
 from htcp_jax.model import duct
 from htcp_jax.runs.input_files import anchor_files
+from htcp_jax.spec import SEAMS
+from htcp_jax.spec.config import WorkpieceConfig
 
 ROOT = Path(__file__).parents[1]
 ALONG, AROUND = ("left", "right", "crown", "invert", "helix"), ("girth-shallow", "girth-deep")

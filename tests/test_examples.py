@@ -7,11 +7,12 @@ import pytest
 import yaml
 
 from htcp_jax.cli import main
-from htcp_jax.jobs import PlanConfig, load_config
-from htcp_jax.jobs.config_file import named_files
-from htcp_jax.jobs.examples import ROOT, command, description, examples
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.placement.place_file import Search, load_search
+from htcp_jax.spec.config import PlanConfig
+from htcp_jax.spec.config_file import named_files
+from htcp_jax.spec.examples import ROOT, command, description, examples
 
 LOAD = {"htcp plan": load_config, "htcp sweep": load_sweep, "htcp place": load_search}
 

@@ -21,13 +21,13 @@ from htcp_jax.cli.main import COMMANDS
 from htcp_jax.cli.plan import _Search
 from htcp_jax.cli.sweep import _sweep_bars
 from htcp_jax.errors import Note
-from htcp_jax.model.robot import GP50
 from htcp_jax.planning import batch
-from htcp_jax.process_exit import PART
 from htcp_jax.runs import open_run
 from htcp_jax.runs.reachability_file import read_reachability
 from htcp_jax.runs.sweep import SweepProgress, sweep
-from htcp_jax.unfinished import temporary_folder
+from htcp_jax.spec import GP50
+from htcp_jax.system.process_exit import PART
+from htcp_jax.system.unfinished import temporary_folder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="phases are seen in /proc")
 LIMIT_S = 30.0  # 5 on a quiet machine
@@ -217,7 +217,7 @@ def test_a_stopped_reachability_keeps_what_it_found_marked_as_incomplete(here, m
 def test_a_process_ends_with_its_code_while_a_thread_is_at_work():
     """Check the exit code with a running thread: the interpreter's own shutdown can abort C++ threads of libraries."""
     code = (
-        "import atexit, threading, time\nfrom htcp_jax.process_exit import run\n"
+        "import atexit, threading, time\nfrom htcp_jax.system.process_exit import run\n"
         "atexit.register(print, 'closed')\nthreading.Thread(target=time.sleep, args=(600,)).start()\nrun(lambda: 3)"
     )
     done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, timeout=60)
@@ -225,7 +225,7 @@ def test_a_process_ends_with_its_code_while_a_thread_is_at_work():
 
 
 def test_a_command_leaves_what_another_one_is_writing_into_the_same_folder(tmp_path):
-    code = "from htcp_jax import process_exit, unfinished; process_exit.run(lambda: unfinished.clear({!r}) or 0)"
+    code = "from htcp_jax.system import process_exit, unfinished; process_exit.run(lambda: unfinished.clear({!r}) or 0)"
     with temporary_folder(tmp_path) as scratch:
         write = scratch / f"{PART}file"
         write.write_text("")

@@ -18,7 +18,8 @@ from fuzz_targets import ARM, SMALL, TARGETS, URDF
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.point_cloud import load_cloud
 from htcp_jax.io.robots.loading import load_robot
-from htcp_jax.jobs import PlanConfig, load_config
+from htcp_jax.jobs import load_config
+from htcp_jax.spec.config import PlanConfig
 from htcp_jax.validation.records import read_results
 
 INPUTS = 40

@@ -13,7 +13,7 @@ import pytest
 
 import htcp_jax
 from htcp_jax.cli import main
-from htcp_jax.jobs.examples import examples
+from htcp_jax.spec.examples import examples
 
 GRID = f"""
 config: {examples()["port"]}

@@ -14,7 +14,6 @@ from small_run import end_early, toy_run
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.output_files import append_text
 from htcp_jax.markup import printable
 from htcp_jax.report import Column, Table
 from htcp_jax.report.document import markdown
@@ -22,6 +21,7 @@ from htcp_jax.report.gate import annotations, gate_summary, junit
 from htcp_jax.runs import open_run
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.status import Status
+from htcp_jax.system.output_files import append_text
 from htcp_jax.validation import read_baseline
 from htcp_jax.validation.gate import CHECKS, compare
 

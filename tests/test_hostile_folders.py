@@ -16,10 +16,10 @@ from sweep_process import environment
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io import files
-from htcp_jax.runs.lock import locked
 from htcp_jax.runs.timing_file import TIMING
-from htcp_jax.unfinished import SCRATCH, clear, temporary_folder
+from htcp_jax.system import files
+from htcp_jax.system.lock import locked
+from htcp_jax.system.unfinished import SCRATCH, clear, temporary_folder
 
 PEAK = 10**9  # bytes
 LONGEST_S = 120  # longer than any command takes on any machine
@@ -110,7 +110,7 @@ def test_a_link_inside_the_folder_is_followed(good, tmp_path, capsys):
 
 
 def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path):
-    writer = "import sys, time; from pathlib import Path; from htcp_jax.unfinished import temporary_folder\n"
+    writer = "import sys, time; from pathlib import Path; from htcp_jax.system.unfinished import temporary_folder\n"
     writer += "with temporary_folder(Path(sys.argv[1])), temporary_folder(): print('made', flush=True); time.sleep(600)"
     place = {"TMPDIR": str(tmp_path / "tmp")}
     (tmp_path / "tmp").mkdir()

@@ -18,12 +18,12 @@ from htcp_jax.device import Executor
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import load_robot
-from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.joint_search import _JointTree, _Nodes, join
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.settings import Settings, settings_of
+from htcp_jax.spec import GP50
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from published import path_of
 
-from htcp_jax.jobs.config import RobotConfig
+from htcp_jax.spec.config import RobotConfig
 from htcp_jax.trajectory import TimedMotion
 from htcp_jax.trajectory.joint_torques import model_of, peak_torque, peak_torques, torques
 

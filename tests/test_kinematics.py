@@ -13,7 +13,7 @@ from mujoco import mjx
 
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, kinematics
-from htcp_jax.model.robot import GP50
+from htcp_jax.spec import GP50
 
 DUCT = Path(__file__).parents[2] / "shared" / "data" / "duct"
 

@@ -16,7 +16,7 @@ from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.proof.motion_proof import DEEPEST, Tube, prove
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.kinematics import jacobian, tcp_position
-from htcp_jax.model.robot import GP50
+from htcp_jax.spec import GP50
 from htcp_jax.status import SegmentStatus
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall

@@ -19,10 +19,10 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import LinkMeshes, import_robot, load_robot
 from htcp_jax.jobs import build, load_config
-from htcp_jax.jobs.config import RobotConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import kinematics
 from htcp_jax.runs.open import open_plans
+from htcp_jax.spec.config import RobotConfig
 from htcp_jax.trajectory.joint_torques import model_of, torques
 from htcp_jax.trajectory.plan_program import program_of
 from htcp_jax.validation import validate_results

@@ -15,8 +15,8 @@ from scipy.spatial import ConvexHull
 
 import htcp_jax
 from htcp_jax.clearance import Scene, by_pieces, clearance, contacts
-from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
+from htcp_jax.clearance.obstacles.cloud import cloud_of
 from htcp_jax.clearance.obstacles.fixtures import Fixtures, fixtures
 from htcp_jax.clearance.obstacles.narrow_phase import decide_together
 from htcp_jax.clearance.obstacles.obstacle import Contacts, bodies_at

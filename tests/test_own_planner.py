@@ -254,7 +254,7 @@ def test_plans_with_an_empty_required_column_or_of_other_scenarios_are_refused(m
 def test_nothing_is_imported_before_a_name_is_looked_up():
     """Imports for reading a configuration: no planner is loaded."""
     code = (
-        "import sys, htcp_jax.jobs.config, htcp_jax.planning.registry; "
+        "import sys, htcp_jax.spec.config, htcp_jax.planning.registry; "
         "own = tuple(f'htcp_jax.{package}.' for package in ('device', 'motion', 'planning')); "
         "loaded = [name for name in sys.modules if name.startswith(own)]; "
         "assert loaded == ['htcp_jax.planning.method', 'htcp_jax.planning.registry'], loaded"

@@ -7,8 +7,8 @@ import pytest
 import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.io.robots import load_robot
-from htcp_jax.jobs.examples import examples
 from htcp_jax.model import robot as robots
+from htcp_jax.spec.examples import examples
 from htcp_jax.validation import validate_results
 
 JOB = examples()["positioner"]

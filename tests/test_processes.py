@@ -16,7 +16,7 @@ import pytest
 import toy
 
 import htcp_jax
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.device import processes
 from htcp_jax.device.processes import profitable_count, shares
 from htcp_jax.errors import InputError, Lost

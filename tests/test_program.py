@@ -18,13 +18,13 @@ from test_joint_path import rail
 from htcp_jax import api
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import load_robot
-from htcp_jax.jobs.config import ProgramConfig
-from htcp_jax.jobs.feed import feed_of
 from htcp_jax.model import Task
-from htcp_jax.model.robot import GP50
 from htcp_jax.motion import Motion
 from htcp_jax.motion.manipulability import manipulability
 from htcp_jax.motion.motion import motion as motion_of
+from htcp_jax.spec import GP50
+from htcp_jax.spec.config import ProgramConfig
+from htcp_jax.spec.feed import feed_of
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.blends import SHARE, MotionSlack, motion_slack
 from htcp_jax.trajectory.curve import FARTHEST, Blend, Curve

@@ -14,13 +14,13 @@ from made_plan import made_plan
 
 import htcp_jax
 from htcp_jax.cli import main
-from htcp_jax.io.output_files import write_json
 from htcp_jax.io.robots import read_joint_limits
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.runs import open_plans
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY
 from htcp_jax.status import Kind
+from htcp_jax.system.output_files import write_json
 from htcp_jax.trajectory import FORMATS, limits_overrides
 from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.plan_program import program_of

@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as of_numpy
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
-from htcp_jax.model.robot import GP50
+from htcp_jax.spec import GP50
 from htcp_jax.status import Kind
 from htcp_jax.trajectory import FORMATS, TimedMotion
 from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, Pulses, UserFrame

@@ -17,10 +17,10 @@ from PIL import Image
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import PlanConfig
 from htcp_jax.model import Workpiece
 from htcp_jax.model.convex_piece import body_pieces, make_piece
 from htcp_jax.model.kinematics import ArmShape, tcp_position
+from htcp_jax.spec.config import PlanConfig
 from htcp_jax.status import Kind
 from htcp_jax.viewer import Studio, offscreen
 from htcp_jax.viewer.camera import kept_points, nearest_camera, open_side

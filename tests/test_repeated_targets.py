@@ -8,7 +8,6 @@ import pytest
 import toy
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import ProgramConfig
 from htcp_jax.model import Task
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model.path_frames import tangents
@@ -17,6 +16,7 @@ from htcp_jax.model.task_rows import AxisTowards
 from htcp_jax.motion import motion as motions
 from htcp_jax.planning.batch import Progress, plan
 from htcp_jax.planning.repeated_targets import are_distinct
+from htcp_jax.spec.config import ProgramConfig
 from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.trajectory.blends import motion_slack
 from htcp_jax.trajectory.limits import joint_limits

@@ -16,7 +16,6 @@ from markdown_it import MarkdownIt
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.examples import examples
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Scenario
 from htcp_jax.motion import Plans
@@ -34,6 +33,7 @@ from htcp_jax.runs import Run, open_run
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.sweep import keep_plans
+from htcp_jax.spec.examples import examples
 from htcp_jax.status import SegmentStatus, Status
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*have gaps of")  # a cloud of eight points

@@ -8,7 +8,6 @@ import pytest
 from hand_made import plans_with
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.output_files import write_json, written_whole
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.runs.plan_folder import (
     summary_record,
@@ -18,6 +17,7 @@ from htcp_jax.runs.plan_folder import (
 from htcp_jax.runs.provenance import provenance
 from htcp_jax.runs.summary import summarise
 from htcp_jax.status import Status
+from htcp_jax.system.output_files import write_json, written_whole
 
 PLANS = plans_with([[Status.TRACKED, Status.RECOVERY_EXHAUSTED, Status.NOT_ATTEMPTED]], joints=6)
 

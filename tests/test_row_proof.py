@@ -15,9 +15,9 @@ from htcp_jax.clearance.proof.row_proof import between, rows_hold
 from htcp_jax.model import PathFrames, Task, TaskRow, Workpiece
 from htcp_jax.model.goals import task_of, with_goals
 from htcp_jax.model.kinematics import link_poses, tcp_pose
-from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.settings import Settings
+from htcp_jax.spec import GP50
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import PartPose, hold_between

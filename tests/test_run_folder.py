@@ -13,16 +13,17 @@ from hand_made import plans_with
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import gp50
-from htcp_jax.jobs import PlanConfig, load_config
+from htcp_jax.jobs import load_config
 from htcp_jax.jobs.grid_axes import ScenarioPoint
 from htcp_jax.motion.dead_ends import DeadEnds, Tried
 from htcp_jax.motion.plans import ARRAYS, NO_TARGET
 from htcp_jax.runs import Run, open_run, tables, writer
 from htcp_jax.runs.identity import config_hash, identity
-from htcp_jax.runs.lock import locked
 from htcp_jax.runs.manifest import Manifest, Span
 from htcp_jax.runs.provenance import planned_by
+from htcp_jax.spec.config import PlanConfig
 from htcp_jax.status import Exclusion, Status
+from htcp_jax.system.lock import locked
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_RECOVERY, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NO_TARGET]]  # the last scenario has one target fewer
@@ -247,7 +248,7 @@ def test_two_sweeps_on_one_folder_are_refused(tmp_path):
 
 
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
-    holder = "import sys, time; from htcp_jax.runs.lock import locked; from pathlib import Path\n"
+    holder = "import sys, time; from htcp_jax.system.lock import locked; from pathlib import Path\n"
     holder += "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
     with subprocess.Popen([sys.executable, "-c", holder, str(tmp_path)], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"held\n"

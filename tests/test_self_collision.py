@@ -27,7 +27,7 @@ from htcp_jax.io.robots.mjcf import arm_xml
 from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.model import Robot
 from htcp_jax.model.kinematics import capsule_segments, link_poses
-from htcp_jax.model.robot import GP50
+from htcp_jax.spec import GP50
 
 PLACES = 1000
 PIPE = Path(__file__).parents[1] / "configs/pipe"

@@ -10,15 +10,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from htcp_jax import api
-from htcp_jax.io.output_files import write_json
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import link_poses, tcp_pose
-from htcp_jax.model.robot import GP50
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.plan_folder import SUMMARY
+from htcp_jax.spec import GP50
+from htcp_jax.system.output_files import write_json
 from htcp_jax.validation import validate_results
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.records import data_of

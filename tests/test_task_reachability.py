@@ -10,7 +10,6 @@ from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.device.devices import choose
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
-from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion import Problem
 from htcp_jax.motion.lane_inputs import lane_inputs
@@ -18,6 +17,7 @@ from htcp_jax.motion.transfers import other_configurations
 from htcp_jax.planning.batch import plan
 from htcp_jax.reachability import reachable_prefixes
 from htcp_jax.reachability.configuration_search import known_configurations, search
+from htcp_jax.spec import GP50
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import PartPose, check_rows

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from htcp_jax.io.robots.loading import load_robot
-from htcp_jax.model import Robot, Tool
+from htcp_jax.model import Robot
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
-from htcp_jax.model.robot import GP50, lengthen_tool
-from htcp_jax.model.tool import ZERO, ToolBody, pose
+from htcp_jax.model.robot import lengthen_tool
+from htcp_jax.spec import GP50
+from htcp_jax.spec.tool import ZERO, Tool, ToolBody, pose
 from htcp_jax.validation.mujoco_arm import MujocoArm
 
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "arm.xml"

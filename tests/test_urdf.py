@@ -11,7 +11,7 @@ import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import import_robot
-from htcp_jax.io.robots.model_source import ComposedModel, PlacedModel
+from htcp_jax.spec.model_source import ComposedModel, PlacedModel
 from htcp_jax.trajectory.limits import joint_limits
 
 RANGE = '<limit lower="-1" upper="2" velocity="1" effort="5"/>'

@@ -18,7 +18,6 @@ from small_run import LONGER, TOY_TARGETS, spoil, toy_run
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.parts.duct_seams import SEAMS
 from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece, read_source
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.jobs import load_config
@@ -26,13 +25,14 @@ from htcp_jax.jobs.build import robot_of, workpiece_key, workpiece_of
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Robot
 from htcp_jax.model.duct import POINTS
-from htcp_jax.model.robot import GP50, lengthen_tool
+from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.report import make_report
 from htcp_jax.report.document import markdown
 from htcp_jax.report.validation import notes, read_validation, validated, verdict
 from htcp_jax.runs import open_run
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.sweep import keep_plans, sweep
+from htcp_jax.spec import GP50, SEAMS
 from htcp_jax.status import Status
 from htcp_jax.validation import STEP_RAD, track, validate_results
 from htcp_jax.validation.mujoco_arm import MujocoArm

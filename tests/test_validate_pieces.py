@@ -12,7 +12,7 @@ from stranger_jobs import ARM
 
 import htcp_jax
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import CellConfig
+from htcp_jax.spec.config import CellConfig
 from htcp_jax.validation import validate_results
 from htcp_jax.validation.convex_hull import Hull
 from htcp_jax.validation.mujoco_arm import MujocoArm

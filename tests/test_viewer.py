@@ -29,8 +29,8 @@ from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.model.convex_piece import body_pieces, make_piece
 from htcp_jax.model.kinematics import body_poses, capsule_segments
-from htcp_jax.process_exit import INTERRUPTED
 from htcp_jax.status import SegmentStatus
+from htcp_jax.system.process_exit import INTERRUPTED
 from htcp_jax.trajectory.plan_program import program_of_plans
 from htcp_jax.viewer.colours import FAILED
 from htcp_jax.viewer.playback import poses_along

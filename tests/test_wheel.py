@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from documented import ROOT
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.cli.main import COMMANDS
 
 # Examples that would take longer than all other tests together are shortened.

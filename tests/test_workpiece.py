@@ -22,7 +22,7 @@ from htcp_jax.io.parts.workpiece_source import (
     read_source,
 )
 from htcp_jax.model import Workpiece, duct
-from htcp_jax.model.duct import NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.spec import NEUTRAL_TRANSLATION, PIVOT
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "duct"
 needs_real_duct = pytest.mark.skipif(

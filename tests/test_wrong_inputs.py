@@ -16,8 +16,8 @@ import pytest
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import PlanConfig
 from htcp_jax.runs.plan_folder import VALIDATION
+from htcp_jax.spec.config import PlanConfig
 from htcp_jax.viewer import offscreen
 
 LONG = "x" * 300

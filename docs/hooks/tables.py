@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import yaml
 
 from htcp_jax import status
-from htcp_jax.jobs import PlanConfig
 from htcp_jax.runs import columns
+from htcp_jax.spec import PlanConfig
 
 END = "<!-- end of the generated part -->"
 MARK = re.compile(

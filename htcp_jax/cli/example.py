@@ -10,9 +10,9 @@ import typer
 
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.io import output_files
-from htcp_jax.jobs import examples
 from htcp_jax.report import Column, Table
+from htcp_jax.spec import examples
+from htcp_jax.system import output_files
 
 COLUMNS = Column("name", "name"), Column("command", "run by"), Column("description", "what it is")
 

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import feed as feed_rates
+from htcp_jax.spec import feed as feed_rates
 
 _FEED = f"Feed rate of the TCP along the path, for example 20mm/s; units: {', '.join(feed_rates.UNITS)}."
 Feed = Annotated[str | None, typer.Option(metavar="SPEED", help=f"{_FEED} By default the job's.")]

@@ -12,10 +12,10 @@ from rich.text import Text
 
 from htcp_jax.cli.output import LEAST_TEXT, Json, print_json, print_table, progress_bar, stdout, width
 from htcp_jax.errors import InputError
-from htcp_jax.io import output_files
 from htcp_jax.report import Column, Table
 from htcp_jax.report import gate as gates
 from htcp_jax.runs import labels, manifest, open_run
+from htcp_jax.system import output_files
 from htcp_jax.validation import Baseline, read_baseline
 from htcp_jax.validation import gate as regression
 from htcp_jax.validation import update_baseline as write_baseline

@@ -19,9 +19,9 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.errors import InputError, Interrupted, Lost, Note
-from htcp_jax.process_exit import INTERRUPTED as STOPPED
+from htcp_jax.system import INTERRUPTED as STOPPED
 
 # Suppresses the message that matplotlib prints at import if the home folder is not writable.
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
@@ -63,7 +63,7 @@ class Commands(TyperGroup):
 def _imported(name: str):
     function = getattr(importlib.import_module(f"htcp_jax.cli.{name}"), name)
     if "jax" in sys.modules:  # some commands do not import JAX
-        importlib.import_module("htcp_jax.cache_folder").enable()
+        importlib.import_module("htcp_jax.caching.cache_folder").enable()
     alone = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, add_completion=False)
     alone.command(name, short_help=COMMANDS[name])(function)
     return typer.main.get_command(alone)

@@ -76,7 +76,7 @@ def stdout() -> Console:
 
 def print_json(record: Any) -> None:
     """Print `record` to stdout as JSON; NaN and infinities become null."""
-    from htcp_jax.io import output_files
+    from htcp_jax.system import output_files
 
     print(output_files.json_text(record))
 

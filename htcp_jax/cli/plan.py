@@ -26,9 +26,10 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.errors import Interrupted
-from htcp_jax.jobs import PlanConfig, load_config, seeded
+from htcp_jax.jobs import load_config, seeded
 from htcp_jax.planning import registry
-from htcp_jax.process_exit import INTERRUPTED, is_watched, stop_message
+from htcp_jax.spec import PlanConfig
+from htcp_jax.system import INTERRUPTED, is_watched, stop_message
 
 if TYPE_CHECKING:
     from htcp_jax.api import Plan
@@ -86,7 +87,7 @@ def plan(
     threading.Thread(target=_load_matplotlib, daemon=True).start()
     with _programs_preloaded(job, device):
         from htcp_jax import api  # imported here, as it imports JAX
-        from htcp_jax.io import output_files
+        from htcp_jax.system import output_files
 
         with output_files.written_whole(out) as folder:
             made = plan_with_progress(job, device)
@@ -107,7 +108,7 @@ def _programs_preloaded(job: PlanConfig, device: str | None) -> Iterator[None]:
 
     This is done only in the command's own process, as programs that are not called are not freed.
     """
-    from htcp_jax import cache_folder
+    from htcp_jax.caching import cache_folder
     from htcp_jax.device import devices, kept_executables
 
     if not is_watched() or cache_folder.enable() is None:
@@ -153,7 +154,8 @@ def plan_with_progress(job: PlanConfig, device: str | None = None) -> "Plan":
         InputError: See `api.plan`.
         Interrupted: On Ctrl-C.
     """
-    from htcp_jax import api, cache_folder
+    from htcp_jax import api
+    from htcp_jax.caching import cache_folder
 
     cache_folder.enable()
     with progress_bar("targets", first="loading and compiling; targets") as progress:

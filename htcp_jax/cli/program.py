@@ -15,12 +15,13 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io import output_files
 from htcp_jax.io.robots import JointLimits, read_joint_limits
-from htcp_jax.jobs import PlanConfig, build
-from htcp_jax.jobs import feed as feed_rates
+from htcp_jax.jobs import build
 from htcp_jax.report import Column, Table
 from htcp_jax.runs import open_plans, open_run, plan_folder, timing_file
+from htcp_jax.spec import PlanConfig
+from htcp_jax.spec import feed as feed_rates
+from htcp_jax.system import output_files
 from htcp_jax.trajectory import (
     FORMATS,
     PeakTorque,

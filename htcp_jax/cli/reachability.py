@@ -23,12 +23,12 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.device import tables
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.io import output_files
 from htcp_jax.jobs import grid, seeded
 from htcp_jax.model import Scenario
 from htcp_jax.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, SearchStopped
 from htcp_jax.report import reach_study
 from htcp_jax.runs import Run, manifest, open_run, reachability_file
+from htcp_jax.system import output_files
 
 File = Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Sweep file, job file, or example.")]
 Each = Annotated[bool, typer.Option("--each", help="Also test every target of the path independently of the others.")]

@@ -11,8 +11,8 @@ from htcp_jax.cli.feed import OneWay, PlayedFeed, ProgramKeys, played_feed
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
-from htcp_jax.io import output_files
 from htcp_jax.runs import open_plans
+from htcp_jax.system import output_files
 from htcp_jax.trajectory import PlanProgram, plan_program
 from htcp_jax.viewer import Studio, offscreen, timed_play
 from htcp_jax.viewer import movie as movies

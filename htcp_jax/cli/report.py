@@ -7,8 +7,8 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
-from htcp_jax.io import output_files
 from htcp_jax.report import chapter, make_report, report_record, write_report
+from htcp_jax.system import output_files
 
 Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Output folders of htcp sweep.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]

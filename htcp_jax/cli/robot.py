@@ -15,10 +15,11 @@ from jaxtyping import Bool
 from htcp_jax.clearance.obstacles import self_collision, self_exclusions
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.io import output_files, robots
+from htcp_jax.io import robots
 from htcp_jax.io.robots import capsule_fit, close_fit, mjcf
 from htcp_jax.model import Robot
 from htcp_jax.report import Column, Table
+from htcp_jax.system import output_files
 
 COLUMNS = (
     Column("body", "body"),

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.errors import InputError
 from htcp_jax.io import parts, robots
 from htcp_jax.model import scenario as scenarios

@@ -8,10 +8,10 @@ from rich.text import Text
 from htcp_jax.cli.output import print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import JointLimits
-from htcp_jax.jobs import feed as feed_rates
 from htcp_jax.jobs import grid
 from htcp_jax.report import timing_table as timings
 from htcp_jax.runs import Run, timing_file
+from htcp_jax.spec import feed as feed_rates
 from htcp_jax.trajectory import check_limits, time_run
 
 

@@ -9,11 +9,11 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
-from htcp_jax.jobs import feed as feed_rates
 from htcp_jax.report import validation
 from htcp_jax.runs import labels as run_labels
 from htcp_jax.runs import manifest, open_run, plan_folder
 from htcp_jax.runs import open as plan_sets
+from htcp_jax.spec import feed as feed_rates
 from htcp_jax.validation import Validation, validation_record, write_validation
 from htcp_jax.validation import validate_results as check
 

@@ -14,9 +14,10 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Overrides, Seed, stdout
 from htcp_jax.cli.plan import job_of, plan_with_progress
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.jobs import examples, seeded
-from htcp_jax.process_exit import stop_message
+from htcp_jax.jobs import seeded
 from htcp_jax.runs import open_plans
+from htcp_jax.spec import examples
+from htcp_jax.system import stop_message
 from htcp_jax.trajectory import PlanProgram, plan_program
 from htcp_jax.viewer import replay
 

@@ -10,9 +10,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from htcp_jax import cache_folder
 from htcp_jax.backend import Backend, compiled_for, default_device
-from htcp_jax.cache_key import program_key, source_key
+from htcp_jax.caching import cache_folder, program_key, source_key
 from htcp_jax.clearance import Scene
 from htcp_jax.device import kept_executables
 from htcp_jax.device.devices import cores

@@ -26,7 +26,7 @@ import jax
 import numpy as np
 from jax.experimental import serialize_executable
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 
 FAST = 1  # compression level: a fifth of the size in 10 ms
 CALLED = re.compile('custom_call_target="([^"]+)"')  # external calls in the text of an executable

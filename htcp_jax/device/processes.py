@@ -25,8 +25,7 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.errors import Lost
-from htcp_jax.process_exit import signals_blocked
-from htcp_jax.unfinished import temporary_folder
+from htcp_jax.system import signals_blocked, temporary_folder
 
 POLL_S = 0.1  # interval at which progress is polled
 IDLE_S = 300  # idle time after which workers end

@@ -1,12 +1,7 @@
-"""Readers of robots, parts, work cells and YAML files, and functions that open and write files safely.
+"""Readers of robots, parts and work cells.
 
 `robots` reads arms and imports vendors' models. `parts` reads workpieces with their paths. `cell` reads the bodies of a
-work cell from an MJCF file.
-
-`files` opens files: it limits their size, follows no link out of a folder, and writes files atomically. `output_files`
-writes what a user names: whole folders, JSON and text, with one line on failure.
-`strict_yaml` reads YAML and refuses harmful input. `strict_model` validates mappings; it refuses unknown keys and names
-the valid ones.
+work cell from an MJCF file. `arrays` reads .npy, .npz and Parquet files, which may be untrusted.
 
 Invalid input raises an InputError with one line that names the file and the valid choices.
 """

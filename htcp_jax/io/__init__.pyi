@@ -1,11 +1,8 @@
-from . import cell, files, output_files, parts, robots, strict_model, strict_yaml
+from . import arrays, cell, parts, robots
 
 __all__ = [
+    "arrays",
     "cell",
-    "files",
-    "output_files",
     "parts",
     "robots",
-    "strict_model",
-    "strict_yaml",
 ]

@@ -17,7 +17,8 @@ from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots.model_file import compile_spec, no_log, upwards
 from htcp_jax.io.robots.safe_xml import WORLD, model_files, read_spec
 from htcp_jax.io.robots.shapes import Geom, Shapes
-from htcp_jax.model import Fixture, fixture, tool
+from htcp_jax.model import Fixture, fixture
+from htcp_jax.spec import tool
 from htcp_jax.types import Triple
 
 THIN_M = 1e-6  # a thinner mesh is flat

@@ -1,19 +1,14 @@
-from . import build, config, config_file, examples, feed, given_kinds, grid, grid_axes, grid_points
-from .config import PlanConfig
+from . import build, grid, grid_axes, grid_points
+from .cell_shapes import shapes_in_world
 from .load_config import load_config, seeded, with_kinds
 
 __all__ = [
-    "PlanConfig",
     "build",
-    "config",
-    "config_file",
-    "examples",
-    "feed",
-    "given_kinds",
     "grid",
     "grid_axes",
     "grid_points",
     "load_config",
     "seeded",
+    "shapes_in_world",
     "with_kinds",
 ]

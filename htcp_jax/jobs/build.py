@@ -15,15 +15,23 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import given_obstacle, of_cell, self_collision
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
-from htcp_jax.io.robots import load_robot, model_source, part_moves
+from htcp_jax.io.robots import load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
-from htcp_jax.jobs.config import CellConfig, CloudConfig, PlanConfig, RobotConfig, WorkpieceConfig
-from htcp_jax.jobs.given_kinds import shapes_in_world
-from htcp_jax.kinds import numbers_of, template_of
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, mesh_points, surface
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model import workpiece as workpieces
+from htcp_jax.spec import (
+    SEAMS,
+    CellConfig,
+    CloudConfig,
+    PlanConfig,
+    RobotConfig,
+    WorkpieceConfig,
+    model_source,
+    numbers_of,
+    template_of,
+)
 
 NO_CELL = CellConfig()
 
@@ -135,7 +143,7 @@ def source_of(part: WorkpieceConfig) -> parts.WorkpieceSource:
 
 def path_file(part: WorkpieceConfig) -> str | None:
     """Return the name of the path's file; None if the path is a seam of the generated duct."""
-    is_seam = part.path in parts.SEAMS or (part.is_duct and not Path(part.path).suffix)
+    is_seam = part.path in SEAMS or (part.is_duct and not Path(part.path).suffix)
     return None if is_seam else part.path
 
 
@@ -196,7 +204,7 @@ def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] 
 
 def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:
     """Load the triangles and clouds of the cell's fixed objects, for drawing; moving objects are bodies of the arm."""
-    given = [shapes_in_world(kind) for kind in cell.obstacles]
+    given = [cell_shapes.shapes_in_world(kind) for kind in cell.obstacles]
     for kind, shapes in zip(cell.obstacles, given, strict=True):
         if not shapes:
             warnings.warn(f"the obstacle {kind.name!r} is not drawn: it has no shapes", Note, stacklevel=2)

@@ -5,7 +5,7 @@ their convex hulls. If the part moves, planning is done in the frame of the part
 this frame, so they are bodies, too.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,9 +16,10 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import cell as cells
 from htcp_jax.io import parts
 from htcp_jax.io.robots import attached
-from htcp_jax.jobs.config import CellConfig, CloudConfig
-from htcp_jax.model import Fixture, Robot, tool
+from htcp_jax.model import Fixture, Robot, fixture
 from htcp_jax.model import robot as robots
+from htcp_jax.spec import CellConfig, CloudConfig, ObstacleKind, tool, with_arrays
+from htcp_jax.types import Triple
 
 BOX = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
@@ -163,3 +164,25 @@ def _points(shape: Fixture, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "P
 
 def _moved(points: Float[np.ndarray, "*n 3"], T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "*n 3"]:
     return points @ T[:3, :3].T + T[:3, 3]
+
+
+def shapes_in_world(kind: ObstacleKind) -> tuple[Fixture, ...]:
+    """Return the shapes of an obstacle at their poses in the world; () if its kind defines none.
+
+    Raises:
+        InputError: If a shape is not one of MuJoCo's primitives. The message names the kind.
+    """
+    found = []
+    for shape in with_arrays(kind).shapes():
+        wanted = fixture.PRIMITIVES.get(shape.type)
+        size = tuple(float(value) for value in np.ravel(shape.size_m))
+        if wanted is None or len(size) != wanted:
+            valid = ", ".join(f"{name} with {count} sizes" for name, count in fixture.PRIMITIVES.items())
+            raise InputError(f"{kind.name}: a shape of type {shape.type!r} has {len(size)} sizes; valid: {valid}")
+        T = tool.pose(_triple(shape.position_m), _triple(shape.rpy_rad))
+        found.append(Fixture(kind.name, shape.type, T, np.array([*size, 0.0, 0.0, 0.0])[:3], np.empty((0, 3, 3))))
+    return tuple(found)
+
+
+def _triple(values: Sequence[float]) -> Triple:
+    return tuple(float(value) for value in np.ravel(values))

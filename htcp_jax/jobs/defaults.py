@@ -8,10 +8,18 @@ from typing import Any
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import strict_model
-from htcp_jax.io.robots import model_source
-from htcp_jax.jobs.config import AUTO, DEPENDENT, WORLD, PlanConfig
-from htcp_jax.jobs.config_file import BUILT_IN_ARM, FILES, NO_CLOUD, put_key
+from htcp_jax.spec import (
+    AUTO,
+    BUILT_IN_ARM,
+    DEPENDENT,
+    FILES,
+    NO_CLOUD,
+    WORLD,
+    PlanConfig,
+    model_source,
+    put_key,
+    strict_model,
+)
 
 TIP_CONTACT_M = 0.01  # default of workpiece.tip_contact_m for a user-supplied part
 

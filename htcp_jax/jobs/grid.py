@@ -24,7 +24,6 @@ from jaxtyping import Float, Int
 
 from htcp_jax.clearance import Obstacles
 from htcp_jax.errors import InputError
-from htcp_jax.io import strict_model
 from htcp_jax.jobs.build import (
     obstacles_key,
     obstacles_of,
@@ -36,16 +35,14 @@ from htcp_jax.jobs.build import (
     workpiece_key,
     workpiece_of,
 )
-from htcp_jax.jobs.config import DEPENDENT, PlanConfig, WorkpieceConfig
-from htcp_jax.jobs.config_file import put_key
 from htcp_jax.jobs.defaults import fill_in, is_other_arm, keys_of
-from htcp_jax.jobs.examples import example_or_path, read_mapping
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, ScenarioPoint, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import load_config, read_config
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
+from htcp_jax.spec import DEPENDENT, PlanConfig, WorkpieceConfig, example_or_path, put_key, read_mapping, strict_model
 
 
 class SweepFile(strict_model.FileSection):

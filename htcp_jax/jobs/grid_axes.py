@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import strict_model
-from htcp_jax.jobs.config import AUTO, DEPENDENT, SOURCES, PlanConfig
-from htcp_jax.jobs.config_file import FILES
+from htcp_jax.spec import AUTO, DEPENDENT, FILES, SOURCES, PlanConfig, strict_model
 
 MOST = 1_000_000  # maximum number of scenarios in a sweep
 # Keys that have columns in the tables of every run. Other keys have columns only in runs that vary them.

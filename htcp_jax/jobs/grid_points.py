@@ -5,10 +5,9 @@ import json
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from htcp_jax.io import strict_model
-from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.defaults import fill_in, value_at
 from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, ScenarioPoint, has_own_defaults, put_parameter, varied_keys
+from htcp_jax.spec import PlanConfig, strict_model
 
 
 def points_of(

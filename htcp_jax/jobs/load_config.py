@@ -13,15 +13,21 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
-from htcp_jax.io import strict_model
-from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.config_file import layers, layers_of, merged, parse_override, put_key
 from htcp_jax.jobs.defaults import fill_in, keys_of
-from htcp_jax.jobs.examples import example_or_path
 from htcp_jax.model import task_row_kind
-from htcp_jax.registry import NAME
+from htcp_jax.spec import (
+    NAME,
+    PlanConfig,
+    example_or_path,
+    layers,
+    layers_of,
+    merged,
+    obstacle_kind,
+    parse_override,
+    put_key,
+    strict_model,
+)
 
 
 def load_config(

@@ -1,6 +1,6 @@
 """The robot, its kinematics, the task and the workpiece: frozen arrays and pure functions of one configuration.
 
-`Robot` is a serial arm with capsules around its links, and `Tool` is a tool that a job mounts on it. `Workpiece` is the
+`Robot` is a serial arm with capsules around its links. `Workpiece` is the
 part with its path; `PathFrames` has the normals, tangents and orientations along the path. `Scenario` is the part's
 pose, the start and the tool of one plan, and `Fixture` is a body of the work cell. `TaskRow` is a row of the task as
 written in a job file; `Task` is the resulting constraint on the arm at a target.
@@ -12,7 +12,7 @@ row between two targets. `task_list` and `task_row_kind` read rows without JAX; 
 with these rows.
 
 `rotations`, `surface`, `mesh_points` and `duct` are geometry: rotations, the triangles that are drawn, points on a
-mesh, the generated duct. `arrays` checks points that a caller passes in. `robot`, `scenario`, `task`, `tool`, `fixture`
+mesh, the generated duct. `arrays` checks points that a caller passes in. `robot`, `scenario`, `task`, `fixture`
 and `workpiece` have the types above and the functions that make and change them, such as `scenario.make_scenario`.
 
 Nothing here opens a file: package `io` reads robots, parts and paths, package `jobs` builds scenarios from a job.

@@ -15,7 +15,6 @@ from . import (
     task,
     task_row_kind,
     task_rows,
-    tool,
     workpiece,
 )
 from .convex_piece import BodyPieces, ConvexPiece
@@ -25,7 +24,6 @@ from .robot import Robot
 from .scenario import Scenario
 from .task import Task
 from .task_list import TaskRow
-from .tool import Tool
 from .workpiece import Workpiece
 
 __all__ = [
@@ -38,7 +36,6 @@ __all__ = [
     "Scenario",
     "Task",
     "TaskRow",
-    "Tool",
     "Workpiece",
     "arrays",
     "convex_piece",
@@ -56,6 +53,5 @@ __all__ = [
     "task",
     "task_row_kind",
     "task_rows",
-    "tool",
     "workpiece",
 ]

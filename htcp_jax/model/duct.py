@@ -43,11 +43,6 @@ POINTS = 50_015  # number of points in the paper's cloud
 WELD_POINTS = 94
 INLET = (0.0, 0.0, 0.19138)  # centre of the inlet, the via point of the approach [m]
 
-# The duct's place in the paper's scene, see `Workpiece.T_world`, and the depth at which its interior begins.
-PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
-NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
-INTERIOR_DEPTH_M = 0.2
-
 
 @cache
 def _sections() -> Any:

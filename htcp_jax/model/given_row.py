@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import Slot, Template, numbers_of, template_of
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.rotations import turned_directions
 from htcp_jax.model.row_bounds import RateBound
 from htcp_jax.model.task_row_kind import ON_PATH, PlacedPath, TaskRowKind
 from htcp_jax.model.task_rows import AIM_M, AIM_RAD, SLACK, Feature, Row, mixed
 from htcp_jax.numerics import safe_norm
+from htcp_jax.spec import Slot, Template, numbers_of, template_of
 from htcp_jax.types import Array, Scalar
 
 

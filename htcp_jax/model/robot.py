@@ -10,7 +10,6 @@ this package "world" means the root's frame; `Robot.world` is the workshop's fra
 """
 
 import dataclasses
-from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
@@ -21,8 +20,6 @@ from htcp_jax.model.convex_piece import BodyPieces
 from htcp_jax.notebook import html_facts
 from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
-
-GP50 = Path(__file__).parent / "robots" / "gp50.xml"  # the built-in arm
 
 FAR_M = 1e6  # distance between bodies that are not tested against each other
 TOUCHING_M = 1e-3  # allowed overlap of meshes that touch by design

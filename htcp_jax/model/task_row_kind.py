@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.kinds import ExtensionKind, kind_fault
-from htcp_jax.registry import Registry
+from htcp_jax.spec import ExtensionKind, Registry, kind_fault
 from htcp_jax.types import Array
 
 if TYPE_CHECKING:

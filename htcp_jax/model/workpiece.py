@@ -18,9 +18,9 @@ from htcp_jax.caching import cached_by_values
 from htcp_jax.errors import InputError
 from htcp_jax.model.arrays import points, triple
 from htcp_jax.model.convex_hull import Hull, convex_hull
-from htcp_jax.model.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.model.path_frames import PathFrames, tangents, wall_normals
 from htcp_jax.notebook import html_facts
+from htcp_jax.spec import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.types import Triple
 
 

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files, output_files
+from htcp_jax.system import files, output_files
 
 FILE = "seconds.json"
 

@@ -22,7 +22,6 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import feed
 from htcp_jax.jobs import grid as grids
 from htcp_jax.motion import Plans
 from htcp_jax.placement.clock import Clock
@@ -45,6 +44,7 @@ from htcp_jax.planning import start_clearance
 from htcp_jax.runs import Run
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.runs import sweep as sweeps
+from htcp_jax.spec import feed
 from htcp_jax.status import AT_HOME, Status
 from htcp_jax.trajectory import time_run
 

@@ -16,10 +16,10 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, field_validator, model_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import strict_model
-from htcp_jax.jobs import PlanConfig, build, examples, grid_axes, load_config
+from htcp_jax.jobs import build, grid_axes, load_config
 from htcp_jax.placement.ranges import Ranges, read_ranges
 from htcp_jax.planning import registry
+from htcp_jax.spec import PlanConfig, examples, strict_model
 
 CLEARANCE, CYCLE_TIME = "clearance", "cycle time"
 OBJECTIVES = CLEARANCE, CYCLE_TIME, "joint motion"

@@ -21,14 +21,15 @@ import pyarrow as pa
 import yaml
 
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.io import files, output_files
-from htcp_jax.jobs import PlanConfig, examples, load_config
+from htcp_jax.io import arrays
+from htcp_jax.jobs import load_config
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
-from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import columns as columns_of_files
-from htcp_jax.runs import lock, open_run, provenance
 from htcp_jax.runs import open as plan_sets
+from htcp_jax.runs import open_run, provenance
+from htcp_jax.spec import PlanConfig, examples
+from htcp_jax.system import files, lock, output_files, stop_message
 
 if TYPE_CHECKING:
     from htcp_jax.placement.scores import MountingScores
@@ -200,7 +201,7 @@ def write_result(
     found = PlacementResult(folder, search, scores, mountings, motions, is_final)
     if motions is not None:
         _write_jobs(found, [point.config for point in open_run(motions).points()])
-    files.write_atomically(folder, MOUNTINGS, files.parquet_bytes(_mounting_table(search, scores)))
+    files.write_atomically(folder, MOUNTINGS, arrays.parquet_bytes(_mounting_table(search, scores)))
     output_files.write_json(folder / RANKED, found.record())
     return found
 

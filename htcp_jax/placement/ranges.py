@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import config, grid_axes
+from htcp_jax.jobs import grid_axes
+from htcp_jax.spec import config
 
 PLANNERS_OWN = ("settings.", "margin_m", "workpiece.interior", "workpiece.mesh", "workpiece.tip_contact_m",
                 "workpiece.inlet", "workpiece.approach")  # fmt: skip

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.clearance import Obstacle, Obstacles, Scene, by_pieces, contacts, nearest_to, surface_points
-from htcp_jax.clearance.obstacles import given_obstacle, obstacle_kind, of_workpiece, self_collision
+from htcp_jax.clearance.obstacles import given_obstacle, of_workpiece, self_collision
 from htcp_jax.device import devices as compute_devices
 from htcp_jax.device import processes as worker_processes
 from htcp_jax.device import tables
@@ -29,6 +29,7 @@ from htcp_jax.planning import registry
 from htcp_jax.planning.method import Method
 from htcp_jax.planning.registry import find
 from htcp_jax.settings import Settings, settings_of
+from htcp_jax.spec import obstacle_kind
 from htcp_jax.status import Status
 
 INTERIOR_RULE = (  # after the name of the part, where not its points but the rule decides

@@ -1,11 +1,11 @@
-"""Registry of planning methods by name; see `htcp_jax.registry` for registries in general."""
+"""Registry of planning methods by name; see `htcp_jax.spec.registry` for registries in general."""
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
 from htcp_jax.planning.method import Method
-from htcp_jax.registry import Registry
+from htcp_jax.spec import Registry
 
 
 def _fault(method: Any) -> str:
@@ -93,8 +93,8 @@ def register(value: Any) -> Any:
     Raises:
         InputError: If the value is incomplete, or if its name is already taken or not valid in file names.
     """
-    from htcp_jax.clearance.obstacles import obstacle_kind
     from htcp_jax.model import task_row_kind
+    from htcp_jax.spec import obstacle_kind
 
     kinds = {obstacle_kind.ObstacleKind: obstacle_kind.OBSTACLES, task_row_kind.TaskRowKind: task_row_kind.TASK_ROWS}
     known = (registry for kind, registry in kinds.items() if isinstance(value, type) and issubclass(value, kind))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from htcp_jax.jobs import PlanConfig, config_file, examples, load_config
+from htcp_jax.jobs import load_config
 from htcp_jax.motion import Plans, motion
 from htcp_jax.report import charts, paper, tables
 from htcp_jax.report.best import best_of_all, best_scenarios
@@ -18,6 +18,7 @@ from htcp_jax.report.groups import Part
 from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.timing import feed_targets, timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
+from htcp_jax.spec import PlanConfig, config_file, examples
 from htcp_jax.status import SegmentStatus
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from htcp_jax.io import files
 from htcp_jax.markup import escaped
+from htcp_jax.system import files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

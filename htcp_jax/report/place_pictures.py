@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Int
 
-from htcp_jax.io import files
 from htcp_jax.placement import mounting
 from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.charts.placement import place_map, place_pareto_front
@@ -19,6 +18,7 @@ from htcp_jax.report.document import png
 from htcp_jax.report.place_tables import SearchTable, read_search
 from htcp_jax.runs import Run, open_run
 from htcp_jax.runs import open as plan_sets
+from htcp_jax.system import files
 from htcp_jax.viewer import replay
 
 if TYPE_CHECKING:

@@ -17,7 +17,6 @@ import pyarrow as pa
 from htcp_jax import viewer
 from htcp_jax.clearance.obstacles import of_workpiece
 from htcp_jax.device import tables as lanes
-from htcp_jax.io import files, output_files
 from htcp_jax.jobs import grid
 from htcp_jax.motion import lane_inputs
 from htcp_jax.notebook import html_facts
@@ -35,6 +34,7 @@ from htcp_jax.reachability import (
 from htcp_jax.report.document import Column, Table, png, write_csv
 from htcp_jax.report.tables import percent
 from htcp_jax.runs import reachability_file, tables
+from htcp_jax.system import files, output_files
 
 if TYPE_CHECKING:
     import pandas

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files
-from htcp_jax.jobs import PlanConfig
 from htcp_jax.planning import registry
 from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
@@ -23,6 +21,8 @@ from htcp_jax.report.tables import configuration_table
 from htcp_jax.report.validation import validated
 from htcp_jax.runs import Run, open_run
 from htcp_jax.runs import tables as run_tables
+from htcp_jax.spec import PlanConfig
+from htcp_jax.system import files
 
 if TYPE_CHECKING:
     import pandas

@@ -11,13 +11,13 @@ import numpy as np
 import scipy
 from jaxtyping import Int
 
-from htcp_jax.jobs import PlanConfig
 from htcp_jax.motion import Plans, motion
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Reach
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.runs import summary, timing_file
+from htcp_jax.spec import PlanConfig
 from htcp_jax.status import SegmentStatus, Status
 
 RESULTS = (

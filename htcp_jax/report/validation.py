@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files
 from htcp_jax.report.document import Block, Column, Heading, Table
 from htcp_jax.runs import Run, plan_folder
+from htcp_jax.system import files
 from htcp_jax.validation import STEP_RAD
 
 AT_TARGETS = (

@@ -9,7 +9,7 @@ reads and writes the folder of one plan.
 `manifest`, `timing_file` and `reachability_file` read files of a run folder. `identity` hashes a run's configuration,
 `input_files` hashes the files that the run reads, and `provenance` names the program and the machine. `parameters`
 defines the numbers that vary between scenarios, and `labels` formats them as text. `summary` and `motion_summary`
-summarise plans. `lock` prevents two programs from writing to the same folder.
+summarise plans.
 """
 
 import lazy_loader

@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files as io_files
-from htcp_jax.io import strict_model
-from htcp_jax.io.robots import model_source
-from htcp_jax.jobs import PlanConfig
+from htcp_jax.spec import PlanConfig, model_source, strict_model
+from htcp_jax.system import files as io_files
 
 # Keys that are not part of a run's identity: methods may be added, Ray does not affect results, timing comes later.
 NO_IDENTITY = "method", "program", "ray"

@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from htcp_jax.io import cell
-from htcp_jax.io.robots import model_source, safe_xml
-from htcp_jax.jobs import config_file
+from htcp_jax.io.robots import safe_xml
 from htcp_jax.runs.identity import file_hash
+from htcp_jax.spec import config_file, model_source
 
 PARTS = {
     **{f"{key}.model": safe_xml.model_files for key in model_source.KEYS},

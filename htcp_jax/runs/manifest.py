@@ -4,10 +4,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from htcp_jax.io import strict_model
 from htcp_jax.jobs import grid_axes
-from htcp_jax.registry import NAME
 from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.spec import NAME, strict_model
 
 MANIFEST, FORMAT = "manifest.json", 1
 TABLES = ("targets", "scenarios")

@@ -13,8 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files
-from htcp_jax.jobs import PlanConfig
 from htcp_jax.motion import Plans, ViaPoints
 from htcp_jax.runs import parameters
 from htcp_jax.runs.identity import file_hash, recorded_config, refuse_changed
@@ -22,6 +20,8 @@ from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
 from htcp_jax.runs.run_folder import Run, open_run
+from htcp_jax.spec import PlanConfig
+from htcp_jax.system import files
 
 # Names in the folder of a placement search: the file with its request, and the run folder of the best placements.
 SEARCH, MOTIONS = "place.json", "ranked"

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.jobs import PlanConfig
+from htcp_jax.spec import PlanConfig
 
 ROTATIONS = "rotation_x_rad", "rotation_y_rad", "rotation_z_rad"
 SHIFTS = "shift_x_m", "shift_y_m", "shift_z_m"

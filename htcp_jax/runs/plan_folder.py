@@ -10,13 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files, output_files
+from htcp_jax.io import arrays
 from htcp_jax.model import Robot
 from htcp_jax.motion import Motion, Plans
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs.identity import other_format
 from htcp_jax.runs.summary import Summary
 from htcp_jax.status import Kind, SegmentStatus, Status
+from htcp_jax.system import files, output_files
 
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
 VALIDATION = "validation.json"  # file with the results of `htcp validate` for a plan or a run
@@ -42,7 +43,7 @@ def read_plan(folder: Path) -> PlanRecord:
         summary = files.read_json(folder / SUMMARY, folder)
         method, config = str(summary["method"]), dict(summary["config"])
         hashes = {str(name): str(known) for name, known in summary["files"].items()}
-        found = files.read_arrays(folder / TRAJECTORY, folder, leave=("joint_names",))
+        found = arrays.read_arrays(folder / TRAJECTORY, folder, leave=("joint_names",))
         target, x = found["via_point_target"], found["via_point_x"]
         via_points = target, x, found.get("via_point_share", np.zeros(len(target)))
         return PlanRecord(method, config, hashes, {name: found[name] for name in plan_arrays.ARRAYS}, via_points)

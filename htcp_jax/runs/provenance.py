@@ -15,8 +15,8 @@ import jax
 
 import htcp_jax
 from htcp_jax.backend import default_device
-from htcp_jax.io import files as io_files
-from htcp_jax.registry import Registry
+from htcp_jax.spec import Registry
+from htcp_jax.system import files as io_files
 
 
 def provenance() -> dict:

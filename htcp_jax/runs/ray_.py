@@ -18,15 +18,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 from htcp_jax.errors import InputError, Lost
-from htcp_jax.jobs import PlanConfig, grid
-from htcp_jax.jobs import config as configs
+from htcp_jax.jobs import grid
 from htcp_jax.model import Scenario
 from htcp_jax.motion import Plans
 from htcp_jax.planning import registry
 from htcp_jax.runs.local import PlannedShard, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
+from htcp_jax.spec import PlanConfig
+from htcp_jax.spec import config as configs
 
 ANSWER_S = 5.0  # timeout for a connection to a cluster, and for its first response [s]
 HTTP2 = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))  # connection preface of a gRPC client

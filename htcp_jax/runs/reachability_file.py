@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io import files
 from htcp_jax.reachability import Reach
 from htcp_jax.runs.run_folder import Run
+from htcp_jax.system import files
 
 REACHABILITY = "reachability.json"
 

@@ -22,8 +22,8 @@ import pyarrow as pa
 from pydantic import ValidationError
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files as io_files
-from htcp_jax.jobs import PlanConfig, grid_axes, grid_points
+from htcp_jax.io import arrays
+from htcp_jax.jobs import grid_axes, grid_points
 from htcp_jax.motion import Plans
 from htcp_jax.notebook import html_facts
 from htcp_jax.runs import tables
@@ -45,6 +45,8 @@ from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
 from htcp_jax.runs.tables import empty_tables, plans_of, table_frame
 from htcp_jax.runs.timing_file import Timing, read_timing, with_timing
+from htcp_jax.spec import PlanConfig
+from htcp_jax.system import files as io_files
 
 if TYPE_CHECKING:
     import pandas
@@ -285,7 +287,7 @@ def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table
     if problem := file_fault(file, record):
         raise InputError(f"{file} {problem}; run the same sweep again to replan its scenarios")
     with io_files.opened(file, file.parents[1]) as stream:
-        rows = io_files.read_parquet(stream, file, record.rows, exact=True)
+        rows = arrays.read_parquet(stream, file, record.rows, exact=True)
     rows = tables.with_new_columns(rows, schema)
     if not rows.schema.equals(schema):
         raise other_format(file.parents[1], f"{file.parent.name}/{file.name} has other columns")

@@ -20,29 +20,26 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.device import devices
 from htcp_jax.device import tables as device_tables
 from htcp_jax.errors import InputError, Interrupted, Lost
-from htcp_jax.io import output_files
 from htcp_jax.jobs import grid as grids
 from htcp_jax.jobs import grid_axes, seeded
 from htcp_jax.model import task_row_kind
 from htcp_jax.motion import Plans, manipulability, start_cause
 from htcp_jax.planning import Progress as ShardProgress
 from htcp_jax.planning import registry
-from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.input_files import anchor_files, file_hashes
 from htcp_jax.runs.local import Shard, plan_here, scenarios_of
-from htcp_jax.runs.lock import SignalReceived, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans
 from htcp_jax.runs.provenance import code_of, planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
-from htcp_jax.unfinished import temporary_folder
+from htcp_jax.spec import obstacle_kind
+from htcp_jax.system import SignalReceived, locked, output_files, signals, stop_message, temporary_folder
 
 SHARD_SCENARIOS = 512  # default size of a shard, equal on every machine; smaller shards leave lanes unused
 

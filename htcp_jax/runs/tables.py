@@ -13,7 +13,7 @@ import pyarrow as pa
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files
+from htcp_jax.io import arrays
 from htcp_jax.jobs import grid_axes
 from htcp_jax.model import Robot
 from htcp_jax.motion import Plans, Tried, ViaPoints, dead_ends, motion, start_cause
@@ -210,7 +210,7 @@ def plans_of(
     s, t = targets["scenario"].to_numpy(), targets["target"].to_numpy()
     if min(s.min(initial=0), t.min(initial=0)) < 0 or t.max(initial=0) >= len(targets):
         raise IndexError("a row has an invalid number of a scenario or a target; the file is damaged")
-    if count * (int(t.max(initial=-1)) + 1) > max(LEAST_CELLS, files.GROWTH * len(targets)):
+    if count * (int(t.max(initial=-1)) + 1) > max(LEAST_CELLS, arrays.GROWTH * len(targets)):
         raise IndexError(f"{len(targets):,} rows are too few for {count:,} scenarios with {t.max() + 1:,} targets")
     blank = np.full((count, int(t.max(initial=-1)) + 1, 3), plan_arrays.EMPTY["target"])
     plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)

@@ -14,8 +14,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files
+from htcp_jax.io import arrays
 from htcp_jax.runs.columns import WRITTEN_BY, described
+from htcp_jax.system import files
 
 TIMING = "timing"
 FEED_HELD_SHARE = 0.99  # a scenario keeps its feed if it is reached on at least this share of the path's length
@@ -104,7 +105,7 @@ def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Tim
         return None
     try:
         with files.opened(file, folder, files.LARGEST) as stream:
-            rows = files.read_parquet(stream, file)
+            rows = arrays.read_parquet(stream, file)
         made = json.loads(rows.schema.metadata[WRITTEN_BY])
         if "feed_target" not in rows.column_names:  # written by an older version
             after = SCHEMA.get_field_index("feed_target")
@@ -124,7 +125,7 @@ def timing_bytes(timing: Timing, shards: Iterable[ResultShard], method: str) -> 
     results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_scenario_numbers(s))]
     made = {"feed_m_s": timing.feed_m_s, "limits": timing.limits, "results": results}
     rows = described(timing.rows.sort_by("scenario"), TIMING, (), made)
-    return files.parquet_bytes(rows, write_page_checksum=True)
+    return arrays.parquet_bytes(rows, write_page_checksum=True)
 
 
 def with_timing(folder: Path, shards: Iterable[ResultShard], scenarios: pa.Table) -> pa.Table:

@@ -9,13 +9,14 @@ from typing import Any
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files as io_files
+from htcp_jax.io import arrays
 from htcp_jax.motion import Plans
 from htcp_jax.runs.columns import described
 from htcp_jax.runs.identity import identity, identity_differences
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import Run, file_fault, open_run
+from htcp_jax.system import files as io_files
 
 
 def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
@@ -153,7 +154,7 @@ def _write_manifest(run: Run) -> Run:
 def _write_parquet(folder: Path, table: str, name: str, rows: pa.Table) -> FileRecord:
     doubles = [field.name for field in rows.schema if pa.types.is_floating(field.type)]
     words = [name for name in rows.column_names if name not in doubles and name not in ("via_points", "via_shares")]
-    data = io_files.parquet_bytes(rows, use_dictionary=words, use_byte_stream_split=doubles)
+    data = arrays.parquet_bytes(rows, use_dictionary=words, use_byte_stream_split=doubles)
     io_files.write_atomically(folder, f"{table}/{name}", data)
     return FileRecord(rows=len(rows), bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
 

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import config
 from htcp_jax.model import Robot, kinematics
+from htcp_jax.spec import config
 
 JOINTS = 6
 SHOULDER, ELBOW, WRIST = 1, 2, 4  # indices of the joints whose frame origins are on the L, U and B axes

@@ -17,9 +17,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.io.robots import composed, model_file, model_source
-from htcp_jax.jobs import config
-from htcp_jax.model import tool
+from htcp_jax.io.robots import composed, model_file
+from htcp_jax.spec import config, model_source, tool
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 GRAVITY_M_S2 = 9.81

@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import RATES, JointLimits
-from htcp_jax.jobs import config
 from htcp_jax.model import Robot
+from htcp_jax.spec import config
 
 
 class MotionLimits(NamedTuple):

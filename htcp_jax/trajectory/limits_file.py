@@ -6,9 +6,9 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
-from htcp_jax.jobs import PlanConfig
 from htcp_jax.model import Robot
 from htcp_jax.motion import Motion, motion
+from htcp_jax.spec import PlanConfig
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.limits import own_rates
 

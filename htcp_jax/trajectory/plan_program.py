@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import strict_model
 from htcp_jax.io.robots import model_file
-from htcp_jax.jobs import PlanConfig, build, config_file, feed
+from htcp_jax.jobs import build
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model import robot as robots
-from htcp_jax.model import tool as tools
 from htcp_jax.motion import Plans, manipulability, motion
 from htcp_jax.runs import PlanSet
+from htcp_jax.spec import PlanConfig, config_file, feed, strict_model
+from htcp_jax.spec import tool as tools
 from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
 from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, Pulses, UserFrame

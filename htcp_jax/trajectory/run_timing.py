@@ -19,15 +19,15 @@ import pyarrow as pa
 
 from htcp_jax.device import processes
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.io import files
 from htcp_jax.io.robots import RATES, JointLimits
-from htcp_jax.jobs import PlanConfig, build
+from htcp_jax.jobs import build
 from htcp_jax.model import Robot, Workpiece
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import Plans, motion
-from htcp_jax.process_exit import stop_message
-from htcp_jax.runs import Run, lock, open_run, timing_file
+from htcp_jax.runs import Run, open_run, timing_file
 from htcp_jax.runs import open as plan_sets
+from htcp_jax.spec import PlanConfig
+from htcp_jax.system import files, lock, stop_message
 from htcp_jax.trajectory.figures import ProgramFigures, program_figures
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torques, torques
 from htcp_jax.trajectory.limits import joint_limits

@@ -4,9 +4,10 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import PlanConfig, build
+from htcp_jax.jobs import build
 from htcp_jax.model import Robot
 from htcp_jax.motion import Motion
+from htcp_jax.spec import PlanConfig
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.blends import MotionSlack
 from htcp_jax.trajectory.row_slack import slack_of_rows

@@ -21,11 +21,12 @@ import yaml
 from pydantic import Field, model_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import output_files, strict_model, strict_yaml
 from htcp_jax.motion import plans
 from htcp_jax.runs import Run, identity, labels, reachability_file
 from htcp_jax.runs import manifest as manifests
+from htcp_jax.spec import strict_model, strict_yaml
 from htcp_jax.status import Status
+from htcp_jax.system import output_files
 from htcp_jax.validation.result import MethodCheck, Refutation
 from htcp_jax.validation.validate import validate_results as check_by_mujoco
 

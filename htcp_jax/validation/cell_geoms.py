@@ -18,8 +18,9 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.io import cell as cells
 from htcp_jax.io.parts import load_geometry
-from htcp_jax.jobs import config, given_kinds
+from htcp_jax.jobs import shapes_in_world
 from htcp_jax.model import fixture
+from htcp_jax.spec import config
 from htcp_jax.validation.carried import CarriedBody
 from htcp_jax.validation.mujoco_arm import MujocoArm
 
@@ -84,7 +85,7 @@ class CellGeoms:
         self._arm, self._rules = arm, _Rules(cell, arm)
         self._corners: dict[str, np.ndarray] = {}  # corners of meshes in the model, by the mesh's name
         self._triangles: list[tuple[mujoco.MjsGeom, np.ndarray]] = []
-        given = [given_kinds.shapes_in_world(kind) for kind in cell.obstacles]
+        given = [shapes_in_world(kind) for kind in cell.obstacles]
         self.unmeasured = [kind.name for kind, shapes in zip(cell.obstacles, given, strict=True) if not shapes]
         shapes = [shape for own in given for shape in own]
         spec = mujoco.MjSpec() if cell.model is None else self._read_model(Path(cell.model))

@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import LinkMeshes, composed, is_limits_file, model_source, read_joint_limits
-from htcp_jax.model import Tool
-from htcp_jax.model import tool as tools
+from htcp_jax.io.robots import LinkMeshes, composed, read_joint_limits
+from htcp_jax.spec import Tool, is_limits_file, model_source
+from htcp_jax.spec import tool as tools
 from htcp_jax.types import Triple
 from htcp_jax.validation.convex_hull import Hull, hull_in_capsule, read_hulls
 

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.jobs import config
+from htcp_jax.spec import config
 from htcp_jax.validation.cell_geoms import CellGeoms, Surface
 from htcp_jax.validation.mujoco_arm import FAR_M, ArmPoses, MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall

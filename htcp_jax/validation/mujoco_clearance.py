@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, cKDTree
 
-from htcp_jax.jobs import config
+from htcp_jax.spec import config
 from htcp_jax.validation.carried import CarriedBody
 from htcp_jax.validation.cloud_discs import CloudDiscs
 from htcp_jax.validation.mesh_clearance import axis_distances, crosses, cut_into_grains, point_distances

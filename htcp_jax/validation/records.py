@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import PlanConfig, build
-from htcp_jax.jobs import config as configs
+from htcp_jax.jobs import build
 from htcp_jax.model import Workpiece
 from htcp_jax.motion import Plans
 from htcp_jax.runs import PlanSet, open_plans
+from htcp_jax.spec import PlanConfig
+from htcp_jax.spec import config as configs
 from htcp_jax.status import MOTION
 from htcp_jax.validation.scene_rules import Results, Track, WorkpieceData
 

@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from htcp_jax.jobs import PlanConfig
-from htcp_jax.jobs import config as configs
 from htcp_jax.runs import parameters
+from htcp_jax.spec import PlanConfig
+from htcp_jax.spec import config as configs
 
 NEAREST, SURROUNDINGS = 60, 500  # numbers of points for fitting a normal, and for choosing its sign
 ONE_PLACE_M = 1e-5  # points of a path within this distance of the last place are the same place

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from htcp_jax.kinds import with_arrays
 from htcp_jax.model import TaskRow, task_row_kind
 from htcp_jax.settings import Settings
+from htcp_jax.spec import with_arrays
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.result import ROUNDING_M
 from htcp_jax.validation.scene_rules import WorkpieceData

@@ -23,10 +23,10 @@ import numpy as np
 import scipy
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files, output_files
-from htcp_jax.io.robots import model_source
-from htcp_jax.jobs import build, config
+from htcp_jax.jobs import build
 from htcp_jax.runs import plan_folder
+from htcp_jax.spec import config, model_source
+from htcp_jax.system import files, output_files
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell
 from htcp_jax.validation.mujoco_clearance import Wall, wall_of

@@ -19,7 +19,6 @@ from jaxtyping import Float, Int8
 
 from htcp_jax.clearance import Obstacles, contacts, rows_of, surface_points
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import PlanConfig
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.model import surface as surfaces
@@ -29,6 +28,7 @@ from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstruction_module
 from htcp_jax.runs import PlanSet, motion_summary, open_plans
+from htcp_jax.spec import PlanConfig
 from htcp_jax.viewer.arm_pose import arms_at, links_at, moved, roots_at
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.normal_glyphs import NormalGlyphs, glyphs

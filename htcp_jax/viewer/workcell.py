@@ -10,13 +10,13 @@ from jaxtyping import Float
 from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import of_workpiece
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import PlanConfig, build
-from htcp_jax.kinds import numbers_of
+from htcp_jax.jobs import build
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model import surface as surfaces
 from htcp_jax.runs import PlanSet, parameters, plan_folder
 from htcp_jax.runs import open as plan_sets
+from htcp_jax.spec import PlanConfig, numbers_of
 
 MOST_CELLS = 8  # maximum number of workcells in memory
 DOT_M = 5e-4  # radius of a dot

@@ -76,8 +76,8 @@ def test_validation_that_imports_the_planners_mathematics_is_found(package, line
 @pytest.mark.parametrize(
     ("source", "refused"),
     [
-        ("from htcp_jax.io import files\nfiles.read_json('a')", []),
-        ("from htcp_jax.io import files as io_files\nio_files.read_json('a')", []),
+        ("from htcp_jax.system import files\nfiles.read_json('a')", []),
+        ("from htcp_jax.system import files as io_files\nio_files.read_json('a')", []),
         ("from htcp_jax.model import robot\nrobot.TOUCHING_M", []),
         ("from htcp_jax.model import robot\nrobot.TOUCHING_M, robot.lengthen_tool", ["lengthen_tool of model"]),
         ("from htcp_jax.model import robot as r\ndef f(): return r.kinematics.tcp_pose", ["kinematics of model"]),
@@ -87,7 +87,7 @@ def test_validation_that_imports_the_planners_mathematics_is_found(package, line
 )
 def test_of_a_module_validation_uses_only_the_names_that_are_listed(package, source, refused):
     (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
-    for folder, module in (("io", "files"), ("model", "robot"), ("validation", "a")):
+    for folder, module in (("system", "files"), ("model", "robot"), ("validation", "a")):
         (package / "htcp_jax" / folder).mkdir()
         (package / "htcp_jax" / folder / f"{module}.py").write_text("")
         (package / "htcp_jax" / folder / "__init__.pyi").write_text(f"from . import {module}\n")

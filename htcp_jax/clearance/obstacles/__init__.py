@@ -5,7 +5,7 @@ are fixed in the world. `self_collision` is the arm itself as an obstacle; `self
 that need no check, from sampled configurations. `tip_guard` tests whether the bare tip of the tool passes through a
 wall of the workpiece.
 
-`obstacle_kind` has the base class for obstacles of other packages; `given_obstacle` computes their distances to bodies.
+`given_obstacle` computes distances of bodies to obstacles of other packages, see `htcp_jax.spec.ObstacleKind`.
 
 `linearisation` computes task and clearance at one configuration to first order, for the step QP. `contact_model`
 predicts distances near a configuration from its contacts, without another search.

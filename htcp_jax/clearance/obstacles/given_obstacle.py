@@ -19,12 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles, bodies_at
-from htcp_jax.clearance.obstacles.obstacle_kind import ObstacleKind
 from htcp_jax.errors import InputError
-from htcp_jax.kinds import Template, numbers_of, template_of
 from htcp_jax.model import Robot, Scenario
 from htcp_jax.numerics import safe_norm
 from htcp_jax.pytree import register_pytree
+from htcp_jax.spec import ObstacleKind, Template, numbers_of, template_of
 from htcp_jax.types import Bool, Float, Scalar, Vector3
 
 PIECES, SECTIONS = 128, 48  # intervals of an axis, if the obstacle is not convex; steps of the golden section search

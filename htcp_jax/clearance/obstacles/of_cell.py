@@ -16,10 +16,10 @@ import numpy as np
 import scipy
 from jaxtyping import Float as HostFloat
 
-from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
 from htcp_jax.clearance.obstacles import narrow_phase
+from htcp_jax.clearance.obstacles.cloud import Cloud, cloud_of
 from htcp_jax.clearance.obstacles.fixtures import fixtures
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles
 from htcp_jax.model import Fixture, Robot, mesh_points

@@ -1,8 +1,8 @@
 """Obstacles of a workpiece: the paper's O."""
 
 from htcp_jax.caching import cached_for_last
-from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.half_spaces import half_spaces
+from htcp_jax.clearance.obstacles.cloud import cloud_of
 from htcp_jax.clearance.obstacles.interior import Interior
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.errors import InputError

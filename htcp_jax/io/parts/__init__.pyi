@@ -1,6 +1,3 @@
-from .angles import CHOSEN_ANGLES, Maker
-from .duct_seams import SEAMS
-from .lengths import LengthUnit
 from .point_cloud import load_geometry
 from .units import check_cell_extent, check_tool
 from .workpiece_source import (
@@ -14,11 +11,7 @@ from .workpiece_source import (
 )
 
 __all__ = [
-    "CHOSEN_ANGLES",
-    "SEAMS",
     "GeneratedDuct",
-    "LengthUnit",
-    "Maker",
     "NoCloud",
     "PointCloud",
     "TriangleMesh",

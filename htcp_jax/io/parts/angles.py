@@ -7,7 +7,7 @@ Kawasaki, Mitsubishi, Yaskawa), of Vathos (ABB, Doosan, Universal Robots) and of
 
 import warnings
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -15,15 +15,12 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts.headings import listed
 from htcp_jax.io.parts.path_table import PathTable
+from htcp_jax.spec import CHOSEN_ANGLES, Maker
 
-Maker = Literal[
-    "abb", "comau", "denso", "doosan", "fanuc", "kawasaki", "kuka", "mitsubishi", "ros", "staubli", "ur", "yaskawa"
-]
 ROTATION_VECTOR = "vector"
 ABC, AER, OAT, WPR = ("a", "b", "c"), ("a", "e", "r"), ("o", "a", "t"), ("w", "p", "r")
 RX_RY_RZ, RPY = ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
 RTDE = tuple(tuple(f"{name}_tcp_pose_{k}" for k in (3, 4, 5)) for name in ("actual", "target"))
-CHOSEN_ANGLES = ("angle_1", "angle_2", "angle_3")  # roles in `workpiece.path_columns`
 KEY = "workpiece.path_angles"
 
 

@@ -40,7 +40,6 @@ BEADS = {
     "girth-deep": Bead((0.8, 0.8), (0.0, 360.0), 100),
     "helix": Bead((0.2, 0.9), (0.0, 360.0), 110),
 }
-SEAMS = ("weld", *BEADS)
 
 
 def seam(name: str) -> Float[np.ndarray, "P 3"]:

@@ -1,8 +1,9 @@
 """Units of length that tables and jobs may state."""
 
-from typing import Literal, get_args
+from typing import get_args
 
-LengthUnit = Literal["m", "mm", "cm", "in"]
+from htcp_jax.spec import LengthUnit
+
 PER_METRE: dict[str, float] = dict(zip(get_args(LengthUnit), (1.0, 1e3, 1e2, 1.0 / 0.0254), strict=True))
 METRE = ("meter", "meters", "metre", "metres")
 LENGTHS: dict[str, str] = {  # units by their names in a file, in lower case

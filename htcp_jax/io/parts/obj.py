@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import note_missing_line_end
 from htcp_jax.io.parts import polygons
+from htcp_jax.system import note_missing_line_end
 
 FACES, VERTEX, MATERIAL = ("f", "fo"), "v", "usemtl"
 FREE_FORM = {"curv", "curv2", "surf", "bzp", "bsp", "cdc", "cdp", "res", "call"}

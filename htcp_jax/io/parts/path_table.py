@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import note_missing_line_end, read_tail
 from htcp_jax.io.parts.headings import Heading, listed
 from htcp_jax.io.parts.seams import check_one_seam
 from htcp_jax.io.parts.table import TableReader, bare, is_numeric_cell
+from htcp_jax.system import note_missing_line_end, read_tail
 
 COLOURS = {"r", "g", "b"}
 

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import note_missing_line_end, one_line
 from htcp_jax.io.parts import polygons
+from htcp_jax.system import note_missing_line_end, one_line
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import known_ending, note_missing_line_end, read_bytes, read_tail
 from htcp_jax.io.parts.columns import PER_METRE, TablePoints
 from htcp_jax.io.parts.obj import read_obj
 from htcp_jax.io.parts.ply import read_ply
@@ -22,6 +21,7 @@ from htcp_jax.io.parts.scan import OF_ONE_UNIT, PARTS, SCANS, read_part, read_sc
 from htcp_jax.io.parts.stl import read_stl
 from htcp_jax.io.parts.table import read_npy, read_table
 from htcp_jax.model import arrays, mesh_points
+from htcp_jax.system import known_ending, note_missing_line_end, read_bytes, read_tail
 
 TEXT = (".xyz", ".csv", ".txt")
 TABLES = (*TEXT, ".npy")

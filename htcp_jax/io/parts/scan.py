@@ -16,9 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import open_named
 from htcp_jax.io.parts.columns import ColumnIndices, TablePoints
-from htcp_jax.unfinished import temporary_folder
+from htcp_jax.system import open_named, temporary_folder
 
 
 class ScanFormat(NamedTuple):

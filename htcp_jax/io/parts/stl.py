@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import note_missing_line_end
+from htcp_jax.system import note_missing_line_end
 
 Triangles = Float[np.ndarray, "F 3 3"]
 

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import read_array, read_bytes
+from htcp_jax.io.arrays import read_array
 from htcp_jax.io.parts.columns import (
     NEARLY_UNIT,
     XYZ,
@@ -34,6 +34,7 @@ from htcp_jax.io.parts.headings import (
     with_units,
 )
 from htcp_jax.io.parts.lengths import PER_METRE
+from htcp_jax.system import read_bytes
 
 COMMENTS = ("//", "%")  # beginnings of a line that is a comment; # may stand anywhere in a line
 SEPARATOR_LINE = re.compile(r'"?sep=.?"?')  # of spreadsheets

@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import known_ending
-from htcp_jax.io.parts.angles import Maker
-from htcp_jax.io.parts.duct_seams import SEAMS, seam
+from htcp_jax.io.parts.duct_seams import seam
 from htcp_jax.io.parts.path_file import PathPoints, read_path_points
 from htcp_jax.io.parts.path_table import PathTable
 from htcp_jax.io.parts.point_cloud import TEXT, load_geometry
 from htcp_jax.io.parts.units import check_extent, check_path_unit, unit_key
 from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
+from htcp_jax.spec import SEAMS, Maker
+from htcp_jax.system import known_ending
 from htcp_jax.types import Anywhere, Triple
 
 MOST_POINTS = 10_000_000  # maximum number of points on the generated duct
@@ -35,7 +35,7 @@ class GeneratedDuct(NamedTuple):
 
     points: int = duct.POINTS
     seed: int = 0
-    seam: str = "weld"  # name in `duct_seams.SEAMS`; the seam is the path unless another path is given
+    seam: str = "weld"  # name in `spec.SEAMS`; the seam is the path unless another path is given
 
     @property
     def defaults(self) -> dict[str, Any]:

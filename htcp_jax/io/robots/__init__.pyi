@@ -1,11 +1,10 @@
-from . import attached, capsule_fit, close_fit, composed, mjcf, model_file, model_source, safe_xml
-from .joint_limits import LIMIT_ROUNDING, LIMITS_FILE, RATES, JointLimits, is_limits_file, read_joint_limits
+from . import attached, capsule_fit, close_fit, composed, mjcf, model_file, safe_xml
+from .joint_limits import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot, part_moves
 from .vendor_import import ImportedArm, body_name, chain_text, import_robot
 
 __all__ = [
-    "LIMITS_FILE",
     "LIMIT_ROUNDING",
     "RATES",
     "ImportedArm",
@@ -19,11 +18,9 @@ __all__ = [
     "composed",
     "gp50",
     "import_robot",
-    "is_limits_file",
     "load_robot",
     "mjcf",
     "model_file",
-    "model_source",
     "part_moves",
     "read_joint_limits",
     "safe_xml",

@@ -18,10 +18,10 @@ from xml.parsers import expat
 import numpy as np
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import one_line, quiet, read_bytes
 from htcp_jax.io.parts.polygons import triangulate
 from htcp_jax.io.robots.capsule_fit import Triangles
 from htcp_jax.model import arrays
+from htcp_jax.system import one_line, quiet, read_bytes
 
 ENDING = ".dae"
 MOST_NODES, MOST_TRIANGLES = 100_000, 10_000_000  # maximum numbers, with all instances

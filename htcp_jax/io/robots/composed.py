@@ -15,9 +15,9 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
 from htcp_jax.io.robots.frames import joint_name
-from htcp_jax.io.robots.model_source import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, split_name
 from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, PART, read_spec, unreadable_model
 from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS
+from htcp_jax.spec import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, split_name
 from htcp_jax.types import Triple
 
 PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s with one value per joint

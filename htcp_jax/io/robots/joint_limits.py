@@ -19,11 +19,9 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import strict_yaml
+from htcp_jax.spec import LIMITS_FILE, is_limits_file, strict_yaml
 
 SECTION = "joint_limits"
-ENDINGS = ".yaml", ".yml", ".json"
-LIMITS_FILE = f"a YAML file such as MoveIt's joint_limits.yaml, with the ending {', '.join(ENDINGS)}"
 RATES = "velocity", "acceleration", "jerk"
 BOUNDS = {"position": ("min_position", "max_position")} | {
     rate: (f"max_{rate}",) for rate in RATES
@@ -165,11 +163,6 @@ class JointLimits(NamedTuple):
                 yield f"{name} {own:g} (the model's: {known:g})"
 
 
-def is_limits_file(name: str | Path) -> bool:
-    """Return True if a name has the ending of a file with joint limits, instead of being a profile of limits."""
-    return Path(name).suffix.lower() in ENDINGS
-
-
 def read_joint_limits(path: str | Path, names: Sequence[str], arm: str) -> JointLimits:
     """Read the limits of an arm's joints from a file.
 
@@ -184,9 +177,9 @@ def read_joint_limits(path: str | Path, names: Sequence[str], arm: str) -> Joint
         arm: Name of the arm, for messages.
 
     Raises:
-        InputError: If the file has another ending than those in `ENDINGS`, cannot be read, is not YAML, has another
-            format, or limits none of the joints. For a joint of the arm: if a switch is not true or false, a limit is
-            switched on but missing, a position is not a number, or another limit is not positive.
+        InputError: If the file has another ending than those in `choices.LIMITS_ENDINGS`, cannot be read, is not YAML,
+            has another format, or limits none of the joints. For a joint of the arm: if a switch is not true or
+            false, a limit is switched on but missing, a position is not a number, or another limit is not positive.
     """
     file = str(path)
     if not is_limits_file(path):

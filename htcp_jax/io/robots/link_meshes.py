@@ -17,11 +17,11 @@ from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Triangles, clip
 from htcp_jax.io.robots.composed import read_model
 from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.model_file import NONE_LOCKED, Chain, chain_of_file, compile_spec, link_frames, no_log
-from htcp_jax.io.robots.model_source import ModelSource, label_of
 from htcp_jax.io.robots.safe_xml import CUTS, MADE_FROM
 from htcp_jax.io.robots.vendor_import import ImportedArm, enclosed_triangles
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
+from htcp_jax.spec import ModelSource, label_of
 
 VISUAL = " --visual"  # suffix of the text MADE_FROM if the capsules enclose visual geometry
 PROBE_M = 1e-9  # radius of the sphere that represents a point

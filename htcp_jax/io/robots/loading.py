@@ -9,15 +9,15 @@ import jax
 
 from htcp_jax.io.robots.link_meshes import MeshesInFile
 from htcp_jax.io.robots.model_file import FEWEST_JOINTS, NONE_LOCKED, no_log, read_robot_file
-from htcp_jax.io.robots.model_source import ROBOT, ComposedModel
 from htcp_jax.io.robots.safe_xml import PART, read_spec
-from htcp_jax.model import Robot, Tool, robot
-from htcp_jax.model import tool as tools
+from htcp_jax.model import Robot, robot
+from htcp_jax.spec import GP50, ROBOT, ComposedModel, Tool
+from htcp_jax.spec import tool as tools
 from htcp_jax.types import Triple
 
 
 def load_robot(
-    path: str | Path | ComposedModel = robot.GP50,
+    path: str | Path | ComposedModel = GP50,
     *,
     tcp_site: str = "tcp",
     limits: str = "model",
@@ -96,4 +96,4 @@ def gp50(limits: str = "simulation") -> Robot:
     Raises:
         InputError: For other limits.
     """
-    return load_robot(robot.GP50, limits=limits)
+    return load_robot(GP50, limits=limits)

@@ -26,12 +26,12 @@ from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.composed import read_model
 from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.frames import frame, joint_name, shifted_frame, turned_frame
-from htcp_jax.io.robots.model_source import ModelSource, label_of
 from htcp_jax.io.robots.safe_xml import LIST, PART, unreadable_model
 from htcp_jax.io.robots.stored_pieces import StoredPiece, pieces_of, read_pieces
-from htcp_jax.model import BodyPieces, Tool, robot
+from htcp_jax.model import BodyPieces, robot
 from htcp_jax.model import arrays as coordinates
-from htcp_jax.model import tool as tools
+from htcp_jax.spec import ModelSource, Tool, label_of
+from htcp_jax.spec import tool as tools
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)

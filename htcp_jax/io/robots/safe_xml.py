@@ -17,10 +17,10 @@ from xml.parsers import expat
 import mujoco
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import opened
 from htcp_jax.io.robots import constraints, remarks
 from htcp_jax.io.robots.urdf_elements import check_elements, read_elements
 from htcp_jax.io.robots.urdf_joints import WORLD, UrdfJoints, check_tree, read_joints, refuse_repeated_names
+from htcp_jax.system import opened
 
 LARGEST_FILE = 10 * 2**20  # [bytes]
 MOST_ELEMENTS, DEEPEST = 50_000, 200

@@ -6,9 +6,9 @@ See `given_obstacle` and docs/add-an-obstacle.md. This module does not import JA
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
-from htcp_jax.kinds import ExtensionKind, kind_fault
-from htcp_jax.model import tool
-from htcp_jax.registry import Registry
+from htcp_jax.spec import tool
+from htcp_jax.spec.kinds import ExtensionKind, kind_fault
+from htcp_jax.spec.registry import Registry
 from htcp_jax.types import Scalar, Vector3
 
 

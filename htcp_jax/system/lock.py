@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from htcp_jax.errors import InputError
-from htcp_jax.process_exit import is_watched
-from htcp_jax.unfinished import NO_LINK, clear_all
+from htcp_jax.system.process_exit import is_watched
+from htcp_jax.system.unfinished import NO_LINK, clear_all
 
 try:
     import fcntl

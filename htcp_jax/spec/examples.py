@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from htcp_jax.io import strict_yaml
+from htcp_jax.spec import strict_yaml
 
 _PACKAGE = Path(__file__).parents[1]
 ROOT = _PACKAGE / "examples" if (_PACKAGE / "examples").is_dir() else _PACKAGE.parent  # in a wheel, or a checkout

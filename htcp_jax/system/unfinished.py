@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from htcp_jax.process_exit import PART
+from htcp_jax.system.process_exit import PART
 
 try:
     import fcntl

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import files
-from htcp_jax.unfinished import temporary_folder
+from htcp_jax.system import files
+from htcp_jax.system.unfinished import temporary_folder
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from functools import partial, wraps
 from types import FunctionType
 from typing import Any
 
-from htcp_jax import cache_folder
+from htcp_jax.caching import cache_folder
 
 SLOW_S = 2e-4  # results that take longer to compute are stored in the cache folder, too; reading one takes as long
 LARGEST = cache_folder.MOST_BYTES // 16  # maximum size of a stored result
@@ -52,7 +52,7 @@ def cached_by_values(most: int) -> Callable[[FunctionType], Callable]:
 
         @wraps(function)
         def result(*arguments: Any, **named: Any) -> Any:
-            from htcp_jax import cache_key  # here, as it imports JAX, and a job is read without JAX
+            from htcp_jax.caching import cache_key  # here, as it imports JAX, and a job is read without JAX
 
             about, call = cache_key.described((arguments, named)), partial(function, *arguments, **named)
             return _last_used(results, repr(about), lambda: _stored_result(call, about), most)
@@ -69,7 +69,7 @@ def _stored_result(call: partial, about: tuple) -> Any:
         call: The function and its arguments.
         about: Description of the arguments.
     """
-    from htcp_jax import cache_key
+    from htcp_jax.caching import cache_key
 
     key = cache_key.result_key(call.func, about) if cache_folder.folder() else None
     if key is not None and (content := cache_folder.read(key)) is not None:

@@ -2,23 +2,16 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError, described
-from htcp_jax.io import strict_model
-from htcp_jax.kinds import ExtensionKind, with_arrays
-from htcp_jax.model import tool
-from htcp_jax.registry import Registry
-from htcp_jax.types import Triple
-
-if TYPE_CHECKING:
-    from htcp_jax.model import Fixture
+from htcp_jax.spec import obstacle_kind, strict_model
+from htcp_jax.spec.kinds import ExtensionKind
+from htcp_jax.spec.registry import Registry
 
 
 def given_kind_of(registry: Registry, base: type[ExtensionKind]) -> Callable[[Any, Callable], Any]:
@@ -84,27 +77,3 @@ def _finite_kind(value: ExtensionKind) -> ExtensionKind:
 @cache
 def _adapter(kind: type[ExtensionKind]) -> TypeAdapter:
     return TypeAdapter(kind)
-
-
-def shapes_in_world(kind: obstacle_kind.ObstacleKind) -> tuple["Fixture", ...]:
-    """Return the shapes of an obstacle at their poses in the world; () if its kind defines none.
-
-    Raises:
-        InputError: If a shape is not one of MuJoCo's primitives. The message names the kind.
-    """
-    from htcp_jax.model import Fixture, fixture  # here, as they import JAX
-
-    found = []
-    for shape in with_arrays(kind).shapes():
-        wanted = fixture.PRIMITIVES.get(shape.type)
-        size = tuple(float(value) for value in np.ravel(shape.size_m))
-        if wanted is None or len(size) != wanted:
-            valid = ", ".join(f"{name} with {count} sizes" for name, count in fixture.PRIMITIVES.items())
-            raise InputError(f"{kind.name}: a shape of type {shape.type!r} has {len(size)} sizes; valid: {valid}")
-        T = tool.pose(_triple(shape.position_m), _triple(shape.rpy_rad))
-        found.append(Fixture(kind.name, shape.type, T, np.array([*size, 0.0, 0.0, 0.0])[:3], np.empty((0, 3, 3))))
-    return tuple(found)
-
-
-def _triple(values: Sequence[float]) -> Triple:
-    return tuple(float(value) for value in np.ravel(values))

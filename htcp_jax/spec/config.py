@@ -21,17 +21,26 @@ from pydantic import (
     model_validator,
 )
 
-from htcp_jax.clearance.obstacles import obstacle_kind
 from htcp_jax.errors import InputError
-from htcp_jax.io import strict_model
-from htcp_jax.io.parts import CHOSEN_ANGLES, LengthUnit, Maker
-from htcp_jax.io.robots import LIMITS_FILE, is_limits_file, model_source
-from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD
-from htcp_jax.jobs.feed import feed_of
-from htcp_jax.jobs.given_kinds import given_kind_of, needs_kind, record_of
-from htcp_jax.model import TaskRow, Tool, duct, task_row_kind
-from htcp_jax.registry import NAME
+from htcp_jax.model import TaskRow, task_row_kind
 from htcp_jax.settings import Settings
+from htcp_jax.spec import model_source, obstacle_kind, strict_model
+from htcp_jax.spec.choices import (
+    CHOSEN_ANGLES,
+    GP50,
+    INTERIOR_DEPTH_M,
+    LIMITS_FILE,
+    NEUTRAL_TRANSLATION,
+    PIVOT,
+    LengthUnit,
+    Maker,
+    is_limits_file,
+)
+from htcp_jax.spec.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD
+from htcp_jax.spec.feed import feed_of
+from htcp_jax.spec.given_kinds import given_kind_of, needs_kind, record_of
+from htcp_jax.spec.registry import NAME
+from htcp_jax.spec.tool import Tool
 
 FARTHEST = 1e9  # maximum coordinate in a file [m]
 LARGEST = 1e6  # maximum length [m] and joint position; rounding errors of larger values exceed the tolerance
@@ -180,9 +189,7 @@ class RobotConfig(strict_model.FileSection):
     @property
     def file(self) -> Path:
         """Path of the arm's model file; for the built-in arm, the shipped one."""
-        from htcp_jax.model import robot as robots  # here, as it imports JAX
-
-        return robots.GP50 if self.is_gp50 else Path(self.model)
+        return GP50 if self.is_gp50 else Path(self.model)
 
 
 class ModelConfig(strict_model.FileSection):
@@ -248,13 +255,13 @@ class WorkpieceConfig(strict_model.FileSection):
     origin_m: FilePointM | None = None  # point subtracted from cloud, path and inlet; None: see `load_workpiece`
     inlet_m: FilePointM | None = None  # centre of the inlet; None: the duct's inlet, or no inlet for another cloud
     interior: Literal["hull", "none"] = "hull"  # convex hull, or no boundary, deeper than interior_depth_m
-    interior_depth_m: float = Field(duct.INTERIOR_DEPTH_M, ge=0, le=LARGEST)
+    interior_depth_m: float = Field(INTERIOR_DEPTH_M, ge=0, le=LARGEST)
     inlet_direction: PointM | Literal["world-x"] | None = "world-x"  # direction into the part; see `InletDirection`
     mesh_spacing_m: Annotated[float, Field(ge=1e-5, le=LARGEST)] | None = None  # maximum gap of the points on a mesh
     # length of the bare tip, from the TCP, that may touch walls [m]; None: the complete tip
     tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None
-    pivot_m: PointM = duct.PIVOT  # world point about which the workpiece is rotated
-    neutral_translation_m: PointM = duct.NEUTRAL_TRANSLATION  # translation before the rotations
+    pivot_m: PointM = PIVOT  # world point about which the workpiece is rotated
+    neutral_translation_m: PointM = NEUTRAL_TRANSLATION  # translation before the rotations
     rotation_x_rad: float = 0.0  # rotation about world x, applied first, then y, then z
     rotation_y_rad: float = 0.4
     rotation_z_rad: float = 0.1

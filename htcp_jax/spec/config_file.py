@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import parts, strict_yaml
-from htcp_jax.jobs.examples import example_or_path
+from htcp_jax.spec import strict_yaml
+from htcp_jax.spec.choices import SEAMS
+from htcp_jax.spec.examples import example_or_path
 
 BASE = "config"  # key that names the base file
 BUILT_IN_ARM, DUCT, NO_CLOUD = "gp50", "duct", "none"  # values of a job's keys that are not file names
@@ -23,7 +24,7 @@ FILES = {
     ("robot", "model"): (BUILT_IN_ARM,),
     ("robot", "limits"): LIMIT_PROFILES,
     ("workpiece", "cloud"): (DUCT, NO_CLOUD),
-    ("workpiece", "path"): parts.SEAMS,
+    ("workpiece", "path"): SEAMS,
     ("cell", "model"): (None,),
     ("positioner", "model"): (None,),
     ("rail", "model"): (None,),

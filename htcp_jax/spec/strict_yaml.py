@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import yaml
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import opened
+from htcp_jax.system import opened
 
 LARGEST_FILE = 2 * 2**20  # [bytes]; PyYAML reads about 150 kB per second
 DEEPEST = 50

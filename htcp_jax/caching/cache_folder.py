@@ -22,8 +22,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from htcp_jax.errors import InputError
-from htcp_jax.process_exit import PART
-from htcp_jax.unfinished import NO_LINK, READ, clear, lock_file
+from htcp_jax.system import NO_LINK, PART, READ, clear, lock_file
 
 try:
     import fcntl

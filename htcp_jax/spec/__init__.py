@@ -1,0 +1,16 @@
+"""What people write, as data: jobs, cells, tools, kinds of obstacles and of task rows.
+
+Neither JAX nor MuJoCo is loaded.
+
+`PlanConfig` is a job; `config` has its sections, and `config_file` merges base files and overrides. `examples` are the
+jobs that ship with the package. `choices` has choices and defaults that readers of files share. `strict_yaml` and
+`strict_model` read YAML and refuse what a model does not have. `ModelSource` names the models that form a robot, `Tool`
+is a mounted tool, and `feed` parses feed rates.
+
+`Registry` finds extensions of other packages by name; `ObstacleKind` is the base class of their obstacles. `kinds`
+splits their instances into numbers and templates; `given_kinds` reads them from a job.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,48 @@
+from . import files, lock, output_files, process_exit, unfinished
+from .files import (
+    LARGEST,
+    known_ending,
+    note_missing_line_end,
+    one_line,
+    open_named,
+    opened,
+    quiet,
+    read_bytes,
+    read_inside,
+    read_tail,
+)
+from .lock import SignalReceived, locked, signals
+from .process_exit import INTERRUPTED, PART, is_watched, run, signals_blocked, stop_message
+from .unfinished import NO_LINK, READ, clear, lock_file, temporary_folder
+
+__all__ = [
+    "unfinished",
+    "process_exit",
+    "INTERRUPTED",
+    "LARGEST",
+    "NO_LINK",
+    "PART",
+    "READ",
+    "SignalReceived",
+    "clear",
+    "files",
+    "is_watched",
+    "known_ending",
+    "lock",
+    "lock_file",
+    "locked",
+    "note_missing_line_end",
+    "one_line",
+    "open_named",
+    "opened",
+    "output_files",
+    "quiet",
+    "read_bytes",
+    "read_inside",
+    "read_tail",
+    "run",
+    "signals",
+    "signals_blocked",
+    "stop_message",
+    "temporary_folder",
+]
