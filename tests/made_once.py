@@ -17,6 +17,7 @@ from htcp_jax.device.lane_function import LaneFunction
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
+from htcp_jax.model.duct import section
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.scenario import make_scenario
 
@@ -41,6 +42,14 @@ def robot() -> Robot:
 def duct() -> Workpiece:
     """Generated duct."""
     return load_workpiece()
+
+
+def section_value(points: np.ndarray) -> np.ndarray:
+    """|y/a|^n + |(z - zc)/b|^n - 1 of the duct at points (P, 3): 0 on its surface, negative in the bore."""
+    x, y, z = points.T
+    at = section(x)
+    b, n = at.half(z >= at.zc)
+    return np.abs(y / at.a) ** n + np.abs((z - at.zc) / b) ** n - 1.0
 
 
 @cache

@@ -16,8 +16,6 @@ from .process_exit import INTERRUPTED, PART, is_watched, run, signals_blocked, s
 from .unfinished import NO_LINK, READ, clear, lock_file, temporary_folder
 
 __all__ = [
-    "unfinished",
-    "process_exit",
     "INTERRUPTED",
     "LARGEST",
     "NO_LINK",
@@ -36,6 +34,7 @@ __all__ = [
     "open_named",
     "opened",
     "output_files",
+    "process_exit",
     "quiet",
     "read_bytes",
     "read_inside",
@@ -45,4 +44,5 @@ __all__ = [
     "signals_blocked",
     "stop_message",
     "temporary_folder",
+    "unfinished",
 ]
