@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
+from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance, SweptCapsules
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import product
 from htcp_jax.types import Bool, Float, Joints, Pose, Scalar
@@ -159,40 +159,17 @@ class Obstacle:
         return self.contacts(robot, where, bodies).distance
 
     def clear_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        sweep: BodySweep,
-        requested: Bool[jax.Array, "K"],
-        wanted: RequiredClearance,
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, sweep: BodySweep, wanted: RequiredClearance
     ) -> Float[jax.Array, "K"]:
-        """Return a lower bound on the clearance of each body in `requested` along the sweep [m].
+        """Return a lower bound on the clearance of each body in `wanted.requested` along the sweep [m].
 
         The bound is tighter than distance minus travel. If any body has less than `wanted.least`, the values of the
         other bodies are arbitrary. Only for kinds with `per_body`.
         """
         raise NotImplementedError
 
-    def surely_touches(
-        self,
-        where: HasWorkpiecePose,
-        margin_m: Scalar,
-        p: Float[jax.Array, "n 3"],
-        q: Float[jax.Array, "n 3"],
-        radius: Float[jax.Array, "n"],
-        moves: Float[jax.Array, "n"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if any of n capsules certainly has less clearance than a margin; False if this is not known.
-
-        Args:
-            where: A scenario, or another `HasWorkpiecePose`.
-            margin_m: The margin [m].
-            p: First ends of the capsules' axes, world [m].
-            q: Second ends, world [m].
-            radius: Radii of the capsules [m].
-            moves: Largest displacement of any point of each capsule [m].
-        """
+    def surely_touches(self, where: HasWorkpiecePose, bodies: SweptCapsules) -> Bool[jax.Array, ""]:
+        """Return True if a body certainly has less clearance than the margin of `where`; False if this is not known."""
         return jnp.zeros((), bool)
 
     def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:

@@ -67,16 +67,10 @@ class PlacedCloud(Obstacle):
         return self.cloud.free_radius(*self._seen(robot, where, bodies))
 
     def clear_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        sweep: BodySweep,
-        requested: Bool[jax.Array, "K"],
-        wanted: RequiredClearance,
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, sweep: BodySweep, wanted: RequiredClearance
     ) -> Float[jax.Array, "K"]:
         """Return lower bounds on the clearance along the sweep [m], to second order."""
-        return self.cloud.clear_along(*self._seen(robot, where, bodies), sweep, requested, wanted)
+        return self.cloud.clear_along(*self._seen(robot, where, bodies), sweep, wanted)
 
     @property
     def names(self) -> tuple[str]:
