@@ -18,10 +18,9 @@ import numpy as np
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
 from htcp_jax.caching import cache_folder
-from htcp_jax.clearance import Obstacles, clearance
+from htcp_jax.clearance import Obstacles, clearance, is_clear
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.obstacles.linearisation import linearise
-from htcp_jax.clearance.obstacles.obstacles import all_clear
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
@@ -98,7 +97,7 @@ def _brute_force(robot, obstacle: Obstacles, where, x):
 
 def _path(robot, obstacle: Obstacles, where, x):
     steps = x[None, :] + jnp.linspace(0.0, 0.01, 19)[:, None]
-    return all_clear(robot, obstacle, where, steps)
+    return jnp.all(jax.vmap(lambda step: is_clear(robot, obstacle, where, step))(steps))
 
 
 def _time(function, x: np.ndarray, repeats: int = 5) -> float:

@@ -102,7 +102,7 @@ def kinds():
     yield {kind.name: kind for kind in (*found, *rows)}
     for registry, own in ((OBSTACLES, found), (TASK_ROWS, rows)):
         for kind in own:
-            registry.unregister(kind.name)
+            registry._own.pop(kind.name)
 
 
 BALL = {"kind": "ball", "centre_m": [0.9, 0.2, 0.9], "radius_m": 0.1}

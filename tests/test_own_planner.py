@@ -176,7 +176,7 @@ class Empty(Standstill):
 @pytest.fixture
 def standstill():
     yield htcp_jax.register(Standstill())
-    registry.METHODS.unregister("standstill")
+    registry.METHODS._own.pop("standstill")
 
 
 def test_a_method_of_this_process_plans_and_is_listed(standstill, tmp_path):
@@ -221,7 +221,7 @@ def test_a_run_is_not_continued_by_a_method_whose_code_has_changed(tmp_path, mon
             htcp_jax.sweep(grid, "changing", config=job, out=tmp_path / "run")
         htcp_jax.sweep(grid, "baseline", config=job, out=tmp_path / "run")  # one that ships may be added
     finally:
-        registry.METHODS.unregister(method.name)
+        registry.METHODS._own.pop(method.name)
 
 
 @pytest.mark.parametrize(

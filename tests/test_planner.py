@@ -16,7 +16,7 @@ from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.scenario import make_scenario
 from htcp_jax.motion import Problem
 from htcp_jax.motion.start_check import check_start, start_contact
-from htcp_jax.motion.step_functions import ADVANCE, ADVANCE_SMALLEST, PATH_CLEAR, PREPARE
+from htcp_jax.motion.step_functions import ADVANCE, ADVANCE_SMALLEST, CLEAR, PREPARE
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.methods import find
 from htcp_jax.planning.registry import names
@@ -147,8 +147,8 @@ def test_on_a_cpu_a_kernel_is_one_native_function():
     fail, and everything would take twice the time.
     """
     planned("nspace-sqp")
-    programs = EXECUTABLES.executables_of(PREPARE, ADVANCE, ADVANCE_SMALLEST, PATH_CLEAR, ENTER)
-    assert {lane_function.name for lane_function, _ in programs} >= {"prepare", "advance", "check_path", "enter"}
+    programs = made_once.compiled_from(EXECUTABLES, PREPARE, ADVANCE, ADVANCE_SMALLEST, CLEAR, ENTER)
+    assert {lane_function.name for lane_function, _ in programs} >= {"prepare", "advance", "is_clear", "enter"}
     for lane_function, program in programs:
         assert " while(" not in program.as_text().partition("\nENTRY ")[2], lane_function.name
 

@@ -213,7 +213,7 @@ def test_the_command_says_how_to_go_on_after_a_signal(small, capsys):
     try:
         assert main(["sweep", "grid.yaml", "--methods", "stopped", "--shard", "1", "--out", "run"]) == 143
     finally:
-        registry.METHODS.unregister("stopped")
+        registry.METHODS._own.pop("stopped")
     reported = "htcp: stopped; 1 of 3 shards are finished in run; run the same command to resume\n"
     assert capsys.readouterr().err == reported
 

@@ -13,7 +13,6 @@ from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import PathFrames
-from htcp_jax.model.duct import section_value
 from htcp_jax.model.goals import task_of
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.model.path_frames import tangents, wall_normals
@@ -148,9 +147,11 @@ def test_what_cannot_be_is_named_before_planning(rows, message):
 def test_the_wall_normals_of_the_duct_are_those_of_its_sections_and_point_into_its_bore():
     duct = made_once.duct()
     found, path = wall_normals(duct.cloud, duct.path), duct.path
-    inside = section_value(path[5:-8] + 0.02 * found[5:-8])  # the duct ends at the path's ends
-    assert (inside < section_value(path[5:-8])).all() and (inside < 0).all()
-    slope = np.stack([section_value(path + d) - section_value(path - d) for d in 1e-5 * np.eye(3)], axis=1)
+    inside = made_once.section_value(path[5:-8] + 0.02 * found[5:-8])  # the duct ends at the path's ends
+    assert (inside < made_once.section_value(path[5:-8])).all() and (inside < 0).all()
+    slope = np.stack(
+        [made_once.section_value(path + d) - made_once.section_value(path - d) for d in 1e-5 * np.eye(3)], axis=1
+    )
     across = -slope / np.linalg.norm(slope, axis=1, keepdims=True)
     assert np.degrees(np.arccos((across * found).sum(axis=1)[5:-8])).max() < 6
 

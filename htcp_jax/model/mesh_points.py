@@ -182,11 +182,6 @@ def area(triangles: Triangles) -> Float[np.ndarray, "F"]:
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
-def covering_radius(triangles: Triangles) -> Float[np.ndarray, "F"]:
-    """Return the exact covering radius of each triangle by its own corners [m]; see the module's docstring."""
-    return _covering_radius(_longest_edge_first(np.moveaxis(triangles, 0, 2)))
-
-
 def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
     """Return each triangle's covering radius [m]. The longest edge is from b to c, so the largest angle is at a."""
     b, c, a = corners

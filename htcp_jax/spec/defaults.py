@@ -1,4 +1,4 @@
-"""Defaults that follow from other keys of the same job, without opening a file."""
+"""Defaults that depend on a job's arm or part; `jobs.resolve` adds those that depend on the arm's file."""
 
 import math
 from typing import Any

@@ -57,16 +57,6 @@ class Registry:
         self._own[value.name] = value
         return value
 
-    def unregister(self, name: str) -> None:
-        """Remove an extension that was registered in this process.
-
-        Raises:
-            InputError: For a name that is not registered in this process.
-        """
-        if name not in self._own:
-            raise InputError(f"{name!r} is not registered in this process")
-        del self._own[name]
-
     def names(self) -> tuple[str, ...]:
         """Return the names of all extensions: built-in ones, then those of packages, then those of this process."""
         return tuple(dict.fromkeys((*self._built_in, *self._entry_points, *self._own)))
