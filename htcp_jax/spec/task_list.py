@@ -274,4 +274,4 @@ def _row_fault(kind: Any) -> str:
     return kind_fault(kind, TaskRowKind, ["features"]) or kind_fault(kind, TaskRowKind, ["error", "slack"])
 
 
-TASK_ROWS = Registry("htcp_jax.task_rows", "kind of task row", _row_fault, lambda: BUILT_IN)
+TASK_ROWS = Registry("htcp_jax.task_rows", "kind of task row", _row_fault, BUILT_IN)
