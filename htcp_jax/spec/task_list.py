@@ -244,8 +244,8 @@ BUILT_IN: dict[str, type[BuiltInRow]] = {row.name: row for row in (PointRow, Axi
 RECORD = {key.name: None if key.default is MISSING else key.default for row in BUILT_IN.values() for key in fields(row)}
 
 
-def built_in_row(raw: Mapping[str, Any]) -> tuple[type[BuiltInRow], dict[str, Any]]:
-    """Return the class of a row written without `kind`, and its keys.
+def built_in_class(raw: Mapping[str, Any]) -> tuple[type[BuiltInRow], dict[str, Any]]:
+    """Return the class of a row that is written without `kind`, and the keys of this class.
 
     Args:
         raw: The row; keys of other classes may have their defaults, as in records.
