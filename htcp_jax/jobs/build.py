@@ -38,19 +38,6 @@ from htcp_jax.spec import (
 NO_CELL = CellConfig()
 
 
-def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
-    """Build the robot, the workpiece and the scenario of a job."""
-    robot = robot_of(job.robot, job.cell, job.tree)
-    workpiece = workpiece_of(job.workpiece, robot)
-    return robot, workpiece, scenario_of(job, robot, workpiece)
-
-
-def task_of_job(job: PlanConfig, robot: Robot) -> Task:
-    """Build the task of a job: the constraints on the tool at each point of the path."""
-    with _rows_by_key():
-        return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
-
-
 @contextmanager
 def _rows_by_key() -> Iterator[None]:
     """Name a task's rows by their keys in the job, such as task.2, in errors."""
@@ -58,6 +45,19 @@ def _rows_by_key() -> Iterator[None]:
         yield
     except goals.RowError as error:
         raise InputError(error.message("task.")) from None
+
+
+def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
+    """Build the robot, the workpiece and the scenario of a job."""
+    robot = robot_of(job.robot, job.cell, job.tree)
+    workpiece = workpiece_of(job.workpiece, robot)
+    return robot, workpiece, scenario_of(job, robot, workpiece)
+
+
+@_rows_by_key()
+def task_of_job(job: PlanConfig, robot: Robot) -> Task:
+    """Build the task of a job: the constraints on the tool at each point of the path."""
+    return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
 def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.ComposedModel | None = None) -> Robot:
@@ -159,6 +159,7 @@ def path_file(part: WorkpieceConfig) -> str | None:
     return None if is_seam else part.path
 
 
+@_rows_by_key()
 def scenario_of(
     job: PlanConfig,
     robot: Robot,
@@ -196,10 +197,9 @@ def scenario_of(
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    with _rows_by_key():
-        scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
-        if beyond_reach == "raise":
-            goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
+    scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
+    if beyond_reach == "raise":
+        goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
     return scenario
 
 
