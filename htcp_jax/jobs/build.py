@@ -39,6 +39,15 @@ from htcp_jax.spec import (
 NO_CELL = CellConfig()
 
 
+@contextmanager
+def _rows_by_key() -> Iterator[None]:
+    """Name a task's rows by their keys in the job, such as task.2, in errors."""
+    try:
+        yield
+    except goals.RowError as error:
+        raise InputError(error.message("task.")) from None
+
+
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     """Build the robot, the workpiece and the scenario of a job."""
     return resolved_scene(job)[1:]
@@ -57,19 +66,10 @@ def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[
     return job, robot, workpiece, scenario_of(job, robot, workpiece)
 
 
+@_rows_by_key()
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:
     """Build the task of a job: the constraints on the tool at each point of the path."""
-    with _rows_by_key():
-        return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
-
-
-@contextmanager
-def _rows_by_key() -> Iterator[None]:
-    """Name a task's rows by their keys in the job, such as task.2, in errors."""
-    try:
-        yield
-    except goals.RowError as error:
-        raise InputError(error.message("task.")) from None
+    return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
 def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.ComposedModel | None = None) -> Robot:
@@ -171,6 +171,7 @@ def path_file(part: WorkpieceConfig) -> str | None:
     return None if is_seam else part.path
 
 
+@_rows_by_key()
 def scenario_of(
     job: PlanConfig,
     robot: Robot,
@@ -208,10 +209,9 @@ def scenario_of(
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    with _rows_by_key():
-        scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
-        if beyond_reach == "raise":
-            goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
+    scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
+    if beyond_reach == "raise":
+        goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
     return scenario
 
 
