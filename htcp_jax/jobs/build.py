@@ -42,19 +42,30 @@ def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     return resolved_scene(job)[1:]
 
 
-def resolved_scene(
-    job: PlanConfig, source: str = "the configuration"
-) -> tuple[PlanConfig, Robot, Workpiece, Scenario]:
+def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[PlanConfig, Robot, Workpiece, Scenario]:
     """Resolve a job, and build its robot, workpiece and scenario.
 
     Args:
         job: The job.
         source: Name of the job, for messages.
     """
-    robot = robot_of(job.robot, job.cell, job.tree)
-    job = resolve(job, robot, source)
+    job, robot = with_robot(job, source)
     workpiece = workpiece_of(job.workpiece, robot)
     return job, robot, workpiece, scenario_of(job, robot, workpiece)
+
+
+def with_robot(job: PlanConfig, source: str) -> tuple[PlanConfig, Robot]:
+    """Load the robot of a job, and return the resolved job and the robot.
+
+    Args:
+        job: The job.
+        source: Name of the job, for messages.
+
+    Raises:
+        InputError: See `robot_of` and `resolve`.
+    """
+    robot = robot_of(job.robot, job.cell, job.tree)
+    return resolve(job, robot, source), robot
 
 
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:

@@ -32,13 +32,14 @@ from htcp_jax.jobs.build import (
     scenario_of,
     task_of_job,
     walls_key,
+    with_robot,
     workpiece_key,
     workpiece_of,
 )
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, ScenarioPoint, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import load_config, read_config, source_of
-from htcp_jax.jobs.resolve import check_start, resolve
+from htcp_jax.jobs.resolve import check_start
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
@@ -194,9 +195,7 @@ def load_sweep(
     first = _first_values(raw, grids, path.parent)
     for key, value in first.items():
         put_key(raw, key, value)
-    base: PlanConfig = strict_model.validate_model(raw, PlanConfig, source)
-    robot = robot_of(base.robot, base.cell, base.tree)
-    base = resolve(base, robot, source)
+    base, robot = with_robot(strict_model.validate_model(raw, PlanConfig, source), source)
     groups = []
     for name, axes in grids.items():
         where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
@@ -228,10 +227,9 @@ def load_sweep_or_job(
         return load_sweep(spec, config, overrides)
     if config is not None:
         raise InputError(f"{path} is a job; omit config (--config), which replaces the job of a sweep")
-    job = load_config(spec, overrides)
+    job, robot = with_robot(load_config(spec, overrides), source_of(spec))
     name = "job" if isinstance(spec, Mapping) else path.stem
-    robot = robot_of(job.robot, job.cell, job.tree)
-    return Sweep(name, resolve(job, robot, source_of(spec)), robot, (Group(None, ()),), frozenset(), alone=True)
+    return Sweep(name, job, robot, (Group(None, ()),), frozenset(), alone=True)
 
 
 def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder: Path) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Schema of a job file: the sections, their keys, and the default job.
 
-`load_config` makes a PlanConfig. Some defaults below are for the built-in arm (GP50) and the generated duct; for another
-robot or another part, those of the module `defaults` replace them.
+`load_config` makes a PlanConfig. Some defaults below are for the built-in arm (GP50) and the generated duct; the module
+`defaults` has those for another robot or another part.
 """
 
 import math

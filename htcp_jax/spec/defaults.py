@@ -1,4 +1,4 @@
-"""Defaults of a job's keys that depend on its arm or its part; `jobs.resolve` adds those that depend on the arm's file."""
+"""Defaults of a job's keys that depend on its arm or its part; `jobs.resolve` adds those that depend on its robot."""
 
 import math
 from typing import Any
@@ -7,18 +7,6 @@ from htcp_jax.spec.config_file import FILES, NO_CLOUD
 from htcp_jax.spec.model_source import KEYS, WORLD
 
 TIP_CONTACT_M = 0.01  # default of workpiece.tip_contact_m for a user-supplied part
-SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of the keys in DEPENDENT
-DEPENDENT = (
-    "robot.limits",
-    "settings.q_weights",
-    "workpiece.rotation_y_rad",
-    "workpiece.rotation_z_rad",
-    "workpiece.neutral_translation_m",
-    "workpiece.pivot_m",
-    "workpiece.inlet_direction",
-    "workpiece.tip_contact_m",
-    "cell.self_collision",
-)
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
@@ -88,3 +76,9 @@ def is_other_arm(raw: dict) -> bool:
 def _is_point(value: Any) -> bool:
     numbers = value if isinstance(value, list | tuple) else ()
     return len(numbers) == 3 and all(type(n) in (int, float) and math.isfinite(n) for n in numbers)
+
+
+# Keys whose values in a sweep determine the defaults of the keys in DEPENDENT, and of the start.
+SOURCES = "robot.model", "workpiece.cloud", "workpiece.neutral_translation_m"
+_OWN = own_defaults({"robot": {"model": "own"}, "workpiece": {"cloud": "own"}})
+DEPENDENT = keys_of(_OWN) - _OWN.keys()
