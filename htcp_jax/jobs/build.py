@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles
-from htcp_jax.clearance.obstacles import given_obstacle, of_cell, self_collision
+from htcp_jax.clearance.obstacles import PlacedCloud, given_obstacle, make_fixtures, placed_cloud, self_collision
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
@@ -271,7 +271,7 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
     own = self_collision.self_collision(robot) if cell.self_collision else None
     given = given_obstacle.given_obstacles(cell.obstacles)
     return (
-        *of_cell.make_fixtures(robot, standing.shapes, standing.excluded),
+        *make_fixtures(robot, standing.shapes, standing.excluded),
         *clouds,
         *given,
         *(() if own is None else (own,)),
@@ -280,12 +280,12 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
 
 def _cell_cloud(
     cloud: CloudConfig, T: Float[np.ndarray, "4 4"], standing: cell_shapes.StandingCell, robot: Robot
-) -> of_cell.PlacedCloud:
+) -> PlacedCloud:
     """Return a cloud or mesh of the cell, at its pose T in the world [m]."""
     found, name = parts.load_geometry(cloud.cloud, cloud.unit), cell_shapes.name_of(cloud)
     parts.check_cell_extent(robot, found.points, name, "cell.clouds has the key unit")
     excluded = standing.excluded.get(name, ())
-    return of_cell.placed_cloud(robot, *found, T, source=cloud.cloud, name=name, excluded=excluded)
+    return placed_cloud(robot, *found, T, source=cloud.cloud, name=name, excluded=excluded)
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}

@@ -2,19 +2,21 @@ from . import (
     contact_model,
     given_obstacle,
     linearisation,
-    of_cell,
     of_workpiece,
     self_collision,
     self_exclusions,
     tip_guard,
 )
+from .of_cell import PlacedCloud, make_fixtures, placed_cloud
 
 __all__ = [
+    "PlacedCloud",
     "contact_model",
     "given_obstacle",
     "linearisation",
-    "of_cell",
+    "make_fixtures",
     "of_workpiece",
+    "placed_cloud",
     "self_collision",
     "self_exclusions",
     "tip_guard",

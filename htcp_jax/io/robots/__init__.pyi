@@ -1,4 +1,5 @@
-from . import attached, capsule_fit, close_fit, composed, mjcf, model_file, safe_xml
+from . import capsule_fit, close_fit, composed, mjcf, model_file, safe_xml
+from .attached import AttachedBody, attach
 from .joint_limits import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot, part_moves
@@ -7,10 +8,11 @@ from .vendor_import import ImportedArm, body_name, chain_text, import_robot
 __all__ = [
     "LIMIT_ROUNDING",
     "RATES",
+    "AttachedBody",
     "ImportedArm",
     "JointLimits",
     "LinkMeshes",
-    "attached",
+    "attach",
     "body_name",
     "capsule_fit",
     "chain_text",
