@@ -16,6 +16,7 @@ import itertools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,7 +47,6 @@ from htcp_jax.settings import Settings
 from htcp_jax.spec import (
     DEPENDENT,
     PlanConfig,
-    WorkpieceConfig,
     example_or_path,
     is_other_arm,
     keys_of,
@@ -135,8 +135,9 @@ class Sweep:
                 names the scenario.
         """
         points = self.points(limit)
-        arms = {robot_key(self.config): self.robot}
-        parts: dict[tuple[tuple, WorkpieceConfig], Workpiece] = {}
+        shared = robot_key(self.config)
+        robots = cache(lambda *key: self.robot if key == shared else robot_of(*key))
+        workpieces = cache(lambda part, *key: workpiece_of(part, robots(*key)))
         obstacles: dict[tuple[tuple, tuple], Obstacles] = {}
         follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # argument of `scenario_of`, by what determines it
         cells: dict[tuple, tuple[int, PlannerInputs]] = {}
@@ -144,19 +145,17 @@ class Sweep:
         for point in points:
             arm, part, settings = robot_key(point.config), workpiece_key(point.config), point.config.settings
             where = f"{self.name}: scenario {point.number}"
-            if arm not in arms:
-                arms[arm] = _like(self.robot, robot_of(*arm), where)
-            check_start(point.config, arms[arm], where)
-            if (arm, part) not in parts:
-                parts[arm, part] = workpiece_of(part, arms[arm])
-            task, surroundings = _task(point, arms[arm]), obstacles_key(point.config.cell)
+            robot = _like(self.robot, robots(*arm), where)
+            check_start(point.config, robot, where)
+            workpiece = workpieces(part, *arm)
+            task, surroundings = _task(point, robot), obstacles_key(point.config.cell)
             if (arm, surroundings) not in obstacles:
-                obstacles[arm, surroundings] = obstacles_of(point.config.cell, arms[arm])
-            own = len(cells), PlannerInputs(arms[arm], parts[arm, part], settings, task, obstacles[arm, surroundings])
+                obstacles[arm, surroundings] = obstacles_of(point.config.cell, robot)
+            own = len(cells), PlannerInputs(robot, workpiece, settings, task, obstacles[arm, surroundings])
             whose.append(cells.setdefault((arm, walls_key(part), settings, task, surroundings), own)[0])
             begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
             number = 0 if self.alone else point.number
-            scenarios.append(_scenario(point, arms[arm], parts[arm, part], follows.get(begins), number))
+            scenarios.append(_scenario(point, robot, workpiece, follows.get(begins), number))
             follows[begins] = scenarios[-1].targets[0]
             _check_alike(point, task, next(iter(cells.values()))[1].task)
             _check_obstacles(point, scenarios[-1], scenarios[0])

@@ -198,12 +198,8 @@ def _own_copy(raw: dict, parameter: AxisParameter) -> dict:
             raise InputError(f"{parameter.name}: robot.locked has no joint {key}; valid: {', '.join(owner) or 'none'}")
         return owner
     if key not in owner or (parameter.key not in KEYS and strict_model.KIND not in owner):
-        valid = (
-            ", ".join(name for name in owner if name != strict_model.KIND)
-            if strict_model.KIND in owner
-            else ", ".join(OF_A_ROW)
-        )
-        raise InputError(f"{parameter.name}: {section} has no key {key} that can vary; valid: {valid}")
+        valid = [name for name in owner if name != strict_model.KIND] if strict_model.KIND in owner else OF_A_ROW
+        raise InputError(f"{parameter.name}: {section} has no key {key} that can vary; valid: {', '.join(valid)}")
     return owner
 
 

@@ -7,12 +7,14 @@ from . import (
     self_exclusions,
     tip_guard,
 )
+from .given_obstacle import given_obstacles
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
 
 __all__ = [
     "PlacedCloud",
     "contact_model",
     "given_obstacle",
+    "given_obstacles",
     "linearisation",
     "make_fixtures",
     "of_workpiece",
