@@ -64,8 +64,8 @@ def with_robot(job: PlanConfig, source: str) -> tuple[PlanConfig, Robot]:
     Raises:
         InputError: See `robot_of` and `resolve`.
     """
-    robot = robot_of(job.robot, job.cell, job.tree)
-    return resolve(job, robot, source), robot
+    robot = _bare_robot(job.robot, job.tree)
+    return resolve(job, robot, source), _in_cell(robot, job.robot, job.cell)
 
 
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:
@@ -85,6 +85,11 @@ def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.Co
         InputError: See `load_robot` and `with_carried`; also if the part does not move and the tool seems not to be in
             metres, see `check_tool`.
     """
+    return _in_cell(_bare_robot(arm, tree), arm, cell)
+
+
+def _bare_robot(arm: RobotConfig, tree: model_source.ComposedModel | None) -> Robot:
+    """Load the robot without the cell's fixtures, of which it may carry some."""
     source = tree or arm.file
     robot = load_robot(
         source,
@@ -95,12 +100,17 @@ def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.Co
         locked=dict(arm.locked),
     )
     if arm.bodies == "capsules":
-        robot = replace(robot, pieces=None)
-    elif arm.bodies == "meshes" and robot.pieces is None:
+        return replace(robot, pieces=None)
+    if arm.bodies == "meshes" and robot.pieces is None:
         raise InputError(
             f"robot.bodies: {arm.model} has no convex pieces of meshes; "
             "set robot.bodies to capsules, or use a model file written by htcp robot"
         )
+    return robot
+
+
+def _in_cell(robot: Robot, arm: RobotConfig, cell: CellConfig) -> Robot:
+    """Return the robot with the fixtures of the cell that its links carry, after a check of its tool."""
     if not robot.part_moves:  # if the part moves, the TCP may be anywhere in the world
         parts.check_tool(robot, arm.tool_extension_m)
     return cell_shapes.with_carried(robot, cell)

@@ -68,9 +68,9 @@ def is_other(raw: dict, key: str) -> bool:
 
 def is_other_arm(raw: dict) -> bool:
     """Return False if the robot is the GP50 without a positioner, rail or tool model; otherwise True."""
-    models = [value_at(raw, f"{key}.model") for key in KEYS[1:]]
+    models = (value_at(raw, f"{key}.model") for key in KEYS[1:])
     parents = value_at(raw, "robot.parent") not in (None, WORLD), value_at(raw, "workpiece.parent") is not None
-    return is_other(raw, "robot.model") or any(model is not None for model in models) or any(parents)
+    return is_other(raw, "robot.model") or any(models) or any(parents)
 
 
 def _is_point(value: Any) -> bool:
