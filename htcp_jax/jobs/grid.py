@@ -14,7 +14,8 @@ concatenated. A scenario's number is its index in the complete grid. It determin
 
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -148,17 +149,20 @@ class Sweep:
             robot = _like(self.robot, robots(*arm), where)
             check_start(point.config, robot, where)
             workpiece = workpieces(part, *arm)
-            task, surroundings = _task(point, robot), obstacles_key(point.config.cell)
+            with _naming(point):
+                task = task_of_job(point.config, robot)
+            surroundings = obstacles_key(point.config.cell)
             if (arm, surroundings) not in obstacles:
                 obstacles[arm, surroundings] = obstacles_of(point.config.cell, robot)
             own = len(cells), PlannerInputs(robot, workpiece, settings, task, obstacles[arm, surroundings])
             whose.append(cells.setdefault((arm, walls_key(part), settings, task, surroundings), own)[0])
             begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
             number = 0 if self.alone else point.number
-            scenarios.append(_scenario(point, robot, workpiece, follows.get(begins), number))
-            follows[begins] = scenarios[-1].targets[0]
-            _check_alike(point, task, next(iter(cells.values()))[1].task)
-            _check_obstacles(point, scenarios[-1], scenarios[0])
+            with _naming(point):
+                scenario = scenario_of(point.config, robot, workpiece, number, "record", follows.get(begins))
+                scenarios.append(scenario)
+                _check_alike(task, scenario, next(iter(cells.values()))[1].task, scenarios[0])
+            follows[begins] = scenario.targets[0]
         return Batch(
             tuple(cell for _, cell in cells.values()), np.array(whose, int), scenario_functions.stack(scenarios), points
         )
@@ -203,7 +207,7 @@ def load_sweep(
             raise InputError(f"{where}: {key} varies in another group; it must vary in every group")
     if (size := sum(group.size for group in groups)) > MOST:
         raise InputError(f"{path}: the grid has {size:,} scenarios; at most {MOST:,} are allowed")
-    return Sweep(path.stem, base, robot, tuple(groups), frozenset(stated.intersection((*DEPENDENT, "start_rad"))))
+    return Sweep(path.stem, base, robot, tuple(groups), DEPENDENT & stated)
 
 
 def load_sweep_or_job(
@@ -274,36 +278,25 @@ def _like(first: Robot, robot: Robot, where: str) -> Robot:
     return robot
 
 
-def _task(point: ScenarioPoint, robot: Robot) -> Task:
+@contextmanager
+def _naming(point: ScenarioPoint) -> Iterator[None]:
+    """Put the scenario's number in front of the message of an `InputError`."""
     try:
-        return task_of_job(point.config, robot)
+        yield
     except InputError as error:
         raise InputError(f"scenario {point.number}: {error}") from None
 
 
-def _check_alike(point: ScenarioPoint, task: Task, first: Task) -> None:
-    """Check that goals have as many numbers as those of the first task, as all goals are stacked in one array.
+def _check_alike(task: Task, scenario: Scenario, first_task: Task, first: Scenario) -> None:
+    """Check that goals and obstacles have as many numbers as those of the first scenario, as they are stacked.
 
     Raises:
         InputError: If the numbers differ.
     """
-    if task.numbers != first.numbers:
+    if task.numbers != first_task.numbers:
         raise InputError(
-            f"scenario {point.number}: its task has other kinds of rows than the first scenario's; "
+            "its task has other kinds of rows than the first scenario's; "
             "for example, a row with cone_deg: 0 is not a cone, and a row with an offset from the TCP is not a TCP row"
         )
-
-
-def _check_obstacles(point: ScenarioPoint, scenario: Scenario, first: Scenario) -> None:
-    """Raise InputError if the numeric fields of a scenario's obstacles have another size than the first scenario's."""
     if np.shape(scenario.obstacle_numbers) != np.shape(first.obstacle_numbers):
-        raise InputError(f"scenario {point.number}: its cell.obstacles need as many numbers as the first scenario's")
-
-
-def _scenario(
-    point: ScenarioPoint, robot: Robot, workpiece: Workpiece, follows: Float[np.ndarray, "3"] | None, number: int
-) -> Scenario:
-    try:
-        return scenario_of(point.config, robot, workpiece, number, "record", follows)
-    except InputError as error:
-        raise InputError(f"scenario {point.number}: {error}") from None
+        raise InputError("its cell.obstacles need as many numbers as the first scenario's")

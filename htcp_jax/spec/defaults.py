@@ -78,7 +78,7 @@ def _is_point(value: Any) -> bool:
     return len(numbers) == 3 and all(type(n) in (int, float) and math.isfinite(n) for n in numbers)
 
 
-# Keys whose values in a sweep determine the defaults of the keys in DEPENDENT, and of the start.
+# Keys that determine the defaults of the keys in DEPENDENT, if they vary in a sweep.
 SOURCES = "robot.model", "workpiece.cloud", "workpiece.neutral_translation_m"
 _OWN = own_defaults({"robot": {"model": "own"}, "workpiece": {"cloud": "own"}})
-DEPENDENT = keys_of(_OWN) - _OWN.keys()
+DEPENDENT = frozenset(key for key in keys_of(_OWN) if not isinstance(value_at(_OWN, key), dict))
