@@ -69,10 +69,7 @@ BUILT_IN = (
             NullSpace(lambda problem, seen, key, s: sphere.adam(problem, seen, start_key=_start_key(s, key)), _FIRST),
         ),
     ),
-    StepQPs(
-        *_named("keep-clear"),
-        keep_clear=True,
-    ),
+    StepQPs(*_named("keep-clear"), keep_clear=True),
     StepQPs(
         *_named("hybrid"),
         stages=(
@@ -85,7 +82,5 @@ BUILT_IN = (
         replan_backwards=True,
         check_paths=True,
     ),
-    BeamSearchMethod(
-        *_named("beam"),
-    ),
+    BeamSearchMethod(*_named("beam")),
 )
