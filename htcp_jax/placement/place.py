@@ -107,19 +107,13 @@ def place(
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
     with locked_search(folder, search):
         report = _ProgressReporter(search, progress)
+        sweep = partial(
+            sweeps.sweep, on=on, device=device, threads=threads, progress=report.sweep, targets_in_all=targets
+        )
 
         def plan(grid: grids.Sweep, method: str, into: Path) -> Run:
             report.begin(STAGES[into.relative_to(folder).parts[0]])
-            run = sweeps.sweep(
-                grid,
-                [method],
-                into,
-                on=on,
-                device=device,
-                threads=threads,
-                progress=report.sweep,
-                targets_in_all=targets,
-            )
+            run = sweep(grid, [method], into)
             report.planned(run)
             return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.objective else run
 
