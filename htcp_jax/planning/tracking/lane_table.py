@@ -27,8 +27,8 @@ class LaneTable:
 
     def fill(self) -> bool:
         """Pass some lanes to an idle engine, if there is one, and fill the table; return False if no work is left."""
-        if self._work.wanted:
-            self._leave()
+        if self._work.has_idle_engine:
+            self._share_lanes()
         while not self._top_up():
             lanes = self._work.wait()
             if lanes is None:
@@ -36,21 +36,21 @@ class LaneTable:
             self._queue.append(lanes)
         return True
 
-    def _leave(self) -> None:
+    def _share_lanes(self) -> None:
         """Pass half of a queued block of lanes to an idle engine; if the queue is empty, half of the table's lanes.
 
         Lanes that are planned backwards stay, as this engine has further state of them.
         """
         if self._queue:
             block = self._queue.pop()
-            self._work.leave(tables.gather(block, slice(0, None, 2)))
+            self._work.share(tables.gather(block, slice(0, None, 2)))
             if block.size > 1:
                 self._queue.append(tables.gather(block, slice(1, None, 2)))
         elif self._kept:
             lanes = tables.concatenate(self._kept)
             movable = np.flatnonzero(lanes.phase >= NEW)[1::2]
             if len(movable):
-                self._work.leave(tables.gather(lanes, movable))
+                self._work.share(tables.gather(lanes, movable))
                 self._kept = [tables.gather(lanes, ~np.isin(np.arange(lanes.size), movable))]
 
     def _top_up(self) -> bool:
