@@ -1,6 +1,7 @@
 """Plans prepared for viewing: the same from a run, a folder and memory; failed ones first; minimum clearance."""
 
 import json
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -51,8 +52,8 @@ def test_a_run_a_plan_s_folder_and_a_plan_in_memory_show_the_same(folder, replay
         open_replays(folder / "plan").replay(0, "baseline"),
         replays_of("memory", api.plan(folder / "job.yaml")).replay(0, "baseline"),
     ]
-    for name in ("target", "status", "clearance", "x", "p", "q", "tcp", "cloud"):
-        first, *others = (getattr(replay, name) for replay in replays)
+    for name in ("target", "status", "clearance", "x", "shape.p", "shape.q", "shape.tcp", "cloud"):
+        first, *others = map(attrgetter(name), replays)
         for other in others:
             np.testing.assert_allclose(other, first, atol=1e-12, err_msg=name)
     assert [(replay.tracked, replay.failed, replay.path) for replay in replays] == [(12, 12, 11)] * 3
@@ -104,7 +105,7 @@ def test_failed_scenarios_come_first_and_what_is_not_planned_does_not(tmp_path):
 def test_any_arm_is_shown_with_its_scenario_s_tool(tmp_path):
     replays = by_hand([[LIMIT, NOT, NOT]], tmp_path)
     replay = replays.replay(0, "beam")
-    assert replay.p.shape == (3, 8, 3) and replay.tracked == 0
+    assert replay.shape.p.shape == (3, 8, 3) and replay.tracked == 0
     held = replay.shape.tcp[1:]  # at the failed target the arm is moved there
     # The seven links of 0.3 m stand upright; the TCP is offset 0.05 m and 0.35 m above the last, z axis up.
     np.testing.assert_allclose(held, [[0.05, 0, 7 * 0.3 + 0.35 + 0.1]] * 2, atol=1e-12)
