@@ -112,7 +112,7 @@ def test_a_scenario_is_opened_with_its_own_robot_and_workpiece(place, run):
         robot = robot_of(point.config.robot)
         assert replay.robot.name == robot.name
         ends = axes(robot, jnp.asarray(replay.x[0]))[0]
-        np.testing.assert_allclose(replay.p[0], np.asarray(ends), atol=1e-12)
+        np.testing.assert_allclose(replay.shape.p[0], np.asarray(ends), atol=1e-12)
         if replay.failed != 0:
             near = np.linalg.norm(replay.witness.arm[0] - replay.witness.cloud[0])
             np.testing.assert_allclose(near, replay.clearance[0], atol=1e-12)

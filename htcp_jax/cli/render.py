@@ -35,19 +35,13 @@ Movie = Annotated[
     str | None,
     typer.Option(metavar="KIND", help=f"Kind of movie: {', '.join(movies.KINDS)}, none; by default {movies.KINDS[0]}."),
 ]
-Speed = Annotated[
-    float | None,
-    typer.Option(metavar="X", help="Playback speed with --feed; by default 1 (real time)."),
-]
+Speed = Annotated[float | None, typer.Option(metavar="X", help="Playback speed with --feed; by default 1 (real time).")]
 Close = Annotated[bool, typer.Option("--close", help="Show the workpiece close up instead of the complete arm.")]
 FromPart = Annotated[
     bool, typer.Option("--from-part", help="Draw a moving part at rest and cut open; the cell moves around it.")
 ]
 Width = Annotated[int, typer.Option(metavar="PIXELS", help="Width of the picture; the movie has half of it.")]
-Out = Annotated[
-    Path,
-    typer.Option(metavar="DIR", help="Output folder, or only one file such as weld.mp4 or arm.png."),
-]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder, or only one file such as weld.mp4 or arm.png.")]
 
 
 class _Files(NamedTuple):
