@@ -1,5 +1,9 @@
 """`htcp methods`: list the planning methods with their descriptions."""
 
+from typing import Annotated
+
+import typer
+
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
 from htcp_jax.planning import registry
 from htcp_jax.report import Table
@@ -37,3 +41,9 @@ def complete_methods(start: str) -> list[str]:
     before, comma, last = start.rpartition(",")
     given = before.split(",")
     return [before + comma + name for name in complete_method(last) if name not in given]
+
+
+RunMethod = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
+]

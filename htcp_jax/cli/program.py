@@ -11,7 +11,7 @@ from jaxtyping import Float
 from rich.text import Text
 
 from htcp_jax.cli.feed import Feed, OneWay, ProgramKeys
-from htcp_jax.cli.methods import complete_method
+from htcp_jax.cli.methods import RunMethod
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError, Note
@@ -50,10 +50,6 @@ Out = Annotated[
 ]
 All = Annotated[bool, typer.Option("--all", help="Time every scenario of a sweep; write no program.")]
 Scenario = Annotated[int | None, typer.Option(metavar="K", help="Number of the scenario in the sweep; by default 0.")]
-Method = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
-]
 Check = Annotated[bool, typer.Option("--check", help="Check the configuration at every millisecond with MuJoCo.")]
 AllowEffort = Annotated[
     bool, typer.Option("--allow-effort", help="Return exit code 0 if torques exceed the effort limits.")
@@ -79,7 +75,7 @@ def program(
     all_: All = False,
     format: Format = None,
     scenario: Scenario = None,
-    method: Method = None,
+    method: RunMethod = None,
     one_way: OneWay = False,
     check: Check = False,
     allow_effort: AllowEffort = False,

@@ -101,7 +101,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         made["joint-steps"],
         BLOCKED,
         *_motion_pictures(part, prefix),
-        *validation_section(part.validation, part.run_labels, level),
+        *validation_section(part.validation, part.run.labels(), level),
         Heading(level, "Time"),
         f"For the complete run, on {_device(part)}.",
         made["times"],
@@ -219,46 +219,40 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     One parameter is drawn as a line, two as a map, three as a map for each value of the first, and more as maps of
     means. Each parameter of the task is also drawn as a line.
     """
-    counts = {method: _count_or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
-    open_ = {method: _count_or_nan(plans, plans.outcomes.executable) for method, plans in part.plans.items()}
     names = list(part.axes)
     axes = {name: charts.Axis(columns.column(name).title, values.tolist()) for name, values in part.axes.items()}
-    alt = "Tracked targets of every scenario over the grid, by method"
 
-    def over(*chosen):
-        return {method: part.cells(values, chosen) for method, values in counts.items()}
+    def cells(count, chosen):
+        values = {m: _count_or_nan(plans, getattr(plans.outcomes, count)) for m, plans in part.plans.items()}
+        return {method: part.cells(own, chosen) for method, own in values.items()}
 
-    def executable_of(*chosen):
-        return {method: part.cells(values, chosen) for method, values in open_.items()}
+    def picture(draw, chosen, name="map", **options):
+        given = cells("tracked", chosen), *(axes[each] for each in chosen), part.targets
+        figure = draw(*given, executable=cells("executable", chosen), **options)
+        return Picture(f"{prefix}{name}", figure, "Tracked targets of every scenario over the grid, by method")
 
-    def means(*chosen):
-        note = "Mean over the other axes."
-        given = over(*chosen), *(axes[name] for name in chosen), part.targets
-        figure = charts.success_map(*given, executable=executable_of(*chosen), note=note)
-        return Picture(f"{prefix}map-{'-'.join(str(names.index(name) + 1) for name in chosen)}", figure, alt)
+    def means(chosen):
+        name = f"map-{'-'.join(str(names.index(each) + 1) for each in chosen)}"
+        return picture(charts.success_map, chosen, name, note="Mean over the other axes.")
 
     def line(name):
-        given = over(name), axes[name], part.targets
         known = part.reachability
         options = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
         if len(names) == 1:
-            return Picture(f"{prefix}map", charts.success_line(*given, executable=executable_of(name), **options), alt)
+            return picture(charts.success_line, [name], **options)
         options["title"] = f"Success over {axes[name].label}, means over the other axes"
-        figure = charts.success_line(*given, executable=executable_of(name), **options)
-        return Picture(f"{prefix}along-{name.replace('.', '-')}", figure, alt)
+        return picture(charts.success_line, [name], f"along-{name.replace('.', '-')}", **options)
 
     if not names:
         return ["The scenarios do not differ in any parameter."]
     along = [*_full_names(axes.values()), *(line(name) for name in names if name.startswith(OF_TASK))]
     if len(names) == 1:
         return along if names[0].startswith(OF_TASK) else [*along, line(names[0])]
-    elif len(names) == 2:
-        figure = charts.success_map(over(*names), *axes.values(), part.targets, executable=executable_of(*names))
-    elif len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
-        figure = charts.success_slices(over(*names), *axes.values(), part.targets, executable=executable_of(*names))
-    else:
-        return [*along, means(*names[:2]), *([means(*names[-2:])] if len(names) > 3 else [])]
-    return [*along, Picture(f"{prefix}map", figure, alt)]
+    if len(names) == 2:
+        return [*along, picture(charts.success_map, names)]
+    if len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
+        return [*along, picture(charts.success_slices, names)]
+    return [*along, means(names[:2]), *([means(names[-2:])] if len(names) > 3 else [])]
 
 
 def _full_names(axes: "Iterable[charts.Axis]") -> list[str]:
@@ -314,7 +308,7 @@ def _manipulability_blocks(part: Part, prefix: str) -> list[Block]:
 
 
 def _motion_pictures(part: Part, prefix: str) -> list[Picture]:
-    names, units = zip(*(joint.rsplit("_", 1) for joint in part.joints), strict=True)
+    names, units = zip(*(joint.rsplit("_", 1) for joint in part.run.manifest.joints), strict=True)
     steps = charts.joint_motion({method: plans.joint_step for method, plans in part.plans.items()})
     x = {method: plans.x for method, plans in part.plans.items()}
     joints = charts.joint_motion_by_joint(x, names, unit=" or ".join(sorted(set(units), reverse=True)))

@@ -13,7 +13,6 @@ import pyarrow as pa
 
 from htcp_jax.errors import InputError
 from htcp_jax.planning import registry
-from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Heading, Picture, Table, html, literal, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
@@ -70,7 +69,7 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
     opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
     names = _numbered([_run_name(given) for given in listed])
-    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name, OpenedScene)]
+    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name)]
     made = tuple(tables_of(part) for part in parts)
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:

@@ -41,7 +41,6 @@ STOPS = (
     *(columns.listed(key, "scenarios") for key in ("colliding_body", "targets")),
 )  # fmt: skip
 MOTION_ENDS = "method", "reason", "scenarios", "median_target", "targets"
-TIMES = "method", "run_s", "compile_s"
 
 
 def results(part: Part) -> Table:
@@ -259,8 +258,8 @@ def scenarios(part: Part) -> Table:
 
 def times(part: Part) -> Table:
     """Return the table of planning times and compilation times by method, for the complete run."""
-    seconds = {method: (plans.run_s, plans.compile_s) for method, plans in part.plans.items()}
-    return Table.of("times", TIMES, [{"method": m, "run_s": r, "compile_s": c} for m, (r, c) in seconds.items()])
+    rows = ((method, plans.run_s, plans.compile_s) for method, plans in part.plans.items())
+    return Table("times", columns.of("method", "run_s", "compile_s"), tuple(rows))
 
 
 def configuration_table(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfig]) -> Table:

@@ -15,13 +15,15 @@ from htcp_jax.report.charts.style import (
     PAPER,
     QUIET,
     WIDTH,
-    blank_the_rest,
+    colour_bar,
     heading,
     ink_on,
     line_of,
+    map_height,
     name_lines,
     new_figure,
     outer_labels,
+    panels_by_method,
     plain_axes,
 )
 
@@ -121,16 +123,13 @@ def success_map(
         note: Text to append to the note below the title.
     """
     shown = tracked if executable is None else executable
-    across = min(3, len(tracked))
-    down = -(-len(tracked) // across)
-    side = min(WIDTH / across - 0.5, 0.42 * len(columns.values) + 0.7) * len(rows.values) / len(columns.values)
-    figure = new_figure(down * (side + 0.4) + 1.3, title, f"{_counted(tracked, shown, targets)} {note}".strip())
-    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    side = map_height(len(tracked), 0.42, rows.values, columns.values)
+    note = f"{_counted(tracked, shown, targets)} {note}".strip()
+    figure, panels = panels_by_method(len(tracked), side + 0.4, 1.3, title, note)
     for axes, method in zip(panels.flat, tracked, strict=False):
         image = _draw_map(axes, shown[method], tracked[method], rows, columns, targets)
         share = _percent_pair(shown[method], tracked[method], targets)
         heading(axes, method if len(share) < 10 else f"{method}\n", share)  # two shares take a line of their own
-    blank_the_rest(panels, len(tracked))
     outer_labels(panels, len(tracked), columns.label, rows.label)
     _draw_colour_bar(figure, image, panels, targets, has_not_executable(tracked, shown))
     return figure
@@ -210,10 +209,7 @@ def success_line(
         4.2, title, " ".join(filter(None, (f"Tracked targets of {targets}.", lines, note, *_dashed(reachability))))
     )
     axes = figure.subplots()
-    words = isinstance(axis.values[0], str)
-    at = range(len(axis.values)) if words else axis.values
-    if words:
-        name_below(axes, axis)
+    at = place_values(axes, axis)
     if reachability is not None:
         axes.plot(at, reachability, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
     for method, values in shown.items():
@@ -230,15 +226,21 @@ def success_line(
     return figure
 
 
-def name_below(axes: Axes, axis: Axis) -> None:
-    """Write an axis's values below a line, upwards if they would overlap.
+def place_values(axes: Axes, axis: Axis) -> Sequence[float]:
+    """Return the positions of an axis's values below a line; texts are written there, upwards if they would overlap.
 
     Args:
         axes: The axes of the line.
-        axis: The axis, whose values are texts.
+        axis: The axis.
+
+    Returns:
+        The positions, in the unit of the axis; 0, 1, ... for texts.
     """
+    if not isinstance(axis.values[0], str):
+        return axis.values
     upwards = len(axis.names) * max(map(len, axis.names)) > LINE_CHARACTERS
     axes.set_xticks(range(len(axis.names)), axis.names, rotation=90 if upwards else 0)
+    return range(len(axis.names))
 
 
 def _draw_map(
@@ -293,11 +295,8 @@ def frame_map(axes: Axes, rows: Axis, columns: Axis) -> None:
 
 
 def _draw_colour_bar(figure: Figure, image, panels, targets: int, cut: bool) -> None:
-    bar = figure.colorbar(image, ax=panels, fraction=0.02, pad=0.015, aspect=30)
-    bar.outline.set_visible(False)
-    bar.set_ticks(sorted({round(part * targets) for part in (0, 0.25, 0.5, 0.75, 1)}))
-    bar.set_label("executable targets" if cut else "tracked targets", color=QUIET, fontsize=9)
-    bar.ax.tick_params(colors=QUIET, labelsize=9, length=0)
+    ticks = sorted({round(part * targets) for part in (0, 0.25, 0.5, 0.75, 1)})
+    colour_bar(figure, image, panels, "executable targets" if cut else "tracked targets", ticks)
 
 
 def _short_number(value: float) -> str:
