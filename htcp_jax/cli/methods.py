@@ -9,8 +9,6 @@ from htcp_jax.planning import registry
 from htcp_jax.report import Table
 from htcp_jax.runs import columns
 
-COLUMNS = "method", "title", "description"
-
 
 def methods(as_json: Json = False) -> int:
     """List the planning methods, including those of installed plugins, by their names for --method and --methods.
@@ -23,7 +21,7 @@ def methods(as_json: Json = False) -> int:
       htcp methods --json                       for another program
     """
     rows = tuple((name, *words) for name, words in registry.descriptions().items())
-    table = Table("methods", columns.of(*COLUMNS), rows)
+    table = Table("methods", columns.of("method", "title", "description"), rows)
     if as_json:
         print_json(table.records())
     else:

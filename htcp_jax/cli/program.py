@@ -41,7 +41,6 @@ CHECKED = (
     "{refuted} of {configurations:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
     "maximum path deviation {off_max_mm:.3g} mm"
 )
-COLUMNS = "begin_mm", "end_mm", "feed_mm_s", "target", "manipulability_m_rad", "reason"
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
 Format = Annotated[str | None, typer.Option(metavar="NAME", help=f"File format: {', '.join(FORMATS)}; by default csv.")]
@@ -226,7 +225,8 @@ def _drop_table(found: figures.ProgramFigures, manipulability: Float[np.ndarray,
         low, high = sorted((drop.first_target, drop.last_target))
         own = float(np.fmin.reduce(manipulability[low : high + 1]))
         rows.append((1e3 * drop.begin_m, 1e3 * drop.end_m, 1e3 * drop.feed_m_s, drop.target, own, drop.reason))
-    return Table("feed_drops", columns.of(*COLUMNS), tuple(rows))
+    shown = columns.of("begin_mm", "end_mm", "feed_mm_s", "target", "manipulability_m_rad", "reason")
+    return Table("feed_drops", shown, tuple(rows))
 
 
 def _share_record(found: list[figures.Share]) -> dict[str, dict]:

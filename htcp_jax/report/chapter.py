@@ -17,7 +17,7 @@ from htcp_jax.report.groups import Part
 from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.timing import feed_targets, timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
-from htcp_jax.runs import columns
+from htcp_jax.runs import columns, summary
 from htcp_jax.spec import PlanConfig, config_file, examples
 from htcp_jax.status import SegmentStatus
 
@@ -113,13 +113,11 @@ def answer(part: Part) -> str:
     found = []
     for method, plans in part.plans.items():
         done = plans.outcomes.can_be_driven
-        known = part.motions[method].segment_clearance_min_m[done]
-        known = known[~np.isnan(known)]
-        least = f"{1e3 * known.min():.3g} mm" if known.size else None
-        after = motion.narrowest_segment(plans, without_transfer=True)[1][done]
-        after = after[~np.isnan(after)]
-        if known.size and after.size and after.min() > known.min():
-            least = f"{1e3 * after.min():.3g} mm, in transfers {least}"
+        known = 1e3 * summary.reduced(np.min, part.motions[method].segment_clearance_min_m[done])
+        after = 1e3 * summary.reduced(np.min, motion.narrowest_segment(plans, without_transfer=True)[1][done])
+        least = None if math.isnan(known) else f"{known:.3g} mm"
+        if after > known:
+            least = f"{after:.3g} mm, in transfers {least}"
         found.append((int(done.sum()), method, least))
     found.sort(key=lambda each: -each[0])
     planned = int(part.plans[found[0][1]].outcomes.planned.sum())
@@ -327,7 +325,7 @@ def _notes_on_results(part: Part) -> list[str]:
         "collisions and the tool on its path. Tracked targets after the end of this motion are not executable. "
         + _unchecked_sentence(part),
         "Means and the minimum clearance are over the tracked targets: a method that tracks more targets "
-        "also passes narrower places. Time per step: planning time / attempted targets, over the complete run.",
+        "also passes narrower places. Time/target: planning time / attempted targets, over the complete run.",
     ]
 
 
@@ -343,10 +341,10 @@ def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
     return [
         Heading(level, f"Next to the paper, table {part.paper_table.number}"),
         table,
-        f"Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time per step: planning time / attempted "
-        "targets. TCP distance: mean over the tracked targets. Safe distance: the mean clearance D over the tracked "
-        "targets. The paper does not specify its averages, the start configuration or the workpiece's pose; "
-        "benchmarks/PAPER.md compares other definitions.",
+        f"Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time/target: planning time / attempted "
+        "targets. TCP distance: mean over the tracked targets. Clearance: mean of D over them, which the paper calls "
+        "safe distance. The paper does not specify its averages, the start configuration or the workpiece's "
+        "pose; benchmarks/PAPER.md compares other definitions.",
     ]
 
 

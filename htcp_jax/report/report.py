@@ -20,7 +20,6 @@ from htcp_jax.report.tables import configuration_table
 from htcp_jax.report.validation import validated
 from htcp_jax.runs import Run, columns, open_run
 from htcp_jax.runs import tables as run_tables
-from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files
 
 if TYPE_CHECKING:
@@ -133,28 +132,14 @@ def _appendix(parts: Sequence[Part]) -> list[Block]:
     known = {name: method for name, method in registry.METHODS.all().items() if name in methods}
     rows = ((name, known[name].title, known[name].description) for name in methods if name in known)
     about = Table("methods", columns.of("method", "title", "description"), tuple(rows))
-    presets_shown = presets() if any(fits_presets(part) for part in parts) else {}
+    shipped = presets() if any(fits_presets(part) for part in parts) else {}
+    others = f" and {', '.join(shipped)}" if shipped else ""
+    compared = f"Keys of the configuration that differ between the runs{others}.", configuration_table(ran, shipped)
     return [
         Heading(2, "What was run"),
-        *_compared(ran, presets_shown),
+        *(compared if shipped or len(ran) > 1 else ()),
         about,
         *(f"{name}: {_provenance(run)}" for name, run in {part.run_name: part.run for part in parts}.items()),
-    ]
-
-
-def _compared(ran: dict[str, PlanConfig], presets_shown: dict[str, PlanConfig]) -> list[Block]:
-    """Return a table that compares the runs' configurations with each other and with the shipped ones.
-
-    Args:
-        ran: The runs' configurations, by name.
-        presets_shown: The shipped configurations, by name; empty if they are for another scene.
-    """
-    if not presets_shown and len(ran) < 2:
-        return []
-    others = f" and {', '.join(presets_shown)}" if presets_shown else ""
-    return [
-        f"Keys of the configuration that differ between the runs{others}.",
-        configuration_table(ran, presets_shown),
     ]
 
 

@@ -23,7 +23,7 @@ from htcp_jax.report.charts.style import (
     panels_by_method,
     plain_axes,
 )
-from htcp_jax.report.charts.success import has_not_executable
+from htcp_jax.report.charts.success import dashed_note, has_not_executable
 from htcp_jax.status import Status
 
 BANDS = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: minimum."
@@ -72,9 +72,7 @@ def survival(
         if cut
         else "Scenarios that track the target; a scenario ends at its first failure."
     )
-    figure = new_figure(
-        4.6, title, note + (" Dashed: targets known to be reachable." if reachability is not None else "")
-    )
+    figure = new_figure(4.6, title, " ".join([note, *dashed_note(reachability)]))
     axes = figure.subplots()
     scenarios, targets = next(iter(status.values())).shape
     if reachability is not None:

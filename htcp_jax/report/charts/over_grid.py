@@ -5,14 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from htcp_jax.report.charts.style import (
     colour_bar,
     heading,
-    ink_on,
     line_of,
     map_height,
     name_lines,
@@ -21,7 +19,7 @@ from htcp_jax.report.charts.style import (
     panels_by_method,
     plain_axes,
 )
-from htcp_jax.report.charts.success import MOST_NUMBERS, TRACKED, Axis, frame_map, place_values
+from htcp_jax.report.charts.success import Axis, draw_map, place_values
 
 
 class Measure(NamedTuple):
@@ -72,7 +70,9 @@ def over_map(
     figure, panels = panels_by_method(len(values), side + 0.4, 1.3, measure.title, note)
     scale = _colour_scale(values, measure)
     for axes, (method, own) in zip(panels.flat, values.items(), strict=False):
-        image = _draw_time_map(axes, own, rows, columns, scale, measure)
+        image = draw_map(
+            axes, own, scale, rows, columns, lambda _, value: (measure.form.format(value), {"fontsize": 7.5})
+        )
         mean = own[np.isfinite(own)]
         heading(axes, method, f"mean {measure.form.format(mean.mean())} {measure.unit}" if mean.size else "none timed")
     outer_labels(panels, len(values), columns.label, rows.label)
@@ -90,14 +90,3 @@ def _colour_scale(values: Mapping[str, np.ndarray], measure: Measure) -> Normali
         return Normalize(*measure.scale)
     known = np.concatenate([own[np.isfinite(own)] for own in values.values()])
     return Normalize(min(known.min(), 0.9 * known.max()), known.max()) if known.size else Normalize(0.0, 1.0)
-
-
-def _draw_time_map(axes: Axes, values: np.ndarray, rows: Axis, columns: Axis, scale: Normalize, measure: Measure):
-    image = axes.imshow(values, cmap=TRACKED, norm=scale, aspect="equal")
-    for (row, column), value in np.ndenumerate(values):
-        if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
-            colour = ink_on(image.to_rgba(value))
-            place = {"ha": "center", "va": "center", "fontsize": 7.5}
-            axes.annotate(measure.form.format(value), (column, row), color=colour, **place)
-    frame_map(axes, rows, columns)
-    return image

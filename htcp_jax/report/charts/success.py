@@ -1,13 +1,14 @@
 """Charts of tracked and executable targets: by method, and by scenario over the grid. See `charts`."""
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
 from htcp_jax.report.charts.style import (
@@ -200,14 +201,10 @@ def success_line(
         note: Text to append to the note below the title.
     """
     shown = tracked if executable is None else executable
-    lines = (
-        ""
-        if not has_not_executable(tracked, shown)
-        else "Line: targets to which a proven motion leads from the start; faint: tracked targets."
-    )
-    figure = new_figure(
-        4.2, title, " ".join(filter(None, (f"Tracked targets of {targets}.", lines, note, *_dashed(reachability))))
-    )
+    lines = "Line: targets to which a proven motion leads from the start; faint: tracked targets."
+    lines = lines if has_not_executable(tracked, shown) else ""
+    notes = f"Tracked targets of {targets}.", lines, note, *dashed_note(reachability)
+    figure = new_figure(4.2, title, " ".join(filter(None, notes)))
     axes = figure.subplots()
     at = place_values(axes, axis)
     if reachability is not None:
@@ -261,14 +258,40 @@ def _draw_map(
         columns: The axis of the columns.
         targets: Number of targets in a scenario.
     """
-    image = axes.imshow(values, cmap=TRACKED, norm=Normalize(0, targets), aspect="equal")
-    for (row, column), value in np.ndenumerate(values):
+
+    def text_of(cell, value):
+        more = whole[cell]
+        text = _short_number(value) if more == value else f"{_short_number(value)}\n({_short_number(more)})"
+        weight = "bold" if value == targets else "normal"
+        return text, {"fontsize": 8 if more == value else 7, "fontweight": weight}
+
+    return draw_map(axes, values, Normalize(0, targets), rows, columns, text_of)
+
+
+def draw_map(
+    axes: Axes,
+    values: Float[np.ndarray, "R C"],
+    scale: Normalize,
+    rows: Axis,
+    columns: Axis,
+    text_of: Callable[[tuple[int, ...], float], tuple[str, dict[str, Any]]],
+) -> AxesImage:
+    """Draw a map, with a text in every cell if there is space, and return its image.
+
+    Args:
+        axes: The panel.
+        values: Value of each cell, in the unit of the scale; NaN: blank.
+        scale: The colour scale.
+        rows: The axis of the rows.
+        columns: The axis of the columns.
+        text_of: Function that returns the text of a cell and its style, for the indices of the cell and its value
+            [in the unit of the scale].
+    """
+    image = axes.imshow(values, cmap=TRACKED, norm=scale, aspect="equal")
+    for cell, value in np.ndenumerate(values):
         if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
-            style = {"color": ink_on(image.to_rgba(value)), "ha": "center", "va": "center", "fontsize": 8}
-            more = whole[row, column]
-            text = _short_number(value) if more == value else f"{_short_number(value)}\n({_short_number(more)})"
-            style["fontsize"] = 8 if more == value else 7
-            axes.annotate(text, (column, row), fontweight="bold" if value == targets else "normal", **style)
+            text, style = text_of(cell, value)
+            axes.annotate(text, cell[::-1], color=ink_on(image.to_rgba(value)), ha="center", va="center", **style)
     frame_map(axes, rows, columns)
     return image
 
@@ -337,8 +360,9 @@ def _mean_percent(values: Float[np.ndarray, "*n"], targets: int) -> str:
 def _success_note(paper: Mapping[str, float] | None, reachability: int | None, cut: bool) -> str:
     parts = ["Pale: tracked, but not executable."] if cut else []
     parts += ["Diamond: the paper's figure."] if paper else []
-    return " ".join([*parts, *_dashed(reachability)])
+    return " ".join([*parts, *dashed_note(reachability)])
 
 
-def _dashed(reachability: object) -> list[str]:
+def dashed_note(reachability: object) -> list[str]:
+    """Return the note on the dashed line of reachable targets; [] if reachability is None."""
     return [] if reachability is None else ["Dashed: targets known to be reachable."]
