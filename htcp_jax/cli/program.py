@@ -11,7 +11,7 @@ from jaxtyping import Float
 from rich.text import Text
 
 from htcp_jax.cli.feed import Feed, OneWay, ProgramKeys
-from htcp_jax.cli.methods import complete_method
+from htcp_jax.cli.methods import RunMethod
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError, Note
@@ -41,7 +41,6 @@ CHECKED = (
     "{refuted} of {configurations:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
     "maximum path deviation {off_max_mm:.3g} mm"
 )
-COLUMNS = "begin_mm", "end_mm", "feed_mm_s", "target", "manipulability_m_rad", "reason"
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
 Format = Annotated[str | None, typer.Option(metavar="NAME", help=f"File format: {', '.join(FORMATS)}; by default csv.")]
@@ -50,10 +49,6 @@ Out = Annotated[
 ]
 All = Annotated[bool, typer.Option("--all", help="Time every scenario of a sweep; write no program.")]
 Scenario = Annotated[int | None, typer.Option(metavar="K", help="Number of the scenario in the sweep; by default 0.")]
-Method = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
-]
 Check = Annotated[bool, typer.Option("--check", help="Check the configuration at every millisecond with MuJoCo.")]
 AllowEffort = Annotated[
     bool, typer.Option("--allow-effort", help="Return exit code 0 if torques exceed the effort limits.")
@@ -79,7 +74,7 @@ def program(
     all_: All = False,
     format: Format = None,
     scenario: Scenario = None,
-    method: Method = None,
+    method: RunMethod = None,
     one_way: OneWay = False,
     check: Check = False,
     allow_effort: AllowEffort = False,
@@ -247,7 +242,8 @@ def _drop_table(found: figures.ProgramFigures, manipulability: Float[np.ndarray,
         low, high = sorted((drop.first_target, drop.last_target))
         own = float(np.fmin.reduce(manipulability[low : high + 1]))
         rows.append((1e3 * drop.begin_m, 1e3 * drop.end_m, 1e3 * drop.feed_m_s, drop.target, own, drop.reason))
-    return Table("feed_drops", columns.of(*COLUMNS), tuple(rows))
+    shown = columns.of("begin_mm", "end_mm", "feed_mm_s", "target", "manipulability_m_rad", "reason")
+    return Table("feed_drops", shown, tuple(rows))
 
 
 def _share_record(found: list[figures.Share]) -> dict[str, dict]:

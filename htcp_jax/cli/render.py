@@ -8,7 +8,7 @@ from PIL import Image
 
 from htcp_jax import viewer
 from htcp_jax.cli.feed import OneWay, PlayedFeed, ProgramKeys, played_feed
-from htcp_jax.cli.methods import complete_method
+from htcp_jax.cli.methods import RunMethod
 from htcp_jax.cli.output import Json, print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
 from htcp_jax.runs import open_plans
@@ -24,10 +24,6 @@ SLOWEST, FASTEST = 0.1, 100.0
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
 Scenario = Annotated[int, typer.Option(metavar="K", help="Number of the scenario in the sweep.")]
-Method = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
-]
 Target = Annotated[
     int | None, typer.Option(metavar="T", help="Target at which the arm is drawn; by default the last tracked one.")
 ]
@@ -59,7 +55,7 @@ class _Files(NamedTuple):
 def render(
     run: Run,
     scenario: Scenario = 0,
-    method: Method = None,
+    method: RunMethod = None,
     target: Target = None,
     movie: Movie = None,
     close: Close = False,
