@@ -10,7 +10,7 @@ from .model.arm_features import axis_of, point_of
 from .model.inverse_kinematics import reanchor
 from .model.kinematics import capsule_segments, jacobian, tcp_pose, tcp_position
 from .model.robot import lengthen_tool
-from .model.scenario import make_scenario
+from .model.scenario_setup import make_scenario
 from .model.task_list import TaskRow
 from .model.task_row_kind import TaskRowKind
 from .motion.plans import Plans

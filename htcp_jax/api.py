@@ -14,7 +14,7 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import self_collision
 from htcp_jax.device import devices
 from htcp_jax.jobs import load_config, with_kinds
-from htcp_jax.model import Robot, Scenario, Workpiece, task_row_kind
+from htcp_jax.model import Robot, Scenario, Workpiece, scenario_setup, task_row_kind
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Motion, Plans, Tried
@@ -106,7 +106,7 @@ class Plan:
     def workpiece_place(self) -> str:
         """Text with the workpiece's pose, in the world or on its link, and the origin subtracted from its files."""
         T = np.asarray(self.scenario.T_world_workpiece)
-        return scenarios.place_of(self.workpiece, T, self.robot.part_link)
+        return scenario_setup.place_of(self.workpiece, T, self.robot.part_link)
 
     @cached_property
     def manipulability(self) -> Float[np.ndarray, "T"]:
@@ -174,7 +174,7 @@ class Plan:
             "straight joint paths": f"{end.blocked_paths} of {end.tracked} between consecutive targets collide",
             **self._nearest_bodies(),
             "clearance is to": self.workpiece.walls,
-            "interior rule": f"{scenarios.interior_rule(self.workpiece, self.scenario)} "
+            "interior rule": f"{scenario_setup.interior_rule(self.workpiece, self.scenario)} "
             "(deep inside the part, bodies must stay within its convex hull)",
         }
 
@@ -447,7 +447,7 @@ def plan_job(
             obstacles=all_obstacles,
             check_starts=True,
         )
-        robot, scenario = scenarios.with_own_tool(robot, scenario)
+        robot, scenario = scenario_setup.with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device)
 
 

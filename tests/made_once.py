@@ -16,7 +16,7 @@ from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 MEASURED = Path(__file__).parents[2] / "shared" / "data" / "duct"

@@ -24,7 +24,8 @@ from htcp_jax.device.tables import gather
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.model import Task
 from htcp_jax.model.kinematics import tcp_position, tip_segment
-from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import CollisionChecker, Problem
 from htcp_jax.motion.collision_checker import PLACES
 from htcp_jax.motion.home import begin_at_home, leave_home

@@ -8,7 +8,7 @@ import toy
 
 from htcp_jax.errors import InputError
 from htcp_jax.model import Workpiece
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Plans, Tried
 from htcp_jax.motion.dead_ends import DeadEnds
 from htcp_jax.planning.batch import plan

@@ -9,7 +9,8 @@ from test_qp import WEIGHTS, N, batch, infeasible, random_batch
 
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50
-from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Plans, Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.method import Method

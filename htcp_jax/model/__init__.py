@@ -6,14 +6,16 @@ pose, the start and the tool of one plan, and `Fixture` is a body of the work ce
 written in a job file; `Task` is the resulting constraint on the arm at a target.
 
 `kinematics` computes the poses of links and TCP and their Jacobians. `inverse_kinematics` moves a configuration onto a
-target. `task_rows` has the built-in kinds of rows, and `goals` computes the goals of rows at each target.
+target. `task_rows` has the base class of rows, `built_in_rows` has the kinds that a job lists, and `goals` computes the
+goals of rows at each target.
 `task_row_kind` has the base class of the kinds that other packages add, and `row_bounds` has the allowed regions of a
 row between two targets. `task_list` and `task_row_kind` read rows without JAX; `listed_rows` and `given_row` compute
 with these rows.
 
-`rotations`, `surface`, `mesh_points` and `duct` are geometry: rotations, the triangles that are drawn, points on a
-mesh, the generated duct. `arrays` checks points that a caller passes in. `robot`, `scenario`, `task`, `fixture`
-and `workpiece` have the types above and the functions that make and change them, such as `scenario.make_scenario`.
+`rotations`, `surface`, `triangles`, `mesh_points` and `duct` are geometry: rotations, the surface of a cloud, the
+triangles of a mesh and points on them, the generated duct. `arrays` checks points that a caller passes in. `robot`,
+`scenario`, `task`, `fixture` and `workpiece` have the types above and the functions that change them;
+`scenario_setup.make_scenario` builds a scenario.
 
 Nothing here opens a file: package `io` reads robots, parts and paths, package `jobs` builds scenarios from a job.
 """

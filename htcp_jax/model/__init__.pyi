@@ -11,10 +11,12 @@ from . import (
     rotations,
     row_bounds,
     scenario,
+    scenario_setup,
     surface,
     task,
     task_row_kind,
     task_rows,
+    triangles,
     workpiece,
 )
 from .convex_piece import BodyPieces, ConvexPiece
@@ -49,9 +51,11 @@ __all__ = [
     "rotations",
     "row_bounds",
     "scenario",
+    "scenario_setup",
     "surface",
     "task",
     "task_row_kind",
     "task_rows",
+    "triangles",
     "workpiece",
 ]

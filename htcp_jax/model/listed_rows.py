@@ -5,10 +5,11 @@ import scipy
 from jaxtyping import Float
 
 from htcp_jax.model.arm_features import frame_of, point_of
+from htcp_jax.model.built_in_rows import AxisTowards, FrameOrientation, PointAlong
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.task_list import DIRECTIONS, TaskRow
 from htcp_jax.model.task_row_kind import PlacedPath
-from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, Row, TaskPoint
+from htcp_jax.model.task_rows import Row, TaskPoint
 
 
 def row_of_task(row: TaskRow, robot: Robot) -> Row:

@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 MOST = 60_000  # maximum number of points drawn
 NEIGHBOURS, REACHED = 24, 8  # neighbours to which a normal is fitted; a disc extends beyond the REACHED-th neighbour
-CORNERS, SURROUNDINGS = 6, 500
-THINNEST_M = 1e-4  # minimum radius of a hull
+SURROUNDINGS = 500  # maximum number of points of the cloud to which a normal is directed
 
 
 class Surface(NamedTuple):
@@ -41,14 +40,6 @@ class WorldGeometry(NamedTuple):
 
 
 NOTHING = WorldGeometry(np.empty((0, 3, 3)), Surface(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)))
-
-
-class Mesh(NamedTuple):
-    """Triangles, counterclockwise as seen from the side that their normals point to."""
-
-    vertices: Float[np.ndarray, "V 3"]
-    normals: Float[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
 
 
 def surface_of(cloud: Float[np.ndarray, "P 3"], most: int = MOST) -> Surface:
@@ -89,36 +80,3 @@ def _inwards(
     weight = np.exp(-squared / (2 * width**2))
     middle = weight @ some / weight.sum(axis=1, keepdims=True)
     return normals * np.where(((middle - points) * normals).sum(axis=1) < 0, -1.0, 1.0)[:, None]
-
-
-def discs(surface: Surface, side: int = 1, corners: int = CORNERS) -> Mesh:
-    """Return a mesh with one disc per point; a disc is a polygon, visible from the side of its normal.
-
-    Args:
-        surface: The points, their normals and radii.
-        side: 1, or -1 for polygons visible from the other side.
-        corners: Number of corners of each polygon.
-    """
-    normals = side * surface.normals
-    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
-    first *= (surface.radius / np.linalg.norm(first, axis=1))[:, None]
-    second = np.cross(normals, first)
-    angle = 2 * np.pi * np.arange(corners) / corners
-    around = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
-    fan = np.array([[0, k, k + 1] for k in range(1, corners - 1)])
-    return Mesh(
-        vertices=(surface.points[:, None] + around).reshape(-1, 3),
-        normals=np.repeat(normals, corners, axis=0),
-        faces=(corners * np.arange(len(normals))[:, None, None] + fan).reshape(-1, 3),
-    )
-
-
-def rounded_hull(
-    points: Float[np.ndarray, "P 3"], radius: float
-) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
-    """Return vertices [m] and triangles of the convex hull of points, thickened by a radius [m]."""
-    from trimesh import convex, creation  # a slow import that `plan.png` does not need
-
-    ball = max(radius, THINNEST_M) * creation.icosphere(subdivisions=1).vertices
-    hull = convex.convex_hull((points[:, None] + ball).reshape(-1, 3))
-    return np.array(hull.vertices), np.array(hull.faces)

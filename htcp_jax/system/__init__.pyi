@@ -12,12 +12,10 @@ from .files import (
     read_tail,
 )
 from .lock import SignalReceived, locked, signals
-from .process_exit import INTERRUPTED, PART, is_watched, run, signals_blocked, stop_message
-from .unfinished import NO_LINK, READ, clear, lock_file, temporary_folder
+from .process_exit import INTERRUPTED, is_watched, run, stop_message
+from .unfinished import NO_LINK, PART, READ, clear, lock_file, temporary_folder
 
 __all__ = [
-    "unfinished",
-    "process_exit",
     "INTERRUPTED",
     "LARGEST",
     "NO_LINK",
@@ -36,13 +34,14 @@ __all__ = [
     "open_named",
     "opened",
     "output_files",
+    "process_exit",
     "quiet",
     "read_bytes",
     "read_inside",
     "read_tail",
     "run",
     "signals",
-    "signals_blocked",
     "stop_message",
     "temporary_folder",
+    "unfinished",
 ]
