@@ -19,8 +19,7 @@ from htcp_jax.model.task_rows import TaskPoint
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion.step_functions import State
 from htcp_jax.planning.batch import Progress, plan
-from htcp_jax.planning.beam.joint_steps import JointSteps
-from htcp_jax.planning.beam.tree import BeamTree
+from htcp_jax.planning.beam.tree import BeamTree, JointSteps
 from htcp_jax.planning.inserted_goals import PathParts, inserted, pieces_of
 from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.validation.scene_rules import WorkpieceData

@@ -17,8 +17,8 @@ from htcp_jax.planning.method import Method
 from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.tracking.candidates import PendingScenarios
 from htcp_jax.planning.tracking.engine import Engine
+from htcp_jax.planning.tracking.lanes import Work
 from htcp_jax.planning.tracking.step_qps import make_solver
-from htcp_jax.planning.tracking.work import Work
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import ClarabelSolver
 from htcp_jax.solvers.active_set import solve_step

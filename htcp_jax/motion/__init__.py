@@ -6,11 +6,10 @@ configurations that an arm passes from its start to its last target. `CollisionC
 joint paths between them, on one device.
 
 `motion_check` verifies each segment, `home` joins the home configuration to the start, `start_cause` finds the reason
-for a start that fails, and `smoothing` shortens a motion within its margin. `configuration_tree` stores configurations
-with their parents, `selection` selects configurations that are far apart, and `transfers` joins a start to other
-configurations. `tool_cells` and `exclusions` prove that a target has no clear configuration. `step_functions` has the
-compiled functions of one lane, `lane_inputs` their inputs. `plans` computes outcomes; `motion` computes figures such as
-cost, curvature and clearance.
+for a start that fails, and `smoothing` shortens a motion within its margin. `configurations` selects configurations
+that are far apart, and stores them in trees; `transfers` joins a start to other configurations. `tool_cells` proves
+that a target has no clear configuration. `step_functions` has the compiled functions of one lane, `lane_inputs` their
+inputs. `plans` computes outcomes; `motion` computes figures such as cost, curvature and clearance.
 """
 
 import lazy_loader

@@ -13,6 +13,8 @@ collides or violates a joint limit; a cell is excluded if it has no branch left 
 For other arms with a wrist there is a second cover: boxes of values of the joints before the wrist. At each step the
 cells of the smaller cover are halved. A cell is removed if it certainly collides, or if its wrist position cannot
 coincide with that of any cell in the other cover (`arm_exclusion`). An arm without a wrist has only the first cover.
+
+`exclusions` names the fewest bodies of the arm with which a target is proven to have no clear configuration.
 """
 
 from typing import NamedTuple
@@ -25,9 +27,10 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof import arm_exclusion, branch_exclusion, exclusion
 from htcp_jax.device import Executor, lane_function, tables
-from htcp_jax.model import Robot, rotations
+from htcp_jax.model import Robot, kinematics, rotations
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
+from htcp_jax.status import Exclusion
 
 MANY = lane_function.DeviceSizes(
     cpu=lane_function.BatchSize(1024, 1), gpu=lane_function.BatchSize(4096, 4096)
@@ -35,6 +38,11 @@ MANY = lane_function.DeviceSizes(
 FACES = 4
 FINEST = 2.0**-24  # smallest half side of a cube
 ROUNDING_RAD = 1e-8  # upper bound on the rounding error of any angle
+SMALLEST_FIRST = {
+    exclusion.Bodies.NONE: Exclusion.OUT_OF_REACH,
+    exclusion.Bodies.TOOL: Exclusion.TOOL,
+    exclusion.Bodies.WRIST: Exclusion.WRIST,
+}
 
 
 class Cells(NamedTuple):
@@ -265,3 +273,29 @@ def _meets(own: Cells, other: Cells) -> Bool[np.ndarray, "n"]:
         away = scipy.spatial.cKDTree(other.wrist[there]).query(own.wrist[here])[0]
         meets[here] = away <= own.moves[here] + other.moves[there].max()
     return meets
+
+
+def exclusions(executor: Executor, robot: Robot, inputs: LaneInputs, cells: int) -> Int[np.ndarray, "n"]:
+    """Return, for each of n targets, why it has no clear configuration: an `Exclusion`, NONE without a proof.
+
+    Args:
+        executor: Compiled functions of the scene, whose task fixes the TCP's position.
+        robot: The arm, without the scenarios' tool extensions.
+        inputs: The lanes' inputs, one row per target.
+        cells: Maximum number of cells of a proof, see `tool_cells.excluded`.
+    """
+    found = np.where(_beyond(executor, robot, inputs), Exclusion.OUT_OF_REACH, Exclusion.NONE).astype(int)
+    of, proofs = Exclusion.NONE, {exclusion.Bodies.ARM: Exclusion.ARM} | SMALLEST_FIRST
+    for bodies, reason in proofs.items():
+        left = np.flatnonzero(found == of)
+        if len(left):
+            found[left[excluded(executor, robot, tables.gather(inputs, left), cells, bodies)]] = reason
+        of = Exclusion.ARM
+    return found
+
+
+def _beyond(executor: Executor, robot: Robot, inputs: LaneInputs) -> Bool[np.ndarray, "n"]:
+    """Return True for targets farther away from the base than the length of the arm."""
+    task = executor.task
+    away = np.linalg.norm(task.tcp_place(inputs.target) - np.asarray(robot.T_parent_joint)[0, :3, 3], axis=1)
+    return away > kinematics.max_reach(robot) + inputs.tool_extension_m + task.tolerance_m

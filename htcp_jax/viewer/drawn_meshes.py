@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from htcp_jax.model.surface import Surface
+from htcp_jax.model import surface as surfaces
 
 CORNERS = 6  # of a disc
 THINNEST_M = 1e-4  # minimum radius of a hull
@@ -19,7 +19,7 @@ class Mesh(NamedTuple):
     faces: Int[np.ndarray, "F 3"]
 
 
-def discs(surface: Surface, side: int = 1, corners: int = CORNERS) -> Mesh:
+def discs(surface: surfaces.Surface, side: int = 1, corners: int = CORNERS) -> Mesh:
     """Return a mesh with one disc per point; a disc is a polygon, visible from the side of its normal.
 
     Args:

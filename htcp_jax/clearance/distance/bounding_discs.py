@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.types import Array, Float
+from htcp_jax.types import Array, Float, Int
 
 SLACK = 1e-5  # [m]; a bound in 32-bit floats is wrong by less than this within 20 m of the origin
 
@@ -105,3 +105,15 @@ def _middle(a, b):
 
 def _square_distance(a, b, x, y):
     return (a - x[:, None]) ** 2 + (b - y[:, None]) ** 2
+
+
+class CloudIndex(NamedTuple):
+    """A cloud and its tree of clusters.
+
+    A level has a group of clusters for each cluster of the level above. There are two levels or more, and one group at
+    the top. The 8 rows of a level are the clusters' bounding discs: middle xyz, normal xyz, half thickness, radius [m].
+    """
+
+    levels: tuple[Float[Array, "groups 8 clusters"], ...]
+    points: Float[Array, "leaves 3 points"]  # [m]
+    rows: Int[Array, "leaves points"]  # row of the cloud that each point came from

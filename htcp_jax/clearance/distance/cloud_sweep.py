@@ -16,8 +16,14 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.backend import backend
-from htcp_jax.clearance.distance.bounding_discs import LineSegments, as_segments, lever_arm, single, with_axes
-from htcp_jax.clearance.distance.cloud_index import CloudIndex
+from htcp_jax.clearance.distance.bounding_discs import (
+    CloudIndex,
+    LineSegments,
+    as_segments,
+    lever_arm,
+    single,
+    with_axes,
+)
 from htcp_jax.clearance.distance.cloud_tree_gpu import least_in_reach
 from htcp_jax.clearance.distance.cloud_tree_walk import empty_lists, for_each_leaf, in_reach
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance

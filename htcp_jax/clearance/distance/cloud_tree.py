@@ -15,9 +15,14 @@ import numpy as np
 from htcp_jax.backend import backend
 from htcp_jax.caching import cached_by_values
 from htcp_jax.clearance.distance import branch_and_bound, cloud_tree_gpu, cloud_tree_walk
-from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, squared_distance, with_axes
+from htcp_jax.clearance.distance.bounding_discs import (
+    CloudIndex,
+    as_segments,
+    bounding_discs,
+    squared_distance,
+    with_axes,
+)
 from htcp_jax.clearance.distance.branch_and_bound import FAN
-from htcp_jax.clearance.distance.cloud_index import CloudIndex
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
 

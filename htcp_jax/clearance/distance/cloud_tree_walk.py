@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.distance.bounding_discs import (
+    CloudIndex,
     LineSegments,
     as_segments,
     lower_bounds,
@@ -21,7 +22,6 @@ from htcp_jax.clearance.distance.bounding_discs import (
     with_axes,
 )
 from htcp_jax.clearance.distance.branch_and_bound import least_number
-from htcp_jax.clearance.distance.cloud_index import CloudIndex
 from htcp_jax.types import Array, Int, Scalar
 
 

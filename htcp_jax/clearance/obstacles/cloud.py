@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.distance.cloud_index import CloudIndex
+from htcp_jax.clearance.distance.bounding_discs import CloudIndex
 from htcp_jax.clearance.distance.cloud_pieces import lowest_points
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import build_index, nearest_body, nearest_rows

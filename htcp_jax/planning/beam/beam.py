@@ -40,10 +40,9 @@ from htcp_jax.motion import (
 )
 from htcp_jax.planning.beam.dead_ends import DeadEnds
 from htcp_jax.planning.beam.functions import EXTEND, MOVE_TOWARDS, SELF_MOTION, inputs_and_tubes
-from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
-from htcp_jax.planning.beam.tree import BeamTree
+from htcp_jax.planning.beam.tree import BeamTree, JointSteps
 from htcp_jax.planning.method import Method
 from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.status import SegmentStatus, Status

@@ -12,8 +12,8 @@ from htcp_jax.planning.method import Method
 from htcp_jax.planning.tracking.candidates import PendingScenarios
 from htcp_jax.planning.tracking.engine import Engine
 from htcp_jax.planning.tracking.first_calls import first_calls, further_calls
+from htcp_jax.planning.tracking.lanes import Work
 from htcp_jax.planning.tracking.stages import Recoveries
-from htcp_jax.planning.tracking.work import Work
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 
